@@ -1,10 +1,10 @@
-"""Flight-model uncertainty for JSBSim: identification, bounds of what a model does not know, campaigns, p-boxes, refinement.
+"""Flight-model uncertainty for JSBSim: identification, bounds of what a model does not know,
+campaigns, p-boxes, refinement.
 
     import uqharness as uq
 
-Names are loaded at their first use, so that the import takes some milliseconds and loads no numerical library. They stand in
-__init__.pyi.
-"""
+Names are loaded at their first use, so that the import takes some milliseconds and loads no
+numerical library. They stand in __init__.pyi."""
 
 import lazy_loader
 

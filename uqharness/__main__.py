@@ -1,7 +1,8 @@
-"""Where the ``uqharness`` command starts, and ``python -m uqharness``.
+"""Entry point of the ``uqharness`` command and of ``python -m uqharness``.
 
-Every process that is spawned reads the file its parent was started from: what this file imports, each worker of a campaign
-imports as well, and the command line with all its commands would be 130 MB and more than a second in each of them.
+Every spawned process reads the file that its parent was started from, with all its imports. The
+command line with all commands would cost each worker 130 MB and more than a second, so this file
+imports it only when it runs.
 """
 
 import os
@@ -9,27 +10,28 @@ import sys
 
 
 def _leave_working_folder() -> None:
-    """Take the working folder, which ``python -m`` puts first, off the path: a ``socket.py`` there is not Python's own.
+    """Remove the working folder, which ``python -m`` puts first, from the import path.
 
-    It stays if this package lives there.
+    A ``socket.py`` there would replace Python's own. The folder stays if this package lives in it.
     """
-    here = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    package_root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
     if (
         sys.path
         and not sys.flags.safe_path
         and sys.path[0] in ("", os.getcwd())
-        and os.getcwd() != here
+        and os.getcwd() != package_root
     ):
         del sys.path[0]
 
 
 if __name__ == "__main__":
     # Before anything else is imported.
+    # Before any other import.
     _leave_working_folder()
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; the process's exit code."""
+    """Run one command and return its exit code."""
     try:
         from uqharness.cli import run
     except KeyboardInterrupt:

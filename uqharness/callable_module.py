@@ -1,4 +1,9 @@
-"""Packages that are functions as well: ``uq.report(folder)`` beside ``uqharness.report``, which Python sets under the same name."""
+"""Packages that can be called as functions.
+
+``uq.report(folder)`` is a function of the Python API, but importing the package
+``uqharness.report`` makes Python set that module under the same name. `make_callable` lets the
+module stand for both.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +15,17 @@ from typing import Any
 
 
 def make_callable(package: str, module: str) -> None:
-    """Let ``package`` be called as the function of its last name in ``module``, which is loaded at the first call."""
+    """Make a package callable as the function of the same name in ``module``.
+
+    ``module`` is imported at the first call.
+    """
     name = package.rpartition(".")[2]
 
     def function() -> Any:
         return getattr(importlib.import_module(module), name)
 
     class CallableModule(ModuleType):
-        """A module that is a function too."""
+        """Module that forwards calls, signature and documentation to a function."""
 
         @property
         def __signature__(self) -> inspect.Signature:
@@ -31,4 +39,5 @@ def make_callable(package: str, module: str) -> None:
         def __call__(self, *args: Any, **keywords: Any) -> Any:
             return function()(*args, **keywords)
 
+    # Python allows the class of a module that is already imported to be replaced.
     sys.modules[package].__class__ = CallableModule

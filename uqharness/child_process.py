@@ -1,7 +1,8 @@
-"""Child processes: what every one of this program is started with, a module of this program run in one, and how it ended.
+"""Child processes: their environment, running a module in one, and how it ended.
 
-A foreign aircraft may end the interpreter that loads it, or never come back: whatever loads one first runs as ``python -m`` of its
-own, with a time limit, and answers with a line of JSON.
+A foreign aircraft may crash the interpreter that loads it, or never return. Code that loads one for
+the first time therefore runs as ``python -m MODULE`` with a time limit, and answers with one line
+of JSON (`give_answer`, read by `run_module`).
 """
 
 from __future__ import annotations
@@ -22,23 +23,23 @@ from sysid.foreign.regular_files import ParseError, parse_json
 from sysid.parallel import ONE_THREAD
 from uqharness.errors import BadInputError
 
-# Python puts the working folder before everything else where code is handed to it on the command line, as multiprocessing does: a
-# `socket.py` there would be imported.
+# With code on the command line, as multiprocessing starts it, Python puts the working folder first
+# on the import path: a `socket.py` there would be imported.
 CHILD_ENVIRONMENT = {**ONE_THREAD, "PYTHONSAFEPATH": "1"}
 _ANSWER = "uqharness-answer "
-_LAST_WORDS = 300
+_ERROR_CHARACTERS = 300
 _one_at_a_time = threading.RLock()
 
 
 @contextlib.contextmanager
 def child_settings() -> Iterator[None]:
-    """Children started inside inherit CHILD_ENVIRONMENT; this process's own environment is as before afterwards."""
-    before = {name: os.environ.get(name) for name in CHILD_ENVIRONMENT}
+    """Set CHILD_ENVIRONMENT for children started inside, and restore the environment afterwards."""
+    saved = {name: os.environ.get(name) for name in CHILD_ENVIRONMENT}
     os.environ.update(CHILD_ENVIRONMENT)
     try:
         yield
     finally:
-        for name, value in before.items():
+        for name, value in saved.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
@@ -47,51 +48,77 @@ def child_settings() -> Iterator[None]:
 
 @contextlib.contextmanager
 def main_not_imported() -> Iterator[None]:
-    """Processes spawned inside do not run the script again that this one was started with, guard or not.
+    """Keep processes spawned inside from running the caller's script again.
 
-    What they are to do must then come from a module: nothing that the script defines is known to them.
+    Spawned processes usually import the script that started the parent, guarded or not. Functions
+    sent to them must therefore come from a module, not from the script.
     """
     script = vars(sys.modules["__main__"])
     with _one_at_a_time:
-        before: dict[str, Any] = {
+        saved: dict[str, Any] = {
             name: script[name] for name in ("__file__", "__spec__") if name in script
         }
+        # Without these, multiprocessing does not know which script to import.
         script.pop("__file__", None)
         script["__spec__"] = None
         try:
             yield
         finally:
-            script.update(before)
+            script.update(saved)
 
 
 @dataclass(frozen=True)
-class Ended:
-    """How a child ended.
+class ProcessResult:
+    """How a child process ended.
 
-    code    exit code, minus the number of the signal that ended it; None where it was killed because its time was over
-    answer  what it said by `give_answer`; empty where it did not
-    said    what else it, or a library in it, wrote to standard output, in one line
-    errors  the end of what it wrote to standard error, in one line
+    Attributes
+    ----------
+    code : int or None
+        Exit code, negative for a signal; None if the time limit ended it.
+    answer : mapping
+        What it passed to `give_answer`; empty without an answer.
+    output : str
+        Other standard output, in one line.
+    errors : str
+        End of its standard error, in one line.
     """
 
     code: int | None
     answer: Mapping[str, Any]
-    said: str
+    output: str
     errors: str
 
 
 def run_module(
     module: str, *arguments: object, timeout_s: float, python: Path | None = None
-) -> Ended:
-    """Run ``python -m module arguments`` and wait for its end, for at most ``timeout_s`` seconds.
+) -> ProcessResult:
+    """Run ``python -m module arguments`` and wait for its end.
 
-    python: interpreter of another environment, whose own libraries count; None: this one. Raises BadInputError where it cannot be
-    started.
+    Parameters
+    ----------
+    module : str
+        Module to run.
+    *arguments : object
+        Its arguments, converted to text.
+    timeout_s : float
+        Time limit [s].
+    python : Path, optional
+        Interpreter of another environment with its own libraries; this one by default.
+
+    Returns
+    -------
+    ProcessResult
+        Exit code, answer and output.
+
+    Raises
+    ------
+    BadInputError
+        If the interpreter cannot be started.
     """
     command = [str(python or sys.executable), "-m", module, *map(str, arguments)]
     environment = child_environment() if python is None else other_environment()
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             command,
             capture_output=True,
             text=True,
@@ -101,36 +128,47 @@ def run_module(
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return Ended(None, {}, "", "")
+        return ProcessResult(None, {}, "", "")
     except OSError as error:
         raise BadInputError(
-            f"{command[0]}: cannot be started: {error.strerror or error}; a Python interpreter is needed"
+            f"{command[0]}: cannot be started: {error.strerror or error}; a Python interpreter is"
+            " needed"
         ) from None
-    lines = done.stdout.splitlines()
+    lines = process.stdout.splitlines()
+    # Other lines were printed by a library.
     answers = [line.removeprefix(_ANSWER) for line in lines if line.startswith(_ANSWER)]
-    said = " ".join(" ".join(line for line in lines if not line.startswith(_ANSWER)).split())
-    # Where Python is started by a script, that tells of a signal by 128 and its number.
-    code = 128 - done.returncode if done.returncode >= 128 else done.returncode
-    return Ended(code, _answer(answers[-1:]), said, " ".join(done.stderr.split())[-_LAST_WORDS:])
+    output = " ".join(" ".join(line for line in lines if not line.startswith(_ANSWER)).split())
+    # A shell script that starts Python reports a signal as 128 plus its number.
+    code = 128 - process.returncode if process.returncode >= 128 else process.returncode
+    return ProcessResult(
+        code, _answer(answers[-1:]), output, " ".join(process.stderr.split())[-_ERROR_CHARACTERS:]
+    )
 
 
 def give_answer(answer: Mapping[str, Any]) -> None:
-    """In the child: the answer that `run_module` hands to the parent. The last one counts."""
-    # A library may have written half a line.
+    """Answer the parent that called `run_module`, from the child. The last answer counts."""
+    # A library may have left an unfinished line.
     sys.stdout.write(f"\n{_ANSWER}{json.dumps(answer)}\n")
     sys.stdout.flush()
 
 
 def _answer(lines: list[str]) -> Mapping[str, Any]:
+    """Return the parsed answer; empty if it is no JSON object."""
     try:
-        found = parse_json(lines[0]) if lines else {}
+        answer = parse_json(lines[0]) if lines else {}
     except ParseError:
         return {}
-    return found if isinstance(found, dict) else {}
+    return answer if isinstance(answer, dict) else {}
 
 
-def ending(code: int | None) -> str:
-    """A process's exit code in words: "exit code 3", "signal 11 (SIGSEGV)"."""
+def describe_exit(code: int | None) -> str:
+    """Return an exit code as text.
+
+    Examples
+    --------
+    >>> ending(3), ending(-11)
+    ('exit code 3', 'signal 11 (SIGSEGV)')
+    """
     if code is None or code >= 0:
         return f"exit code {code}"
     try:
@@ -140,25 +178,31 @@ def ending(code: int | None) -> str:
 
 
 def other_environment() -> dict[str, str]:
-    """The same for an interpreter of another environment: this package, unless it is installed there, and none of our libraries."""
-    here = Path(__file__).resolve().parents[1]
-    ours = {"VIRTUAL_ENV", "PYTHONPATH", "PYTHONHOME"}
-    kept = {name: value for name, value in os.environ.items() if name not in ours}
-    installed = here.name in ("site-packages", "dist-packages")
-    return kept | CHILD_ENVIRONMENT | ({} if installed else {"PYTHONPATH": str(here)})
+    """Return environment variables for an interpreter of another environment.
+
+    It finds this package but none of this environment's libraries.
+    """
+    root = Path(__file__).resolve().parents[1]
+    own_variables = {"VIRTUAL_ENV", "PYTHONPATH", "PYTHONHOME"}
+    inherited = {name: value for name, value in os.environ.items() if name not in own_variables}
+    installed = root.name in ("site-packages", "dist-packages")
+    return inherited | CHILD_ENVIRONMENT | ({} if installed else {"PYTHONPATH": str(root)})
 
 
 def child_environment() -> dict[str, str]:
-    """The environment in which ``python -m`` finds this package, wherever it was imported from, and nothing of its folder."""
-    here = str(Path(__file__).resolve().parents[1])
+    """Return environment variables with which ``python -m`` finds this package.
+
+    The working folder is removed from the import path.
+    """
+    root = str(Path(__file__).resolve().parents[1])
     foreign = {"", os.curdir, os.getcwd()}
-    places = [here, *(place for place in sys.path if place not in foreign)]
+    places = [root, *(place for place in sys.path if place not in foreign)]
     return os.environ | CHILD_ENVIRONMENT | {"PYTHONPATH": os.pathsep.join(places)}
 
 
 def run_command(words: Sequence[str]) -> tuple[int, str, str]:
-    """Run a command of this program in a process of its own: its exit code, standard output and standard error."""
-    done = subprocess.run(
+    """Run a command of this program; return its exit code, standard output and standard error."""
+    process = subprocess.run(
         [sys.executable, "-m", "uqharness", *words], capture_output=True, text=True, check=False
     )
-    return done.returncode, done.stdout, done.stderr
+    return process.returncode, process.stdout, process.stderr

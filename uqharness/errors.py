@@ -1,4 +1,8 @@
-"""Errors a user can act on. The command line prints their text and exits with 2; anything else is a defect of ours."""
+"""Errors that a user can act on.
+
+The command line prints their text and exits with code 2. Any other exception is a defect of this
+program.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,15 @@ from sysid.errors import shortened
 
 
 class BadInputError(Exception):
-    """Input that cannot be used. The text says what was received, what is allowed, and what to do next.
+    """Input that cannot be used.
 
-    ``lines`` are one sentence each: a file's mistakes may be several. What a file has put into one does not break it in two.
+    The text says what was received, what is allowed, and what to do next.
+
+    Parameters
+    ----------
+    *lines : str
+        One sentence each; a file may contain several mistakes. Line ends inside a sentence become
+        blanks.
     """
 
     def __init__(self, *lines: str) -> None:
@@ -20,8 +30,8 @@ class BadInputError(Exception):
 
 
 class EnginesDifferError(Exception):
-    """The batch engine and JSBSim flew the same case otherwise, so the campaign's results are not valid."""
+    """The batch engine and JSBSim disagree on the same case; the campaign is invalid."""
 
 
 class TerminatedError(KeyboardInterrupt):
-    """SIGTERM asked this process to end, which it does as after Ctrl-C."""
+    """SIGTERM was received; the process ends as after Ctrl-C."""

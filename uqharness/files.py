@@ -1,4 +1,9 @@
-"""Files that are there whole or not at all."""
+"""Files and folders: atomic writing, checks of output paths, package data, temporary folders.
+
+A file appears complete or not at all, and enters the SHA256SUMS of its folder
+(:mod:`uqharness.checksums`). Results may come from elsewhere, so that links inside them are not
+followed when writing.
+"""
 
 from __future__ import annotations
 
@@ -21,27 +26,38 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from uqharness.checksums import PART, enter
+from uqharness.checksums import PART, update_sums
 from uqharness.errors import BadInputError
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, bring it to the disk, then put it in place at once.
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Let ``write`` fill a temporary file, and move it to ``path`` in one step.
 
-    The sums of a folder of results that is complete are brought up to date (:mod:`uqharness.checksums`).
-    A reader, or a crash, finds the old file or the new one. Folders on the way are made. Raises BadInputError where that
-    cannot be done.
+    A reader, or a crash, finds the old file or the new one. Missing folders are made, and the sums
+    of a complete folder of results are updated.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    write : callable
+        Called with the path of the temporary file.
+
+    Raises
+    ------
+    BadInputError
+        If the file cannot be written.
     """
     temporary = path.with_name(f".{path.name}{PART}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # In a folder that came from elsewhere it may be a link to any file.
+        # In a foreign folder the temporary name may be a link to any file.
         temporary.unlink(missing_ok=True)
         write(temporary)
         with temporary.open("rb+") as handle:
             os.fsync(handle.fileno())
         os.replace(temporary, path)
-        enter(path)
+        update_sums(path)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
@@ -50,41 +66,47 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file of results, if it is there, and its entry in the sums. Raises BadInputError."""
+    """Remove a file of results and its entry in the sums, if it exists. Raises BadInputError."""
     try:
         path.unlink(missing_ok=True)
-        enter(path)
+        update_sums(path)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be removed: {error.strerror or error}") from None
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """The same for content that is at hand."""
-    write_whole(path, lambda target: target.write_bytes(content))
+    """Write bytes atomically. Raises BadInputError."""
+    write_atomically(path, lambda target: target.write_bytes(content))
 
 
 def write_parts(path: Path, parts: Iterable[bytes | memoryview]) -> None:
-    """The same for content in parts, one after the other."""
+    """Write several byte strings, one after the other, atomically. Raises BadInputError."""
 
     def write(target: Path) -> None:
         with target.open("wb") as handle:
             handle.writelines(parts)
 
-    write_whole(path, write)
+    write_atomically(path, write)
 
 
 def write_text(path: Path, text: str) -> None:
-    """The same for a text, as UTF-8."""
+    """Write text in UTF-8 atomically. Raises BadInputError."""
     write_bytes(path, text.encode())
 
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
-    """The same for a document as JSON, which is :func:`finite` already."""
+    """Write a JSON document atomically; pass it through :func:`finite` before."""
     write_text(path, json.dumps(document, indent=1) + "\n")
 
 
 def finite(value: Any) -> Any:
-    """A document, or a part of it, with null for numbers that are not finite: what JSON can hold."""
+    """Return a document with None in place of NaN and infinity, which JSON does not have.
+
+    Examples
+    --------
+    >>> finite({"a": [1.0, float("nan")]})
+    {'a': [1.0, None]}
+    """
     if isinstance(value, Mapping):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -95,10 +117,10 @@ def finite(value: Any) -> Any:
 
 
 def inner_folder(folder: Path, *parts: str) -> Path:
-    """The folder ``folder``/parts, made if need be. ``folder`` may be a link of the user's own; a part may not.
+    """Return the folder ``folder``/parts, made if needed.
 
-    A results folder that came from elsewhere could have a link in it, and files would be written where that leads. Raises
-    BadInputError.
+    ``folder`` may be a link of the user's. A part may not: in foreign results, files would be
+    written to where the link leads. Raises BadInputError.
     """
     place = folder
     try:
@@ -106,8 +128,8 @@ def inner_folder(folder: Path, *parts: str) -> Path:
             place = place / part
             if place.is_symlink():
                 raise BadInputError(
-                    f"{place}: is a link to {os.readlink(place)}; files are written into a results folder's own folders alone: "
-                    "remove the link"
+                    f"{place}: is a link to {os.readlink(place)}; files are written into a results"
+                    " folder's own folders alone: remove the link"
                 )
             place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -115,48 +137,58 @@ def inner_folder(folder: Path, *parts: str) -> Path:
     return place
 
 
-def check_out(path: Path, option: str = "--out") -> None:
-    """Refuse, before work is spent on it, an ``option`` that no file or folder can be made at; missing folders are made later.
+def check_output_path(path: Path, option: str = "--out") -> None:
+    """Raise BadInputError if nothing can be written at an output path.
 
-    Raises BadInputError where something on the way is no folder, or one that may not be written to.
+    Called before long work. Missing folders are no error; they are made later.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder to be written.
+    option : str
+        Option that named it, for the message.
     """
-    there = path.absolute()
-    while not (there.exists() or there.is_symlink()):
-        there = there.parent
-    if there != path.absolute() and not there.is_dir():
-        raise BadInputError(f"{option} {path}: {there} is no folder; choose another path")
-    if not os.access(there, os.W_OK):
+    existing = path.absolute()
+    while not (existing.exists() or existing.is_symlink()):
+        existing = existing.parent
+    if existing != path.absolute() and not existing.is_dir():
+        raise BadInputError(f"{option} {path}: {existing} is no folder; choose another path")
+    if not os.access(existing, os.W_OK):
         raise BadInputError(
-            f"{option} {path}: {there} may not be written to; choose another path or change its rights"
+            f"{option} {path}: {existing} may not be written to; choose another path or change its"
+            " rights"
         )
 
 
-def check_page(path: Path, option: str = "--out") -> None:
-    """The same for a page, a file whose name ends in .html. Raises BadInputError for another ending and for a folder."""
+def check_page_path(path: Path, option: str = "--out") -> None:
+    """Raise BadInputError unless a report page can be written at a path ending in .html."""
     if path.suffix.lower() != ".html":
         raise BadInputError(f"{option} {path}: a page, FILE.html, is written")
     if path.is_dir():
         raise BadInputError(f"{option} {path}: is a folder; a page, FILE.html, is written")
-    check_out(path, option)
+    check_output_path(path, option)
 
 
-def check_folder(path: Path) -> None:
-    """The same for a folder of results, which may exist already. Raises BadInputError where a file has its name."""
-    check_out(path)
+def check_output_folder(path: Path) -> None:
+    """Raise BadInputError unless results can be written to a folder, which may exist."""
+    check_output_path(path)
     if path.exists() and not path.is_dir():
         raise BadInputError(f"--out {path}: exists and is no folder")
 
 
-def open_no_link(path: Path, make: bool = True) -> int:
-    """Open a file for reading and writing in a folder that may come from elsewhere; its content stays.
+def open_without_links(path: Path, make: bool = True) -> int:
+    """Open a file for reading and writing, keeping its content; return the descriptor.
 
-    Raises OSError where the name is a link, or the file is no regular one or has a second name: it may be any file of the user's.
+    Raises OSError if the name is a link, or the file is not regular or has a second name: it could
+    be any file of the user's.
     """
     flags = os.O_RDWR | (os.O_CREAT if make else 0)
     for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):
         flags |= getattr(os, name, 0)
     if path.is_symlink():  # also where the system has no O_NOFOLLOW
         raise OSError(errno.ELOOP, f"is a link to {os.readlink(path)}", str(path))
+    # Checked again on the open file: the name may have been replaced since.
     handle = os.open(path, flags, 0o666)
     status = os.fstat(handle)
     if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
@@ -167,11 +199,11 @@ def open_no_link(path: Path, make: bool = True) -> int:
     return handle
 
 
-def lock_at_once(descriptor: int) -> bool:
-    """Take the lock of an open, writable file; False if another process has it. The system drops it when this process ends.
+def try_lock(descriptor: int) -> bool:
+    """Lock an open, writable file; return False if another process holds the lock.
 
-    It is a record lock: children do not inherit it, a second one of the same process succeeds, and closing any handle of that
-    file in this process gives it back.
+    The system releases the lock when this process ends. It is a record lock: children do not
+    inherit it, the same process can take it twice, and closing any handle of the file releases it.
     """
     try:
         import fcntl
@@ -190,56 +222,68 @@ def lock_at_once(descriptor: int) -> bool:
     return True
 
 
-# Where the files lie that come with the package: aircraft, run scripts, campaigns, published
-# figures.
-#
-# In a working copy that is the folder above the packages; in an installed wheel,
-# ``uqharness/data``, with the same names inside.
+# Package data: aircraft, run scripts, campaigns, published figures. In a working copy they lie
+# above the packages; in an installed wheel in ``uqharness/data``, under the same names.
 
 _INSTALLED = Path(__file__).resolve().parent / "data"
 
 PROJECT_ROOT = _INSTALLED if _INSTALLED.is_dir() else Path(__file__).resolve().parent.parent
-"""Folder that holds ``aircraft``, ``scripts``, ``campaigns`` and ``tests/reference``. Read, never written to."""
+"""Folder with ``aircraft``, ``scripts``, ``campaigns`` and ``tests/reference``; read-only."""
 
 
 def find_campaign(name_or_path: str | Path, file: str = "campaign.toml") -> Path:
-    """The campaign file of that path (here, then in the project), or of the project's campaign of that name.
+    """Return the campaign file with a path or a name.
 
-    ``file`` is what is taken where a folder or a name is given. Raises BadInputError naming what there is.
+    Parameters
+    ----------
+    name_or_path : str or Path
+        Path relative to the working folder or the project, or name of a folder in ``campaigns``.
+    file : str
+        File taken from a folder.
+
+    Raises
+    ------
+    BadInputError
+        If there is none; the message lists the names.
     """
-    given = Path(name_or_path)
+    requested = Path(name_or_path)
+    # A path counts before a name.
     for root in (Path(), PROJECT_ROOT, PROJECT_ROOT / "campaigns"):
-        for path in (root / given, root / given / file):
+        for path in (root / requested, root / requested / file):
             if path.is_file():
                 return path
-    known = sorted(path.parent.name for path in (PROJECT_ROOT / "campaigns").glob(f"*/{file}"))
+    campaign_names = sorted(
+        path.parent.name for path in (PROJECT_ROOT / "campaigns").glob(f"*/{file}")
+    )
     raise BadInputError(
-        f"campaign '{name_or_path}' not found: no such file here or in {PROJECT_ROOT}, no folder with a {file}, "
-        f"and no name of one under campaigns/ (there: {', '.join(known) or 'none'})"
+        f"campaign '{name_or_path}' not found: no such file here or in {PROJECT_ROOT}, no folder"
+        f" with a {file}, and no name of one under campaigns/ (there:"
+        f" {', '.join(campaign_names) or 'none'})"
     )
 
 
-# Temporary folders that a killed process does not leave behind for ever.
-#
-# All of a process's temporary folders lie below one of its own, which holds a locked file. The
-# system drops the lock when the process ends, however it ends: a folder whose lock can be taken
-# has lost its owner, and the next process of the same user removes it before it makes its own.
+# Temporary folders that do not outlive a killed process. All of a process's temporary folders lie
+# in one of its own with a locked file. The system releases the lock when the process ends. A folder
+# whose lock can be taken has no owner, and the next process of the same user removes it.
 
 LOCK = "owner.lock"
 _NAME = re.compile(r"uqharness-\d+-[a-z0-9_]{8}")
 _COPY = re.compile(rf"[^\s'\"]*/{_NAME.pattern}/[^/\s]+/(?:aircraft/)?")
-_TRIES = 20
+_ATTEMPTS = 20
 
 
 class Scratch:
-    """A temporary folder, removed with all that is in it by ``close``, at the end of a ``with``, or with its process."""
+    """A temporary folder, removed by ``close``, at the end of ``with``, or with its process."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._finish = weakref.finalize(self, _discard, path, os.getpid())
 
     def close(self) -> None:
-        """Remove the folder; may be called again. What cannot be removed now is removed with the process's own folder."""
+        """Remove the folder; may be called twice.
+
+        What cannot be removed now is removed with the process's own folder.
+        """
         self._finish()
 
     def __fspath__(self) -> str:
@@ -264,40 +308,48 @@ def _discard(path: Path, process: int) -> None:
 
 
 def scratch_folder(purpose: str = "") -> Scratch:
-    """A new, empty folder that only this user may enter; ``purpose`` begins its name.
+    """Make a new, empty temporary folder that only this user may enter.
 
-    Raises BadInputError where no temporary folder can be made.
+    Parameters
+    ----------
+    purpose : str
+        Prefix of its name.
+
+    Raises
+    ------
+    BadInputError
+        If no temporary folder can be made.
     """
     prefix = f"{purpose or 'scratch'}-"
     with _making:
         try:
             return Scratch(Path(tempfile.mkdtemp(prefix=prefix, dir=_own_home().path)))
         except FileNotFoundError:
-            # Systems empty their folder of temporary files now and then.
+            # The system may have cleaned its temporary folder.
             os.close(_homes.pop(os.getpid()).lock)
             return Scratch(Path(tempfile.mkdtemp(prefix=prefix, dir=_own_home().path)))
 
 
-def without_scratch(text: str) -> str:
-    """A message with the place of a process's own copies left out: "c310/c310.xml:68" is the user's aircraft all the same."""
+def hide_scratch_paths(text: str) -> str:
+    """Return a message without the paths of copies, which stand for the user's files."""
     return _COPY.sub("", text)
 
 
 @dataclass
 class _Home:
-    """A process's own folder, and the handle that holds its lock."""
+    """A process's own temporary folder and the handle that holds its lock."""
 
     path: Path
     lock: int
 
 
 _making = threading.Lock()
-# By process: after a fork the parent's entry is in the child's memory and is not the child's folder.
+# Keyed by process: after a fork, the child inherits the parent's entry but not its folder.
 _homes: dict[int, _Home] = {}
 
 
 def _after_fork() -> None:
-    """Another thread of the parent may have held the lock at the fork."""
+    """Replace the lock, which another thread of the parent may have held at the fork."""
     global _making
     _making = threading.Lock()
 
@@ -307,83 +359,91 @@ if hasattr(os, "register_at_fork"):
 
 
 def _own_home() -> _Home:
+    """Return this process's folder, made on first use after removing abandoned ones."""
     number = os.getpid()
     if number not in _homes:
-        sweep()
+        remove_abandoned_folders()
         _homes[number] = _new_home()
-        # Runs in children that multiprocessing ends as well, and after a parent's own children have been ended.
-        Finalize(None, _leave, args=(number,), exitpriority=-100)
+        # Runs in children that multiprocessing ends as well, and after a parent's own children have
+        # been ended.
+        Finalize(None, _remove_home, args=(number,), exitpriority=-100)
     return _homes[number]
 
 
 def _new_home() -> _Home:
-    for _ in range(_TRIES):
+    """Make and lock a folder for this process."""
+    for _ in range(_ATTEMPTS):
         try:
             path = Path(tempfile.mkdtemp(prefix=f"uqharness-{os.getpid()}-"))
         except OSError as error:
             raise BadInputError(
-                f"no folder for temporary files can be made ({error.strerror or error}); set TMPDIR to one that you may write to"
+                f"no folder for temporary files can be made ({error.strerror or error}); set TMPDIR"
+                " to one that you may write to"
             ) from None
+        # None: another process removed the folder at once; try again.
         handle = _open_lock(path, os.O_CREAT)
         if handle is None:
             continue
-        if lock_at_once(handle):
+        if try_lock(handle):
             os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
-            # Another process may have taken the folder for an orphan's in the instant before the lock.
+            # Between making and locking, another process may have removed the folder as abandoned.
             with contextlib.suppress(OSError):
                 if os.path.samestat(os.stat(path / LOCK), os.fstat(handle)):
                     return _Home(path, handle)
         os.close(handle)
     raise BadInputError(
-        f"{tempfile.gettempdir()}: no folder for temporary files can be kept there; set TMPDIR to another folder"
+        f"{tempfile.gettempdir()}: no folder for temporary files can be kept there; set TMPDIR to"
+        " another folder"
     )
 
 
-def _leave(number: int) -> None:
+def _remove_home(number: int) -> None:
     """Remove this process's own folder at its end."""
     home = _homes.pop(number, None) if number == os.getpid() else None
     if home is not None:
         _remove(home.path, home.lock)
         # Children that were killed on the way left theirs.
-        sweep()
+        remove_abandoned_folders()
 
 
-def sweep() -> None:
-    """Remove the folders of this user's processes on this machine that have ended without doing so."""
-    own = {home.path.name for number, home in _homes.items() if number == os.getpid()}
+def remove_abandoned_folders() -> None:
+    """Remove the folders of this user's processes on this machine that ended without doing so."""
+    own_names = {home.path.name for number, home in _homes.items() if number == os.getpid()}
     for path in _candidates():
-        if path.name in own:
+        if path.name in own_names:
             continue  # not even opened: closing a second handle would drop the lock
         handle = _open_lock(path, 0)
         if handle is None:
-            # Made and killed before its lock was there. One that is being made just now is made again.
+            # Made and killed before its lock was there. One that is being made just now is made
+            # again.
             with contextlib.suppress(OSError):
                 path.rmdir()
             continue
-        if _of_this_machine(handle) and lock_at_once(handle):
+        if _of_this_machine(handle) and try_lock(handle):
             _remove(path, handle)
         else:
             os.close(handle)
 
 
 def _candidates() -> Iterator[Path]:
-    """Folders, and no links to any, of the right name and owner."""
+    """Yield folders (no links) of the right name and owner."""
     try:
-        found = [
+        paths = [
             entry.path for entry in os.scandir(tempfile.gettempdir()) if _NAME.fullmatch(entry.name)
         ]
     except OSError:
         return
-    for path in found:
+    for path in paths:
         with contextlib.suppress(OSError):
-            seen = os.lstat(path)
-            if stat.S_ISDIR(seen.st_mode) and (
-                not hasattr(os, "getuid") or seen.st_uid == os.getuid()
+            status = os.lstat(path)
+            if stat.S_ISDIR(status.st_mode) and (
+                not hasattr(os, "getuid") or status.st_uid == os.getuid()
             ):
                 yield Path(path)
 
 
 def _open_lock(folder: Path, flags: int) -> int | None:
+    """Open the lock file of a folder; None if there is none or it is no regular file."""
     with contextlib.suppress(OSError):
         handle = os.open(
             folder / LOCK,
@@ -397,13 +457,19 @@ def _open_lock(folder: Path, flags: int) -> int | None:
 
 
 def _of_this_machine(handle: int) -> bool:
-    """False for a folder on a shared disk whose owner runs elsewhere: that its lock is felt here is not certain."""
+    """Return whether the owner of a lock runs on this machine.
+
+    On a shared disk, locks of other machines are not reliable.
+    """
     text = os.read(handle, 1000).decode("utf-8", "replace")
     return not text or text.endswith(f" on {socket.gethostname()}\n")
 
 
 def _remove(path: Path, lock: int) -> None:
-    """Remove a folder whose lock this process holds; the lock last, so that what is left of a failed attempt is found again."""
+    """Remove a folder whose lock this process holds, the lock file last.
+
+    If removal fails halfway, the lock file marks the rest for another attempt.
+    """
     with contextlib.suppress(OSError):
         for entry in list(os.scandir(path)):
             if entry.name == LOCK:

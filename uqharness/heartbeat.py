@@ -1,7 +1,8 @@
-"""What a command or a function says while it works and nothing else does.
+"""Sign of life of a command or function that shows nothing else while it works.
 
-After 5 s `heartbeat` says what is done and how long it has taken: on a terminal by a line that moves, in a pipe by a line every 30 s,
-in a notebook by one line that is replaced. `uqharness.cli.progress` draws bars and names the stage. UQHARNESS_QUIET=1 silences it.
+After 5 s, `heartbeat` prints what is at work and for how long: on a terminal in a line that is
+updated, in a pipe every 30 s, in a notebook in one line that is replaced. Progress bars
+(`uqharness.cli.progress`) suppress it. UQHARNESS_QUIET=1 turns it off.
 """
 
 from __future__ import annotations
@@ -19,42 +20,51 @@ from typing import Any, TextIO
 from sysid.display import drawing, visible
 
 FIRST_S = 5.0
-"""Until the first line of a command that shows nothing by itself."""
+"""Time [s] before the first line."""
 EVERY_S = 30.0
-"""Between two lines in a pipe."""
-QUIET = "UQHARNESS_QUIET"
+"""Time [s] between two lines in a pipe."""
+QUIET_VARIABLE = "UQHARNESS_QUIET"
 _RECENT_S = 60.0
-"""Work of so long decides the time to go."""
+"""Time [s] of recent work that determines the time left."""
 
 
 class Rate:
-    """Rate of work from what was done recently: the first seconds of a command compile and load, and tell nothing of the rest."""
+    """Rate of work over the last minute.
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        self._now = now
-        self._done: deque[tuple[float, float]] = deque([(now(), 0.0)])
+    The first seconds of a command compile and load; they say nothing about the remaining work.
+
+    Parameters
+    ----------
+    time_source : callable
+        Clock [s].
+    """
+
+    def __init__(self, time_source: Callable[[], float] = time.monotonic) -> None:
+        self._now = time_source
+        self._done: deque[tuple[float, float]] = deque([(time_source(), 0.0)])
 
     def seconds_left(self, done: float, total: float) -> float | None:
-        """Return the time to go [s]; None before anything and after everything is done."""
-        now, marks = self._now(), self._done
+        """Return the time left [s]; None before anything is done and after everything is."""
+        time_s, marks = self._now(), self._done
+        # Work started anew: forget the old rate.
         if done < marks[-1][1]:
             marks.clear()
         if not marks or done > marks[-1][1]:
-            marks.append((now, done))
-            while len(marks) > 2 and marks[1][0] <= now - _RECENT_S:
+            marks.append((time_s, done))
+            while len(marks) > 2 and marks[1][0] <= time_s - _RECENT_S:
                 marks.popleft()
-            # What ended first carried the start of everything; from the third mark on it is left out.
+            # The first finished unit contains the start-up; omit it once there are others.
             if len(marks) > 2 and marks[0][1] == 0.0:
                 marks.popleft()
-        (begun, before), (last, latest) = marks[0], marks[-1]
-        if not 0.0 < done < total or latest <= before:
+        (start_s, start_done), (last_s, last_done) = marks[0], marks[-1]
+        if not 0.0 < done < total or last_done <= start_done:
             return None
-        per_unit = (last - begun) / (latest - before)
-        return max(per_unit * (total - latest) - (now - last), 0.0)
+        per_unit = (last_s - start_s) / (last_done - start_done)
+        return max(per_unit * (total - last_done) - (time_s - last_s), 0.0)
 
 
 class _State:
-    """What the command at work says of itself, and how many bars are drawn."""
+    """Stage of the running command, and number of progress bars shown."""
 
     stage = ""
     bars = 0
@@ -65,7 +75,7 @@ STATE = _State()
 
 @contextmanager
 def bar_drawn() -> Iterator[None]:
-    """While it lasts a bar is drawn, and the heartbeat is still."""
+    """Suppress the heartbeat while a progress bar is shown."""
     STATE.bars += 1
     try:
         yield
@@ -80,7 +90,7 @@ def _write(stream: TextIO, text: str) -> None:
 
 @contextmanager
 def notebook_line(name: str) -> Iterator[None]:
-    """In a Jupyter notebook, show one line that is replaced while a function works; nothing in a script."""
+    """Show one line in a Jupyter notebook while a function works; nothing elsewhere."""
     display = _notebook_display()
     if display is None or threading.current_thread() is not threading.main_thread():
         yield
@@ -90,7 +100,7 @@ def notebook_line(name: str) -> Iterator[None]:
 
 
 def _notebook_display() -> Callable[[str], None] | None:
-    """Return what replaces a line of the notebook's cell; None outside a notebook."""
+    """Return a function that replaces a line in the notebook's cell; None outside a notebook."""
     shell = sys.modules.get("IPython")
     running: Any = None if shell is None else shell.get_ipython()
     if running is None or not hasattr(running, "kernel"):
@@ -116,31 +126,38 @@ def heartbeat(
     every_s: float = EVERY_S,
     show: Callable[[str], None] | None = None,
 ) -> Iterator[None]:
-    """Say on standard error that a command is at work, its stage and the time that it has taken, wherever no bar says so.
+    """Report on standard error that a command is at work, its stage and its time.
 
-    ``show`` takes the line, in place of standard error, and an empty one at the end.
+    Parameters
+    ----------
+    command : str
+        Name shown.
+    first_s, every_s : float
+        Time [s] before the first line, and between lines in a pipe.
+    show : callable, optional
+        Called with each line in place of standard error, and with an empty one at the end.
     """
-    if os.environ.get(QUIET):
+    if os.environ.get(QUIET_VARIABLE):
         yield
         return
-    ended, drawn = threading.Event(), threading.Event()
-    stream, begun = sys.stderr, time.monotonic()
-    moves = show is None and stream.isatty()
+    ended, line_shown = threading.Event(), threading.Event()
+    stream, start_s = sys.stderr, time.monotonic()
+    redraws = show is None and stream.isatty()
 
     def beat() -> None:
         wait = first_s
         while not ended.wait(wait):
-            wait = 1.0 if moves else every_s
+            wait = 1.0 if redraws else every_s
             if STATE.bars:
                 continue
             stage = f", {visible(STATE.stage)}" if STATE.stage else ""
-            line = f"{command}: {clock(time.monotonic() - begun)}{stage}"
+            line = f"{command}: {clock(time.monotonic() - start_s)}{stage}"
             try:
                 if show is not None:
-                    drawn.set()
+                    line_shown.set()
                     show(line)
-                elif moves:
-                    drawn.set()
+                elif redraws:
+                    line_shown.set()
                     _write(drawing(stream), f"\r\x1b[K{line}")
                 else:
                     _write(stream, f"{line}\n")
@@ -148,6 +165,7 @@ def heartbeat(
                 return
 
     STATE.stage = ""
+    # A daemon thread does not keep the process alive.
     thread = threading.Thread(target=beat, name="progress", daemon=True)
     thread.start()
     try:
@@ -156,15 +174,21 @@ def heartbeat(
         ended.set()
         thread.join(1.0)
         STATE.stage = ""
-        if show is not None and drawn.is_set():
+        if show is not None and line_shown.is_set():
             show("")
-        elif drawn.is_set():
+        elif line_shown.is_set():
             _write(drawing(stream), "\r\x1b[K")
 
 
 def clock(seconds: float) -> str:
-    """``h:mm:ss`` or ``m:ss``."""
-    whole = round(seconds)
-    hours, rest = divmod(whole, 3600)
-    minutes, second = divmod(rest, 60)
+    """Return a duration as ``h:mm:ss`` or ``m:ss``.
+
+    Examples
+    --------
+    >>> clock(75.0), clock(3675.0)
+    ('1:15', '1:01:15')
+    """
+    total = round(seconds)
+    hours, remainder = divmod(total, 3600)
+    minutes, second = divmod(remainder, 60)
     return f"{hours}:{minutes:02d}:{second:02d}" if hours else f"{minutes}:{second:02d}"

@@ -1,5 +1,8 @@
-"""Worker processes: how many, with what settings, ended with their parent; an ordered map over them, and a place for what many
-jobs read."""
+"""Worker processes: their number, their settings, and an ordered map over them.
+
+Workers end with their parent, run one thread each, and do not import the caller's script. Values
+that many jobs read are shared through a file.
+"""
 
 from __future__ import annotations
 
@@ -18,38 +21,39 @@ from sysid.parallel import ALONE, Processes
 from uqharness.child_process import child_settings, main_not_imported
 from uqharness.files import scratch_folder
 
-_MOST = 8
-_KEPT = 4
+_MAX_PROCESSES = 8
+_CACHED_VALUES = 4
 
 
 def usable_cores() -> int:
-    """Cores this process may use, which in a container or under a scheduler are fewer than the machine has."""
+    """Return the cores that this process may use, which may be fewer than the machine has."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def process_count(workers: int | None) -> int:
-    """``workers``, or as many as there are cores for this process, 8 at most."""
-    return workers or min(_MOST, usable_cores())
+    """Return ``workers``, or by default the usable cores, at most 8."""
+    return workers or min(_MAX_PROCESSES, usable_cores())
 
 
 def end_with_parent() -> None:
-    """From now on this process ends when its parent has gone, even one that was killed."""
+    """End this process from now on when its parent ends, even if the parent is killed."""
     threading.Thread(target=_follow_parent, daemon=True).start()
 
 
 def _follow_parent() -> None:
-    """End this process when its parent has gone, even in the middle of a flight."""
+    """End this process, even during a flight, once its parent is gone."""
     parent, number = multiprocessing.parent_process(), os.getppid()
     while parent is not None:
+        # A parent that is killed cannot end its children; poll for it.
         parent.join(timeout=1.0)
         if not parent.is_alive() or os.getppid() != number:
             os._exit(1)
 
 
 class _Pool(ProcessPoolExecutor):
-    """A pool whose processes, which the first jobs start, leave the caller's main module alone."""
+    """Process pool whose processes do not import the caller's main module."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """See :meth:`concurrent.futures.Executor.submit`."""
@@ -57,8 +61,8 @@ class _Pool(ProcessPoolExecutor):
             return super().submit(fn, *args, **kwargs)
 
     def end(self) -> None:
-        """End the processes now, whatever they are at; what was asked of them is dropped."""
-        # Python before 3.13 prints a traceback where a pool breaks with a job that was cancelled.
+        """End the processes at once and drop all pending jobs."""
+        # Python before 3.13 prints a traceback for cancelled jobs of a broken pool.
         for item in list((getattr(self, "_pending_work_items", None) or {}).values()):
             if item.future.cancelled():
                 item.future = Future()
@@ -68,24 +72,30 @@ class _Pool(ProcessPoolExecutor):
 
 @contextmanager
 def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
-    """So many spawned processes, of one thread each, that import nothing from the working folder and not the script that asks.
+    """Yield a pool of ``count`` spawned processes of one thread each.
 
-    They run functions of modules, none of a script. An exception that leaves the block, Ctrl-C and SIGTERM among them, ends them at
+    Processes run functions of modules, not of the caller's script, and import nothing from the
+    working folder. An exception that leaves the block, such as Ctrl-C or SIGTERM, ends them at
     once.
     """
+    # Spawned, not forked: JSBSim and numerical libraries do not survive a fork safely.
     context = multiprocessing.get_context("spawn")
     with child_settings(), _Pool(count, mp_context=context, initializer=end_with_parent) as pool:
         try:
             yield pool
         except BaseException:
-            # Leaving the pool would wait for all that was asked of it: minutes after Ctrl-C or SIGTERM.
+            # Leaving the pool normally would wait for all pending jobs.
             pool.end()
             raise
 
 
 @contextmanager
 def worker_map(workers: int | None = None) -> Iterator[Processes]:
-    """An ordered `map` over worker processes, as many as there are cores (8 at most) unless told; one: this process."""
+    """Yield an ordered map over worker processes.
+
+    ``workers`` is the number of processes, by default the usable cores (at most 8); with 1 the map
+    runs in this process.
+    """
     count = process_count(workers)
     if count == 1:
         yield ALONE
@@ -95,6 +105,8 @@ def worker_map(workers: int | None = None) -> Iterator[Processes]:
 
 
 class _Workers:
+    """Ordered map over a pool, with a folder for shared values."""
+
     def __init__(self, pool: ProcessPoolExecutor, count: int, folder: Path) -> None:
         self._pool, self.count, self._folder = pool, count, folder
         self._number = 0
@@ -102,21 +114,21 @@ class _Workers:
     def __call__(self, function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterable[Any]:
         return self._pool.map(function, list(jobs), chunksize=1)
 
-    def share(self, value: Any) -> _InFile:
-        # Imported here and below: a campaign's worker, which needs none of it, loads this module.
+    def share(self, value: Any) -> _SharedValue:
+        """Write a value to a file once, for jobs that all read it."""
+        # Imported here and below: a campaign's workers load this module but not the serialiser.
         from sysid.foreign.typed_files import dump
 
         self._number += 1
         path = self._folder / str(self._number)
         path.write_bytes(dump(value))
-        shared = _InFile(str(path))
+        shared = _SharedValue(str(path))
         weakref.finalize(shared, path.unlink, missing_ok=True)
         return shared
 
 
-class _InFile:
-    """Written once, as data that is not run where it is read; each process that needs it reads it once, while it is among the
-    last few."""
+class _SharedValue:
+    """A value in a file, read once by each process and cached while it is among the last few."""
 
     def __init__(self, path: str) -> None:
         self._path = path
@@ -126,8 +138,9 @@ class _InFile:
         return _read(self._path)
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=_CACHED_VALUES)
 def _read(path: str) -> Any:
+    """Read and cache a shared value."""
     from sysid.foreign.typed_files import load
 
     return load(Path(path).read_bytes())

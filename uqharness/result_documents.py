@@ -1,8 +1,8 @@
-"""What the documents of results must hold for a page to be written from them: fit.json, compare.json and others; refinement.json
-in `refinement_document`.
+"""Validation of result documents (fit.json, compare.json, ...) before a page is made from them.
 
-Folders of results are passed on, edited and damaged. A page is written from a document that has passed here, so that a missing key
-or a text in place of a number is told of the file. Keys that no page reads may be anything.
+Folders of results are passed on, edited and damaged. Report pages read only documents that passed
+here, so that a missing key is an error of the file, not of the page. Unknown keys are allowed. The
+classes also document the files: one class for each object, one field for each key.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from uqharness.toml import dotted
 
 
 def _inside(name: str) -> str:
+    """Return the name of an inner folder; ValueError if it leads out of the folder of results."""
+    # Checked as a POSIX and as a Windows path: results move between systems.
     windows = PureWindowsPath(name)
     parts = {*PurePosixPath(name).parts, *windows.parts}
     if ".." in parts or name.startswith("/") or windows.drive or windows.root or "\0" in name:
@@ -30,25 +32,25 @@ Number = float | None
 Numbers = dict[str, Number]
 Ends = Annotated[list[Number], Field(min_length=2, max_length=2)]
 _IDENTIFIED = "identified"
-_MOST_BYTES = 16_000_000
-"""A document may have; as Python objects it takes up to thirty times as much."""
+_MAX_BYTES = 16_000_000
+"""Largest document; as Python objects it takes up to thirty times as much memory."""
 
 
 class Part(BaseModel):
-    """A part of a document: types are not bent, further keys are allowed."""
+    """An object in a document: no type conversion, further keys allowed."""
 
     model_config = ConfigDict(strict=True, extra="allow")
 
 
-class Spread(Part):
-    """A root mean square beside what noise gives."""
+class RmsWithNoise(Part):
+    """A root mean square and the part that noise explains."""
 
     rms: Number = None
     noise: Number = None
 
 
 class Parameter(Part):
-    """A row of fit.json."""
+    """A parameter of fit.json."""
 
     value: Number
     std: Number = None
@@ -58,7 +60,8 @@ class Parameter(Part):
     initial: Number = None
 
     @model_validator(mode="after")
-    def _known(self) -> Parameter:
+    def _check_consistent(self) -> Parameter:
+        """Require standard errors of an identified parameter."""
         if self.status == _IDENTIFIED and (
             self.value is None or not {"std", "std_crb"} <= self.model_fields_set
         ):
@@ -66,7 +69,7 @@ class Parameter(Part):
         return self
 
 
-class FitChannel(Spread):
+class FitChannel(RmsWithNoise):
     """A channel of fit.json."""
 
     whiteness_p: Number = None
@@ -102,7 +105,7 @@ class Channel(Part):
     theil_u: Number = None
 
 
-class Gap(Spread):
+class Gap(RmsWithNoise):
     """A coefficient of compare.json."""
 
     mean: Number = None
@@ -116,7 +119,7 @@ class Manoeuvre(Part):
 
 
 class Moment(Part):
-    """A moment of compare.json."""
+    """An instant of large error in compare.json."""
 
     time_s: float
     channel: str
@@ -141,7 +144,8 @@ class Compare(Part):
     rule: str = ""
 
     @model_validator(mode="after")
-    def _known(self) -> Compare:
+    def _check_consistent(self) -> Compare:
+        """Require that channels above the limit exist and have a ratio."""
         for name in self.above:
             if name not in self.channels or self.channels[name].ratio is None:
                 raise ValueError(f"above names {name!r}, which is no channel with a ratio")
@@ -149,7 +153,7 @@ class Compare(Part):
 
 
 class Share(Part):
-    """A coefficient of coverage.json."""
+    """Coverage of one coefficient in coverage.json."""
 
     share_95: float = Field(alias="0.95")
     share_68: float = Field(alias="0.68")
@@ -158,7 +162,7 @@ class Share(Part):
 
 
 class StateBin(Part):
-    """A range of a state in coverage.json, and the share of its samples inside by coefficient."""
+    """A range of a state in coverage.json, and the coverage in it by coefficient."""
 
     state: str
     low: Number = Field(alias="from")
@@ -171,6 +175,7 @@ class Coverage(Part):
     """coverage.json of `uqharness validate-bounds`."""
 
     coverage: Annotated[dict[str, Share], Field(min_length=1)]
+    # Optional keys below: older files lack them.
     errors: dict[str, Numbers] = Field(default_factory=dict)
     outside_data: Numbers = Field(default_factory=dict)
     manoeuvres: dict[str, dict[str, Numbers]] = Field(default_factory=dict)
@@ -185,15 +190,16 @@ class Coverage(Part):
     command: str | None = None
 
     @model_validator(mode="after")
-    def _known(self) -> Coverage:
+    def _check_consistent(self) -> Coverage:
+        """Require that failed coefficients have a coverage."""
         for name in self.failed:
             if name not in self.coverage:
                 raise ValueError(f"failed names {name!r}, of which there is no coverage")
         return self
 
 
-class Width(Part):
-    """A coefficient of bounds.json."""
+class BoundsWidth(Part):
+    """Widths of one coefficient's bounds in bounds.json."""
 
     mean_width: Number = None
     noise_width: Number = None
@@ -202,7 +208,7 @@ class Width(Part):
 
 
 class Filters(Part):
-    """Other low-passes tried on bounds, in bounds.json, and what they gave by coefficient."""
+    """Alternative low-pass filters in bounds.json, and the bounds that they give."""
 
     cutoff_hz: Number
     airspeed_cutoff_hz: Number = None
@@ -211,9 +217,9 @@ class Filters(Part):
 
 
 class Bounds(Part):
-    """bounds.json of `uqharness bounds`: what stands beside the model form."""
+    """bounds.json of `uqharness bounds`: diagnostics of the model form."""
 
-    coefficients: dict[str, Width] = Field(default_factory=dict)
+    coefficients: dict[str, BoundsWidth] = Field(default_factory=dict)
     left_out: dict[str, Numbers] = Field(default_factory=dict)
     cutoffs: list[Filters] = Field(default_factory=list)
     warnings: list[str] = Field(default_factory=list)
@@ -237,7 +243,7 @@ class Stage(Part):
 
 
 class Pair(Part):
-    """The campaigns before and after refinement."""
+    """Folders of the campaigns before and after refinement."""
 
     before: FolderName
     after: FolderName
@@ -251,7 +257,7 @@ class Sentence(Part):
 
 
 class StudyAnswer(Part):
-    """The answer of a study in lines, ``lacked`` empty without refinement."""
+    """The answer of a study in sentences; `lacked` is empty without refinement."""
 
     level: str
     answer: str
@@ -261,7 +267,7 @@ class StudyAnswer(Part):
 
 
 class Tracks(Part):
-    """The flights of tracks.parquet, or the reason why there are none."""
+    """Flights in tracks.parquet, or the reason why there are none."""
 
     reason: str = ""
     wind_mps: float | None = None
@@ -287,9 +293,27 @@ class Study(Part):
 
 
 def read_document(path: Path, shape: type[Part]) -> dict[str, Any]:
-    """The content of a document that has ``shape``. Raises BadInputError naming the file and what is wrong with it."""
+    """Read and validate a JSON document.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    shape : type of Part
+        Model that it must match.
+
+    Returns
+    -------
+    dict
+        Its content, unknown keys included.
+
+    Raises
+    ------
+    BadInputError
+        If the file cannot be read or does not match; the message names file and key.
+    """
     try:
-        document = parse_json(read_regular(path, _MOST_BYTES))
+        document = parse_json(read_regular(path, _MAX_BYTES))
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ParseError as error:
@@ -302,20 +326,20 @@ def read_document(path: Path, shape: type[Part]) -> dict[str, Any]:
     except ValidationError as error:
         first = error.errors()[0]
         where = dotted(first["loc"]) or "the document"
-        what = (
+        problem = (
             "is missing"
             if first["type"] == "missing"
             else first["msg"].removeprefix("Value error, ")
         )
-        raise BadInputError(f"{path}: {where}: {what}; run its command again") from None
+        raise BadInputError(f"{path}: {where}: {problem}; run its command again") from None
     return document
 
 
-# What refinement.json must hold for a page to be written from it; see result_documents.
+# Objects of refinement.json.
 
 
 class Evidence(Part):
-    """What speaks for an effect, or for an alternative in its place."""
+    """Statistical evidence for an effect or an alternative."""
 
     interval_95: Ends | None = None
     t: Number = None
@@ -325,7 +349,7 @@ class Evidence(Part):
 
 
 class Alternative(Part):
-    """What an effect may be taken for."""
+    """Another effect that explains the same data."""
 
     name: str
     term: str = ""
@@ -336,14 +360,15 @@ class Alternative(Part):
     would_separate: str = ""
 
     @model_validator(mode="after")
-    def _told(self) -> Alternative:
+    def _check_complete(self) -> Alternative:
+        """Require advice for an alternative that cannot be distinguished."""
         if not self.separable and "would_separate" not in self.model_fields_set:
             raise ValueError("an alternative that is not separable needs would_separate")
         return self
 
 
-class Trial(Part):
-    """What the test flights say of an effect."""
+class HoldOutTest(Part):
+    """Test of an effect on the hold-out flights."""
 
     gap: str
     change_of_twice_log_likelihood: float
@@ -353,7 +378,8 @@ class Trial(Part):
     share_std: float | None = None
 
     @model_validator(mode="after")
-    def _told(self) -> Trial:
+    def _check_complete(self) -> HoldOutTest:
+        """Require the rms ratio of a gap that is too large for the test."""
         if self.gap == "too far" and "rms_over_that_of_train" not in self.model_fields_set:
             raise ValueError("a gap that is too far needs rms_over_that_of_train")
         return self
@@ -373,17 +399,17 @@ class Effect(Part):
     unit: str | None = None
     evidence: Evidence = Evidence()
     alternatives: list[Alternative] = Field(default_factory=list)
-    test: Trial | None = None
+    test: HoldOutTest | None = None
 
 
 class Withdrawn(Effect):
-    """An effect that the test flights spoke against."""
+    """An effect that the hold-out flights contradict."""
 
-    test: Trial
+    test: HoldOutTest
 
 
 class Region(Part):
-    """Where model and flights disagreed."""
+    """A region of states where model and flights disagree."""
 
     coefficient: str
     manoeuvre: str
@@ -398,8 +424,8 @@ class State(Part):
     state: str
 
 
-class Left(Part):
-    """A place where something is left: in words, as a candidate that is asked for, or as a coefficient and what it depends on."""
+class RemainingPart(Part):
+    """Something unexplained: a text, a candidate effect, or a coefficient with its states."""
 
     words: str = ""
     t: float = 0.0
@@ -410,17 +436,18 @@ class Left(Part):
     depends_on: list[State] = Field(default_factory=list)
 
     @model_validator(mode="after")
-    def _told(self) -> Left:
-        told = ({"words"}, {"term", "t"}, {"coefficient", "rms_over_noise", "depends_on"})
-        if not any(self.model_fields_set >= keys for keys in told):
+    def _check_complete(self) -> RemainingPart:
+        """Require one of the three forms."""
+        alternatives = ({"words"}, {"term", "t"}, {"coefficient", "rms_over_noise", "depends_on"})
+        if not any(self.model_fields_set >= keys for keys in alternatives):
             raise ValueError(
                 "needs words, or term and t, or coefficient, rms_over_noise and depends_on"
             )
         return self
 
 
-class GoesWith(Part):
-    """The state with which what is left goes."""
+class StateDependence(Part):
+    """The state with which the remaining residual varies."""
 
     state: str
     low: float
@@ -429,8 +456,8 @@ class GoesWith(Part):
     of: str
 
 
-class Near(Part):
-    """A candidate near to what is left, and what it leaves of the channel: rms over noise."""
+class NearbyCandidate(Part):
+    """A candidate that would explain part of the residual, and the rms over noise that remains."""
 
     name: str
     term: str
@@ -440,8 +467,8 @@ class Near(Part):
     leaves: float
 
 
-class Place(Part):
-    """Where the strongest of what is left sits; null fields have a reason."""
+class ResidualLocation(Part):
+    """Where the largest remaining residual occurs; null fields have a reason."""
 
     flights: str | None
     flight: str | None
@@ -453,14 +480,15 @@ class Place(Part):
     to_Hz: Number
     rms_over_noise: Number
     share_of_excess: Number
-    state: GoesWith | None
+    state: StateDependence | None
     channel_on_train: Number
-    candidates: list[Near]
+    candidates: list[NearbyCandidate]
     would_tell: str | None
     reason: str | None
 
     @model_validator(mode="after")
-    def _told(self) -> Place:
+    def _check_complete(self) -> ResidualLocation:
+        """Require the fields that belong together."""
         timed = (self.flight, self.manoeuvre, self.from_s, self.to_s, self.from_Hz, self.to_Hz)
         if self.reason is None and (self.channel is None or None in timed):
             raise ValueError(
@@ -479,7 +507,7 @@ class Place(Part):
 
 
 class BeforeAfter(Part):
-    """A root mean square before and after."""
+    """A root mean square before and after refinement."""
 
     rms_before: Number = None
     rms_after: Number = None
@@ -487,7 +515,7 @@ class BeforeAfter(Part):
 
 
 class Interval(Part):
-    """A coefficient's intervals before and after."""
+    """Error bounds of a coefficient before and after refinement."""
 
     width_before: Number
     width_after: Number
@@ -497,21 +525,22 @@ class Interval(Part):
     coverage_std_after: Number
 
 
-class Reasoned(Part):
-    """What is whole, or has the reason why it is not there."""
+class CompleteOrReason(Part):
+    """An object that is complete, or has a reason for being incomplete."""
 
     reason: str | None = None
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _check_complete(self) -> Self:
+        """Require all fields unless there is a reason."""
         lacking = sorted({*type(self).model_fields} - {*self.model_fields_set, "reason"})
         if self.reason is None and lacking:
             raise ValueError(f"needs {', '.join(lacking)}, or a reason")
         return self
 
 
-class Intervals(Reasoned):
-    """Intervals on the test flights."""
+class Intervals(CompleteOrReason):
+    """Error bounds evaluated on the hold-out flights."""
 
     reason: str | None
     confidence: float = 0.0
@@ -524,8 +553,8 @@ class Failed(Part):
     failed: int
 
 
-class Mission(Reasoned):
-    """A mission flown with both models."""
+class Mission(CompleteOrReason):
+    """A mission flown with the models before and after refinement."""
 
     folders: Annotated[list[FolderName], Field(max_length=2)] = Field(default_factory=list)
     mission: str = ""
@@ -536,8 +565,10 @@ class Mission(Reasoned):
     after: Failed = Failed(failed=0)
 
 
-class GapShown(Part):
-    """The gap on the test flights; predictions: errors one sample ahead, where those judged."""
+class ResidualTables(Part):
+    """Residuals on one set of flights; `predictions` are one-step prediction errors, if these
+    counted.
+    """
 
     channels: dict[str, BeforeAfter]
     predictions: dict[str, BeforeAfter] = Field(default_factory=dict)
@@ -548,13 +579,13 @@ class GapShown(Part):
 
 
 class Gaps(Part):
-    """Gaps by the use of the flights."""
+    """Residuals by the use of the flights."""
 
-    test: GapShown
+    test: ResidualTables
 
 
 class Curve(Part):
-    """A smooth term by its state: value, ends of its 95 % band, and how many samples of the train flights lie near."""
+    """A smooth term over its state: value, 95 % band, and number of train samples nearby."""
 
     at: list[float]
     value: list[float]
@@ -563,7 +594,8 @@ class Curve(Part):
     samples: list[int]
 
     @model_validator(mode="after")
-    def _whole(self) -> Curve:
+    def _check_complete(self) -> Curve:
+        """Require lists of equal length, at least two points."""
         if (
             len({len(v) for v in (self.at, self.value, self.low, self.high, self.samples)}) != 1
             or len(self.at) < 2
@@ -574,16 +606,16 @@ class Curve(Part):
         return self
 
 
-class Shape(Part):
-    """A form that physics has a name for: its correlation with the curve, and what it would leave of the channel."""
+class FunctionalForm(Part):
+    """A functional form of physics compared with a smooth term."""
 
     form: str
     correlation: float
     leaves: float
 
 
-class Smooth(Part):
-    """A smooth term that is offered for naming."""
+class SmoothTerm(Part):
+    """A smooth term proposed as a new effect."""
 
     coefficient: str
     state: str
@@ -598,20 +630,20 @@ class Smooth(Part):
     channel: str
     channel_on_train: float
     leaves: float
-    shapes: list[Shape]
-    test: Trial
-    gap: dict[str, GapShown]
+    shapes: list[FunctionalForm]
+    test: HoldOutTest
+    gap: dict[str, ResidualTables]
 
 
 class Remaining(Part):
-    """What a refinement left."""
+    """Residual that the refined model does not explain."""
 
     unexplained: bool
-    where: list[Left]
+    where: list[RemainingPart]
     channels_above_noise: dict[str, float]
     coloured_channels: list[str]
-    place: Place | None = None
-    smooth: Smooth | None = None
+    place: ResidualLocation | None = None
+    smooth: SmoothTerm | None = None
     smooth_reason: str | None = None
 
 
@@ -623,27 +655,27 @@ class Identified(Part):
 
 
 class Switch(Part):
-    """A property that takes an effect out."""
+    """A property that removes an effect from the model."""
 
     property: str
     off: float
 
 
 class Score(Part):
-    """A candidate."""
+    """A candidate effect and its t statistic."""
 
     effect: str
     t: Number = None
 
 
-class Refused(Score):
-    """The best candidate that was refused."""
+class RefusedCandidate(Score):
+    """The best candidate that was not accepted."""
 
     why: str
 
 
 class Candidates(Part):
-    """Candidates, the likeliest first."""
+    """Candidate effects, the most likely first."""
 
     limit: Number = None
     scores: list[Score] = Field(default_factory=list)
@@ -660,7 +692,7 @@ class Refinement(Part):
     remaining: Remaining
     parameters: dict[str, Identified] = Field(default_factory=dict)
     switch: list[Switch] = Field(default_factory=list)
-    best_refused: Refused | None = None
+    best_refused: RefusedCandidate | None = None
     candidates: Candidates = Candidates()
     notes: list[str] = Field(default_factory=list)
     train: list[str] = Field(default_factory=list)

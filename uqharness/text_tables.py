@@ -1,4 +1,4 @@
-"""Tables as lines of text, and rows of a CSV table that this program wrote, read back."""
+"""Tables as text, markdown and CSV, and CSV tables of this program read back."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class Tabled:
-    """A result whose table a notebook shows."""
+class TabularResult:
+    """A result that notebooks show as a table."""
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table."""
+        """Return the table."""
         raise NotImplementedError
 
     def _facts(self) -> Mapping[str, object]:
-        """What stands above the table: name and value."""
+        """Return names and values shown above the table."""
         return {}
 
     def _repr_html_(self) -> str:
+        """Return the table as HTML for a notebook."""
         warnings = getattr(self, "warnings", ())
         return view(
             repr(self), frame_table(self.to_dataframe()), facts=self._facts(), warnings=warnings
@@ -35,7 +36,13 @@ class Tabled:
 
 
 def text_table(rows: Sequence[Mapping[str, str]]) -> list[str]:
-    """Rows of equal keys as lines for a terminal."""
+    """Return rows of equal keys as right-aligned lines, the header first.
+
+    Examples
+    --------
+    >>> text_table([{"a": "1", "b": "20"}])
+    ['a   b', '1  20']
+    """
     keys = list(rows[0])
     width = {k: max(len(k), *(len(r[k]) for r in rows)) for k in keys}
     return [
@@ -45,7 +52,7 @@ def text_table(rows: Sequence[Mapping[str, str]]) -> list[str]:
 
 
 def markdown_table(rows: Sequence[Mapping[str, str]]) -> str:
-    """Rows of equal keys as a markdown table."""
+    """Return rows of equal keys as a markdown table."""
     keys = list(rows[0])
     lines = ["| " + " | ".join(keys) + " |", "|" + "---|" * len(keys)]
     return (
@@ -60,7 +67,7 @@ def markdown_table(rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def csv_text(rows: Sequence[Mapping[str, str]]) -> str:
-    """Rows of equal keys as CSV."""
+    """Return rows of equal keys as CSV."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, list(rows[0]), lineterminator="\n")
     writer.writeheader()
@@ -69,7 +76,16 @@ def csv_text(rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def plain_cell(text: str) -> str:
-    """A cell that no spreadsheet takes for a formula: a text that begins like one gets an apostrophe; numbers stay."""
+    """Return a cell that no spreadsheet takes for a formula.
+
+    Texts that begin like a formula get an apostrophe; numbers stay.
+
+    Examples
+    --------
+    >>> plain_cell("=1+1"), plain_cell("-2.5")
+    ("'=1+1", '-2.5')
+    """
+    # A single "-" marks an empty cell.
     if not text.startswith(("=", "+", "-", "@", "\t", "\r")) or text == "-":
         return text
     try:
@@ -86,9 +102,21 @@ def csv_rows(
     texts: Collection[str],
     maybe: Collection[str] = (),
 ) -> list[dict[str, str]]:
-    """Rows of a CSV table as text.
+    """Return the rows of a CSV table as text.
 
-    Raises BadInputError where a column is missing, ``numbers`` are none, or what stands in ``maybe`` is neither empty nor a number.
+    Parameters
+    ----------
+    content : bytes
+        Content of the file.
+    path : Path
+        Name of the file in messages.
+    numbers, texts, maybe : collection of str
+        Required columns: numbers, texts, and numbers that may be empty.
+
+    Raises
+    ------
+    BadInputError
+        If a column is missing or a number is none.
     """
     try:
         reader = csv.DictReader(io.StringIO(content.decode("utf-8"), newline=""))
@@ -101,14 +129,15 @@ def csv_rows(
     if missing:
         raise BadInputError(f"{path}: has no column {missing[0]}; make the table again")
     for line, row in enumerate(rows, start=2):
-        # A row that was cut off lacks its last columns, whether anybody asks for them or not.
+        # A truncated row lacks its last columns, which may not be among the required ones.
         if None in row or None in row.values():
             raise BadInputError(
-                f"{path}:{line}: has another number of columns than the first line; make the table again"
+                f"{path}:{line}: has another number of columns than the first line; make the table"
+                " again"
             )
-        wrong = [name for name in (*numbers, *maybe) if not _is_number(row[name], name in maybe)]
-        if wrong or any(row[name] is None for name in texts):
-            name = wrong[0] if wrong else next(name for name in texts if row[name] is None)
+        invalid = [name for name in (*numbers, *maybe) if not _is_number(row[name], name in maybe)]
+        if invalid or any(row[name] is None for name in texts):
+            name = invalid[0] if invalid else next(name for name in texts if row[name] is None)
             raise BadInputError(
                 f"{path}:{line}: {name} is {row[name]!r}, which it cannot be; make the table again"
             )
@@ -116,6 +145,7 @@ def csv_rows(
 
 
 def _is_number(text: str | None, may_be_empty: bool) -> bool:
+    """Return whether a text is a number, or empty where that is allowed."""
     if text == "":
         return may_be_empty
     try:

@@ -1,4 +1,8 @@
-"""What is wrong with a TOML file, said of the file: section, key, line, what was received, what is allowed."""
+"""TOML files: reading, and messages that name section, key, line, and what is allowed.
+
+Settings are validated as pydantic models (`Section`). `explain` translates one of pydantic's errors
+into a line number and a sentence about the file.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ from uqharness.errors import BadInputError
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
-    """Content and text of a TOML file. Raises BadInputError with file and line."""
+    """Return content and text of a TOML file. Raises BadInputError with file and line."""
     try:
         text = read_regular_text(path)
     except UnicodeDecodeError:
@@ -31,29 +35,44 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
 def explain(
     document: type[BaseModel], text: str, data: dict[str, Any], error: dict[str, Any]
 ) -> tuple[int, str]:
-    """(line, sentence) of one of pydantic's errors about ``data``, which was read from ``text`` and validated as ``document``."""
+    """Return the line and a sentence for one of pydantic's errors.
+
+    Parameters
+    ----------
+    document : type of BaseModel
+        Model that the data were validated with.
+    text : str
+        Text of the file.
+    data : dict
+        Its content.
+    error : dict
+        Entry of ``ValidationError.errors()``.
+    """
     location = _real_path(data, error["loc"], missing_too=error["type"] == "missing")
     line = line_of(text, location)
     name = _name(location)
     if error["type"] == "extra_forbidden":
-        known = _known_keys(document, location[:-1])
-        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]}? " if near else ""
+        allowed = _allowed_keys(document, location[:-1])
+        matches = difflib.get_close_matches(str(location[-1]), allowed, n=1, cutoff=0.5)
+        hint = f"did you mean {matches[0]}? " if matches else ""
         return (
             line,
-            f"{name}: unknown {'section' if len(location) == 1 else 'key'}; {hint}allowed: {', '.join(known)}",
+            (
+                f"{name}: unknown {'section' if len(location) == 1 else 'key'}; {hint}allowed:"
+                f" {', '.join(allowed)}"
+            ),
         )
     if error["type"] == "missing":
         return line, f"{name}: required and not there"
     message = error["msg"].removeprefix("Value error, ").replace("Input should", "must")
     received = error.get("input")
-    # A whole table echoed back would bury the sentence, which names the part that matters.
-    shown = "" if isinstance(received, dict) else f"; received {as_toml(received)}"
-    return line, f"{name}: {message}{shown}"
+    # An echoed table would hide the sentence, which names the part that matters.
+    received_text = "" if isinstance(received, dict) else f"; received {as_toml(received)}"
+    return line, f"{name}: {message}{received_text}"
 
 
 def _name(location: tuple[Any, ...]) -> str:
-    """``[aleatory] wind_mps`` or ``[epistemic.parameters] fit``; the file itself for no location."""
+    """Return a location as ``[aleatory] wind_mps`` or ``[epistemic.parameters] fit``."""
     if not location:
         return "the file"
     if len(location) >= 2 and isinstance(location[1], int) and (location[0],) in _TABLES:
@@ -67,20 +86,27 @@ def _name(location: tuple[Any, ...]) -> str:
 
 
 def dotted(parts: tuple[Any, ...]) -> str:
-    """Parts of a key as TOML writes them."""
-    # Imported here and below: every worker of a campaign loads this module, and what it says is said when something is wrong.
+    """Return the parts of a key as TOML writes them.
+
+    Examples
+    --------
+    >>> dotted(("uq/scale/Cmq", "initial"))
+    '"uq/scale/Cmq".initial'
+    """
+    # Imported here and below: workers load this module, and only messages need tomlkit.
     import tomlkit
 
     return ".".join(tomlkit.key(str(part)).as_string() for part in parts)
 
 
-# Tables that a file writes as sections of their own, and how many parts their headers have.
+# Tables written as sections of their own: number of parts in their headers.
 _SUBSECTIONS = {("epistemic", "parameters"): 2, ("aleatory", "variables"): 3}
-# Sections that a file repeats: [[fly]].
+# Sections that may be repeated: [[fly]].
 _TABLES = {("fly",), ("logs",)}
 
 
-def _known_keys(document: type[BaseModel], section: tuple[Any, ...]) -> list[str]:
+def _allowed_keys(document: type[BaseModel], section: tuple[Any, ...]) -> list[str]:
+    """Return the keys that a section may have."""
     model: Any = document
     parts = iter(section)
     for name in parts:
@@ -94,78 +120,83 @@ def _known_keys(document: type[BaseModel], section: tuple[Any, ...]) -> list[str
 
 
 def _model_within(annotation: Any) -> Any:
-    """The model of an annotation such as ``Model``, ``Model | None`` or ``dict[str, Model]``."""
+    """Return the model in an annotation such as ``Model | None`` or ``dict[str, Model]``."""
     if hasattr(annotation, "model_fields"):
         return annotation
-    found = [_model_within(part) for part in getattr(annotation, "__args__", ())]
-    return next((part for part in found if hasattr(part, "model_fields")), annotation)
+    models = [_model_within(part) for part in getattr(annotation, "__args__", ())]
+    return next((part for part in models if hasattr(part, "model_fields")), annotation)
 
 
 def _real_path(data: Any, location: tuple[Any, ...], missing_too: bool) -> tuple[Any, ...]:
-    """``location`` without pydantic's own marks (names of union members): the part that exists in the file."""
-    found: list[Any] = []
+    """Return the part of a location that exists in the file, without pydantic's union members."""
+    path: list[Any] = []
     for position, part in enumerate(location):
         in_list = isinstance(data, list) and isinstance(part, int) and part < len(data)
         if in_list or (isinstance(data, dict) and part in data):
             data = data[part]
-            found.append(part)
+            path.append(part)
         elif missing_too and position == len(location) - 1:
-            found.append(part)
-    return tuple(found)
+            path.append(part)
+    return tuple(path)
 
 
 def line_of(text: str, location: tuple[Any, ...]) -> int:
-    """Line of a key; of its section's header where the key is missing; 1 where that is missing too.
+    """Return the line of a key; of its section's header if the key is missing; else 1.
 
-    Reads headers with quoted parts, dotted keys and inline tables that span lines; a string over several lines is not looked into.
+    Handles quoted headers, dotted keys, and inline tables over several lines; strings over several
+    lines are not parsed.
     """
-    wanted = [str(part) for part in location]
+    target = [str(part) for part in location]
     best_depth, best_line = 0, 1
     section: list[str] = []
     tables: dict[str, int] = {}
     inside: list[str] = []  # the key whose inline table or list may go on over the next lines
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
+        # Section header, such as [a."b c"].
         header = re.match(r"\[((?:\"[^\"]*\"|'[^']*'|[^\]\"'\[])+)\]\s*(#.*)?$", line)
+        # Repeated section, such as [[fly]].
         table = re.match(r"\[\[\s*([\w-]+)\s*\]\]\s*(#.*)?$", line)
         if table:
             name = table.group(1)
             tables[name] = tables.get(name, -1) + 1
             section, inside = [name, str(tables[name])], []
-            depth = _common(section, wanted)
+            depth = _matching_depth(section, target)
         elif header:
             section, inside = _parts(header.group(1)), []
-            depth = _common(section, wanted)
+            depth = _matching_depth(section, target)
         else:
+            # Key, bare, quoted or dotted.
             key = re.match(
                 r"((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[\w-]+|\"[^\"]*\"|'[^']*'))*)\s*=",
                 line,
             )
             if key:
                 inside = section + _parts(key.group(1))
-            depth = _common(inside, wanted) if key else 0
-            # A key within an inline table that spans lines is nearer the mistake than the table's first line.
-            if _common(inside, wanted) == len(inside) < len(wanted) and inside:
-                mark = rf"(?:^|[{{,\s])[\"']?{re.escape(wanted[len(inside)])}[\"']?\s*="
+            depth = _matching_depth(inside, target) if key else 0
+            # Inside a multi-line inline table, the key's own line is more precise than the table's.
+            if _matching_depth(inside, target) == len(inside) < len(target) and inside:
+                mark = rf"(?:^|[{{,\s])[\"']?{re.escape(target[len(inside)])}[\"']?\s*="
                 depth = len(inside) + 1 if re.search(mark, line) else depth
+        # The first line with the deepest match.
         if depth > best_depth:
             best_depth, best_line = depth, number
     return best_line
 
 
 def _parts(name: str) -> list[str]:
-    """Parts of a dotted key or header, quotes taken off."""
-    return ["".join(found) for found in re.findall(r"\"([^\"]*)\"|'([^']*)'|([^.\s\"']+)", name)]
+    """Return the parts of a dotted key or header without quotes."""
+    return ["".join(quoted) for quoted in re.findall(r"\"([^\"]*)\"|'([^']*)'|([^.\s\"']+)", name)]
 
 
-def _common(found: list[str], wanted: list[str]) -> int:
-    """Parts that agree, or 0 if ``found`` leads elsewhere."""
-    shorter = min(len(found), len(wanted))
-    return shorter if found[:shorter] == wanted[:shorter] else 0
+def _matching_depth(key: list[str], target: list[str]) -> int:
+    """Return the number of equal leading parts; 0 if the keys diverge."""
+    shorter = min(len(key), len(target))
+    return shorter if key[:shorter] == target[:shorter] else 0
 
 
 def as_toml(value: Any) -> str:
-    """A value as it would stand in the file; Python's own text of what is no string, number, boolean or list."""
+    """Return a value as TOML writes it; other objects as their text."""
     import tomlkit
 
     if isinstance(value, (tuple, list)):
@@ -177,31 +208,34 @@ def as_toml(value: Any) -> str:
     )
 
 
-# What settings files share: strict sections, numbers, lists.
+# Common parts of settings files.
 
 _LARGEST = sys.float_info.max
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Section(BaseModel):
-    """A section of the file: unknown keys are refused, types are not bent, values do not change."""
+    """A section of a settings file: unknown keys and other types are errors; immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-def listed(value: Any) -> Any:
-    """A single value stands for a list of one; TOML's lists become tuples, which strict validation wants."""
+def as_tuple(value: Any) -> Any:
+    """Return a TOML array as a tuple, and a single value as a tuple of one.
+
+    Strict validation requires tuples.
+    """
     return tuple(value) if isinstance(value, list) else (value,)
 
 
-def tupled(value: Any) -> Any:
-    """A TOML array as a tuple; anything else as it is."""
+def list_as_tuple(value: Any) -> Any:
+    """Return a TOML array as a tuple, and any other value unchanged."""
     return tuple(value) if isinstance(value, list) else value
 
 
 def is_number(value: Any) -> bool:
-    """Whether a TOML value is a finite number, true and false excluded."""
-    # Compared, not converted: an integer may be larger than any float.
+    """Return whether a TOML value is a finite number; booleans are not."""
+    # Compared instead of converted: an integer may exceed every float.
     return (
         isinstance(value, (int, float))
         and not isinstance(value, bool)

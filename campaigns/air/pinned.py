@@ -248,7 +248,7 @@ def _record(fdm: Any, source: Source, condition: Condition) -> Seen:
             condition.h_m,
             condition.W20_kt,
             condition.b_m,
-            condition.seed,
+            seed=condition.seed,
         )
         setters = [engine.handle(fdm, f"air/host/{name}").set_double_value for name in _HOST]
         values = np.column_stack([gusts.component(name) for name in COMPONENTS]).tolist()

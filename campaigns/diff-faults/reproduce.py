@@ -17,9 +17,15 @@ from typing import Any
 
 from lxml import etree
 
-from uqharness.differences import Asked, by_channel, differences, differing_terms, fly_matched
+from uqharness.differences import (
+    MatchedRequest,
+    by_channel,
+    differences,
+    differing_terms,
+    fly_matched,
+)
 from uqharness.files import scratch_folder
-from uqharness.simulator import Aircraft, copy_beside, copy_folder, engine, find_aircraft
+from uqharness.simulator import Aircraft, copy_folder, copy_shared_parts, engine, find_aircraft
 
 FAULTS: Any = importlib.import_module("campaigns.diff-faults.faults")
 HOME = Path(__file__).parent
@@ -133,11 +139,11 @@ def _asked(flown: Flown, changed: Any, first: Sequence[str]) -> dict[str, Any]:
         given = find_aircraft(flown.name)
         folder = scratch.path / "aircraft" / given.folder.name
         copy_folder(given.folder, folder)
-        copy_beside(given, scratch.path, engine.default_root())
+        copy_shared_parts(given, scratch.path, engine.default_root())
         (folder / given.xml.name).write_bytes(etree.tostring(changed))
         other: Aircraft = find_aircraft(folder)
         terms = differing_terms(given.folder, folder)
-        channels, flights = fly_matched(given, other, Asked((flown.V_mps,)))
+        channels, flights = fly_matched(given, other, MatchedRequest((flown.V_mps,)))
         ranked = by_channel(differences(channels, flights, terms))
         refused = next((f.reason for f in flights if f.reason), "")
     name = ranked[0].channel if ranked else ""

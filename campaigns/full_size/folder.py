@@ -18,7 +18,7 @@ from campaigns.full_size.sketch import unpacked
 from sysid.digests import sha256_hex
 from uqharness.campaign.conditions import Condition
 from uqharness.errors import BadInputError
-from uqharness.files import lock_at_once, write_bytes
+from uqharness.files import try_lock, write_bytes
 from uqharness.parquet_files import parse_table
 from uqharness.text_tables import csv_rows, csv_text
 
@@ -132,6 +132,6 @@ def locked(folder: Path) -> Iterator[None]:
     """One run at a time in a folder. Raises BadInputError."""
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / _LOCK).open("a+b") as handle:
-        if not lock_at_once(handle.fileno()):
+        if not try_lock(handle.fileno()):
             raise BadInputError(f"{folder}: another run is flying into it; wait for it, or end it")
         yield

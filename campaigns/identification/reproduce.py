@@ -140,7 +140,7 @@ def read_data(path: Path, aircraft_name: str, step_s: float = FINE_STEP_S) -> Da
     columns = control_columns(())
     # Over the whole flight, not manoeuvre by manoeuvre: where an actuator stands at a start follows from what went before.
     positions = [
-        servos[c].follow_finely(record[column], record.dt_s, step_s)
+        servos[c].follow_with_midpoints(record[column], record.dt_s, step_s)
         for c, column in zip(CONTROLS, columns, strict=True)
     ]
     rho = record["rho_kgpm3"]

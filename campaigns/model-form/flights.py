@@ -30,7 +30,7 @@ from sysid.model_form.fit import with_noise
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
-from uqharness.flight.recorded import as_asked, recorded_flight
+from uqharness.flight.recorded import recorded_flight, seeded_spec
 from uqharness.flight.spec import FlightSpec
 from uqharness.identification.bounds import noise_sizes
 from uqharness.replay.flights import Flight, measured_surfaces, prepare
@@ -179,7 +179,7 @@ def _record(aircraft: Aircraft, turbulence: str, plan: Plan, seed: int) -> Fligh
         spec = FlightSpec(
             aircraft.folder, path, read.end_s, turbulence=turbulence, record_rate_hz=50.0
         )
-        table, recorded = recorded_flight(aircraft, read, as_asked(spec, seed))
+        table, recorded = recorded_flight(aircraft, read, seeded_spec(spec, seed))
         if recorded.status != "ok":
             raise BadInputError(
                 f"{plan.name}, seed {seed}: the flight did not end well: {recorded.reason}"

@@ -180,10 +180,10 @@ def test_rate_limit_and_stop():
 
 def test_positions_half_way_between_rows():
     servo, commands = Actuator(None, 100.0, -5.0, 5.0), np.array([0.0, 8.0, 8.0, 8.0])
-    rows, middle = servo.follow_finely(commands, 0.02, 0.01)  # steps: 0, 0, 1, 2, 3, 4, 5
+    rows, middle = servo.follow_with_midpoints(commands, 0.02, 0.01)  # steps: 0, 0, 1, 2, 3, 4, 5
     np.testing.assert_allclose(rows, [0.0, 1.0, 3.0, 5.0])
     np.testing.assert_allclose(middle, [0.0, 2.0, 4.0])
-    rows, middle = servo.follow_finely(
+    rows, middle = servo.follow_with_midpoints(
         commands, 0.03, 0.01
     )  # steps: 0, 0, 0, 1, 2, 3, 4, 5, 5, 5: the middle between two
     np.testing.assert_allclose(rows, [0.0, 1.0, 4.0, 5.0])

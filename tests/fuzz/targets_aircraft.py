@@ -40,11 +40,11 @@ def _read(place: Path, seed: int) -> None:
             refuse_unknown_operations,
         )
         from uqharness.simulator.mission import read_script
-        from uqharness.simulator.staging import opened
+        from uqharness.simulator.staging import model_files
 
         aircraft = find_aircraft(place / "dart")
         content_hash(aircraft)
-        opened(aircraft)
+        model_files(aircraft)
         for path in sorted(aircraft.folder.rglob("*.xml")):
             refuse_unknown_operations(path)
         read_script(place / "script.xml")

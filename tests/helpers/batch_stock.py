@@ -21,7 +21,7 @@ from uqharness.batch.translate.channels import System, Systems
 from uqharness.batch.translate.frame import CHANNEL_STEP, Frame, canonical
 from uqharness.files import scratch_folder
 from uqharness.simulator import Aircraft, Staging, engine, staged
-from uqharness.simulator.staging import copied
+from uqharness.simulator.staging import copy_staging
 from uqharness.xml.document import parse_document
 
 DT_S = 1.0 / 120.0
@@ -95,7 +95,7 @@ def _by_jsbsim(
         for k, name in enumerate(given)
     )
     with scratch_folder("probe") as scratch:
-        staging = copied(staged(aircraft), Path(scratch.path) / "root")
+        staging = copy_staging(staged(aircraft), Path(scratch.path) / "root")
         raw = staging.xml.read_bytes()
         begin = parse_document(staging.xml, raw).root.open_end
         probe = f'<system name="probe"><channel name="probe">{copies}</channel></system>'

@@ -10,7 +10,7 @@ import numpy as np
 
 from uqharness.batch.lanes.streams import JsbsimNormals
 from uqharness.flight.dryden import DrydenGusts, dryden_parameters
-from uqharness.flight.fly import Recorded, score_from_start
+from uqharness.flight.fly import RecordedFlight, score_from_start
 from uqharness.flight.random_numbers import Normals
 from uqharness.flight.spec import COEFFICIENTS, FlightSpec, LevelDriver
 from uqharness.flight.stepping import Levels
@@ -51,7 +51,7 @@ def scored(columns: np.ndarray) -> bytes:
         "ve_mps",
         "phi_rad",
     )
-    recorded = Recorded(
+    recorded = RecordedFlight(
         [*names, "alpha_rad"], np.column_stack([columns, columns[:, 0]]), "ok", "", 1.0
     )
     metrics = score_from_start(FlightSpec(Path("a"), Path("s"), 1.0), recorded).metrics

@@ -14,7 +14,7 @@ from tests.fuzz.formats import CORPUS
 from tests.helpers import bit_flips
 from uqharness.campaign.folder.tables import record_table
 from uqharness.campaign.folder.verify import verify
-from uqharness.checksums import SUMS, enter, faults, read_sums, take_away, write_sums
+from uqharness.checksums import SUMS, faults, read_sums, remove_sums, update_sums, write_sums
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.report import write_report
@@ -110,7 +110,7 @@ def test_what_is_written_later_is_entered_and_what_users_add_is_not(made, tmp_pa
     assert [item.state for item in verify(folder).items if item.name == "fit/new.csv"] == [
         "missing"
     ]
-    enter(folder / "fit" / "new.csv")
+    update_sums(folder / "fit" / "new.csv")
     assert verify(folder).whole
     done = subprocess.run(["sha256sum", "-c", "--quiet", SUMS], cwd=folder, capture_output=True)
     assert done.returncode == 0
@@ -119,7 +119,7 @@ def test_what_is_written_later_is_entered_and_what_users_add_is_not(made, tmp_pa
 def test_a_later_run_does_not_bless_damage(made, tmp_path):
     folder = shutil.copytree(made / "study", tmp_path / "study")
     bit_flips.flip(folder / "fit" / "fit.json", 800)
-    earlier = take_away(folder)
+    earlier = remove_sums(folder)
     write_sums(folder, earlier)
     assert [fault.name for fault in faults(folder)] == ["fit/fit.json"]
 

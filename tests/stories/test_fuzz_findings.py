@@ -36,7 +36,7 @@ from uqharness.plugin.instrument import FILE_NAME
 from uqharness.report.svg import Scale
 from uqharness.simulator.aircraft import find_aircraft, parse_xml
 from uqharness.simulator.mission import read_script
-from uqharness.simulator.staging import opened
+from uqharness.simulator.staging import model_files
 from uqharness.study.spec import read_chain
 from uqharness.text_tables import csv_text
 from uqharness.toml import dotted, is_number
@@ -63,13 +63,13 @@ def refusal(kind, function, *arguments):
 def test_an_encoding_that_nobody_knows(encoding, dart):
     path = dart / "Systems" / "gusts.xml"
     path.write_text(path.read_text().replace("UTF-8", encoding))
-    assert str(path) in refusal(BadInputError, opened, find_aircraft(dart))
+    assert str(path) in refusal(BadInputError, model_files, find_aircraft(dart))
 
 
 def test_a_file_named_longer_than_names_may_be(dart):
     path = dart / "dart.xml"
     path.write_text(path.read_text().replace('file="prop"', f'file="{"a" * 300}"'))
-    assert str(path) in refusal(BadInputError, opened, find_aircraft(dart))
+    assert str(path) in refusal(BadInputError, model_files, find_aircraft(dart))
 
 
 def test_lxmls_messages_of_several_lines(dart):

@@ -17,7 +17,13 @@ from uqharness.errors import BadInputError
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import content_hash, find_aircraft, open_aircraft
 from uqharness.simulator.mission import StagedMission
-from uqharness.simulator.staging import DEEPEST, copy_beside, copy_folder, passed, staged
+from uqharness.simulator.staging import (
+    MAX_DEPTH,
+    copy_folder,
+    copy_shared_parts,
+    screen_file,
+    staged,
+)
 
 SCRIPT = """<?xml version="1.0"?>
 <runscript name="s">
@@ -186,10 +192,10 @@ def test_a_second_aircraft_and_deep_nesting_are_refused(plane: Path) -> None:
     put(plane, '<child name="../../other"><location unit="IN"><x>0</x></location></child>')
     with pytest.raises(BadInputError, match="second aircraft"):
         fly(plane)
-    deep = b"<a>" * (DEEPEST + 1) + b"</a>" * (DEEPEST + 1)
+    deep = b"<a>" * (MAX_DEPTH + 1) + b"</a>" * (MAX_DEPTH + 1)
     with pytest.raises(BadInputError, match="nested more than"):
-        passed(deep, "deep.xml")
-    passed(b"<a>" * DEEPEST + b"</a>" * DEEPEST, "deep.xml")
+        screen_file(deep, "deep.xml")
+    screen_file(b"<a>" * MAX_DEPTH + b"</a>" * MAX_DEPTH, "deep.xml")
 
 
 def test_links_that_lead_out_are_refused(plane: Path, tmp_path: Path) -> None:
@@ -237,7 +243,7 @@ def root_with_engine(tmp_path: Path) -> Path:
     folder = tmp_path / "root" / "aircraft" / "plane"
     copy_folder(find_aircraft("c172x").folder, folder)
     (folder / "c172x.xml").rename(folder / "plane.xml")
-    copy_beside(find_aircraft("c172x"), tmp_path / "root", stock=Path("elsewhere"))
+    copy_shared_parts(find_aircraft("c172x"), tmp_path / "root", stock=Path("elsewhere"))
     return folder
 
 

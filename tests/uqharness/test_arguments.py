@@ -18,7 +18,7 @@ from uqharness.errors import BadInputError
     [
         (arguments.workers, None, None),
         (arguments.workers, np.int64(2), 2),
-        (lambda v: arguments.whole("seed", v), 0, 0),
+        (lambda v: arguments.integer("seed", v), 0, 0),
         (lambda v: arguments.number("hours", v), np.float32(0.5), 0.5),
         (lambda v: arguments.share("confidence", v), 0.9, 0.9),
         (lambda v: arguments.flag("air", v), np.True_, True),
@@ -40,7 +40,7 @@ def test_what_fits_is_taken_as_a_plain_value(read: Callable, given: object, foun
         (arguments.workers, 0, "workers = 0: a whole number of at least 1 is needed"),
         (arguments.workers, True, "workers = True: a whole number of at least 1 is needed"),
         (
-            lambda v: arguments.whole("seed", v),
+            lambda v: arguments.integer("seed", v),
             1.5,
             "seed = 1.5: a whole number of at least 0 is needed",
         ),

@@ -11,7 +11,7 @@ import pytest
 
 from tests.helpers.places import ROOT
 from uqharness import child_process
-from uqharness.child_process import CHILD_ENVIRONMENT, child_settings, ending, run_module
+from uqharness.child_process import CHILD_ENVIRONMENT, child_settings, describe_exit, run_module
 from uqharness.errors import BadInputError
 
 HOSTILE = (
@@ -133,7 +133,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str) -> str:
 def test_a_module_answers_from_a_process_of_its_own(tmp_path, monkeypatch):
     code = "print('one'); give_answer({'first': 1}); give_answer({'words': sys.argv[1:], 'pid': os.getpid()})\nprint('two')"
     ended = run_module(module(tmp_path, monkeypatch, code), tmp_path, 1.5, timeout_s=60)
-    assert (ended.code, ended.said, ended.errors) == (0, "one two", "")
+    assert (ended.code, ended.output, ended.errors) == (0, "one two", "")
     assert ended.answer["words"] == [str(tmp_path), "1.5"]
     assert ended.answer["pid"] != os.getpid()
 
@@ -150,8 +150,8 @@ def test_how_a_child_ended_is_said_in_words(tmp_path, monkeypatch, code, number,
     ended = run_module(
         module(tmp_path, monkeypatch, f"print('last words', flush=True)\n{code}"), timeout_s=60
     )
-    assert (ended.code, ended.answer, ended.said) == (number, {}, "last words")
-    assert ending(ended.code) == words
+    assert (ended.code, ended.answer, ended.output) == (number, {}, "last words")
+    assert describe_exit(ended.code) == words
 
 
 def test_a_child_that_does_not_come_back_is_ended(tmp_path, monkeypatch):
@@ -177,6 +177,6 @@ def test_another_environment_gets_none_of_our_libraries(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", "/somewhere/of/ours")
     monkeypatch.setenv("VIRTUAL_ENV", "/ours")
     ended = run_module("module", timeout_s=10, python=shown)
-    assert ended.said == f"path={Path(child_process.__file__).parents[1]} venv="
+    assert ended.output == f"path={Path(child_process.__file__).parents[1]} venv="
     with pytest.raises(BadInputError, match="cannot be started"):
         run_module("module", timeout_s=10, python=tmp_path / "none")

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.files import inner_folder, lock_at_once, write_bytes
+from uqharness.files import inner_folder, try_lock, write_bytes
 
 
 def test_a_folder_within_results_is_made_and_found_again(tmp_path: Path) -> None:
@@ -57,8 +57,8 @@ def test_a_lock_is_taken_once_and_given_back_at_the_end_of_its_process(tmp_path:
         assert other.stdout is not None
         assert other.stdout.readline() == b"True\n"
         handle = os.open(path, os.O_RDWR)
-        assert not lock_at_once(handle)
+        assert not try_lock(handle)
         other.kill()
         other.wait()
-        assert lock_at_once(handle)
+        assert try_lock(handle)
         os.close(handle)

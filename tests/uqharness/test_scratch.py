@@ -14,7 +14,7 @@ import pytest
 
 from uqharness import files
 from uqharness.errors import BadInputError
-from uqharness.files import scratch_folder, without_scratch
+from uqharness.files import hide_scratch_paths, scratch_folder
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="kills and forks as POSIX has them")
 
@@ -85,7 +85,7 @@ def test_a_living_process_keeps_its_folder(place: Path) -> None:
     process, path = _holder()
     try:
         _use()
-        files.sweep()
+        files.remove_abandoned_folders()
         assert (path / "big").is_file()
     finally:
         _end(process)
@@ -112,7 +112,7 @@ def test_only_folders_of_our_own_kind_are_swept(place: Path, tmp_path: Path) -> 
     elsewhere = place / "uqharness-4-abcdefgh"
     elsewhere.mkdir()
     (elsewhere / "owner.lock").write_text("process 4 on another-machine.example\n")
-    files.sweep()
+    files.remove_abandoned_folders()
     assert not path.parent.exists()
     assert (precious / "kept").exists()
     assert (unlocked / "notes").exists()
@@ -132,7 +132,7 @@ def test_folders_made_while_others_sweep_all_stand(place: Path) -> None:
     ]
     try:
         with ThreadPoolExecutor(4) as threads:
-            sweeps = [threads.submit(files.sweep) for _ in range(200)]
+            sweeps = [threads.submit(files.remove_abandoned_folders) for _ in range(200)]
             paths = [Path(p.stdout.readline().strip()) for p in living if p.stdout is not None]
             for done in sweeps:
                 done.result()
@@ -146,7 +146,7 @@ def test_folders_made_while_others_sweep_all_stand(place: Path) -> None:
 def test_a_folder_swept_while_it_was_being_made_is_made_again(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, taken = files.lock_at_once, []
+    real, taken = files.try_lock, []
 
     def too_late(handle: int) -> bool:
         # Another process has taken the folder for an orphan's, and removed it, before this one held the lock.
@@ -157,7 +157,7 @@ def test_a_folder_swept_while_it_was_being_made_is_made_again(
             folder.rmdir()
         return real(handle)
 
-    monkeypatch.setattr(files, "lock_at_once", too_late)
+    monkeypatch.setattr(files, "try_lock", too_late)
     with scratch_folder() as held:
         assert held.path.is_dir()
         assert taken
@@ -179,7 +179,7 @@ def test_a_forked_child_has_folders_of_its_own_and_leaves_its_parents_alone(plac
         os.close(write)
         assert held.path.is_dir()
         assert theirs.parent != held.path.parent
-        files.sweep()
+        files.remove_abandoned_folders()
         assert not theirs.exists()
         assert held.path.is_dir()
 
@@ -207,6 +207,6 @@ def test_a_message_about_a_copy_names_the_aircraft_and_not_the_copy_s_place(tmp_
     with scratch_folder("card") as folder:
         copy = folder.path / "aircraft" / "c310" / "c310.xml"
         text = f"mission: {copy}:68: no thrust; see '{folder.path / 'c310'}'"
-        assert without_scratch(text) == "mission: c310/c310.xml:68: no thrust; see 'c310'"
+        assert hide_scratch_paths(text) == "mission: c310/c310.xml:68: no thrust; see 'c310'"
     others = f"{tmp_path / 'aircraft' / 'c310.xml'}:3: /tmp/uqharness-plane/c310.xml"
-    assert without_scratch(others) == others
+    assert hide_scratch_paths(others) == others

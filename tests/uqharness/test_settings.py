@@ -8,7 +8,7 @@ import sys
 import pytest
 from pydantic import ValidationError
 
-from uqharness.toml import Number, Section, is_number, listed, tupled
+from uqharness.toml import Number, Section, as_tuple, is_number, list_as_tuple
 
 
 class Wing(Section):
@@ -29,10 +29,10 @@ def test_types_are_not_bent_and_unknown_keys_are_refused():
 
 
 def test_lists_become_tuples():
-    assert listed([1, 2]) == tupled([1, 2]) == (1, 2)
-    assert listed(3) == (3,)
-    assert tupled(3) == 3
-    assert listed("ab") == ("ab",)
+    assert as_tuple([1, 2]) == list_as_tuple([1, 2]) == (1, 2)
+    assert as_tuple(3) == (3,)
+    assert list_as_tuple(3) == 3
+    assert as_tuple("ab") == ("ab",)
 
 
 @pytest.mark.parametrize("value", [0, -1.5, sys.float_info.max, 10**300])

@@ -12,7 +12,7 @@ from uqharness.api.flights import AnyAircraft, AnyPath, given_aircraft
 from uqharness.arguments import flag, instance, number, path, require
 from uqharness.arguments import properties as settings
 from uqharness.errors import BadInputError
-from uqharness.files import check_folder
+from uqharness.files import check_output_folder
 from uqharness.heartbeat import notebook_line
 from uqharness.identification import MadeBounds
 from uqharness.isolation import run_unsupervised
@@ -192,7 +192,7 @@ def instrument(
     )
     bounds = Bounds(form, {name: _pair(name, value) for name, value in given.items()})
     model = given_aircraft(aircraft)
-    check_folder(folder)
+    check_output_folder(folder)
     return run_unsupervised(
         instrument_aircraft,
         model,

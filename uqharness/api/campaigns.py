@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from uqharness.api.flights import AnyPath
-from uqharness.arguments import number, one_of, path, require, share, whole
+from uqharness.arguments import integer, number, one_of, path, require, share
 from uqharness.arguments import workers as given_workers
 from uqharness.campaign import (
     CONFIDENCE,
@@ -182,7 +182,7 @@ def run_campaign(
             )
         )
     if samples is not None:
-        samples = whole("samples", samples, 1)
+        samples = integer("samples", samples, 1)
         spec = reading.with_samples(spec, samples)
     if engine is not None:
         spec = spec.with_engine(one_of("engine", engine, ("auto", "batch", "jsbsim")))

@@ -16,7 +16,7 @@ from sysid.logs import log_info as report_of_log
 from sysid.logs import propose_map as proposed
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import LABELS, SIGNALS
-from uqharness.arguments import flag, instance, number, one_of, whole
+from uqharness.arguments import flag, instance, integer, number, one_of
 from uqharness.arguments import path as argument_path
 from uqharness.arguments import properties as settings
 from uqharness.errors import BadInputError
@@ -24,16 +24,16 @@ from uqharness.flight import (
     DEFAULT_TURBULENCE_SOURCE,
     TURBULENCE_W20_KT,
     FlightSpec,
-    as_asked,
     recorded_flight,
-    start_of,
+    seeded_spec,
+    start_position,
     write_record,
 )
 from uqharness.heartbeat import notebook_line
 from uqharness.plugin import with_card
 from uqharness.replay import in_free_flight, numbers_of_files, read_flight, refuse_twice
 from uqharness.simulator import Aircraft, find_aircraft, find_script, read_script
-from uqharness.text_tables import Tabled
+from uqharness.text_tables import TabularResult
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,7 +43,7 @@ AnyAircraft: TypeAlias = str | PathLike[str] | Aircraft
 
 
 @dataclass(frozen=True)
-class Flight(Tabled):
+class Flight(TabularResult):
     """One flight: its record, and how it ended if it was flown here.
 
     Attributes
@@ -179,7 +179,7 @@ def fly(
         number(name, value)
     if duration_s is not None:
         number("duration_s", duration_s)
-    seed = whole("seed", seed)
+    seed = integer("seed", seed)
     spec = FlightSpec(
         model.folder,
         run.path,
@@ -192,7 +192,7 @@ def fly(
         properties=settings(properties),
         record_rate_hz=rate_hz,
     )
-    frame, recorded = recorded_flight(model, run, as_asked(spec, seed))
+    frame, recorded = recorded_flight(model, run, seeded_spec(spec, seed))
     known = {str(name): frame[name].to_numpy() for name in frame.columns if name in SIGNALS}
     record = FlightRecord(known, Metadata(source=run.path.stem, dialect="record"))
     record = FlightRecord(
@@ -205,7 +205,7 @@ def fly(
         recorded.status,
         recorded.reason,
         model,
-        start_of(recorded),
+        start_position(recorded),
     )
 
 
@@ -346,7 +346,7 @@ def log_info(
     """
     own_map = None if signal_map is None else argument_path("signal_map", signal_map)
     card = None if aircraft is None else carded_aircraft(aircraft).folder
-    boot = None if flight_number is None else whole("flight_number", flight_number, 1)
+    boot = None if flight_number is None else integer("flight_number", flight_number, 1)
     with notebook_line("log_info"):
         record = import_log(argument_path("log", log), own_map, card, flight_number=boot)
         return report_of_log(record)

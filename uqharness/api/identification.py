@@ -16,7 +16,7 @@ from uqharness.api.flights import (
     carded_aircraft,
     given_flights,
 )
-from uqharness.arguments import flag, instance, one_of, path, share, whole
+from uqharness.arguments import flag, instance, integer, one_of, path, share
 from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
 from uqharness.heartbeat import notebook_line
@@ -272,7 +272,7 @@ def fit_model_form(
     chosen, named = _designs("states", states), _designs("terms", terms)
     options = BoundsOptions(
         designs=parse_designs(
-            chosen, named, one_of("order", whole("order", order), (0, 1, 2, 3)), False
+            chosen, named, one_of("order", integer("order", order), (0, 1, 2, 3)), False
         ),
         fit=FitOptions(share("confidence", confidence)),
         cutoffs=Cutoffs(),

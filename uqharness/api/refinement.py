@@ -20,7 +20,7 @@ from uqharness.api.flights import (
 from uqharness.arguments import flag, instance, one_of, path, require
 from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
-from uqharness.files import check_folder, scratch_folder
+from uqharness.files import check_output_folder, scratch_folder
 from uqharness.heartbeat import notebook_line
 from uqharness.isolation import isolated
 from uqharness.refinement import Refinement, Request
@@ -113,7 +113,7 @@ def refine(
         raise BadInputError(
             "campaign and pbox = False: a campaign is flown for its p-box; leave out one of them"
         )
-    check_folder(folder)
+    check_output_folder(folder)
     extra = tuple(read_effects(own)) if own is not None else ()
     with scratch_folder("flights") as scratch:
         files = {

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from uqharness.api.flights import AnyAircraft, AnyPath
-from uqharness.arguments import flag, instance, number, one_of, path, whole
+from uqharness.arguments import flag, instance, integer, number, one_of, path
 from uqharness.arguments import workers as given_workers
 from uqharness.child_process import run_command
 from uqharness.errors import BadInputError, TerminatedError
@@ -132,8 +132,8 @@ def diff(
     words += [word for value in speeds for word in ("--speed-mps", str(value))]
     words += [word for value in _several(script) for word in ("--script", str(value))]
     words += [word for value in _several(properties) for word in ("--property", str(value))]
-    words += ["--turbulence", turbulence, "--seed", str(whole("seed", seed))]
-    words += ["--repeats", str(whole("repeats", repeats))]
+    words += ["--turbulence", turbulence, "--seed", str(integer("seed", seed))]
+    words += ["--repeats", str(integer("repeats", repeats))]
     words += [] if tolerance is None else ["--tolerance", str(tolerance)]
     words += ["--bounds"] if bounds else []
     return _document(words + _files(python_b=python_b, out=out))
@@ -446,7 +446,7 @@ def campaign_convergence(
     from uqharness.report import convergence_section, write_figures
 
     place = path("folder", folder)
-    results = write_convergence(place, _several(metric), whole("repeats", repeats, 2))
+    results = write_convergence(place, _several(metric), integer("repeats", repeats, 2))
     sections = [convergence_section(item) for item in results if item.repeats or item.growth]
     figures = write_figures(place, sections, "Convergence")
     return convergence_document(place, results, figures)
@@ -553,7 +553,7 @@ def sensitivity(
     words = ["sensitivity"] + ([] if folder is None else [str(path("folder", folder))])
     words += _files(interior=interior)
     words += [] if modal is None else ["--modal", modal]
-    words += ["--repeats", str(whole("repeats", repeats, 2)), "--seed", str(whole("seed", seed))]
+    words += ["--repeats", str(integer("repeats", repeats, 2)), "--seed", str(integer("seed", seed))]
     return _document(words)
 
 
@@ -618,7 +618,7 @@ def export_log(
         option = f"--{name.replace('_', '-')}"
         words += [] if value is None else [f"{option}={number(name, value)!r}"]
     if flight_number is not None:
-        words += ["--flight-number", str(whole("flight_number", flight_number, 1))]
+        words += ["--flight-number", str(integer("flight_number", flight_number, 1))]
     return _document(words)
 
 
@@ -727,7 +727,7 @@ def next_flight(
     for option, text in (("--metric", metric), ("--coefficient", coefficient)):
         words += [] if text is None else [option, text]
     words += ["--minutes", str(minutes), "--turbulence", turbulence]
-    words += ["--cases", str(whole("cases", cases, 1)), "--seed", str(whole("seed", seed))]
+    words += ["--cases", str(integer("cases", cases, 1)), "--seed", str(integer("seed", seed))]
     words += ["--speeds", ",".join(map(str, speeds))] if speeds else []
     for option, files in (("--occupancy", occupancy), ("--flight", flights)):
         words += [option, *(str(path(option[2:], file)) for file in files)] if files else []

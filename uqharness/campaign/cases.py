@@ -174,7 +174,7 @@ def unit_draw(root_seed: int, aleatory_id: int, name: str, variable: VariableSec
     """A variable's draw in its unit: standard normal, or uniform in -1..1. Depends on (root seed, aleatory id, property) alone."""
     stream = numbered_stream(root_seed, "variable", aleatory_id, name)
     if variable.distribution == "normal":
-        return float(random_numbers.drawn(stream, 1)[0])
+        return float(random_numbers.draw_normals(stream, 1)[0])
     return float(np.random.Generator(np.random.PCG64(stream)).uniform(-1.0, 1.0))
 
 

@@ -60,8 +60,8 @@ from uqharness.simulator import (
     SCRIPT,
     Aircraft,
     content_hash,
-    copy_beside,
     copy_folder,
+    copy_shared_parts,
     engine,
     find_aircraft,
     parse_xml,
@@ -196,7 +196,7 @@ def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
 def _copy(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
     made = root / _COPIED / aircraft.folder.name
     copy_folder(aircraft.folder, made)
-    copy_beside(aircraft, root, engine.default_root())
+    copy_shared_parts(aircraft, root, engine.default_root())
     if spec.inputs.model_form is not None:
         put_bounds(made, aircraft, spec.inputs.model_form)
     if spec.start is not None:

@@ -220,7 +220,7 @@ def run_campaign(
         manifest |= {
             "engine": settled.as_dict() if old is None or "engine" not in old else old["engine"]
         }
-        earlier = checksums.take_away(folder)
+        earlier = checksums.remove_sums(folder)
         write_manifest(folder, manifest)
         with Store(folder) as store:
             try:

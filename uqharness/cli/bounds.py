@@ -27,7 +27,7 @@ from uqharness.cli.options import (
 )
 from uqharness.cli.progress import say_warnings, working
 from uqharness.errors import BadInputError
-from uqharness.files import check_folder, write_bytes, write_json, write_text
+from uqharness.files import check_output_folder, write_bytes, write_json, write_text
 from uqharness.identification import (
     BoundsOptions,
     MadeBounds,
@@ -166,7 +166,7 @@ def _options(args: argparse.Namespace) -> BoundsOptions:
 
 def _run(args: argparse.Namespace) -> int:
     aircraft = aircraft_with_card(args.aircraft)
-    check_folder(args.out)
+    check_output_folder(args.out)
     options = _options(args)
     with working("bounds") as stage:
         stage("reading the flights")

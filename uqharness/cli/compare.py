@@ -21,7 +21,7 @@ from uqharness.cli.options import (
     results_folder,
 )
 from uqharness.cli.progress import working
-from uqharness.files import check_folder
+from uqharness.files import check_output_folder
 from uqharness.identification import BIASES, choose_servos, parse_channels
 from uqharness.identification.compare import compare
 from uqharness.replay import counter, read_flights
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> int:
     aircraft = aircraft_with_card(args.aircraft)
     biases, delays = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays"))
-    check_folder(args.out)
+    check_output_folder(args.out)
     with working("compare", lambda: counter["segments"]) as stage:
         stage("reading the flight")
         flights, measured = read_flights(

@@ -13,9 +13,9 @@ from uqharness.cli.options import add_page, add_seed, command_as_given, describe
 from uqharness.cli.progress import counting
 from uqharness.differences import (
     ROUNDING,
-    Asked,
     Difference,
-    Matched,
+    MatchedFlight,
+    MatchedRequest,
     Term,
     aircraft_at,
     by_channel,
@@ -24,7 +24,7 @@ from uqharness.differences import (
     fly_matched,
 )
 from uqharness.errors import BadInputError
-from uqharness.files import check_page, scratch_folder
+from uqharness.files import check_page_path, scratch_folder
 from uqharness.flight import TURBULENCE_W20_KT
 from uqharness.report import write_html
 from uqharness.report.pages import difference_page
@@ -120,13 +120,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     if args.out is not None:
-        check_page(args.out)
+        check_page_path(args.out)
     if not args.speed_mps and not args.script:
         raise BadInputError(
             "nothing to fly: give --speed-mps V, an airspeed at which A trims (uqharness modes A --speed-mps V shows the trim), or "
             "--script S"
         )
-    asked = Asked(
+    asked = MatchedRequest(
         speeds_mps=tuple(args.speed_mps),
         altitude_m=args.altitude_m,
         scripts=tuple(find_script(s) for s in args.script),
@@ -161,7 +161,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _text(
-    flights: Sequence[Matched], first: Sequence[Difference], terms: Sequence[Term], differ: bool
+    flights: Sequence[MatchedFlight], first: Sequence[Difference], terms: Sequence[Term], differ: bool
 ) -> str:
     flown = f"{len(flights)} flights, {sum(float(f.time_s[-1]) for f in flights if len(f.time_s)):.0f} s"
     beyond = " beyond what A varies by itself" if any(f.varied for f in flights) else ""
@@ -223,7 +223,7 @@ def _where(term: Term) -> str:
 
 def _document(
     args: argparse.Namespace,
-    flights: Sequence[Matched],
+    flights: Sequence[MatchedFlight],
     found: Sequence[Difference],
     terms: Sequence[Term],
     differ: bool,

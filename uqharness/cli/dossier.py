@@ -10,7 +10,7 @@ from typing import Any
 
 from uqharness.cli.options import describe
 from uqharness.cli.progress import working
-from uqharness.dossier import Judged, read_evidence
+from uqharness.dossier import SegmentResult, read_evidence
 from uqharness.errors import BadInputError
 from uqharness.files import finite
 from uqharness.report import first_lines, write_html
@@ -81,10 +81,10 @@ def _match(dossier: Dossier) -> dict[str, Any]:
     if dossier.source is None:
         return {"tests": [], "not_in_the_data": {}}
     match = dossier.source.match
-    return {"tests": [_judged(j) for j in match.judged], "not_in_the_data": dict(match.missing)}
+    return {"tests": [_judged(j) for j in match.results], "not_in_the_data": dict(match.missing)}
 
 
-def _judged(judged: Judged) -> dict[str, Any]:
+def _judged(judged: SegmentResult) -> dict[str, Any]:
     rows = [
         {
             "quantity": r.quantity,
@@ -104,7 +104,7 @@ def _judged(judged: Judged) -> dict[str, Any]:
         "manoeuvre": segment.manoeuvre,
         "from_s": float(segment.time_s[0]),
         "answer": judged.answer,
-        "why": judged.why,
+        "why": judged.reason,
         "rows": rows,
     }
     out: dict[str, Any] = finite(found)

@@ -23,15 +23,15 @@ from uqharness.cli.options import (
     tell_gains,
 )
 from uqharness.errors import BadInputError
-from uqharness.files import check_out, check_page, scratch_folder
+from uqharness.files import check_output_path, check_page_path, scratch_folder
 from uqharness.flight import (
     DEFAULT_TURBULENCE_SOURCE,
     FORMATS,
     TURBULENCE_W20_KT,
     FlightSpec,
-    as_asked,
     recorded_flight,
-    start_of,
+    seeded_spec,
+    start_position,
     write_record,
 )
 from uqharness.report import write_html
@@ -42,13 +42,13 @@ from uqharness.simulator import (
     Aircraft,
     Script,
     StartSection,
-    copy_beside,
     copy_folder,
+    copy_shared_parts,
     engine,
     find_aircraft,
     find_script,
-    finely,
     read_script,
+    with_fine_step,
     write_own_mission,
 )
 
@@ -162,9 +162,9 @@ def _run(args: argparse.Namespace) -> int:
         raise BadInputError(
             f"--out {args.out}: the format follows the name's ending, {', '.join(FORMATS)}"
         )
-    check_out(args.out)
+    check_output_path(args.out)
     if args.page is not None:
-        check_page(args.page, "--page")
+        check_page_path(args.page, "--page")
     aircraft = (
         find_aircraft(args.aircraft) if args.mission is None else aircraft_with_card(args.aircraft)
     )
@@ -180,8 +180,8 @@ def _run(args: argparse.Namespace) -> int:
     with scratch_folder("fly") as scratch:
         root = scratch.path
         copy_folder(aircraft.folder, root / "aircraft" / aircraft.folder.name)
-        copy_beside(aircraft, root, engine.default_root())
-        copy = finely(find_aircraft(root / "aircraft" / aircraft.folder.name))
+        copy_shared_parts(aircraft, root, engine.default_root())
+        copy = with_fine_step(find_aircraft(root / "aircraft" / aircraft.folder.name))
         start = StartSection(V_mps=args.speed_mps, altitude_m=args.altitude_m)
         chosen = SECOND_ORDER.keys() & parse_settings(args.settings).keys()
         path, _ = write_own_mission(copy, start, args.mission, restarting=not chosen)
@@ -200,7 +200,7 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
             f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are JSBSim's fcs/...-cmd-norm",
             file=sys.stderr,
         )
-    left_out = write_record(record, args.out, aircraft, start_of(recorded))
+    left_out = write_record(record, args.out, aircraft, start_position(recorded))
     if args.page is not None:
         asked = FlightAsked(
             aircraft.name,
@@ -262,7 +262,7 @@ def _spec(
         properties={**gains, **parse_settings(args.settings)},
         record_rate_hz=args.rate_hz,
     )
-    return as_asked(spec, args.seed)
+    return seeded_spec(spec, args.seed)
 
 
 def parse_settings(settings: list[str]) -> dict[str, float]:

@@ -23,7 +23,7 @@ from uqharness.cli.options import (
 )
 from uqharness.cli.progress import working
 from uqharness.errors import BadInputError
-from uqharness.files import check_folder
+from uqharness.files import check_output_folder
 from uqharness.identification import BIASES, choose_servos, parse_channels
 from uqharness.identification.identify import identify
 from uqharness.replay import counter, read_flights
@@ -95,7 +95,7 @@ def _run(args: argparse.Namespace) -> int:
     biases, delays, outputs = (
         parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays", "outputs")
     )
-    check_folder(args.out)
+    check_output_folder(args.out)
     with working("identify", lambda: counter["segments"]) as stage:
         stage("reading the flights")
         flights, measured = read_flights(

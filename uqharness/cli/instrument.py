@@ -22,7 +22,7 @@ from uqharness.cli.options import (
 )
 from uqharness.cli.progress import working
 from uqharness.errors import BadInputError
-from uqharness.files import check_folder, check_page
+from uqharness.files import check_output_folder, check_page_path
 from uqharness.plugin import (
     FILE_NAME,
     Bounds,
@@ -137,14 +137,14 @@ def _run(args: argparse.Namespace) -> int:
             raise BadInputError(
                 f"--page {args.page}: a page is of bounds that are written; leave out --undo and --dry-run"
             )
-        check_page(args.page, "--page")
+        check_page_path(args.page, "--page")
     mass = MassProperties(**{name: getattr(args, name) for name in _MASS})
     if args.undo:
-        if mass.given():
+        if mass.specified():
             raise BadInputError("--undo: takes everything back; leave the mass properties out")
         return _undo(args)
     aircraft = find_aircraft(args.aircraft)
-    check_folder(args.out)
+    check_output_folder(args.out)
     form = None if args.bounds is None else read_model_form(args.bounds)
     bounds = Bounds(form, {} if args.constant is None else parse_constant(args.constant))
     checked = not (args.no_check or args.dry_run)

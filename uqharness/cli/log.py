@@ -29,7 +29,7 @@ from uqharness.cli.options import (
     results_folder,
 )
 from uqharness.errors import BadInputError
-from uqharness.files import check_folder, check_page, finite, write_text
+from uqharness.files import check_output_folder, check_page_path, finite, write_text
 from uqharness.flight import playback_rows
 from uqharness.replay import read_flight
 from uqharness.simulator import find_aircraft
@@ -167,7 +167,7 @@ def _info(args: argparse.Namespace) -> int:
     from sysid.logs import log_info
 
     if args.out is not None:
-        check_page(args.out)
+        check_page_path(args.out)
     elif args.manoeuvres is not None:
         raise BadInputError("--manoeuvres: belongs to the page; give --out FILE.html too")
     record = _read(args)
@@ -406,7 +406,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    check_folder(args.out)
+    check_output_folder(args.out)
     record = read_flight(args.log, find_aircraft(args.aircraft), None, args.map, args.flight_number)
     rows = playback_rows(record, _start(args, record.metadata.start), args.rate_hz)
     out = results_folder(args.out)

@@ -19,7 +19,7 @@ from sysid.errors import LogError
 from uqharness import __version__
 from uqharness.cli.options import Table, add_commands, commands_of
 from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
-from uqharness.files import without_scratch
+from uqharness.files import hide_scratch_paths
 from uqharness.heartbeat import heartbeat
 
 _EXAMPLE = """examples:
@@ -128,7 +128,7 @@ class _Notes(logging.Handler):
         """Print it, in place of a line that moves."""
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=drawing(sys.stderr))
-        print(f"note: {without_scratch(record.getMessage())}", file=sys.stderr)
+        print(f"note: {hide_scratch_paths(record.getMessage())}", file=sys.stderr)
 
 
 def _run(argv: Sequence[str] | None) -> int:
@@ -141,7 +141,7 @@ def _run(argv: Sequence[str] | None) -> int:
         sys.stdout.flush()
         return code
     except BadInputError as error:
-        print(f"uqharness: error: {without_scratch(str(error))}", file=sys.stderr)
+        print(f"uqharness: error: {hide_scratch_paths(str(error))}", file=sys.stderr)
         return 2
     except EnginesDifferError as error:
         print(f"uqharness: {error}", file=sys.stderr)

@@ -19,7 +19,7 @@ from uqharness.cli.options import (
 )
 from uqharness.cli.progress import counting
 from uqharness.errors import BadInputError
-from uqharness.files import check_page
+from uqharness.files import check_page_path
 from uqharness.flight import (
     CALM_LOITER,
     CALM_STRAIGHT,
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     if args.out is not None:
-        check_page(args.out)
+        check_page_path(args.out)
     aircraft = find_aircraft(args.aircraft)
     condition = CALM_LOITER if args.flight == "loiter" else CALM_STRAIGHT
     names = args.loop or list(LOOPS)

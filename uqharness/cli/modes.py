@@ -10,16 +10,16 @@ from typing import NamedTuple
 
 from uqharness.cli.options import add_aircraft, add_page, command_as_given, describe, number
 from uqharness.errors import BadInputError
-from uqharness.files import check_page
+from uqharness.files import check_page_path
 from uqharness.flight import (
     CATEGORIES,
     CLASSES,
     DIVERGENCE,
     Assessment,
     LocusPoint,
-    point_at,
+    default_speeds,
+    locus_point,
     root_locus,
-    usual_speeds,
 )
 from uqharness.report import write_html
 from uqharness.report.pages import ModesAsked, modes_page
@@ -132,7 +132,7 @@ def _speeds(text: str) -> Speeds:
 
 def _run(args: argparse.Namespace) -> int:
     if args.out is not None:
-        check_page(args.out)
+        check_page_path(args.out)
     elif args.speeds is not None:
         raise BadInputError("--speeds: belongs to the page; give --out FILE.html too")
     toward = math.radians(args.wind_from_deg + 180.0)
@@ -154,7 +154,7 @@ def _run(args: argparse.Namespace) -> int:
             else f"no trim: {trim.reason}"
         )
         return 1
-    point = point_at(linearise(aircraft, trim), args.category, args.aircraft_class)
+    point = locus_point(linearise(aircraft, trim), args.category, args.aircraft_class)
     found, levels = list(point.modes), list(point.levels)
     if args.out is not None:
         _write(args, aircraft, trim, condition, point)
@@ -174,13 +174,13 @@ def _write(
     point: LocusPoint,
 ) -> None:
     """Trim at the page's other speeds, and write it."""
-    speeds = usual_speeds(args.speed_mps, *(args.speeds or ()))
+    speeds = default_speeds(args.speed_mps, *(args.speeds or ()))
     # Only a page takes time enough for a line that moves, and its library is slow to load.
     from uqharness.cli.progress import counting
 
     with counting("speeds trimmed") as progress:
         locus = root_locus(
-            aircraft, condition, speeds, args.category, args.aircraft_class, point, progress
+            aircraft, condition, speeds, args.category, args.aircraft_class, first=point, callback=progress
         )
     _, *said = [line.strip() for line in _trim_lines(aircraft.name, trim)]
     altitude = f"{condition.altitude_m:g} m above sea level"

@@ -22,7 +22,7 @@ from uqharness.cli.options import (
 )
 from uqharness.cli.progress import say_warnings, working
 from uqharness.errors import BadInputError
-from uqharness.files import check_folder, write_bytes, write_json
+from uqharness.files import check_output_folder, write_bytes, write_json
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
 from uqharness.identification import load_form
 from uqharness.next_flight import (
@@ -152,7 +152,7 @@ def _speeds(text: str) -> tuple[float, ...]:
 
 
 def _run(args: argparse.Namespace) -> int:
-    check_folder(args.out)
+    check_output_folder(args.out)
     with working("next-flight") as stage:
         text, code = _answer(args, stage)
     print(text)

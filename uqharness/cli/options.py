@@ -331,7 +331,7 @@ def as_data(gains: AutopilotGains | None) -> dict[str, Any] | None:
     return (
         None
         if gains is None
-        else {"taken": gains.properties, "ignored": dict(gains.ignored), "others": gains.others}
+        else {"taken": gains.properties, "ignored": dict(gains.ignored), "others": gains.n_others}
     )
 
 

@@ -21,7 +21,7 @@ from uqharness.cli.options import (
 )
 from uqharness.cli.progress import working
 from uqharness.errors import BadInputError
-from uqharness.files import check_folder
+from uqharness.files import check_output_folder
 from uqharness.refinement import Request
 from uqharness.refinement.run import refine
 from uqharness.replay import counter
@@ -79,7 +79,7 @@ def _run(args: argparse.Namespace) -> int:
         raise BadInputError(
             "--campaign and --no-pbox: a campaign is flown for its p-box; leave out one of them"
         )
-    check_folder(args.out)
+    check_output_folder(args.out)
     extra = tuple(read_effects(args.effects)) if args.effects else ()
     out = args.out
     request = Request(

@@ -19,7 +19,7 @@ from uqharness.cli.options import (
     results_folder,
 )
 from uqharness.cli.progress import say_warnings, working
-from uqharness.files import check_folder, write_json
+from uqharness.files import check_output_folder, write_json
 from uqharness.identification import choose_servos, load_form, validate, verdicts
 from uqharness.replay import read_bounds_flights
 from uqharness.report import first_lines, validation_document, write_report, write_residuals
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> int:
     aircraft = aircraft_with_card(args.aircraft)
     if args.out is not None:
-        check_folder(args.out)
+        check_output_folder(args.out)
     form = load_form(args.form)
     with working("validate-bounds") as stage:
         stage("reading the flights")

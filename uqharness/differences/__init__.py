@@ -1,4 +1,9 @@
-"""Two models flown side by side: which outputs differ, when first, by how much, and which lines of XML differ."""
+"""Comparison of two models in flight: which outputs differ, when first, and by how much.
+
+Both models fly the same manoeuvres from the same start. Differences beyond rounding are ranked by
+time and by cause and effect, with the differing lines of XML that may explain them. The command
+``uqharness diff`` uses it.
+"""
 
 import lazy_loader
 

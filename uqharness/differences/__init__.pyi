@@ -1,9 +1,9 @@
 from .elsewhere import GROUPS as GROUPS
 from .elsewhere import Channel as Channel
 from .ranking import ROUNDING as ROUNDING
-from .ranking import Asked as Asked
 from .ranking import Difference as Difference
-from .ranking import Matched as Matched
+from .ranking import MatchedFlight as MatchedFlight
+from .ranking import MatchedRequest as MatchedRequest
 from .ranking import Term as Term
 from .ranking import by_channel as by_channel
 from .ranking import differences as differences

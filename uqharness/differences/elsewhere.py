@@ -1,6 +1,9 @@
-"""A flight in another environment: its own Python interpreter, with its own version of JSBSim.
+"""Flights of a comparison, frame by frame, in this environment or with another JSBSim.
 
-``python -m uqharness.differences.elsewhere JOB.json OUT.npz`` is the child; `fly_elsewhere` starts it.
+`channels_of` lists the compared properties in the order of cause and effect, and `fly_frames`
+records them in a worker process. `fly_elsewhere` does the same with the interpreter, and hence the
+JSBSim version, of another environment; its child is ``python -m uqharness.differences.elsewhere
+JOB.json OUT.npz``.
 """
 
 from __future__ import annotations
@@ -16,15 +19,14 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.units import FT_M, IN_M, LBF_FT_NM, LBF_N, SLUG_FT2_KGM2, SLUG_KG
-from uqharness.child_process import ending, give_answer, run_module
+from uqharness.child_process import describe_exit, give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder, write_json
-from uqharness.flight import FlightSpec, as_asked, record_mission
+from uqharness.flight import FlightSpec, record_mission, seeded_spec
 from uqharness.isolation import run_isolated
 from uqharness.simulator import Aircraft, Source, StagedMission, engine, find_aircraft, read_script
 
-# What two models are compared by: JSBSim's own numbers along a flight, in the order in which
-# one causes the next.
+# Compared channels.
 
 GROUPS = (
     "mass and CG",
@@ -39,12 +41,27 @@ GROUPS = (
     "airspeed and angles",
     "path",
 )
-"""In the order of cause and effect within a frame: a force off the centre of gravity makes a moment, a moment makes no force."""
+"""Groups of channels in the order of cause and effect within a frame.
+
+Forces precede moments: a force off the centre of gravity causes a moment, not the reverse.
+"""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One compared number: name, unit, group of GROUPS, where JSBSim has it, and the size below which it is called zero."""
+    """A compared quantity.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name and unit in tables.
+    group : str
+        One of `GROUPS`.
+    source : Source
+        JSBSim property and factor.
+    floor : float
+        Magnitude [unit] below which the quantity counts as zero.
+    """
 
     name: str
     unit: str
@@ -54,17 +71,29 @@ class Channel:
 
     @property
     def rank(self) -> int:
-        """Place of its group in the order of cause and effect."""
+        """Return the place of its group in the order of cause and effect."""
         return GROUPS.index(self.group)
 
 
-def channels_of(aircraft: Aircraft, fdm: Any, others: tuple[str, ...] = ()) -> list[Channel]:
-    """Channels of an aircraft's model ``fdm``; coefficients by its own reference area and lengths. others: properties besides."""
+def channels_of(
+    aircraft: Aircraft, fdm: Any, extra_properties: tuple[str, ...] = ()
+) -> list[Channel]:
+    """Return the channels that an aircraft's model has.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Its card names positions of surfaces.
+    fdm : FGFDMExec
+        The loaded model; its reference area and lengths make the coefficients.
+    extra_properties : tuple of str
+        Further properties to compare, in their own unit.
+    """
     S, b, c = (float(fdm[f"metrics/{name}"]) for name in ("Sw-sqft", "bw-ft", "cbarw-ft"))
-    known = fdm.get_property_manager()
-    out = [
-        *(_mass(tag, what) for tag, what in _MASS),
-        *_surfaces(aircraft, known),
+    property_manager = fdm.get_property_manager()
+    channels = [
+        *(_mass_channel(tag, source) for tag, source in _MASS),
+        *_surface_channels(aircraft, property_manager),
         *(
             Channel(f"{name} of thrust", unit, "propulsion", Source(prop, factor), floor)
             for name, unit, prop, factor, floor in _THRUST
@@ -94,18 +123,21 @@ def channels_of(aircraft: Aircraft, fdm: Any, others: tuple[str, ...] = ()) -> l
             Channel(name, unit, group, Source(prop, factor), floor)
             for name, unit, group, prop, factor, floor in _MOTION
         ),
-        *(Channel(prop, "own unit", "surfaces", Source(prop), 1e-6) for prop in others),
+        *(Channel(prop, "own unit", "surfaces", Source(prop), 1e-6) for prop in extra_properties),
     ]
-    return [c for c in out if known.hasNode(c.source.property)]
+    # Only properties that this model has.
+    return [c for c in channels if property_manager.hasNode(c.source.property)]
 
 
-def _mass(name: str, what: tuple[str, str, float]) -> Channel:
-    prop, unit, factor = what
+def _mass_channel(name: str, source: tuple[str, str, float]) -> Channel:
+    """Return a channel of mass properties from (property, unit, factor)."""
+    prop, unit, factor = source
     group = "inertia" if name.startswith("I") else "mass and CG"
     return Channel(name, unit, group, Source(prop, factor), 1e-6)
 
 
-def _surfaces(aircraft: Aircraft, known: Any) -> list[Channel]:
+def _surface_channels(aircraft: Aircraft, property_manager: Any) -> list[Channel]:
+    """Return the positions of surfaces that exist: of the card first, else JSBSim's usual names."""
     names = {
         card.position: control for control, card in aircraft.card.inputs.items() if card.position
     }
@@ -114,16 +146,16 @@ def _surfaces(aircraft: Aircraft, known: Any) -> list[Channel]:
         for s in ("elevator", "left-aileron", "right-aileron", "rudder", "flap", "throttle")
         for unit in ("rad", "norm")
     }
-    out: dict[str, Channel] = {}
+    channels: dict[str, Channel] = {}
     for prop, control in {**standard, **names}.items():
-        if known.hasNode(prop):
+        if property_manager.hasNode(prop):
             unit = next(
                 (u for u in ("deg", "rad", "norm", "pct") if prop.endswith(f"-{u}")), "own unit"
             )
-            out[control] = Channel(
+            channels[control] = Channel(
                 f"{control.replace('-', ' ')} position", unit, "surfaces", Source(prop), 1e-4
             )
-    return list(out.values())
+    return list(channels.values())
 
 
 _MASS = (
@@ -170,17 +202,30 @@ _MOTION = (
 )
 
 
-# One flight of one model, every frame of it.
+# Flights, recorded in every frame.
 
 
 @dataclass(frozen=True)
-class How:
-    """A flight of at most ``most_s`` in steps of ``dt_s`` [s], its air and its seed.
+class FlightSettings:
+    """Settings of one flight.
 
-    one_ulp_off: from a start that is one unit in the last place away; properties: set before the flight.
+    Attributes
+    ----------
+    max_s : float
+        Longest duration [s]; a script may end earlier.
+    dt_s : float
+        Integration step [s].
+    turbulence : str
+        Intensity of turbulence.
+    seed : int
+        Seed of turbulence and noise.
+    one_ulp_off : bool
+        Whether the initial velocity is one unit in the last place larger.
+    properties : mapping
+        Properties set before the flight.
     """
 
-    most_s: float
+    max_s: float
     dt_s: float
     turbulence: str = "none"
     seed: int = 1
@@ -188,64 +233,89 @@ class How:
     properties: Mapping[str, float] = field(default_factory=dict)
 
 
-def flown(
-    aircraft: Aircraft, path: Path, channels: Sequence[Channel], how: How
+def fly_frames(
+    aircraft: Aircraft, path: Path, channels: Sequence[Channel], settings: FlightSettings
 ) -> dict[str, FloatArray]:
-    """time_s and channels of a flight in a worker process, a row a frame. Raises BadInputError."""
-    return run_isolated(_flown, aircraft, path, channels, how)
+    """Fly in a worker process; return ``time_s`` and the channels by name, each (frames,).
+
+    Raises BadInputError if the aircraft or the script cannot be flown.
+    """
+    return run_isolated(_fly_in_worker, aircraft, path, channels, settings)
 
 
-def _flown(
-    aircraft: Aircraft, path: Path, channels: Sequence[Channel], how: How
+def _fly_in_worker(
+    aircraft: Aircraft, path: Path, channels: Sequence[Channel], settings: FlightSettings
 ) -> dict[str, FloatArray]:
+    """Fly and record all frames; both models of a comparison use the same step."""
     script = read_script(path)
-    if how.dt_s != aircraft.dt_s:
-        section = aircraft.card.aircraft.model_copy(update={"dt_s": how.dt_s})
+    if settings.dt_s != aircraft.dt_s:
+        # Both models fly with the step of model A.
+        section = aircraft.card.aircraft.model_copy(update={"dt_s": settings.dt_s})
         aircraft = replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": section}))
     spec = FlightSpec(
         aircraft=aircraft.folder,
         script=path,
-        duration_s=min(script.end_s, how.most_s),
-        turbulence=how.turbulence,
+        duration_s=min(script.end_s, settings.max_s),
+        turbulence=settings.turbulence,
         record_rate_hz=1.0 / aircraft.dt_s,
-        properties=dict(how.properties),
+        properties=dict(settings.properties),
     )
     with StagedMission(aircraft, path) as mission:
         optional = {c.name: c.source for c in channels}
         recorded = record_mission(
             mission,
-            as_asked(spec, how.seed),
+            seeded_spec(spec, settings.seed),
             {},
             optional,
             keep_burn_in=True,
-            one_ulp_off=how.one_ulp_off,
+            one_ulp_off=settings.one_ulp_off,
         )
     return recorded.signals
 
 
-LONGEST_S = 600.0
+TIMEOUT_S = 600.0
+"""Longest flight in another environment, in wall-clock time [s]."""
 
 
 class RefusedError(BadInputError):
-    """The other JSBSim runs, and does not fly the aircraft."""
+    """The other JSBSim runs but does not fly the aircraft."""
 
 
 def fly_elsewhere(
-    python: Path, aircraft: Aircraft, script: Path, channels: Sequence[Channel], how: How
+    python: Path,
+    aircraft: Aircraft,
+    script: Path,
+    channels: Sequence[Channel],
+    settings: FlightSettings,
 ) -> tuple[dict[str, FloatArray], str]:
-    """Channels of a flight by name, ``time_s`` among them, flown by another interpreter, and the version of its JSBSim.
+    """Fly with the interpreter of another environment.
 
     Parameters
     ----------
-    python
-        Interpreter of an environment that has JSBSim and what this package needs.
+    python : Path
+        Interpreter of an environment with JSBSim and the dependencies of this package.
+    aircraft : Aircraft
+        The aircraft.
+    script : Path
+        Run script.
+    channels : sequence of Channel
+        What to record.
+    settings : FlightSettings
+        Duration, step, air and start.
+
+    Returns
+    -------
+    signals : dict
+        ``time_s`` and channels by name, each (frames,).
+    version : str
+        Version of the other JSBSim.
 
     Raises
     ------
     RefusedError
-        Where its JSBSim does not fly the aircraft.
+        If the other JSBSim does not fly the aircraft.
     BadInputError
-        Where the interpreter cannot be started, or its environment lacks a library.
+        If the interpreter does not start or its environment lacks a library.
     """
     with scratch_folder("elsewhere") as scratch:
         job, out = scratch.path / "job.json", scratch.path / "out.npz"
@@ -255,37 +325,47 @@ def fly_elsewhere(
             "systems": aircraft.systems_path,
             "script": script,
         }
-        # A stock aircraft's engines are those of its own JSBSim: both sides fly the same files.
+        # Engine files of this environment: otherwise a stock aircraft would fly other files there.
         document = {k: str(v) for k, v in places.items()} | {
             "channels": [asdict(c) for c in channels],
-            "how": asdict(how),
+            "how": asdict(settings),
         }
         write_json(job, document)
-        ended = run_module(__name__, job, out, timeout_s=LONGEST_S, python=python)
+        ended = run_module(__name__, job, out, timeout_s=TIMEOUT_S, python=python)
         if ended.answer.get("error"):
+            # The child ran and reports an error of the aircraft.
             raise RefusedError(f"{python}: {ended.answer['error']}")
         if not out.is_file():
-            said = ended.errors or ended.said or "nothing was said"
-            end = "took too long" if ended.code is None else f"ended with {ending(ended.code)}"
-            raise BadInputError(
-                f"{python}: the flight {end}: {said}; an environment is needed that has JSBSim 1.3 and what uqharness needs "
-                "(pip install uqharness, then pip install jsbsim==VERSION)"
+            message = ended.errors or ended.output or "no output"
+            outcome = (
+                "took too long" if ended.code is None else f"ended with {describe_exit(ended.code)}"
             )
-        with np.load(out) as found:
-            signals = dict(zip(found["names"].tolist(), found["columns"], strict=True))
+            raise BadInputError(
+                f"{python}: the flight {outcome}: {message}; an environment is needed that has"
+                " JSBSim 1.3 and what uqharness needs (pip install uqharness, then pip install"
+                " jsbsim==VERSION)"
+            )
+        with np.load(out) as archive:
+            signals = dict(zip(archive["names"].tolist(), archive["columns"], strict=True))
             return signals, str(ended.answer.get("jsbsim", ""))
 
 
 def _child(job: Path, out: Path) -> None:
-    asked = json.loads(job.read_text(encoding="utf-8"))
-    channels = [Channel(**{**row, "source": Source(**row["source"])}) for row in asked["channels"]]
+    """Fly the job in this process and save the signals."""
+    request = json.loads(job.read_text(encoding="utf-8"))
+    channels = [
+        Channel(**{**row, "source": Source(**row["source"])}) for row in request["channels"]
+    ]
     try:
         aircraft = replace(
-            find_aircraft(asked["aircraft"]),
-            engine_path=Path(asked["engine"]),
-            systems_path=Path(asked["systems"]),
+            find_aircraft(request["aircraft"]),
+            engine_path=Path(request["engine"]),
+            systems_path=Path(request["systems"]),
         )
-        signals = flown(aircraft, Path(asked["script"]), channels, How(**asked["how"]))
+        # The aircraft is found by folder; its engines and systems are those of the parent.
+        signals = fly_frames(
+            aircraft, Path(request["script"]), channels, FlightSettings(**request["how"])
+        )
     except BadInputError as error:
         give_answer({"error": str(error)})
         return

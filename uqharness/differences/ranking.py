@@ -1,4 +1,10 @@
-"""Where two models part: channels beyond what rounding makes, the earliest and nearest to the cause first."""
+"""Differences between two models in flight, ranked by time, cause and effect.
+
+`fly_matched` flies both models from the same start with the same controls and air.
+`differing_terms` lists the XML elements that differ. `differences` reports channels whose
+difference exceeds what rounding explains, the earliest and the closest to the cause first, each
+with the XML elements that may explain it.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +19,11 @@ from sysid.arrays import FloatArray
 from uqharness.differences.elsewhere import (
     GROUPS,
     Channel,
-    How,
+    FlightSettings,
     RefusedError,
     channels_of,
-    flown,
     fly_elsewhere,
+    fly_frames,
 )
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder, write_bytes
@@ -27,8 +33,8 @@ from uqharness.simulator import (
     MISSIONS,
     Aircraft,
     StartSection,
-    copy_beside,
     copy_folder,
+    copy_shared_parts,
     engine,
     find_aircraft,
     open_aircraft,
@@ -37,56 +43,70 @@ from uqharness.simulator import (
 )
 from uqharness.xml import Node, folder_documents
 
-# The same flights of two models: same start, same controls in time, same air, one frame after
-# the other.
-
-# How far one model's flight varies by itself: in other air of the same kind, and within the
-# bounds of its model form.
+# Matched flights of two models, and variations of the first one.
 
 
-def varied(
+def fly_variations(
     aircraft: Aircraft,
     script: Path,
     channels: Sequence[Channel],
-    how: How,
+    settings: FlightSettings,
     repeats: int,
     bounds: bool,
 ) -> list[dict[str, FloatArray]]:
-    """Flights of a model as `flown` gives them: with ``repeats`` other seeds of the air, and at either end of each bound.
+    """Fly one model in other air and at the ends of its bounds, as `fly_frames` does.
 
-    Raises BadInputError where there is no air to repeat or no bound.
+    Parameters
+    ----------
+    aircraft, script, channels, settings
+        As of `fly_frames`.
+    repeats : int
+        Number of further seeds of turbulence.
+    bounds : bool
+        Whether to fly each coefficient at its lower and its upper bound.
+
+    Raises
+    ------
+    BadInputError
+        If there is no turbulence to repeat, or no bound.
     """
-    if repeats and how.turbulence == "none":
+    if repeats and settings.turbulence == "none":
         raise BadInputError(
             "--repeats: still air has no other seed; give --turbulence light, moderate or severe"
         )
-    others = [replace(how, seed=how.seed + k) for k in range(1, repeats + 1)]
-    others += [replace(how, properties=corner) for corner in (_ends(aircraft) if bounds else ())]
-    return [flown(aircraft, script, channels, other) for other in others]
+    variations = [replace(settings, seed=settings.seed + k) for k in range(1, repeats + 1)]
+    variations += [
+        replace(settings, properties=corner)
+        for corner in (_bound_settings(aircraft) if bounds else ())
+    ]
+    return [fly_frames(aircraft, script, channels, other) for other in variations]
 
 
-def spread(
-    flight: Mapping[str, FloatArray], others: Iterable[Mapping[str, FloatArray]]
+def largest_deviation(
+    flight: Mapping[str, FloatArray], variations: Iterable[Mapping[str, FloatArray]]
 ) -> dict[str, float]:
-    """Largest difference of the others from the flight, by channel, over the time that both flew."""
-    out = dict.fromkeys(flight, 0.0)
-    for other in others:
+    """Return the largest deviation of the variations from a flight, by channel, in their units.
+
+    Flights of different length are compared over the shorter one.
+    """
+    deviations = dict.fromkeys(flight, 0.0)
+    for other in variations:
         for name, values in flight.items():
             n = min(len(values), len(other[name]))
-            out[name] = max(
-                out[name], float(np.max(np.abs(other[name][:n] - values[:n]), initial=0.0))
+            deviations[name] = max(
+                deviations[name], float(np.max(np.abs(other[name][:n] - values[:n]), initial=0.0))
             )
-    return out
+    return deviations
 
 
-def _ends(aircraft: Aircraft) -> list[dict[str, float]]:
-    """Settings for each coefficient at its lower and at its upper bound, the others without one."""
+def _bound_settings(aircraft: Aircraft) -> list[dict[str, float]]:
+    """Return properties for each coefficient alone at its lower and at its upper bound."""
     exists = open_aircraft(aircraft).get_property_manager().hasNode
     bounded = [c for c in COEFFICIENTS if exists(f"uq/{c}/level")]
     if not bounded:
         raise BadInputError(
-            f"--bounds: aircraft '{aircraft.name}' has none; add them with uqharness instrument {aircraft.name} --bounds "
-            "model-form.json"
+            f"--bounds: aircraft '{aircraft.name}' has none; add them with uqharness instrument"
+            f" {aircraft.name} --bounds model-form.json"
         )
     return [
         {
@@ -99,17 +119,30 @@ def _ends(aircraft: Aircraft) -> list[dict[str, float]]:
     ]
 
 
-MOST_S = 60.0
-"""Longest flight of a script [s]; a mission of one's own ends by itself."""
+SCRIPT_LIMIT_S = 60.0
+"""Longest flight of a run script [s]; generated missions end by themselves."""
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What is flown: manoeuvres from a trim of A at each speed [m/s] and height [m], and run scripts of one's own.
+class MatchedRequest:
+    """What `fly_matched` flies.
 
-    properties: of the simulation, compared besides the channels that every aircraft has.
-    repeats: flights of A in other air, bounds: flights of A at the ends of its bounds, both beside the one that is compared.
-    python_b: interpreter that flies B with the JSBSim of its own environment; None: this one.
+    Attributes
+    ----------
+    speeds_mps, altitude_m : tuple of float, float
+        True airspeeds [m/s] and altitude [m] at which A is trimmed.
+    missions : tuple of str
+        Generated manoeuvres at each speed.
+    scripts : tuple of Path
+        Further run scripts.
+    turbulence, seed
+        Air of all flights.
+    properties : tuple of str
+        Properties compared in addition to `channels_of`.
+    python_b : Path or None
+        Interpreter that flies B with another JSBSim; None for this one.
+    repeats, bounds
+        Variations of A, as of `fly_variations`.
     """
 
     speeds_mps: tuple[float, ...] = ()
@@ -125,14 +158,26 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Matched:
+class MatchedFlight:
     """One flight of both models.
 
-    name       of the manoeuvre or script; time_s (n,); a, b, nudged: channel -> (n,), nudged being A from a start one unit in the
-               last place away, which tells how far rounding alone goes
-    only_a, only_b  channels that one model has alone; reason: why there is no flight of B, "" where there is one
-    varied     channel -> how far A varies by itself, in other air and within its bounds; empty: not flown
-    jsbsim_b   version of JSBSim that flew B, "" for this process's own
+    Attributes
+    ----------
+    name : str
+        Manoeuvre or script.
+    time_s : ndarray
+        Time [s] of the frames that both flew, (n,).
+    a, b, nudged : mapping
+        Channel to (n,). `nudged` is A from an initial velocity one unit in the last place larger:
+        the effect of rounding.
+    only_a, only_b : tuple of str
+        Channels that only one model has.
+    reason : str
+        Why there is no flight of B, or why it is shorter; empty otherwise.
+    jsbsim_b : str
+        Version of JSBSim that flew B; empty for this process's own.
+    varied : mapping
+        Channel to the largest deviation of A's variations; empty without any.
     """
 
     name: str
@@ -148,93 +193,143 @@ class Matched:
 
 
 def fly_matched(
-    a: Aircraft, b: Aircraft, asked: Asked, on_progress: Callable[[int, int], None] | None = None
-) -> tuple[list[Channel], list[Matched]]:
-    """Channels of A, and every flight asked for in both models. Raises BadInputError for what A itself cannot fly.
+    a: Aircraft,
+    b: Aircraft,
+    request: MatchedRequest,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> tuple[list[Channel], list[MatchedFlight]]:
+    """Fly all requested flights in both models.
 
-    ``on_progress`` is told how many flights are flown in both models, of how many.
+    Parameters
+    ----------
+    a, b : Aircraft
+        The two models; A is trimmed, and B starts from A's trim.
+    request : MatchedRequest
+        What to fly.
+    on_progress : callable, optional
+        Called with the numbers of finished and of all flights.
+
+    Returns
+    -------
+    channels : list of Channel
+        Channels of A.
+    flights : list of MatchedFlight
+        In the order of the request.
+
+    Raises
+    ------
+    BadInputError
+        If nothing is requested, or A cannot be flown.
     """
-    if not asked.speeds_mps and not asked.scripts:
+    if not request.speeds_mps and not request.scripts:
         raise BadInputError("nothing to fly: give a speed at which the aircraft trims, or a script")
-    channels = channels_of(a, open_aircraft(a), asked.properties)
-    out: list[Matched] = []
-    every = len(asked.speeds_mps) * len(asked.missions) + len(asked.scripts)
+    channels = channels_of(a, open_aircraft(a), request.properties)
+    flights: list[MatchedFlight] = []
+    n_flights = len(request.speeds_mps) * len(request.missions) + len(request.scripts)
 
-    def flown_in_both(flight: Matched) -> None:
-        out.append(flight)
+    def add_flight(flight: MatchedFlight) -> None:
+        flights.append(flight)
         if on_progress is not None:
-            on_progress(len(out), every)
+            on_progress(len(flights), n_flights)
 
     with scratch_folder("diff") as scratch:
-        one, two = _copy(a, scratch.path / "a"), _copy(b, scratch.path / "b")
-        for speed in asked.speeds_mps:
-            start = StartSection(V_mps=speed, altitude_m=asked.altitude_m)
-            for kind in asked.missions:
-                before = {p.name for p in one.folder.iterdir()}
-                path, _ = write_own_mission(one, start, kind)
-                for made in one.folder.iterdir():
-                    if made.name not in before or made == path or made.name == "steady-start.xml":
-                        write_bytes(two.folder / made.name, made.read_bytes())
-                flown_in_both(
-                    _both(
-                        one,
-                        two,
+        copy_a, copy_b = _copy(a, scratch.path / "a"), _copy(b, scratch.path / "b")
+        for speed in request.speeds_mps:
+            start = StartSection(V_mps=speed, altitude_m=request.altitude_m)
+            for kind in request.missions:
+                # B flies the start and script that were written for A's trim.
+                existing_names = {p.name for p in copy_a.folder.iterdir()}
+                path, _ = write_own_mission(copy_a, start, kind)
+                # B gets the files that were written for A.
+                for mission_file in copy_a.folder.iterdir():
+                    if (
+                        mission_file.name not in existing_names
+                        or mission_file == path
+                        or mission_file.name == "steady-start.xml"
+                    ):
+                        write_bytes(copy_b.folder / mission_file.name, mission_file.read_bytes())
+                add_flight(
+                    _fly_both(
+                        copy_a,
+                        copy_b,
                         path,
-                        two.folder / path.name,
-                        f"{kind} at {speed:g} m/s",
-                        channels,
-                        asked,
-                        1e9,
+                        copy_b.folder / path.name,
+                        name=f"{kind} at {speed:g} m/s",
+                        channels=channels,
+                        request=request,
+                        limit_s=1e9,
                     )
                 )
-        for script in asked.scripts:
+        for script in request.scripts:
+            # A script's initial conditions may exist in A only.
             initial = read_script(script).initialize
-            for source in (one.folder / initial, one.folder / f"{initial}.xml"):
+            for source in (copy_a.folder / initial, copy_a.folder / f"{initial}.xml"):
                 if source.is_file():
-                    write_bytes(two.folder / source.name, source.read_bytes())
-            flown_in_both(_both(one, two, script, script, script.stem, channels, asked, MOST_S))
-    return channels, out
+                    write_bytes(copy_b.folder / source.name, source.read_bytes())
+            add_flight(
+                _fly_both(
+                    copy_a,
+                    copy_b,
+                    script,
+                    script,
+                    name=script.stem,
+                    channels=channels,
+                    request=request,
+                    limit_s=SCRIPT_LIMIT_S,
+                )
+            )
+    return channels, flights
 
 
 def _copy(aircraft: Aircraft, root: Path) -> Aircraft:
+    """Copy an aircraft to where scripts can be written; engines and systems stay the original's."""
     copy_folder(aircraft.folder, root / "aircraft" / aircraft.folder.name)
-    copy_beside(aircraft, root, engine.default_root())
-    found = find_aircraft(root / "aircraft" / aircraft.folder.name)
-    return replace(found, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
+    copy_shared_parts(aircraft, root, engine.default_root())
+    copied = find_aircraft(root / "aircraft" / aircraft.folder.name)
+    return replace(copied, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
 
 
-def _both(
-    one: Aircraft,
-    two: Aircraft,
-    path: Path,
-    other: Path,
+def _fly_both(
+    copy_a: Aircraft,
+    copy_b: Aircraft,
+    script_a: Path,
+    script_b: Path,
+    *,
     name: str,
     channels: Sequence[Channel],
-    asked: Asked,
-    most_s: float,
-) -> Matched:
-    how = How(most_s, one.dt_s, asked.turbulence, asked.seed)
+    request: MatchedRequest,
+    limit_s: float,
+) -> MatchedFlight:
+    """Fly one script with A, with A nudged by one unit in the last place, and with B."""
+    settings = FlightSettings(limit_s, copy_a.dt_s, request.turbulence, request.seed)
     try:
-        first, near = (
-            flown(one, path, channels, replace(how, one_ulp_off=nudged)) for nudged in (False, True)
+        flight_a, nudged_flight = (
+            fly_frames(copy_a, script_a, channels, replace(settings, one_ulp_off=nudged))
+            for nudged in (False, True)
         )
     except ProcessEndedError as error:
         raise BadInputError(f"{name}: A cannot be flown: {error}") from None
     try:
-        second, version = _of_b(two, other, channels, how, asked.python_b)
+        flight_b, version = _fly_b(copy_b, script_b, channels, settings, request.python_b)
     except RefusedError as error:
-        return Matched(name, first["time_s"], first, {}, near, reason=str(error))
-    others = varied(one, path, channels, how, asked.repeats, asked.bounds)
-    rows = min(len(x["time_s"]) for x in (first, near, second))
+        return MatchedFlight(
+            name, flight_a["time_s"], flight_a, {}, nudged_flight, reason=str(error)
+        )
+    variations = fly_variations(
+        copy_a, script_a, channels, settings, request.repeats, request.bounds
+    )
+    # Compare the frames that all flights have.
+    rows = min(len(x["time_s"]) for x in (flight_a, nudged_flight, flight_b))
     a, b, nudged = (
-        {k: v[:rows] for k, v in x.items() if k != "time_s"} for x in (first, second, near)
+        {k: v[:rows] for k, v in x.items() if k != "time_s"}
+        for x in (flight_a, flight_b, nudged_flight)
     )
     only_a, only_b = tuple(sorted(a.keys() - b.keys())), tuple(sorted(b.keys() - a.keys()))
-    lengths = len(first["time_s"]), len(second["time_s"])
+    lengths = len(flight_a["time_s"]), len(flight_b["time_s"])
     reason = "" if lengths[0] == lengths[1] else f"A flew {lengths[0]} frames and B {lengths[1]}"
-    return Matched(
+    return MatchedFlight(
         name,
-        first["time_s"][:rows],
+        flight_a["time_s"][:rows],
         a,
         b,
         nudged,
@@ -242,24 +337,31 @@ def _both(
         only_b,
         reason,
         version,
-        spread(a, others) if others else {},
+        largest_deviation(a, variations) if variations else {},
     )
 
 
-def _of_b(
-    two: Aircraft, script: Path, channels: Sequence[Channel], how: How, python: Path | None
+def _fly_b(
+    copy_b: Aircraft,
+    script: Path,
+    channels: Sequence[Channel],
+    settings: FlightSettings,
+    python: Path | None,
 ) -> tuple[dict[str, FloatArray], str]:
-    """B's flight and the version of JSBSim, "" for this process's own. Raises RefusedError where B is not flown."""
+    """Fly B; return its channels and its JSBSim version, empty for this process's own.
+
+    Raises RefusedError if B does not fly.
+    """
     if python is not None:
-        return fly_elsewhere(python, two, script, channels, how)
+        return fly_elsewhere(python, copy_b, script, channels, settings)
     try:
-        return flown(two, script, channels, how), ""
+        return fly_frames(copy_b, script, channels, settings), ""
     except BadInputError as error:
         raise RefusedError(str(error)) from None
 
 
-# Elements of the XML in which two models differ: numbers, names, elements added or gone;
-# comments, spaces and order of attributes do not count.
+# Differing XML elements: numbers, names, and elements added or removed. Comments, white space and
+# the order of attributes do not count.
 
 _AXIS = {
     "DRAG": "CX",
@@ -293,11 +395,20 @@ _GROUP = {
 
 @dataclass(frozen=True)
 class Term:
-    """One element that differs.
+    """An XML element that differs.
 
-    path      its place in words, from the section down: ``aerodynamics / axis PITCH / function aero/coefficient/Cmalpha / value``
-    a, b      what stands there, "" where nothing; a_where, b_where: file:line, "" likewise
-    group     group of channels it belongs to, "" where that is not known; channel: coefficient of its axis, ""
+    Attributes
+    ----------
+    path : str
+        Place in words, such as ``aerodynamics / axis PITCH / function aero/coefficient/Cmalpha``.
+    a, b : str
+        Content in each model; empty if it has no such element.
+    a_where, b_where : str
+        ``file:line``, empty likewise.
+    group : str
+        Group of channels that it affects; empty if unknown.
+    channel : str
+        Coefficient of its axis; empty outside the aerodynamics.
     """
 
     path: str
@@ -311,31 +422,40 @@ class Term:
 
 @dataclass(frozen=True)
 class _Line:
+    """An XML element as a line of text for the comparison."""
+
     key: str
     path: str
-    said: str
+    content: str
     where: str
     group: str
     channel: str
 
 
 def differing_terms(a: Path, b: Path) -> list[Term]:
-    """What differs between the XML of two aircraft folders, in the order of the files. Raises BadInputError."""
+    """Return the XML elements in which two aircraft folders differ, in the order of the files.
+
+    Raises
+    ------
+    BadInputError
+        If a folder holds no XML.
+    """
     first, second = _lines(a), _lines(b)
-    out: list[Term] = []
+    terms: list[Term] = []
     for name in sorted({*first, *second}):
         one, two = first.get(name, []), second.get(name, [])
+        # Lines are matched in order, so that an inserted element shifts nothing.
         matcher = SequenceMatcher(None, [x.key for x in one], [x.key for x in two], autojunk=False)
         for _, i, i_end, j, j_end in (code for code in matcher.get_opcodes() if code[0] != "equal"):
-            out += _paired(one[i:i_end], two[j:j_end])
-    return _without_inner(_without_moved(out))
+            terms += _paired(one[i:i_end], two[j:j_end])
+    return _without_inner(_without_moved(terms))
 
 
 def _without_moved(terms: list[Term]) -> list[Term]:
-    """The terms less elements that stand elsewhere in the same parent: gone in one place, added in another."""
-    gone = [(t.path, t.a) for t in terms if not t.b_where]
+    """Return the terms without elements that only moved within their parent."""
+    removed = [(t.path, t.a) for t in terms if not t.b_where]
     added = [(t.path, t.b) for t in terms if not t.a_where]
-    moved = [key for key in gone if key in added]
+    moved = [key for key in removed if key in added]
     return [
         t
         for t in terms
@@ -344,7 +464,7 @@ def _without_moved(terms: list[Term]) -> list[Term]:
 
 
 def _without_inner(terms: list[Term]) -> list[Term]:
-    """The terms less what lies in an element that is itself added or gone."""
+    """Return the terms without children of elements that are themselves added or removed."""
     out: list[Term] = []
     outer = ""
     for t in terms:
@@ -356,80 +476,88 @@ def _without_inner(terms: list[Term]) -> list[Term]:
     return out
 
 
-def _paired(one: list[_Line], two: list[_Line]) -> list[Term]:
-    """Lines that stand for each other, by their path, and those that have no counterpart."""
-    rest = list(two)
-    out = []
-    for x in one:
-        y = next((y for y in rest if y.path == x.path), None)
+def _paired(lines_a: list[_Line], lines_b: list[_Line]) -> list[Term]:
+    """Pair differing lines of equal path; the others have no counterpart."""
+    unpaired = list(lines_b)
+    terms = []
+    for x in lines_a:
+        y = next((y for y in unpaired if y.path == x.path), None)
         if y is not None:
-            rest.remove(y)
-        out.append(
+            unpaired.remove(y)
+        terms.append(
             Term(
                 x.path,
-                x.said,
-                y.said if y else "",
+                x.content,
+                y.content if y else "",
                 x.where,
                 y.where if y else "",
                 x.group,
                 x.channel,
             )
         )
-    out += [Term(y.path, "", y.said, "", y.where, y.group, y.channel) for y in rest]
-    return out
+    terms += [Term(y.path, "", y.content, "", y.where, y.group, y.channel) for y in unpaired]
+    return terms
 
 
 def _lines(folder: Path) -> dict[str, list[_Line]]:
-    out: dict[str, list[_Line]] = {}
+    """Return the elements of each XML file of a folder, file headers left out."""
+    lines_by_file: dict[str, list[_Line]] = {}
     for document in folder_documents(folder):
         relative = document.path.relative_to(folder).as_posix()
-        # The aircraft's own file is named for its folder, which may be another.
+        # The aircraft's main file is named after its folder, which may differ.
         name = "aircraft" if document.path.stem == folder.name else relative
-        found = out.setdefault(name, [])
+        lines = lines_by_file.setdefault(name, [])
         for node in document.root.walk():
             if node.tag in ("fileheader",) or any(
-                above.tag == "fileheader" for above in _above(node)
+                ancestor.tag == "fileheader" for ancestor in _ancestors(node)
             ):
                 continue
             if node is document.root:
                 continue
-            found.append(_line(node, f"{relative}:{node.line}", document.root.tag))
-    if not out:
+            lines.append(_line(node, f"{relative}:{node.line}", document.root.tag))
+    if not lines_by_file:
         raise BadInputError(f"{folder}: no XML to compare")
-    return out
+    return lines_by_file
 
 
 def _line(node: Node, where: str, root: str) -> _Line:
-    chain = [*reversed(list(_above(node))), node][1:]
+    """Return an element as a line with its place, content, and affected channels."""
+    chain = [*reversed(list(_ancestors(node))), node][1:]
     path = " / ".join(_label(n) for n in chain)
-    attributes = " ".join(f'{k}="{_number(v)}"' for k, v in sorted(node.attributes.items()))
-    said = " ".join(x for x in (_text(node.text), attributes) if x) or f"<{node.tag}>"
+    attributes = " ".join(
+        f'{k}="{_normalise_number(v)}"' for k, v in sorted(node.attributes.items())
+    )
+    content = " ".join(x for x in (_normalise_text(node.text), attributes) if x) or f"<{node.tag}>"
     section = chain[0].tag if chain else ""
+    # The coefficient of the axis that holds the element.
     axis = next((n.attributes.get("name", "").upper() for n in chain if n.tag == "axis"), "")
     group = _GROUP.get(section, _GROUP.get(root, ""))
-    return _Line(f"{path}|{said}", path, said, where, group, _AXIS.get(axis, ""))
+    return _Line(f"{path}|{content}", path, content, where, group, _AXIS.get(axis, ""))
 
 
-def _above(node: Node) -> Iterator[Node]:
-    above = node.parent
-    while above is not None:
-        yield above
-        above = above.parent
+def _ancestors(node: Node) -> Iterator[Node]:
+    """Yield the parents of an element, the nearest first."""
+    ancestor = node.parent
+    while ancestor is not None:
+        yield ancestor
+        ancestor = ancestor.parent
 
 
 def _label(node: Node) -> str:
+    """Return an element's tag and name."""
     name = node.attributes.get("name", "")
     if node.tag == "property" and not name:
         name = node.text.strip()
     return f"{node.tag} {name}".strip()
 
 
-def _text(text: str) -> str:
-    return " ".join(_number(word) for word in text.split())
+def _normalise_text(text: str) -> str:
+    """Return text with numbers by value and single blanks."""
+    return " ".join(_normalise_number(word) for word in text.split())
 
 
-def _number(word: str) -> str:
-    """A number by its value, anything else as it is."""
+def _normalise_number(word: str) -> str:
+    """Return a number by its value, and any other word unchanged."""
     try:
         return repr(float(word) + 0.0)
     except ValueError:
@@ -437,19 +565,31 @@ def _number(word: str) -> str:
 
 
 ROUNDING = 1e-9
-"""Share of a channel's range within which two orders of the same sums stay."""
-NUDGES = 1000.0
-"""How often the difference that one unit in the last place of the start makes is allowed: rounding acts in every frame."""
+"""Relative difference (of a channel's range) that a different order of summation may cause."""
+NUDGE_FACTOR = 1000.0
+"""Allowed multiple of the nudged flight's deviation: rounding acts in every frame, not once."""
 
 
 @dataclass(frozen=True)
 class Difference:
     """A channel in which two models differ in one flight.
 
-    from_s    time of the first frame beyond benign; size: largest difference in the channel's unit, at at_s
-    share     size over the channel's range in the flight of A (or its magnitude where it does not move)
-    times     size over what is benign there
-    terms     differing elements of the XML that may make it, the likeliest first
+    Attributes
+    ----------
+    channel, unit, group, flight : str
+        Which channel in which flight.
+    from_s : float
+        Time [s] of the first frame beyond the benign difference.
+    size, at_s : float
+        Largest difference [unit] and its time [s].
+    share : float
+        Size over the channel's range in A's flight (its magnitude if it hardly moves).
+    times : float
+        Size over the benign difference at that time.
+    a, b : float
+        Values of both models at that time.
+    terms : tuple of Term
+        Differing XML elements, the most likely cause first.
     """
 
     channel: str
@@ -468,60 +608,80 @@ class Difference:
 
 def differences(
     channels: Sequence[Channel],
-    flights: Iterable[Matched],
+    flights: Iterable[MatchedFlight],
     terms: Sequence[Term],
     tolerance: float = ROUNDING,
 ) -> list[Difference]:
-    """Everything beyond benign, ranked: first the flight and frame in which it shows first, then cause before effect.
+    """Return all differences beyond the benign ones, ranked.
 
-    tolerance: share of a channel's range that is benign in any case.
+    The order is by time of the first frame, then from cause to effect, then by size.
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+        Channels to compare.
+    flights : iterable of MatchedFlight
+        Matched flights.
+    terms : sequence of Term
+        Differing XML elements.
+    tolerance : float
+        Share of a channel's range that is always benign.
     """
-    found: list[tuple[tuple[float, ...], Difference]] = []
+    ranked: list[tuple[tuple[float, ...], Difference]] = []
     for order, flight in enumerate(flights):
         for channel in channels:
             if channel.name not in flight.a or channel.name not in flight.b:
                 continue
             row = _difference(channel, flight, terms, tolerance)
             if row is not None:
+                # Order: time, cause before effect, larger relative size, flight.
                 first, difference = row
-                found.append(((difference.from_s, channel.rank, -first, float(order)), difference))
-    return [d for _, d in sorted(found, key=lambda pair: pair[0])]
+                ranked.append(((difference.from_s, channel.rank, -first, float(order)), difference))
+    return [d for _, d in sorted(ranked, key=lambda pair: pair[0])]
 
 
-def by_channel(found: Sequence[Difference]) -> list[Difference]:
-    """The first row of each channel, in order."""
-    seen: dict[str, Difference] = {}
-    for d in found:
-        seen.setdefault(d.channel, d)
-    return list(seen.values())
+def by_channel(ranked: Sequence[Difference]) -> list[Difference]:
+    """Return the first difference of each channel, in order."""
+    first_rows: dict[str, Difference] = {}
+    for d in ranked:
+        first_rows.setdefault(d.channel, d)
+    return list(first_rows.values())
 
 
 def scale_of(channel: Channel, values: FloatArray) -> float:
-    """Range of a channel in a flight, or its magnitude where it hardly moves; never below its floor."""
+    """Return the scale of a channel in a flight, in its unit.
+
+    Its range, or its magnitude if it hardly moves, but at least its floor.
+    """
+    # A channel that hardly moves is scaled by its magnitude.
     reach = float(np.ptp(values)) if len(values) else 0.0
     magnitude = float(np.max(np.abs(values), initial=0.0))
     return max(reach if reach > 1e-3 * magnitude else magnitude, channel.floor)
 
 
 def _difference(
-    channel: Channel, flight: Matched, terms: Sequence[Term], tolerance: float
+    channel: Channel, flight: MatchedFlight, terms: Sequence[Term], tolerance: float
 ) -> tuple[float, Difference] | None:
+    """Return (relative size at the first frame, difference); None if all is benign."""
     a, b = flight.a[channel.name], flight.b[channel.name]
     scale = scale_of(channel, a)
-    # A start that is one unit off moves everything after it: what it has moved so far is what rounding may have.
+    # Benign: a multiple of the largest deviation so far of the nudged flight, a share of the range,
+    # and what A varies by itself.
     benign = np.maximum(
-        NUDGES * np.maximum.accumulate(np.abs(flight.nudged[channel.name] - a)), tolerance * scale
+        NUDGE_FACTOR * np.maximum.accumulate(np.abs(flight.nudged[channel.name] - a)),
+        tolerance * scale,
     )
     benign = np.maximum(benign, flight.varied.get(channel.name, 0.0))
-    apart = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(b - a))
-    beyond = ~(apart <= benign)
-    if not beyond.any():
+    # NaN in one model only counts as a difference, because NaN <= benign is False.
+    distance = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(b - a))
+    exceeds = ~(distance <= benign)
+    if not exceeds.any():
         return None
     start, worst = (
-        int(np.argmax(beyond)),
-        int(np.nanargmax(np.where(np.isnan(apart), np.inf, apart))),
+        int(np.argmax(exceeds)),
+        int(np.nanargmax(np.where(np.isnan(distance), np.inf, distance))),
     )
-    size = float(apart[worst])
+    size = float(distance[worst])
     difference = Difference(
         channel.name,
         channel.unit,
@@ -534,9 +694,9 @@ def _difference(
         size / float(benign[worst]),
         float(a[worst]),
         float(b[worst]),
-        likeliest(channel, terms),
+        rank_terms(channel, terms),
     )
-    return float(apart[start] / scale), difference
+    return float(distance[start] / scale), difference
 
 
 _NAMES = {
@@ -547,32 +707,36 @@ _NAMES = {
     "Cm": ("Cm",),
     "Cn": ("Cn",),
 }
-"""How authors begin the names of a coefficient's terms."""
+"""Prefixes of names that authors use for the terms of a coefficient."""
 
 
-def _named(term: Term, channel: Channel) -> bool:
-    """Whether some part of a term's path has a name that begins as the coefficient's do."""
+def _name_matches(term: Term, channel: Channel) -> bool:
+    """Return whether some name in a term's path begins like the coefficient's names."""
     words = (word for part in term.path.split(" / ") for word in part.split(" ")[1:])
     return any(
         word.rpartition("/")[2].startswith(_NAMES.get(channel.name, ("?",))) for word in words
     )
 
 
-def likeliest(channel: Channel, terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Terms that may move a channel: those of its own axis, then of its group, then of any group before it."""
+def rank_terms(channel: Channel, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Sort terms by how likely they affect a channel.
 
-    def nearness(term: Term) -> float:
-        if _named(term, channel):
+    First the terms of its own axis, then of its group, then of groups before it.
+    """
+
+    def penalty(term: Term) -> float:
+        if _name_matches(term, channel):
             return -1.0
         if term.channel and term.channel == channel.name:
             return 0.0
         if not term.group:
             return 9.0
+        # Terms of later groups cannot cause the difference.
         rank = GROUPS.index(term.group)
         if rank > channel.rank:
             return 8.0
-        # Aerodynamics of another axis is farther than a part that acts on all.
+        # Aerodynamics of another axis are less likely than a part that acts on all axes.
         other_axis = term.channel and channel.group.endswith("coefficients")
         return 1.0 + (channel.rank - rank) * 0.5 + (2.0 if other_axis else 0.0)
 
-    return tuple(sorted(terms, key=nearness))
+    return tuple(sorted(terms, key=penalty))

@@ -1,7 +1,8 @@
-"""An aircraft as it stood in a revision of a git repository: ``REVISION:PATH``.
+"""Aircraft from a revision of a git repository, given as ``REVISION:PATH``.
 
-The repository may be somebody else's. Its configuration can name programs (filters, hooks, remotes that hold missing objects, a
-file-system monitor), so git never sees it: git runs in an empty repository of ours that borrows the objects and the references.
+The repository may be untrusted: its configuration can name programs to run (filters, hooks, a
+file-system monitor, remotes for missing objects). Git therefore runs in an empty repository of this
+program, which borrows only objects and references of the other one.
 """
 
 from __future__ import annotations
@@ -18,21 +19,21 @@ from sysid.foreign.regular_files import in_words, read_regular
 from uqharness.errors import BadInputError
 from uqharness.simulator import Aircraft, find_aircraft
 
-MOST_FILES = 5_000
-MOST_BYTES = 64_000_000
-"""Files of an aircraft, and their content together; the largest of JSBSim's has 2 MB."""
+MAX_FILES = 5_000
+MAX_BYTES = 64_000_000
+"""Largest number of files of an aircraft and of bytes in them; JSBSim's largest has 2 MB."""
 _LISTING_BYTES = 4_000_000
 _REFERENCE_BYTES = 64_000_000
 _MEMORY_BYTES = 2_000_000_000
 _TIMEOUT_S = 60.0
-_SHOWN = 200
-"""Characters of what was asked for that a message repeats."""
+_MESSAGE_CHARACTERS = 200
+"""Characters of the user's text that a message repeats."""
 _FILE_MODES = (b"100644", b"100755")
 _EXAMPLE = "give REVISION:FOLDER, such as HEAD~1:aircraft/espaaro"
 
 
-def named_revision(text: str) -> tuple[str, str] | None:
-    """Revision and path of ``REVISION:PATH``; None for a name or a path that exists, and for a drive letter."""
+def split_revision(text: str) -> tuple[str, str] | None:
+    """Split ``REVISION:PATH``; None for a name, an existing path, or a drive letter."""
     revision, colon, path = text.partition(":")
     if not colon or len(revision) < 2 or not path or _exists(text):
         return None
@@ -40,37 +41,60 @@ def named_revision(text: str) -> tuple[str, str] | None:
 
 
 def aircraft_at(text: str, scratch: Path) -> Aircraft:
-    """An aircraft by name, folder or ``REVISION:PATH``, the last unpacked under ``scratch``. Raises BadInputError."""
-    found = named_revision(text)
-    if found is None:
+    """Return an aircraft by name, folder or ``REVISION:PATH``.
+
+    Parameters
+    ----------
+    text : str
+        Name, folder, or revision and path.
+    scratch : Path
+        Folder into which the files of a revision are unpacked.
+
+    Raises
+    ------
+    BadInputError
+        If there is no such aircraft, revision or repository, or git fails.
+    """
+    revision_and_path = split_revision(text)
+    if revision_and_path is None:
         return find_aircraft(text)
-    revision, path = found
-    shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    revision, path = revision_and_path
+    requested = text if len(text) <= _MESSAGE_CHARACTERS else f"{text[:_MESSAGE_CHARACTERS]}..."
     try:
         repository = _find_repository(Path.cwd())
         if repository is None:
-            raise BadInputError(f"{shown}: {Path.cwd()} is in no git repository; {_EXAMPLE}")
-        inside = _path_within(path, repository.top)
-        if inside is None:
+            raise BadInputError(f"{requested}: {Path.cwd()} is in no git repository; {_EXAMPLE}")
+        inner_path = _path_within(path, repository.top)
+        if inner_path is None:
             raise BadInputError(
-                f"{shown}: this path is outside the repository {repository.top}; {_EXAMPLE}"
+                f"{requested}: this path is outside the repository {repository.top}; {_EXAMPLE}"
             )
         scratch.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="git-", dir=scratch) as name:
-            reader = _Reader(repository, Path(name), shown)
-            files = reader.files(reader.commit(revision), inside)
+            reader = _Reader(repository, Path(name), requested)
+            files = reader.files(reader.commit(revision), inner_path)
             _write(files, scratch)
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise BadInputError(
-            f"{shown}: cannot be read: {' '.join(str(reason).split())}; {_EXAMPLE}"
+            f"{requested}: cannot be read: {' '.join(str(reason).split())}; {_EXAMPLE}"
         ) from None
-    return find_aircraft(scratch / inside)
+    return find_aircraft(scratch / inner_path)
 
 
 @dataclass(frozen=True)
 class _Repository:
-    """``top``: the working folder; ``folder``: its .git; ``common``: where objects and references are."""
+    """Folders of a repository.
+
+    Attributes
+    ----------
+    top : Path
+        Working folder.
+    folder : Path
+        Its ``.git`` folder.
+    common : Path
+        Folder of objects and references; another one for a worktree.
+    """
 
     top: Path
     folder: Path
@@ -78,7 +102,10 @@ class _Repository:
 
 
 def _find_repository(start: Path) -> _Repository | None:
-    """The repository that a folder is in, found without git, which would read its configuration."""
+    """Find the repository that contains a folder; None outside any.
+
+    Git itself is not asked, because it would read the repository's configuration.
+    """
     for top in (start, *start.parents):
         place = top / ".git"
         if place.is_file():  # of a worktree or a submodule
@@ -94,27 +121,30 @@ def _find_repository(start: Path) -> _Repository | None:
 
 
 def _path_within(path: str, top: Path) -> str | None:
-    """A path, relative to the working folder or absolute, as git writes it below ``top``; None outside and at ``top`` itself."""
+    """Return a path as git writes it below ``top``; None outside it and for ``top`` itself."""
+    # Relative paths count from the working folder.
     full = posixpath.normpath(posixpath.join(Path.cwd().as_posix(), path))
     inside = posixpath.relpath(full, top.as_posix())
     return None if "\0" in path or inside == "." or inside.split("/")[0] == ".." else inside
 
 
 class _Reader:
-    """Git in an empty repository in ``place`` with the objects and references of another one."""
+    """Git in an empty repository that borrows objects and references of another one."""
 
     def __init__(self, repository: _Repository, place: Path, requested: str) -> None:
         self._place, self._requested = place, requested
         objects = repository.common / "objects"
+        # Alternates could point anywhere.
         if (objects / "info" / "alternates").exists():
             raise BadInputError(
-                f"{requested}: the repository keeps objects elsewhere (objects/info/alternates), and "
-                f"these are not read; make a full clone of it and run there"
+                f"{requested}: the repository keeps objects elsewhere (objects/info/alternates),"
+                " and these are not read; make a full clone of it and run there"
             )
         for name in ("objects", "refs"):
             (place / name).mkdir()
         (place / "config").write_text(_config(repository.common), encoding="utf-8")
         remaining = _REFERENCE_BYTES
+        # Worktrees have references of their own.
         for source in (repository.common, repository.folder):
             for name in ("packed-refs", "HEAD", "refs", "logs"):
                 remaining = _copy_references(source / name, place / name, remaining)
@@ -134,24 +164,30 @@ class _Reader:
         }
 
     def commit(self, revision: str) -> str:
-        """The commit that a revision names."""
+        """Return the hash of the commit that a revision names."""
+        # --end-of-options keeps a revision from being read as an option.
         words = ["rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}"]
         name = self._run(words, 1000).decode("ascii", "replace").strip()
         if not name or not set(name) <= set("0123456789abcdef"):
             raise BadInputError(
-                f"{self._requested}: the repository has no revision {revision[:_SHOWN]!r}; {_EXAMPLE}"
+                f"{self._requested}: the repository has no revision"
+                f" {revision[:_MESSAGE_CHARACTERS]!r}; {_EXAMPLE}"
             )
         return name
 
     def files(self, commit: str, folder: str) -> dict[str, bytes]:
-        """Content of every regular file below a folder of a commit, by path; sizes are looked at before anything is read."""
+        """Return path and content of every regular file below a folder of a commit.
+
+        Number and size are checked before any content is read.
+        """
         listing = self._run(["ls-tree", "-r", "-l", "-z", commit, "--", folder], _LISTING_BYTES)
         sizes: dict[str, tuple[str, int]] = {}
         for line in filter(None, listing.split(b"\0")):
             facts, _, name = line.partition(b"\t")
+            # Columns of ls-tree -l: mode, type, object, size.
             mode, kind, blob, size = facts.split()
             path = os.fsdecode(name)
-            # A link leads out of the folder, and a submodule is in another repository.
+            # Links lead out of the folder, and submodules are in another repository.
             if mode in _FILE_MODES and kind == b"blob" and path.startswith(f"{folder}/"):
                 if not _is_plain(path):
                     raise BadInputError(
@@ -161,16 +197,18 @@ class _Reader:
         total = sum(size for _, size in sizes.values())
         if not sizes:
             raise BadInputError(
-                f"{self._requested}: the revision has no folder {folder[:_SHOWN]} with files; {_EXAMPLE}"
+                f"{self._requested}: the revision has no folder {folder[:_MESSAGE_CHARACTERS]} with"
+                f" files; {_EXAMPLE}"
             )
-        if len(sizes) > MOST_FILES or total > MOST_BYTES:
+        if len(sizes) > MAX_FILES or total > MAX_BYTES:
             raise BadInputError(
-                f"{self._requested}: has {len(sizes)} files of {in_words(total)} together; an aircraft "
-                f"may have {MOST_FILES} of {in_words(MOST_BYTES)}"
+                f"{self._requested}: has {len(sizes)} files of {in_words(total)} together; an"
+                f" aircraft may have {MAX_FILES} of {in_words(MAX_BYTES)}"
             )
         names = "".join(f"{blob}\n" for blob, _ in sizes.values())
-        most = total + 200 * len(sizes)
-        content = self._run(["cat-file", "--batch"], most, names.encode())
+        limit = total + 200 * len(sizes)
+        # One process reads all files; each is preceded by a header line and followed by a line end.
+        content = self._run(["cat-file", "--batch"], limit, names.encode())
         files: dict[str, bytes] = {}
         position = 0
         for path, (_, length) in sizes.items():
@@ -179,21 +217,25 @@ class _Reader:
             position = begin + length + 1
         return files
 
-    def _run(self, words: Sequence[str], most_bytes: int, given: bytes = b"") -> bytes:
-        """What a git command prints; BadInputError where it fails, prints more than ``most_bytes`` or takes too long."""
+    def _run(self, words: Sequence[str], max_bytes: int, stdin: bytes = b"") -> bytes:
+        """Run a git command and return its output.
+
+        Raises BadInputError if it fails, prints more than ``max_bytes``, or takes too long.
+        """
         output = self._place / "output"
         try:
             with output.open("wb") as handle:
-                done = subprocess.run(
+                process = subprocess.run(
                     ["git", *words],
                     cwd=self._place,
                     env=self._environment,
-                    input=given,
+                    input=stdin,
                     stdout=handle,
                     stderr=subprocess.PIPE,
                     check=False,
                     timeout=_TIMEOUT_S,
-                    preexec_fn=None if os.name == "nt" else _limits(most_bytes),
+                    # POSIX only: limits that the child sets for itself.
+                    preexec_fn=None if os.name == "nt" else _limits(max_bytes),
                 )
         except FileNotFoundError:
             raise BadInputError(
@@ -201,35 +243,38 @@ class _Reader:
             ) from None
         except subprocess.TimeoutExpired:
             raise BadInputError(
-                f"{self._requested}: git {words[0]} took more than {_TIMEOUT_S:g} s; the repository is "
-                "damaged or made to hold it up"
+                f"{self._requested}: git {words[0]} took more than {_TIMEOUT_S:g} s; the repository"
+                " is damaged or made to hold it up"
             ) from None
-        if done.returncode and words[0] != "rev-parse":
-            lines = done.stderr.decode(errors="replace").strip().splitlines()
+        if process.returncode and words[0] != "rev-parse":
+            lines = process.stderr.decode(errors="replace").strip().splitlines()
             reason = (
                 " ".join(lines[-1].split())
                 if lines
                 else "stopped at the limit of memory or of output"
             )
             raise BadInputError(f"{self._requested}: git {words[0]}: {reason[:300]}; {_EXAMPLE}")
-        return read_regular(output, most_bytes + 1)
+        return read_regular(output, max_bytes + 1)
 
 
-def _limits(most_bytes: int) -> Callable[[], None]:
-    """Limits that a git process sets itself before it begins."""
+def _limits(max_bytes: int) -> Callable[[], None]:
+    """Return a function that limits memory and output of the child before git starts."""
 
     def limit() -> None:
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
-        resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes + 1, most_bytes + 1))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes + 1, max_bytes + 1))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
     return limit
 
 
 def _config(common: Path) -> str:
-    """Our own configuration; of the repository's, only the kind of its hashes matters, which its own words tell."""
+    """Return the configuration of the empty repository.
+
+    Only the hash algorithm is taken from the other repository's configuration.
+    """
     sha256 = False
     path = common / "config"
     if path.is_file():
@@ -245,7 +290,7 @@ def _config(common: Path) -> str:
 
 
 def _copy_references(source: Path, target: Path, remaining: int) -> int:
-    """Copy a file or folder of references, links left out; how many bytes may still be copied."""
+    """Copy references without links; return the bytes that may still be copied."""
     if source.is_symlink():
         return remaining
     if source.is_dir():
@@ -255,7 +300,7 @@ def _copy_references(source: Path, target: Path, remaining: int) -> int:
     elif source.is_file():
         content = read_regular(source, remaining)
         target.write_bytes(content)
-        # An empty file takes a place on the disk too.
+        # Each file counts at least 100 bytes, so that many empty files end the copy too.
         remaining -= len(content) + 100
         if remaining <= 0:
             raise ValueError(
@@ -265,11 +310,13 @@ def _copy_references(source: Path, target: Path, remaining: int) -> int:
 
 
 def _is_plain(path: str) -> bool:
+    """Return whether a path has no part that leads elsewhere on any system."""
     parts = path.split("/")
     return not any(part in ("", ".", "..") or "\\" in part or ":" in part for part in parts)
 
 
 def _write(files: dict[str, bytes], folder: Path) -> None:
+    """Write files below a folder."""
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -277,6 +324,7 @@ def _write(files: dict[str, bytes], folder: Path) -> None:
 
 
 def _exists(text: str) -> bool:
+    """Return whether a path exists; False for text that is no path."""
     try:
         return Path(text).exists()
     except (OSError, ValueError):

@@ -1,4 +1,9 @@
-"""The evidence that a folder of results holds, laid out as those who judge a model read it. Reads files; flies and fits nothing."""
+"""Evidence in a folder of results, arranged for those who assess a model.
+
+`evidence` lists what the commands wrote and what is missing, and sorts it by the credibility
+factors of NASA-STD-7009. `match` compares model and flight by the objective tests of 14 CFR Part
+60. Both only read files; nothing is simulated or estimated here.
+"""
 
 import lazy_loader
 

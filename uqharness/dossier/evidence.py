@@ -1,4 +1,9 @@
-"""What a folder of results holds: its parts in the order in which they were made, the files they rest on, what is missing."""
+"""Inventory of a folder of results: the steps in order, their source files, and what is missing.
+
+`read_evidence` finds the results of every command below a folder by their marker files, checks
+recorded SHA-256 digests, and lists gaps as sentences. `factors` then sorts the evidence by the
+eight credibility factors of NASA-STD-7009. The report page `dossier` prints both.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +15,7 @@ from typing import Any
 
 from sysid.digests import file_sha256
 from uqharness.campaign.folder import read_complete
-from uqharness.dossier.match import FAIL, PASS, UNSURE, Match
+from uqharness.dossier.match import FAIL, INCONCLUSIVE, PASS, Match
 from uqharness.errors import BadInputError
 from uqharness.replay import HISTORIES, History, read_histories
 from uqharness.result_documents import (
@@ -34,7 +39,7 @@ _MARKS: tuple[tuple[str, str, type[Part] | None], ...] = (
     ("coverage.json", "validate-bounds", Coverage),
     ("manifest.json", "campaign", None),
 )
-"""File that marks a folder's results, the command that writes it, and what it has to look like."""
+"""Marker file of a command's results, the command, and the model that validates the file."""
 _LEFTOVERS = (
     ("model.diff", "refine", "refinement.json"),
     ("journal.sqlite", "campaign", "manifest.json"),
@@ -44,7 +49,7 @@ _LEFTOVERS = (
     ("model-form.xml", "bounds", "model-form.json"),
     ("campaign-before.toml", STUDY, "study.json"),
 )
-"""File that a command leaves beside its mark, from which a folder that has lost its mark is known."""
+"""Further file of a command; without the marker file (third entry), the results are damaged."""
 _COMPANIONS: Mapping[str, tuple[str, ...]] = {
     "identify": (HISTORIES, "aircraft"),
     "refine": (HISTORIES, "model.diff", "aircraft"),
@@ -52,20 +57,29 @@ _COMPANIONS: Mapping[str, tuple[str, ...]] = {
     "bounds": ("bounds.json",),
     "campaign": ("cases.parquet", "statements.csv", "pbox.parquet"),
 }
+"""Files that a command writes next to its marker file."""
 _NOT_LISTED = frozenset({"report.html", "dossier.html", "run.lock"})
 _NOT_ENTERED = frozenset(
     {"figures", "aircraft", "log", "before", "intervals", "shards", "flights", "Systems", "systems"}
 )
 _ORDER = ("identify", "compare", "bounds", "validate-bounds", "campaign", "refine", STUDY)
-_DEEPEST = 3
+_MAX_DEPTH = 3
 
 
 @dataclass(frozen=True)
 class Step:
-    """One command's results.
+    """Results of one command.
 
-    kind      identify, refine, ...; place: its folder within the folder of results, "." for that itself
-    document  what its mark says; None where that cannot be read
+    Attributes
+    ----------
+    kind : str
+        Command, such as ``identify`` or ``refine``.
+    place : str
+        Folder relative to the folder of results; ``"."`` for that folder itself.
+    folder : Path
+        The same folder as a path.
+    document : mapping or None
+        Content of the marker file; None if it cannot be read.
     """
 
     kind: str
@@ -75,19 +89,29 @@ class Step:
 
     @property
     def command(self) -> str:
-        """The command line that made it, "" where it is not recorded."""
+        """Return the command line that wrote the results; empty if it is not recorded."""
         return str((self.document or {}).get("command") or "")
 
     @property
     def version(self) -> str:
-        """Version of the program that made it, "" where it is not recorded."""
-        found = self.document or {}
-        return str(found.get("version") or found.get("versions", {}).get("uqharness") or "")
+        """Return the version of uqharness that wrote the results; empty if it is not recorded."""
+        document = self.document or {}
+        return str(document.get("version") or document.get("versions", {}).get("uqharness") or "")
 
 
 @dataclass(frozen=True)
 class Source:
-    """A file that the dossier rests on; command and version are of the step that wrote it, "" where not recorded."""
+    """A file that the dossier cites.
+
+    Attributes
+    ----------
+    file : str
+        Path relative to the folder of results.
+    sha256 : str
+        Digest of its content.
+    command, version : str
+        Of the step that wrote the file; empty if not recorded.
+    """
 
     file: str
     sha256: str
@@ -97,7 +121,19 @@ class Source:
 
 @dataclass
 class Evidence:
-    """A folder's content. missing: sentences, of what should be there and is not, or is not as it was written."""
+    """Content of a folder of results.
+
+    Attributes
+    ----------
+    folder : Path
+        The folder.
+    steps : list of Step
+        Steps in the order in which they were run.
+    sources : list of Source
+        Files of the steps, with their digests.
+    missing : list of str
+        One sentence for each file that is missing, unreadable or altered.
+    """
 
     folder: Path
     steps: list[Step] = field(default_factory=list)
@@ -105,54 +141,75 @@ class Evidence:
     missing: list[str] = field(default_factory=list)
 
     def of(self, kind: str) -> list[Step]:
-        """Steps of a kind that can be read, in order."""
+        """Return the readable steps of one kind, in order."""
         return [s for s in self.steps if s.kind == kind and s.document is not None]
 
     def histories(self, step: Step) -> list[History]:
-        """Segments of a step, none where they cannot be read; that is then said among what is missing."""
+        """Return the replayed segments of a step; an unreadable file is reported in `missing`."""
         try:
             return read_histories(step.folder / HISTORIES)
         except BadInputError as error:
-            self.say_error(error)
+            self.add_error(error)
             return []
 
-    def say_error(self, error: BadInputError) -> None:
-        """Add an error's words, without the place of the folder: a copy elsewhere gives the same dossier."""
-        self.say(str(error).replace(f"{self.folder}/", "").replace(str(self.folder), "DIR"))
+    def add_error(self, error: BadInputError) -> None:
+        """Add an error message to `missing`, with paths relative to the folder.
 
-    def say(self, text: str) -> None:
-        """Add to what is missing, once."""
+        A copy of the folder elsewhere must give the same dossier.
+        """
+        self.add_missing(str(error).replace(f"{self.folder}/", "").replace(str(self.folder), "DIR"))
+
+    def add_missing(self, text: str) -> None:
+        """Add a sentence to `missing` unless it is there already."""
         if text not in self.missing:
             self.missing.append(text)
 
 
 def read_evidence(folder: Path) -> Evidence:
-    """Everything of a folder of results that can be read.
+    """Read all results in a folder and its subfolders.
 
-    A folder that is incomplete or damaged is no error: what is wrong stands in ``missing``. Raises BadInputError for a folder that
-    no command of this program wrote.
+    Incomplete or damaged results are listed in `Evidence.missing`; they are no error.
+
+    Parameters
+    ----------
+    folder : Path
+        Output folder of ``study``, ``refine``, ``campaign run`` or ``identify``.
+
+    Returns
+    -------
+    Evidence
+        Steps, source files and gaps.
+
+    Raises
+    ------
+    BadInputError
+        If the path is no folder, or no command of this program wrote to it.
     """
     if not folder.is_dir():
         raise BadInputError(
-            f"{folder}: is no folder; dossier takes the --out of study, refine, campaign run or identify"
+            f"{folder}: is no folder; dossier takes the --out of study, refine, campaign run or"
+            " identify"
         )
-    found = Evidence(folder)
-    for place in _folders(folder):
-        _read_place(found, place)
-    if not found.steps:
-        looked = ", ".join(name for name, _, _ in _MARKS)
+    evidence = Evidence(folder)
+    for subfolder in _folders(folder):
+        _read_folder(evidence, subfolder)
+    if not evidence.steps:
+        marker_files = ", ".join(name for name, _, _ in _MARKS)
         raise BadInputError(
-            f"{folder}: no results of this program; looked for {looked}, also in the folders below"
+            f"{folder}: no results of this program; looked for {marker_files}, also in the folders"
+            " below"
         )
-    _read_study(found)
-    found.steps = sorted(found.steps, key=lambda s: _place_in_order(found, s))
-    for step in found.steps:
-        _read_companions(found, step)
-    _list_sources(found)
-    return found
+    # Gaps reported by a study come first, then missing companions of each step.
+    _read_study(evidence)
+    evidence.steps = sorted(evidence.steps, key=lambda s: _sort_key(evidence, s))
+    for step in evidence.steps:
+        _read_companions(evidence, step)
+    _list_sources(evidence)
+    return evidence
 
 
 def _folders(folder: Path) -> Iterator[Path]:
+    """Yield the folder and its subfolders, sorted, at most `_MAX_DEPTH` levels deep."""
     yield folder
 
     def below(at: Path, depth: int) -> Iterator[Path]:
@@ -162,157 +219,180 @@ def _folders(folder: Path) -> Iterator[Path]:
             if p.is_dir() and not p.is_symlink() and p.name not in _NOT_ENTERED
         ):
             yield path
-            if depth < _DEEPEST:
+            if depth < _MAX_DEPTH:
                 yield from below(path, depth + 1)
 
     yield from below(folder, 1)
 
 
-def _read_place(found: Evidence, place: Path) -> None:
-    here = place.relative_to(found.folder).as_posix()
+def _read_folder(evidence: Evidence, place: Path) -> None:
+    """Add the steps whose marker files lie in one folder."""
+    relative = place.relative_to(evidence.folder).as_posix()
     marks = [mark for mark in _MARKS if (place / mark[0]).is_file()]
     for name, kind, shape in marks:
         try:
-            document = _document(place, name, kind, shape)
+            document = _read_result(place, name, kind, shape)
         except BadInputError as error:
-            found.say_error(error)
+            evidence.add_error(error)
             document = None
-        found.steps.append(Step(kind, here, place, document))
-    known = {kind for _, kind, _ in marks}
+        evidence.steps.append(Step(kind, relative, place, document))
+    # A command's other files without its marker file mean that the marker was lost.
+    marked_kinds = {kind for _, kind, _ in marks}
     for leftover, kind, mark in _LEFTOVERS:
-        if kind not in known and (place / leftover).is_file():
-            known.add(kind)
-            found.say(
-                f"{_at(here, mark)} is not there, beside {leftover}: what {kind} found cannot be told"
+        if kind not in marked_kinds and (place / leftover).is_file():
+            marked_kinds.add(kind)
+            evidence.add_missing(
+                f"{_join(relative, mark)} is not there, beside {leftover}: the results"
+                f" of {kind} are unknown"
             )
-            found.steps.append(Step(kind, here, place, None))
+            evidence.steps.append(Step(kind, relative, place, None))
 
 
-def _document(place: Path, name: str, kind: str, shape: type[Part] | None) -> Mapping[str, Any]:
+def _read_result(place: Path, name: str, kind: str, shape: type[Part] | None) -> Mapping[str, Any]:
+    """Read and validate a marker file."""
+    # A campaign's folder has a stricter reader of its own.
     if kind == "campaign":
         return read_complete(place)
     if kind == "bounds":
         form = read_document(place / name, Part)
-        beside = place / "bounds.json"
-        made_for = form.get("aircraft")
-        digest = made_for.get("sha256", "") if isinstance(made_for, dict) else ""
+        bounds_file = place / "bounds.json"
+        # The dossier compares this digest with that of the aircraft that a campaign flew.
+        aircraft = form.get("aircraft")
+        digest = aircraft.get("sha256", "") if isinstance(aircraft, dict) else ""
         return (
             form
-            | (read_document(beside, Bounds) if beside.is_file() else {})
+            | (read_document(bounds_file, Bounds) if bounds_file.is_file() else {})
             | {"aircraft_sha256": str(digest)}
         )
     assert shape is not None
     return read_document(place / name, shape)
 
 
-def _read_study(found: Evidence) -> None:
-    """What a study says of its own stages: their folders, and the digests of what they wrote."""
-    for study in found.of(STUDY):
+def _read_study(evidence: Evidence) -> None:
+    """Report stages of a study that are unfinished, lack their folder, or have altered outputs."""
+    for study in evidence.of(STUDY):
         assert study.document is not None
         for stage in study.document["stages"]:
             name = stage["name"]
+            # Stages that did not finish have no outputs to check.
             if stage["state"] != "done":
-                found.say(
+                evidence.add_missing(
                     f"stage {name} is {stage['state']}"
                     + (f": {stage['error']}" if stage.get("error") else "")
                 )
                 continue
             if stage.get("folder") and not (study.folder / stage["folder"]).is_dir():
-                found.say(
-                    f"stage {name}: its folder {_at(study.place, stage['folder'])} is not there"
+                evidence.add_missing(
+                    f"stage {name}: its folder {_join(study.place, stage['folder'])} is not there"
                 )
             for file, digest in (stage.get("outputs") or {}).items():
-                _check(found, study.folder / file, str(digest), f"stage {name}")
+                _check_digest(evidence, study.folder / file, str(digest), f"stage {name}")
 
 
-def _check(found: Evidence, path: Path, digest: str, who: str) -> None:
-    """Say it where a file is gone or has another content than its recorded digest."""
+def _check_digest(evidence: Evidence, path: Path, digest: str, recorded_by: str) -> None:
+    """Report a file that is missing or whose SHA-256 differs from the recorded one.
+
+    ``recorded_by`` begins the sentence, such as ``stage fit``. Folders and values that are no
+    digest are ignored.
+    """
     name = (
-        path.relative_to(found.folder).as_posix()
-        if path.is_relative_to(found.folder)
+        path.relative_to(evidence.folder).as_posix()
+        if path.is_relative_to(evidence.folder)
         else path.name
     )
+    # Folders and values that are no SHA-256 are not checked.
     if not re.fullmatch(r"[0-9a-f]{64}", digest) or path.is_dir():
         return
     if not path.is_file():
-        found.say(f"{who}: {name} is not there")
+        evidence.add_missing(f"{recorded_by}: {name} is not there")
     elif file_sha256(path) != digest:
-        found.say(f"{who}: {name} is not the file that was written (its SHA-256 differs)")
+        evidence.add_missing(
+            f"{recorded_by}: {name} is not the file that was written (its SHA-256 differs)"
+        )
 
 
-def _read_companions(found: Evidence, step: Step) -> None:
+def _read_companions(evidence: Evidence, step: Step) -> None:
+    """Report missing companion files of a step, and campaign tables that were altered."""
     tables = (step.document or {}).get("tables") or {} if step.kind == "campaign" else {}
     for name in _COMPANIONS.get(step.kind, ()):
         if name not in tables and not (step.folder / name).exists():
-            found.say(f"{_at(step.place, name)} is not there, which {step.kind} writes")
+            evidence.add_missing(
+                f"{_join(step.place, name)} is not there, which {step.kind} writes"
+            )
     for name, digest in tables.items():
-        _check(found, step.folder / name, str(digest), "campaign")
+        _check_digest(evidence, step.folder / name, str(digest), "campaign")
 
 
-def _place_in_order(found: Evidence, step: Step) -> tuple[float, int, str]:
-    """Stages as a study orders them; else what a chain of commands would do first, refinements after what they began from."""
-    for study in found.of(STUDY):
+def _sort_key(evidence: Evidence, step: Step) -> tuple[float, int, str]:
+    """Return the sort key of a step: a study's own order, else the usual order of commands.
+
+    Refinements follow the step that wrote their aircraft.
+    """
+    for study in evidence.of(STUDY):
         assert study.document is not None
+        # Within a study, its order of stages decides.
         order = [stage.get("folder") for stage in study.document["stages"]]
         if step.place in order:
             return float(order.index(step.place)), 0, step.place
     if step.kind == STUDY:
         return 1e9, 0, step.place
-    return 1e6 + _ORDER.index(step.kind), _generation(found, step, frozenset()), step.place
+    return 1e6 + _ORDER.index(step.kind), _generation(evidence, step, frozenset()), step.place
 
 
-def _generation(found: Evidence, step: Step, seen: frozenset[str]) -> int:
-    """How many other steps of the folder stand between a step's aircraft and an aircraft from elsewhere."""
+def _generation(evidence: Evidence, step: Step, visited: frozenset[str]) -> int:
+    """Return the number of steps between a step's aircraft and an external aircraft."""
+    # The third word of a command line is the aircraft.
     words = step.command.split()
-    for other in found.steps:
+    for other in evidence.steps:
         name = Path(other.place).name
         if (
             other is not step
-            and other.place not in seen
+            and other.place not in visited
             and name
             and any(name in Path(w).parts for w in words[2:3])
         ):
-            return 1 + _generation(found, other, seen | {step.place})
+            return 1 + _generation(evidence, other, visited | {step.place})
     return 0
 
 
-def _list_sources(found: Evidence) -> None:
-    """Every file of a step's own folder, and of the aircraft it wrote."""
+def _list_sources(evidence: Evidence) -> None:
+    """List each file of each step once, with its digest."""
     listed: set[Path] = set()
-    for step in found.steps:
+    for step in evidence.steps:
         for path in _files(step.folder):
             if path not in listed:
                 listed.add(path)
-                name = path.relative_to(found.folder).as_posix()
-                found.sources.append(Source(name, file_sha256(path), step.command, step.version))
+                name = path.relative_to(evidence.folder).as_posix()
+                evidence.sources.append(Source(name, file_sha256(path), step.command, step.version))
 
 
 def _files(folder: Path) -> Sequence[Path]:
-    own = [
+    """Return the files of a step's folder, its aircraft and its flights, sorted."""
+    step_files = [
         p
         for p in folder.iterdir()
         if p.is_file() and not p.is_symlink() and p.name not in _NOT_LISTED
     ]
-    beside = [
+    aircraft_and_flights = [
         p
         for name in ("aircraft", "before", "flights")
         for p in (folder / name).rglob("*")
         if p.is_file() and not p.is_symlink() and p.suffix in (".xml", ".toml", ".bin", ".parquet")
     ]
-    # A database that is opened for reading may be tidied up: its bytes are no evidence.
+    # SQLite rewrites a database on reading, so its digest is no evidence.
     return sorted(
         p
-        for p in (*own, *beside)
+        for p in (*step_files, *aircraft_and_flights)
         if p.suffix not in (".sqlite", ".lock") and not p.name.endswith(("-wal", "-shm"))
     )
 
 
-def _at(place: str, name: str) -> str:
+def _join(place: str, name: str) -> str:
+    """Return a file name relative to the folder of results."""
     return name if place == "." else f"{place}/{name}"
 
 
-# Evidence of a folder by NASA-STD-7009's factors of credibility. No level is given: that is for
-# those who use the model.
+# Credibility factors of NASA-STD-7009. No level is assigned: that is left to the user of the model.
 
 STANDARD = "NASA-STD-7009B"
 NOT_ASSESSED = "not assessed"
@@ -321,24 +401,47 @@ ENGINE_CHECK = "engine-check.csv"
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor, what it is about, and what the folder holds of it; no evidence is "not assessed"."""
+    """One credibility factor.
+
+    Attributes
+    ----------
+    name, about : str
+        Name in the standard, and what it covers.
+    evidence : tuple of str
+        Statements; empty if the folder holds no evidence ("not assessed").
+    """
 
     name: str
     about: str
     evidence: tuple[str, ...]
 
 
-def factors(found: Evidence, match: Match) -> tuple[Factor, ...]:
-    """The eight factors with the folder's evidence."""
-    return tuple(Factor(name, about, tuple(says(found, match))) for name, about, says in _FACTORS)
+def factors(evidence: Evidence, match: Match) -> tuple[Factor, ...]:
+    """Return the eight credibility factors of NASA-STD-7009 with their evidence.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Content of the folder.
+    match : Match
+        Objective tests of its segments.
+
+    Returns
+    -------
+    tuple of Factor
+        In the order of the standard.
+    """
+    return tuple(
+        Factor(name, about, tuple(collect(evidence, match))) for name, about, collect in _FACTORS
+    )
 
 
-def flown_by_simulation(found: Evidence) -> list[str]:
-    """Aircraft that flew a study's flights in place of a real one."""
+def simulating_models(evidence: Evidence) -> list[str]:
+    """Return the models that simulated the flights of a study, each once, in order."""
     stages = [
         s
-        for study in found.of(STUDY)
-        for s in _credibility_document(study)["stages"]
+        for study in evidence.of(STUDY)
+        for s in _document_of(study)["stages"]
         if s["kind"] == "fly"
     ]
     return list(
@@ -348,73 +451,77 @@ def flown_by_simulation(found: Evidence) -> list[str]:
     )
 
 
-def _data(found: Evidence, _: Match) -> list[str]:
-    said = []
-    for aircraft in flown_by_simulation(found):
-        said.append(
+def _data_pedigree(evidence: Evidence, _: Match) -> list[str]:
+    """State the flights that the model was identified and refined from."""
+    statements = []
+    for aircraft in simulating_models(evidence):
+        statements.append(
             f"the flights are simulated, by the model {aircraft}: none is of a real aircraft"
         )
-    for step in found.of("identify"):
-        digests = _credibility_document(step).get("flights_sha256") or []
-        names = ", ".join(_credibility_document(step)["flights"])
+    for step in evidence.of("identify"):
+        digests = _document_of(step).get("flights_sha256") or []
+        names = ", ".join(_document_of(step)["flights"])
         with_digest = "with SHA-256" if digests else "without a digest"
-        said.append(f"{_credibility_at(step)}: identified from {names}, recorded {with_digest}")
-        noise = {c: row.get("noise") for c, row in _credibility_document(step)["fit"].items()}
-        known = sum(value is not None for value in noise.values())
-        said.append(
-            f"{_credibility_at(step)}: sensor noise estimated for {known} of {len(noise)} channels"
+        statements.append(f"{_place_of(step)}: identified from {names}, recorded {with_digest}")
+        noise = {c: row.get("noise") for c, row in _document_of(step)["fit"].items()}
+        n_estimated = sum(value is not None for value in noise.values())
+        statements.append(
+            f"{_place_of(step)}: sensor noise estimated for {n_estimated} of {len(noise)} channels"
         )
-    for step in found.of("refine"):
+    for step in evidence.of("refine"):
         train, test = (
-            ", ".join(_credibility_document(step).get(k, ())) or "not recorded"
-            for k in ("train", "test")
+            ", ".join(_document_of(step).get(k, ())) or "not recorded" for k in ("train", "test")
         )
-        said.append(
-            f"{_credibility_at(step)}: effects chosen on {train}, shown on the hold-out flights {test}"
+        statements.append(
+            f"{_place_of(step)}: effects chosen on {train}, shown on the hold-out flights {test}"
         )
-    return said
+    return statements
 
 
-def _verification(found: Evidence, _: Match) -> list[str]:
-    # Imported here: a folder without a campaign needs none of it.
+def _verification(evidence: Evidence, _: Match) -> list[str]:
+    """State the comparison of engines and the convergence of estimations."""
+    # Imported here: loading it is slow, and folders without a campaign need none of it.
     from uqharness.campaign.folder import read_check
 
-    said = []
-    for step in found.of("campaign"):
+    statements = []
+    for step in evidence.of("campaign"):
         rows = read_check(step.folder)
         if not rows and (step.folder / ENGINE_CHECK).is_file():
-            found.say(f"{_credibility_at(step)}: {ENGINE_CHECK} cannot be read")
+            evidence.add_missing(f"{_place_of(step)}: {ENGINE_CHECK} cannot be read")
         if rows:
             alike = sum(row.verdict == "alike" for row in rows)
             excused = sum(row.verdict == "excused" for row in rows)
             flights = len({row.case_id for row in rows})
-            said.append(
-                f"{_credibility_at(step)}: {flights} flights flown by a second engine as well; of {len(rows)} metrics {alike} are alike, "
-                f"{excused} excused with a reason, {len(rows) - alike - excused} differ (engine-check.csv)"
+            statements.append(
+                f"{_place_of(step)}: {flights} flights flown by a second engine as well; of"
+                f" {len(rows)} metrics {alike} are alike, {excused} excused with a reason,"
+                f" {len(rows) - alike - excused} differ (engine-check.csv)"
             )
-    for step in found.of("identify"):
-        converged = (
-            "converged" if _credibility_document(step).get("converged") else "did not converge"
-        )
-        said.append(f"{_credibility_at(step)}: the estimation {converged}")
-    return said
+    for step in evidence.of("identify"):
+        converged = "converged" if _document_of(step).get("converged") else "did not converge"
+        statements.append(f"{_place_of(step)}: the estimation {converged}")
+    return statements
 
 
-def _validation(found: Evidence, match: Match) -> list[str]:
-    said = []
+def _validation(evidence: Evidence, match: Match) -> list[str]:
+    """State the outcome of objective tests, refinement and comparison."""
+    statements = []
     counts = {
-        answer: sum(j.answer == answer for j in match.judged) for answer in (PASS, FAIL, UNSURE)
+        answer: sum(j.answer == answer for j in match.results)
+        for answer in (PASS, FAIL, INCONCLUSIVE)
     }
-    if match.judged:
-        said.append(
-            f"proof of match: {len(match.judged)} segments judged by objective tests, {counts[PASS]} pass, {counts[FAIL]} fail, "
-            f"{counts[UNSURE]} inconclusive; {len(match.missing)} tests are not in the data"
+    if match.results:
+        statements.append(
+            f"proof of match: {len(match.results)} segments judged by objective tests,"
+            f" {counts[PASS]} pass, {counts[FAIL]} fail, {counts[INCONCLUSIVE]} inconclusive;"
+            f" {len(match.missing)} tests are not in the data"
         )
-    for step in found.of("refine"):
-        test = _credibility_document(step)["gap"]["test"]
-        # In turbulence replays hold what the gusts did, and predictions judge.
+    for step in evidence.of("refine"):
+        test = _document_of(step)["gap"]["test"]
+        # In turbulence, replay residuals contain the gust response; one-step predictions do not.
         predicted = test.get("predictions") or {}
         rows = predicted or test["channels"]
+        # Rms over noise of each channel, after refinement.
         ratios = {
             c: r["rms_after"] / r["noise_rms"]
             for c, r in rows.items()
@@ -422,101 +529,117 @@ def _validation(found: Evidence, match: Match) -> list[str]:
         }
         if ratios:
             worst = max(ratios, key=lambda c: ratios[c])
-            whose = "rms of one-step predictions" if predicted else "rms"
-            said.append(
-                f"{_credibility_at(step)}: on the hold-out flights {whose} over noise is at most {ratios[worst]:.2f} ({worst})"
+            rms_name = "rms of one-step predictions" if predicted else "rms"
+            statements.append(
+                f"{_place_of(step)}: on the hold-out flights {rms_name} over noise is at most"
+                f" {ratios[worst]:.2f} ({worst})"
             )
-    for step in found.of("compare"):
-        reached = (
-            "reaches" if _credibility_document(step)["reached_noise_floor"] else "does not reach"
+    for step in evidence.of("compare"):
+        verb = "reaches" if _document_of(step)["reached_noise_floor"] else "does not reach"
+        statements.append(
+            f"{_place_of(step)}: the model {verb} the noise floor on {_document_of(step)['flight']}"
         )
-        said.append(
-            f"{_credibility_at(step)}: the model {reached} the noise floor on {_credibility_document(step)['flight']}"
-        )
-    return said
+    return statements
 
 
-def _inputs(found: Evidence, _: Match) -> list[str]:
-    said = []
-    for step in found.of("campaign"):
-        hashes = _credibility_document(step).get("hashes") or {}
+def _input_pedigree(evidence: Evidence, _: Match) -> list[str]:
+    """State the digests of a campaign's inputs, and its wind and turbulence."""
+    statements = []
+    for step in evidence.of("campaign"):
+        hashes = _document_of(step).get("hashes") or {}
         if hashes:
-            said.append(f"{_credibility_at(step)}: SHA-256 recorded of {', '.join(sorted(hashes))}")
-        air = _credibility_document(step)["campaign"]["aleatory"]
-        said.append(
-            f"{_credibility_at(step)}: wind {_list(air['wind_mps'])} m/s, turbulence {_list(air['turbulence'])} (Dryden, source "
-            f"{air['turbulence_source']}); no measured air"
+            statements.append(f"{_place_of(step)}: SHA-256 recorded of {', '.join(sorted(hashes))}")
+        aleatory = _document_of(step)["campaign"]["aleatory"]
+        statements.append(
+            f"{_place_of(step)}: wind {_comma_separated(aleatory['wind_mps'])} m/s, turbulence"
+            f" {_comma_separated(aleatory['turbulence'])} (Dryden, source"
+            f" {aleatory['turbulence_source']}); no measured air"
         )
-    return said
+    return statements
 
 
-def _uncertainty(found: Evidence, _: Match) -> list[str]:
-    said = []
-    for step in found.of("identify"):
-        rows = _credibility_document(step)["parameters"].values()
-        sure = sum(r["status"] == "identified" for r in rows)
-        rest = "" if sure == len(rows) else f"; {len(rows) - sure} are not identified"
-        said.append(
-            f"{_credibility_at(step)}: standard errors of {sure} of {len(rows)} parameters{rest}"
+def _uncertainty(evidence: Evidence, _: Match) -> list[str]:
+    """State standard errors, error bounds, their coverage, and the p-boxes."""
+    statements = []
+    for step in evidence.of("identify"):
+        rows = _document_of(step)["parameters"].values()
+        n_identified = sum(r["status"] == "identified" for r in rows)
+        unidentified_note = (
+            "" if n_identified == len(rows) else f"; {len(rows) - n_identified} are not identified"
         )
-    for step in found.of("bounds"):
-        document = _credibility_document(step)
-        said.append(
-            f"{_credibility_at(step)}: intervals of the model's error for "
+        statements.append(
+            f"{_place_of(step)}: standard errors of {n_identified} of {len(rows)}"
+            f" parameters{unidentified_note}"
+        )
+    for step in evidence.of("bounds"):
+        document = _document_of(step)
+        statements.append(
+            f"{_place_of(step)}: intervals of the model's error for "
             f"{len(document.get('coefficients', {}))} coefficients at "
             f"{100 * document.get('confidence', 0.95):g} % as functions of the flight state"
         )
-    for step in found.of("validate-bounds"):
-        shares = {c: row["0.95"] for c, row in _credibility_document(step)["coverage"].items()}
+    for step in evidence.of("validate-bounds"):
+        shares = {c: row["0.95"] for c, row in _document_of(step)["coverage"].items()}
         low, high = min(shares.values()), max(shares.values())
-        said.append(
-            f"{_credibility_at(step)}: {100 * low:.1f} to {100 * high:.1f} % of a new flight's samples lie inside the 95 % intervals"
+        statements.append(
+            f"{_place_of(step)}: {100 * low:.1f} to {100 * high:.1f} % of a new flight's"
+            " samples lie inside the 95 % intervals"
         )
-    for step in found.of("campaign"):
-        cases = _credibility_document(step).get("cases", "?")
-        said.append(
-            f"{_credibility_at(step)}: p-boxes: epistemic uncertainty by intervals, aleatory uncertainty by {cases} flights"
+    for step in evidence.of("campaign"):
+        cases = _document_of(step).get("cases", "?")
+        statements.append(
+            f"{_place_of(step)}: p-boxes: epistemic uncertainty by intervals, aleatory"
+            f" uncertainty by {cases} flights"
         )
-    return said
+    return statements
 
 
-def _robustness(found: Evidence, _: Match) -> list[str]:
-    said = []
-    for step in found.of("campaign"):
+def _robustness(evidence: Evidence, _: Match) -> list[str]:
+    """State sensitivities of the p-boxes and the sampling of epistemic variables."""
+    statements = []
+    for step in evidence.of("campaign"):
         if (step.folder / "sensitivity.csv").is_file():
-            said.append(
-                f"{_credibility_at(step)}: share of each coefficient in the width of every p-box (sensitivity.csv)"
+            statements.append(
+                f"{_place_of(step)}: share of each coefficient in the width of every p-box"
+                " (sensitivity.csv)"
             )
-        epistemic = _credibility_document(step)["campaign"]["epistemic"]
-        inner = epistemic.get("interior")
-        beside = f", {inner} samples between them" if inner else ""
-        said.append(f"{_credibility_at(step)}: epistemic samples by {epistemic['method']}{beside}")
-    return said
+        epistemic = _document_of(step)["campaign"]["epistemic"]
+        n_interior = epistemic.get("interior")
+        interior_note = f", {n_interior} samples between them" if n_interior else ""
+        statements.append(
+            f"{_place_of(step)}: epistemic samples by {epistemic['method']}{interior_note}"
+        )
+    return statements
 
 
-def _none(_: Evidence, __: Match) -> list[str]:
+def _no_evidence(_: Evidence, __: Match) -> list[str]:
+    """Return no statement: no command records evidence for this factor."""
     return []
 
 
 _FACTORS: Sequence[tuple[str, str, Callable[[Evidence, Match], list[str]]]] = (
-    ("Data pedigree", "data that the model was made from", _data),
+    ("Data pedigree", "data that the model was made from", _data_pedigree),
     ("Verification", "the model is computed as it is written", _verification),
     ("Validation", "the model against the aircraft", _validation),
-    ("Input pedigree", "data that the model was used with", _inputs),
+    ("Input pedigree", "data that the model was used with", _input_pedigree),
     ("Uncertainty characterisation", "sources of uncertainty in the results", _uncertainty),
     ("Results robustness", "sensitivity of the results", _robustness),
-    ("Use history", "earlier use of the model for the same purpose", _none),
-    ("People", "qualification of those who made and used the model", _none),
+    ("Use history", "earlier use of the model for the same purpose", _no_evidence),
+    ("People", "qualification of those who made and used the model", _no_evidence),
 )
+"""Factor, what it covers, and the function that collects its evidence."""
 
 
-def _credibility_document(step: Step) -> dict[str, Any]:
+def _document_of(step: Step) -> dict[str, Any]:
+    """Return a step's document; empty if it cannot be read."""
     return dict(step.document or {})
 
 
-def _credibility_at(step: Step) -> str:
+def _place_of(step: Step) -> str:
+    """Return the name that statements use for a step."""
     return step.kind if step.place == "." else step.place
 
 
-def _list(value: object) -> str:
+def _comma_separated(value: object) -> str:
+    """Return a list as text separated by commas."""
     return ", ".join(str(v) for v in value) if isinstance(value, (list, tuple)) else str(value)

@@ -6,11 +6,9 @@ from .dryden import dryden_parameters as dryden_parameters
 from .dryden import refuse_above_ceiling as refuse_above_ceiling
 from .fly import OPTIONAL_SIGNALS as OPTIONAL_SIGNALS
 from .fly import ContactPoint as ContactPoint
-from .fly import Recorded as Recorded
-from .fly import as_model_has as as_model_has
+from .fly import RecordedFlight as RecordedFlight
 from .fly import contact_points as contact_points
 from .fly import fly_one_ulp_off as fly_one_ulp_off
-from .fly import in_signals as in_signals
 from .fly import record_mission as record_mission
 from .fly import record_stride as record_stride
 from .fly import row_counts as row_counts
@@ -19,6 +17,8 @@ from .fly import scored_signals as scored_signals
 from .fly import set_conditions as set_conditions
 from .fly import set_wind_without_air as set_wind_without_air
 from .fly import staged_mission as staged_mission
+from .fly import to_signals as to_signals
+from .fly import without_missing_switches as without_missing_switches
 from .handling import CATEGORIES as CATEGORIES
 from .handling import CLASSES as CLASSES
 from .handling import DIVERGENCE as DIVERGENCE
@@ -27,11 +27,11 @@ from .handling import Assessment as Assessment
 from .handling import Locus as Locus
 from .handling import LocusPoint as LocusPoint
 from .handling import cap_limits as cap_limits
+from .handling import default_speeds as default_speeds
 from .handling import level_edges as level_edges
-from .handling import point_at as point_at
+from .handling import locus_point as locus_point
 from .handling import root_limits as root_limits
 from .handling import root_locus as root_locus
-from .handling import usual_speeds as usual_speeds
 from .margins import CALM_LOITER as CALM_LOITER
 from .margins import CALM_STRAIGHT as CALM_STRAIGHT
 from .margins import LOOPS as LOOPS
@@ -43,11 +43,11 @@ from .random_numbers import flight_seed as flight_seed
 from .random_numbers import named_stream as named_stream
 from .random_numbers import numbered_stream as numbered_stream
 from .recorded import FORMATS as FORMATS
-from .recorded import as_asked as as_asked
 from .recorded import playback_rows as playback_rows
 from .recorded import recorded_flight as recorded_flight
-from .recorded import start_of as start_of
-from .recorded import two_seeds as two_seeds
+from .recorded import seeded_spec as seeded_spec
+from .recorded import start_position as start_position
+from .recorded import turbulence_and_noise_seeds as turbulence_and_noise_seeds
 from .recorded import write_record as write_record
 from .spec import BELOW_CEILING as BELOW_CEILING
 from .spec import COEFFICIENTS as COEFFICIENTS
@@ -61,4 +61,4 @@ from .spec import LevelDriver as LevelDriver
 from .spec import TransientDriver as TransientDriver
 from .stepping import Levels as Levels
 from .stepping import first_levels as first_levels
-from .stepping import has_air as has_air
+from .stepping import has_air_system as has_air_system

@@ -1,12 +1,12 @@
-"""Gains of an autopilot of ArduPlane's structure from the parameters of an ArduPlane: what is taken, what is not and why. Pure.
+"""Gains of an ArduPlane-like autopilot from an ArduPilot parameter file.
 
-The autopilot (docs/autopilot.md) has ArduPlane's loops and names: a parameter NAME is the property ``ap/NAME`` in the same unit,
-with the same law, so its value is taken unchanged. The tables below have the exceptions: older names, limits that 0 switches off,
-and two filters that the autopilot has as one. PX4's loops have other forms (torques of -1..1 in place of angles of 45 deg, another
-TECS, NPFG in place of L1), so its parameters have no equal here; its files are refused.
+The autopilot (docs/autopilot.md) has ArduPlane's loops and names: parameter NAME is the property
+``ap/NAME`` with the same unit and law, so that its value is used unchanged. The tables below hold
+the exceptions: older names, limits that 0 switches off, and two filters that the autopilot merges.
+PX4's loops differ (torques of -1..1, another TECS, NPFG), so its files are refused.
 
-Source: ArduPlane 4.7 (AP_L1_Control, AP_TECS, AP_RollController, AP_PitchController, AP_YawController) and its parameter
-documentation, ardupilot.org/plane/docs/parameters.html.
+Source: ArduPlane 4.7 (AP_L1_Control, AP_TECS, AP_RollController, AP_PitchController,
+AP_YawController) and ardupilot.org/plane/docs/parameters.html.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from uqharness.errors import BadInputError
 
 PREFIX = "ap/"
 NO_LIMIT = 1000.0
-"""In place of a rate limit or a filter's band that 0 switches off [deg/s or Hz]: far beyond what an aeroplane does."""
-_OLD: Mapping[str, tuple[str, float]] = {
+"""Value of a rate limit [deg/s] or filter [Hz] that 0 switches off: far beyond any aeroplane."""
+_RENAMED: Mapping[str, tuple[str, float]] = {
     "LIM_ROLL_CD": ("ROLL_LIMIT_DEG", 0.01),
     "TRIM_PITCH_CD": ("PTCH_TRIM_DEG", 0.01),
     "ARSPD_FBW_MIN": ("AIRSPEED_MIN", 1.0),
@@ -31,10 +31,16 @@ _OLD: Mapping[str, tuple[str, float]] = {
     "LIM_PITCH_MAX": ("PTCH_LIM_MAX_DEG", 0.01),
     "LIM_PITCH_MIN": ("PTCH_LIM_MIN_DEG", 0.01),
 }
-"""Names before ArduPlane 4.5 -> today's, and the factor of the unit."""
-_OFF = ("RLL2SRV_RMAX", "PTCH2SRV_RMAX_UP", "PTCH2SRV_RMAX_DN", "RLL_RATE_FLTT", "PTCH_RATE_FLTT")
-_INSTEAD = {"TECS_PITCH_MAX": "PTCH_LIM_MAX_DEG", "TECS_PITCH_MIN": "PTCH_LIM_MIN_DEG"}
-"""Limits of TECS that, where they are 0, are those of the aircraft's pitch."""
+"""Names before ArduPlane 4.5 to current ones, with the factor of the unit."""
+_ZERO_IS_OFF = (
+    "RLL2SRV_RMAX",
+    "PTCH2SRV_RMAX_UP",
+    "PTCH2SRV_RMAX_DN",
+    "RLL_RATE_FLTT",
+    "PTCH_RATE_FLTT",
+)
+_PITCH_LIMIT_OF = {"TECS_PITCH_MAX": "PTCH_LIM_MAX_DEG", "TECS_PITCH_MIN": "PTCH_LIM_MIN_DEG"}
+"""TECS limits that, if 0, are those of the aircraft's pitch."""
 _POSITIVE = (
     "NAVL1_PERIOD",
     "NAVL1_DAMPING",
@@ -70,7 +76,7 @@ _LOOPS = (
     "TRIM_THROTTLE",
     "WP_LOITER_RAD",
 )
-_WHY = {
+_IGNORED_REASONS = {
     "NAVL1_XTRACK_I": "acts on straight legs alone; the autopilot loiters",
     "WP_LOITER_RAD": "belongs to the mission: the run script sets the circle",
     "AIRSPEED_CRUISE": "belongs to the mission: the run script sets the airspeed",
@@ -92,7 +98,17 @@ _PX4 = (
 
 @dataclass(frozen=True)
 class Gain:
-    """A parameter that is taken: its ``name`` in the file, the property it sets, and the value in that property's unit."""
+    """A parameter that is used.
+
+    Attributes
+    ----------
+    name : str
+        Name in the file.
+    prop : str
+        Property that it sets.
+    value : float
+        Value in the property's unit.
+    """
 
     name: str
     prop: str
@@ -101,65 +117,91 @@ class Gain:
 
 @dataclass(frozen=True)
 class AutopilotGains:
-    """What a parameter file gives to an autopilot.
+    """Gains from a parameter file.
 
-    taken    gains in the file's order              ignored  name -> reason, of parameters of these loops
-    others   number of parameters of other parts of the autopilot
+    Attributes
+    ----------
+    gains : tuple of Gain
+        In the order of the file.
+    ignored : mapping
+        Parameter of these loops to the reason why it is not used.
+    n_others : int
+        Number of parameters of other functions.
     """
 
-    taken: tuple[Gain, ...]
+    gains: tuple[Gain, ...]
     ignored: Mapping[str, str]
-    others: int
+    n_others: int
 
     @property
     def properties(self) -> dict[str, float]:
-        """Property -> value, for a flight. The derivative terms are computed where one of their gains is not 0."""
-        found = {gain.prop: gain.value for gain in self.taken}
-        if any(found.get(f"{PREFIX}{axis}_RATE_D", 0.0) for axis in ("RLL", "PTCH")):
-            found[f"{PREFIX}RATE_D_ON"] = 1.0
-        return found
+        """Return property to value, for a flight.
+
+        Derivative terms are switched on if one of their gains is not 0.
+        """
+        properties = {gain.prop: gain.value for gain in self.gains}
+        if any(properties.get(f"{PREFIX}{axis}_RATE_D", 0.0) for axis in ("RLL", "PTCH")):
+            properties[f"{PREFIX}RATE_D_ON"] = 1.0
+        return properties
 
     def lines(self) -> list[str]:
-        """What was taken, what was ignored and why, for a terminal."""
-        taken = ", ".join(f"{gain.name} {gain.value:g}" for gain in self.taken)
-        found = [f"{len(self.taken)} gains taken: {taken}"]
+        """Return what is used and what is ignored, as text."""
+        values = ", ".join(f"{gain.name} {gain.value:g}" for gain in self.gains)
+        lines = [f"{len(self.gains)} gains taken: {values}"]
+        # Parameters with the same reason share a line.
         by_reason: dict[str, list[str]] = {}
         for name, reason in self.ignored.items():
             by_reason.setdefault(reason, []).append(name)
-        found += [f"ignored: {', '.join(names)} ({reason})" for reason, names in by_reason.items()]
-        if self.others:
-            found.append(f"ignored: {self.others} parameters of other functions")
-        return found
+        lines += [f"ignored: {', '.join(names)} ({reason})" for reason, names in by_reason.items()]
+        if self.n_others:
+            lines.append(f"ignored: {self.n_others} parameters of other functions")
+        return lines
 
 
 def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]) -> AutopilotGains:
-    """The gains for an aircraft with these ``properties``.
+    """Return the gains for an aircraft with given properties.
 
-    Raises ValueError, its first word the parameter's name, for a value that no loop can have, and without a name for PX4's
-    parameters and for an aircraft or a file without any such gain.
+    Parameters
+    ----------
+    parameters : mapping
+        Parameter to value.
+    properties : collection of str
+        Properties of the aircraft.
+
+    Raises
+    ------
+    ValueError
+        If a loop cannot have a value (the text begins with the parameter), for PX4's parameters,
+        and if aircraft or file have no such gain.
     """
     if not any(name.startswith(PREFIX) for name in properties):
         raise ValueError(
-            "the aircraft has no autopilot of ArduPlane's structure (properties ap/RLL_RATE_P and so on)"
+            "the aircraft has no autopilot of ArduPlane's structure (properties ap/RLL_RATE_P and"
+            " so on)"
         )
     if any(name in parameters for name in _PX4):
         raise ValueError(
-            "these are PX4's parameters; the autopilot has ArduPlane's loops, and PX4's gains have another meaning "
-            "(docs/autopilot.md). Give an ArduPlane parameter file"
+            "these are PX4's parameters; the autopilot has ArduPlane's loops, and PX4's gains have"
+            " another meaning (docs/autopilot.md). Give an ArduPlane parameter file"
         )
-    today = dict(_today(parameters))
-    taken, ignored = [], {}
-    others = 0
+    # Checks across parameters use current names and units.
+    current = dict(_current_parameters(parameters))
+    gains, ignored = [], {}
+    n_others = 0
     for name, value in parameters.items():
-        now, factor = _OLD.get(name, (name, 1.0))
-        prop = f"{PREFIX}{now}"
-        if name != now and now in parameters:
+        current_name, factor = _RENAMED.get(name, (name, 1.0))
+        prop = f"{PREFIX}{current_name}"
+        # Both names are given: the current one counts.
+        if name != current_name and current_name in parameters:
             ignored[name] = "the file has the newer name too"
-        elif prop in properties and now not in _WHY:
-            taken.append(Gain(name, prop, _as_flown(now, value * factor, today)))
-        elif now in ("RLL_RATE_FLTD", "PTCH_RATE_FLTD") and f"{PREFIX}RATE_FLTD" in properties:
-            if today.get("RLL_RATE_FLTD", value) == today.get("PTCH_RATE_FLTD", value):
-                taken.append(
+        elif prop in properties and current_name not in _IGNORED_REASONS:
+            gains.append(Gain(name, prop, _property_value(current_name, value * factor, current)))
+        elif (
+            current_name in ("RLL_RATE_FLTD", "PTCH_RATE_FLTD")
+            and f"{PREFIX}RATE_FLTD" in properties
+        ):
+            if current.get("RLL_RATE_FLTD", value) == current.get("PTCH_RATE_FLTD", value):
+                gains.append(
                     Gain(
                         name,
                         f"{PREFIX}RATE_FLTD",
@@ -168,82 +210,94 @@ def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]
                 )
             else:
                 ignored[name] = "the autopilot has one filter for both rates, and the two differ"
-        elif now.startswith(_LOOPS):
-            ignored[name] = _WHY.get(now) or (
+        # A parameter of these loops that the autopilot does not have.
+        elif current_name.startswith(_LOOPS):
+            ignored[name] = _IGNORED_REASONS.get(current_name) or (
                 "0: off, as in the autopilot" if value == 0.0 else "the autopilot has no such term"
             )
         else:
-            others += 1
-    if not taken:
+            n_others += 1
+    if not gains:
         raise ValueError(
-            f"none of the {len(parameters)} parameters is a gain of this autopilot, such as RLL_RATE_P"
+            f"none of the {len(parameters)} parameters is a gain of this autopilot, such as"
+            " RLL_RATE_P"
         )
-    _in_order(today)
-    return AutopilotGains(tuple(taken), ignored, others)
+    _check_order(current)
+    return AutopilotGains(tuple(gains), ignored, n_others)
 
 
-def _today(parameters: Mapping[str, float]) -> Iterator[tuple[str, float]]:
-    """Parameters under today's names, in today's units; where both names are there the newer one counts."""
+def _current_parameters(parameters: Mapping[str, float]) -> Iterator[tuple[str, float]]:
+    """Yield parameters under current names and units; a current name replaces an old one."""
     for name, value in parameters.items():
-        now, factor = _OLD.get(name, (name, 1.0))
-        if name == now or now not in parameters:
-            yield now, value * factor
+        current_name, factor = _RENAMED.get(name, (name, 1.0))
+        if name == current_name or current_name not in parameters:
+            yield current_name, value * factor
 
 
-def _as_flown(name: str, value: float, today: Mapping[str, float]) -> float:
+def _property_value(name: str, value: float, current: Mapping[str, float]) -> float:
+    """Return a parameter's value as the autopilot uses it."""
     if name in _POSITIVE:
         return _checked(name, value, lambda x: x > 0.0, "above 0")
-    if name in _OFF:
+    if name in _ZERO_IS_OFF:
         return _checked(name, value, lambda x: x >= 0.0, "0 (off) or above") or NO_LIMIT
-    if name in _INSTEAD and value == 0.0:
-        return today.get(_INSTEAD[name], {"TECS_PITCH_MAX": 20.0, "TECS_PITCH_MIN": -25.0}[name])
+    if name in _PITCH_LIMIT_OF and value == 0.0:
+        return current.get(
+            _PITCH_LIMIT_OF[name], {"TECS_PITCH_MAX": 20.0, "TECS_PITCH_MIN": -25.0}[name]
+        )
     return value
 
 
 def _checked(name: str, value: float, allowed: Callable[[float], bool], words: str) -> float:
+    """Return a finite, allowed value; ValueError otherwise."""
     if not (math.isfinite(value) and allowed(value)):
         raise ValueError(f"{name} {value:g}: allowed is a number {words}")
     return value
 
 
-def _in_order(today: Mapping[str, float]) -> None:
+def _check_order(current: Mapping[str, float]) -> None:
+    """Raise ValueError if a lower limit exceeds its upper one."""
     for low, high in (("AIRSPEED_MIN", "AIRSPEED_MAX"), ("THR_MIN", "THR_MAX")):
-        if today.get(low, -math.inf) >= today.get(high, math.inf):
+        if current.get(low, -math.inf) >= current.get(high, math.inf):
             raise ValueError(
-                f"{low} {today[low]:g}: allowed is a number below {high} {today[high]:g}"
+                f"{low} {current[low]:g}: allowed is a number below {high} {current[high]:g}"
             )
 
 
-# Reads the gains of an autopilot from ArduPilot's parameter file, as ground stations and
-# MAVProxy save it.
+# Parameter files, as ground stations and MAVProxy save them.
 
-_MOST_BYTES = 10_000_000
+_MAX_BYTES = 10_000_000
 
 
 def read_gains(path: Path, properties: Collection[str]) -> AutopilotGains:
-    """Gains in a .parm or .param file for an aircraft with these properties.
+    """Return the gains in a .parm or .param file.
 
     Parameters
     ----------
-    path
-        Text, a parameter's name and value a line.
-    properties
-        Names of the aircraft's properties; gains are those under ``ap/``.
+    path : Path
+        Text with a parameter's name and value per line.
+    properties : collection of str
+        Properties of the aircraft; gains are those under ``ap/``.
+
+    Returns
+    -------
+    AutopilotGains
+        Gains, and what is ignored.
 
     Raises
     ------
     BadInputError
-        With file and line: no such file, a line that is no parameter, a value that a loop cannot have, PX4's parameters, and an
-        aircraft or a file without such gains.
+        With file and line: no such file, a line that is no parameter, a value that a loop cannot
+        have, PX4's parameters, an aircraft or file without such gains.
     """
     try:
         with open_regular(path) as file:
-            content = file.read(_MOST_BYTES + 1)
+            # One byte more than allowed reveals a file that is too long.
+            content = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise BadInputError(
             f"{path}: {error.strerror or error}; give an ArduPilot parameter file (.parm or .param)"
         ) from None
-    if len(content) > _MOST_BYTES or b"\0" in content:
+    if len(content) > _MAX_BYTES or b"\0" in content:
         raise BadInputError(
             f"{path}: is no parameter file: a text with a name and a value a line (.parm or .param)"
         )
@@ -255,11 +309,11 @@ def read_gains(path: Path, properties: Collection[str]) -> AutopilotGains:
 
 
 def _line_of(text: str, message: str) -> str:
-    """'line 3: ' of the parameter whose name begins the message; the last line counts, as it does in reading."""
+    """Return "line 3: " of the parameter that begins the message; the last one counts."""
     name = message.split()[0]
-    found = [
+    numbers = [
         n
         for n, line in enumerate(text.splitlines(), 1)
         if name in line.split("#")[0].replace(",", " ").split()
     ]
-    return f"line {found[-1]}: " if found else ""
+    return f"line {numbers[-1]}: " if numbers else ""

@@ -1,4 +1,9 @@
-"""Fly one mission: conditions and seeds in, recorded signals and scores out. The campaign's hot loop is here."""
+"""Fly one mission: conditions and seeds in, recorded signals and scores out.
+
+`record_mission` sets conditions, initialises, and records; `score` computes medians, means, maxima,
+excursions and loss of control, from a commanded path or from the start. `GroundWatch` ends airborne
+flights that touch the ground. A campaign spends most of its time here.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +24,7 @@ from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.flight.random_numbers import Split
 from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightResult, FlightSpec
-from uqharness.flight.stepping import first_levels, has_air, stepper
+from uqharness.flight.stepping import first_levels, has_air_system, stepper
 from uqharness.isolation import report_time
 from uqharness.simulator import (
     CHANGEABLE,
@@ -35,13 +40,14 @@ from uqharness.simulator import (
     find_folder,
     find_script,
     folder_fingerprint,
-    marked,
+    marked_equilibrium,
     parse_xml,
     refuse_conflicts,
 )
 
-# What a flight is scored by: errors from a commanded path, or, where nothing is commanded,
-# deviations from the start.
+# Scores. An excursion is counted when the distance from the path first exceeds the radius, and
+# re-arms ``rearm_m`` inside it. Loss of control is |bank| > 80 deg, |alpha| > 25 deg, altitude
+# error > 60 m, or a state that is not finite.
 
 # Scores of a flight along a commanded path: medians, means, maxima, excursions, loss of
 # control.
@@ -56,7 +62,13 @@ ALTITUDE_LIMIT_M = 60.0
 
 
 def absolute_statistics(error: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Median, mean and maximum of ``|error|`` (n,); NaN for no sample at all."""
+    """Return median, mean and maximum of ``|error|`` (n,); NaN without samples.
+
+    Examples
+    --------
+    >>> absolute_statistics(np.array([-1.0, 2.0, 6.0]))
+    (2.0, 3.0, 6.0)
+    """
     if error.size == 0:
         return float("nan"), float("nan"), float("nan")
     magnitude = np.abs(error)
@@ -64,18 +76,35 @@ def absolute_statistics(error: NDArray[np.float64]) -> tuple[float, float, float
 
 
 def count_excursions(distance: NDArray[np.float64], radius_m: float, rearm_m: float) -> int:
-    """Number of excursions of ``|distance|`` (n,) [m] beyond ``radius_m``, re-armed at ``radius_m - rearm_m``.
+    """Return the number of excursions beyond a radius.
 
-    A flight that begins outside counts one. ValueError unless 0 <= rearm_m < radius_m.
+    Parameters
+    ----------
+    distance : ndarray
+        Distance from the path (n,) [m], of either sign.
+    radius_m, rearm_m : float
+        An excursion starts beyond ``radius_m`` and ends inside ``radius_m - rearm_m`` [m]. A flight
+        that starts outside counts one.
+
+    Raises
+    ------
+    ValueError
+        Unless 0 <= rearm_m < radius_m.
+
+    Examples
+    --------
+    >>> count_excursions(np.array([0.0, 11.0, 9.5, 11.0, 0.0, -12.0]), 10.0, 1.0)
+    2
     """
     if not 0.0 <= rearm_m < radius_m:
         raise ValueError(
-            f"rearm_m = {rearm_m} must be at least 0 and less than the excursion radius {radius_m} m"
+            f"rearm_m = {rearm_m} must be at least 0 and less than the excursion radius"
+            f" {radius_m} m"
         )
     magnitude = np.abs(distance)
     outside = magnitude > radius_m
     inside = magnitude < radius_m - rearm_m
-    # Only samples that decide matter: between the two radii the counter keeps its state.
+    # Between the two radii the counter keeps its state: drop these samples.
     decided = outside[outside | inside]
     if decided.size == 0:
         return 0
@@ -87,14 +116,20 @@ def lost_control(
     alpha_rad: NDArray[np.float64],
     altitude_error_m: NDArray[np.float64],
 ) -> bool:
-    """Whether a flight lost control at any sample; a sample that is not finite counts as lost."""
+    """Return whether a flight lost control at any sample; samples that are not finite count.
+
+    Parameters
+    ----------
+    phi_rad, alpha_rad, altitude_error_m : ndarray
+        Bank and incidence [rad] and altitude error [m], each (n,).
+    """
     finite = np.isfinite(phi_rad) & np.isfinite(alpha_rad) & np.isfinite(altitude_error_m)
-    beyond = (
+    exceeded = (
         (np.abs(phi_rad) > BANK_LIMIT_RAD)
         | (np.abs(alpha_rad) > ALPHA_LIMIT_RAD)
         | (np.abs(altitude_error_m) > ALTITUDE_LIMIT_M)
     )
-    return bool(np.any(beyond | ~finite))
+    return bool(np.any(exceeded | ~finite))
 
 
 _STATISTICS = ("median", "mean", "max")
@@ -102,8 +137,18 @@ _UNITS: Mapping[str, str] = {"cross_track": "m", "altitude": "m", "speed": "mps"
 LOAD_FACTOR = "load_factor_max"
 
 
-class Recorded:
-    """Signals of one flight as flown so far, and how it ended."""
+class RecordedFlight:
+    """Signals of a flight, and how it ended.
+
+    Attributes
+    ----------
+    status, reason : str
+        One of STATUSES, and the reason if it is not ok.
+    flown_s : float
+        Time at the end [s].
+    signals : dict
+        Signal to (n,).
+    """
 
     def __init__(
         self,
@@ -122,7 +167,7 @@ class Recorded:
 
 
 def commanded_signals(aircraft: Aircraft) -> dict[str, Source]:
-    """The card's error signals, true and measured."""
+    """Return the card's error signals, true and measured."""
     signals = {key: Source(card.true) for key, card in aircraft.card.metrics.items()}
     return signals | {
         f"{key}_measured": Source(card.measured)
@@ -131,13 +176,16 @@ def commanded_signals(aircraft: Aircraft) -> dict[str, Source]:
     }
 
 
-def from_start_signals(straight: bool) -> dict[str, Source]:
-    """What deviations from the start are made of; any JSBSim aircraft has it. ``straight``: the flight is to go straight on."""
+def from_start_signals(flies_straight: bool) -> dict[str, Source]:
+    """Return the signals of deviations from the start; every JSBSim aircraft has them.
+
+    ``flies_straight`` adds position and ground velocity, for the distance from a line.
+    """
     names = {"height_m": "h_m", "V_mps": "V_mps", "psi_rad": "psi_rad"}
     table = {ours: STANDARD[theirs] for ours, theirs in names.items()} | {
         "load_factor": Source("accelerations/Nz")
     }
-    if straight:
+    if flies_straight:
         table |= {
             f"{axis}_m": Source(f"position/from-start-neu-{axis[0]}-ft", FT_M)
             for axis in ("north", "east")
@@ -146,8 +194,8 @@ def from_start_signals(straight: bool) -> dict[str, Source]:
     return table
 
 
-def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
-    """Errors from the commanded path, height and speed, excursions, loss of control."""
+def score_commanded(spec: FlightSpec, recorded: RecordedFlight) -> FlightResult:
+    """Score errors from the commanded path, altitude and airspeed, excursions, loss of control."""
     metrics: dict[str, float] = {}
     undefined: dict[str, str] = {}
     complete = recorded.status == "ok"
@@ -156,15 +204,16 @@ def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
             values = recorded.signals.get(key + suffix)
             names = [f"{key}_{kind}_{unit}{suffix}" for kind in _STATISTICS]
             if values is None or not complete:
-                why = (
+                reason = (
                     recorded.reason
                     if values is not None
                     else f"the card names no {key}{suffix} under [metrics]"
                 )
                 metrics |= dict.fromkeys(names, math.nan)
-                undefined |= dict.fromkeys(names, why)
+                undefined |= dict.fromkeys(names, reason)
             else:
                 metrics |= dict(zip(names, absolute_statistics(values), strict=True))
+    # Excursions count up to the end of the flight, whatever its status.
     for radius in spec.excursion_radius_m:
         for key, suffix in (("cross_track", ""), ("distance_3d", "_3d")):
             values = recorded.signals.get(key)
@@ -175,20 +224,21 @@ def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
                     f"the card names no {key} under [metrics]",
                 )
             else:
-                # What was flown counts, however the flight ended: a campaign bounds the rest from above.
+                # Excursions before an early end count; a campaign bounds the remainder from above.
                 metrics[name] = float(count_excursions(values, radius, spec.rearm_m))
     return _result(recorded, metrics, undefined, recorded.signals.get("altitude", np.zeros(0)))
 
 
-def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
-    """Deviations of height, speed and heading from where scoring begins, and the largest load factor.
+def score_from_start(spec: FlightSpec, recorded: RecordedFlight) -> FlightResult:
+    """Score deviations of altitude, airspeed and heading from the start, and the load factor.
 
-    A flight that is to go straight on has a path, the line on which scoring began; any other has none, and its cross-track errors
-    and excursions are undefined. Loss of control is judged by bank and incidence.
+    In a straight flight the path is the line on which scoring starts. Other flights have no path;
+    their cross-track errors and excursions are undefined. Loss of control uses bank and incidence.
     """
     metrics: dict[str, float] = {}
     undefined: dict[str, str] = {}
     complete = recorded.status == "ok" and recorded.signals["height_m"].size > 0
+    # A heading through north must not jump by 360 deg.
     psi = np.unwrap(recorded.signals["psi_rad"])
     cross_track = _cross_track(recorded)
     if cross_track is None:
@@ -211,15 +261,15 @@ def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
         names = [f"{key}_{kind}_{unit}" for kind in _STATISTICS]
         statistics = absolute_statistics(values - values[:1]) if complete else (math.nan,) * 3
         metrics |= dict(zip(names, statistics, strict=True))
-    # 1 in level flight.
+    # The load factor is 1 in level flight.
     metrics[LOAD_FACTOR] = float(np.max(recorded.signals["load_factor"])) if complete else math.nan
     if not complete:
         undefined |= dict.fromkeys((*deviations, LOAD_FACTOR), recorded.reason)
     return _result(recorded, metrics, undefined, np.zeros(0))
 
 
-def _cross_track(recorded: Recorded) -> NDArray[np.float64] | None:
-    """(n,) [m] distance from the line on which scoring began, + to the right; None where the flight is not to go straight on."""
+def _cross_track(recorded: RecordedFlight) -> NDArray[np.float64] | None:
+    """Return the distance (n,) [m] from the initial line, + to the right; None without one."""
     if "north_m" not in recorded.signals:
         return None
     north, east, vn, ve = (
@@ -227,22 +277,26 @@ def _cross_track(recorded: Recorded) -> NDArray[np.float64] | None:
     )
     if north.size == 0:
         return north
-    # Roots and products have the same bits on every processor; a C library's hypot need not.
+    # sqrt is bit-identical on all processors; a C library's hypot is not.
     speed = math.sqrt(vn[0] * vn[0] + ve[0] * ve[0])
+    # Cross product of the position with the initial direction, + to the right.
     track: NDArray[np.float64] = ((east - east[0]) * vn[0] - (north - north[0]) * ve[0]) / speed
     return track
 
 
 def _result(
-    recorded: Recorded,
+    recorded: RecordedFlight,
     metrics: dict[str, float],
     undefined: dict[str, str],
     altitude: NDArray[np.float64],
 ) -> FlightResult:
+    """Return the result with loss of control and the share of extrapolated samples."""
     bank = recorded.signals["phi_rad"]
     error = altitude if altitude.size else np.zeros_like(bank)
-    lost = recorded.status != "ok" or lost_control(bank, recorded.signals["alpha_rad"], error)
-    metrics["loss_of_control"] = float(lost)
+    control_lost = recorded.status != "ok" or lost_control(
+        bank, recorded.signals["alpha_rad"], error
+    )
+    metrics["loss_of_control"] = float(control_lost)
     outside = recorded.signals.get("extrapolated")
     if outside is None or outside.size == 0:
         metrics["extrapolated_share"] = math.nan
@@ -254,19 +308,28 @@ def _result(
     )
 
 
-# Contact with the ground: an airborne mission ends where the gear, the structure or, without
-# contact points, the CG touches it.
+# Ground contact: an airborne flight ends when gear, structure or, without contact points, the CG
+# touches the ground.
 
 _MARGIN_FT = 1.0
-# Ten g towards the ground for as long as nobody looks.
-_HARDEST_FPS2 = 320.0
+# Ten g downwards between two checks.
+_MAX_SINK_ACCELERATION_FPS2 = 320.0
 
 
 class GroundWatch:
-    """Runs an initialised flight block by block and sees every step in which a contact point touches the ground.
+    """Runs a flight in blocks and detects the first step with ground contact.
 
-    A flight that starts on its contact points is not airborne, and may touch the ground, until the first step without contact.
-    ``block_s`` is the time between two calls of `advance`.
+    A flight that starts on its contact points may touch the ground until the first step without
+    contact.
+
+    Parameters
+    ----------
+    fdm : FGFDMExec
+        Initialised instance.
+    aircraft : Aircraft
+        Its XML names the contact points.
+    block_s : float
+        Time between two calls of `advance` [s].
     """
 
     def __init__(self, fdm: Any, aircraft: Aircraft, block_s: float) -> None:
@@ -282,32 +345,50 @@ class GroundWatch:
         self._climb = engine.handle(fdm, "velocities/h-dot-fps").get_double_value
         self._airborne = not self._touching()
 
-    def advance(self, run: Callable[[int], None], steps: int) -> str:
-        """Run ``steps`` steps, or up to the first contact of an airborne flight; what touched, empty where nothing did."""
-        if not self._near():
-            run(steps)
+    def advance(self, advance_steps: Callable[[int], None], steps: int) -> str:
+        """Run ``steps`` steps, or up to ground contact; return what touched, or an empty text."""
+        if not self._is_near_ground():
+            advance_steps(steps)
             self._airborne = True
         else:
             for _ in range(steps):
-                run(1)
+                advance_steps(1)
                 name = self._touching()
                 if name and self._airborne:
                     return name
+                # Airborne from the first step without contact.
                 self._airborne = self._airborne or not name
         return "the centre of gravity" if self._height() <= 0.0 else ""
 
-    def _near(self) -> bool:
-        """Whether a contact point could reach the ground within a block. Each step is looked at only then: it costs time."""
-        fall_ft = 2.0 * abs(self._climb()) * self._block_s + 0.5 * _HARDEST_FPS2 * self._block_s**2
+    def _is_near_ground(self) -> bool:
+        """Return whether a contact point could reach the ground within a block.
+
+        Single steps are checked only then, because that takes time.
+        """
+        fall_ft = (
+            2.0 * abs(self._climb()) * self._block_s
+            + 0.5 * _MAX_SINK_ACCELERATION_FPS2 * self._block_s**2
+        )
         return bool(self._points) and self._height() < self._reach_ft + fall_ft
 
     def _touching(self) -> str:
+        """Return the name of a contact point on the ground; empty if there is none."""
         return next((name for wow, name in self._points if wow()), "")
 
 
 @dataclass(frozen=True)
 class ContactPoint:
-    """A gear or structure contact point; ``at_in`` [in] in the structural frame. ``retracts``: it counts while the gear is down."""
+    """A gear or structure contact point.
+
+    Attributes
+    ----------
+    name : str
+        Name in the XML.
+    at_in : tuple of float
+        Position in the structural frame [in].
+    retracts : bool
+        Whether it counts only with the gear down.
+    """
 
     name: str
     at_in: tuple[float, float, float]
@@ -315,47 +396,50 @@ class ContactPoint:
 
 
 def contact_points(fdm: Any, aircraft: Aircraft) -> list[ContactPoint]:
-    """Those of a loaded aircraft. Raises BadInputError where JSBSim does not say where they are."""
+    """Return the contact points of a loaded aircraft.
+
+    Raises BadInputError if JSBSim does not report their positions.
+    """
     units = _units(fdm)
-    found = []
+    points = []
     for unit, name in zip(units, _names(aircraft, len(units)), strict=True):
         names = [f"{unit}/{axis}-position" for axis in "xyz"]
         engine.require(fdm, names)
         x, y, z = (float(fdm[n]) for n in names)
-        found.append(
+        points.append(
             ContactPoint(name, (x, y, z), fdm.get_property_manager().hasNode(f"{unit}/pos-norm"))
         )
-    return found
+    return points
 
 
 def _units(fdm: Any) -> list[str]:
-    """Contact points as property folders, in the order of the XML: gear and structure are counted together."""
+    """Return the property folders of the contact points; gear and structure share one numbering."""
     exists = fdm.get_property_manager().hasNode
-    found = []
+    units = []
     for number in range(int(fdm["gear/num-units"])):
-        found += [
+        units += [
             unit
             for unit in (f"gear/unit[{number}]", f"contact/unit[{number}]")
             if exists(f"{unit}/WOW")
         ]
-    return found
+    return units
 
 
 def _names(aircraft: Aircraft, count: int) -> list[str]:
-    """What the XML calls the contact points; their numbers where it is not to be had."""
+    """Return the XML's names of the contact points, or their numbers."""
     try:
-        found = [
+        xml_names = [
             item.get("name", "")
             for item in parse_xml(aircraft.xml).getroot().iterfind("ground_reactions/contact")
         ]
     except BadInputError:
-        found = []
-    named = found if len(found) == count else [""] * count
-    return [f"contact point {name.strip() or number}" for number, name in enumerate(named)]
+        xml_names = []
+    names = xml_names if len(xml_names) == count else [""] * count
+    return [f"contact point {name.strip() or number}" for number, name in enumerate(names)]
 
 
 def _distance_ft(fdm: Any, unit: str) -> float:
-    """From the CG, the same whatever the attitude."""
+    """Return the distance of a contact point from the CG [ft]; infinite if unknown."""
     exists = fdm.get_property_manager().hasNode
     if not all(exists(f"{unit}/{axis}-position") for axis in "xyz"):
         return math.inf
@@ -389,25 +473,38 @@ _RESERVED = {
     "atmosphere/randomseed": "give a seed (--seed, seed)",
     "simulation/dt": "the step belongs to the aircraft's card ([aircraft] dt_s)",
 }
-# JSBSim's generator maps seed 0 onto seed 1 and takes 31 bits.
+# JSBSim's generator takes 31 bits and maps seed 0 to seed 1.
 _MAX_SEED = 2**31 - 2
 
 
 def fly(spec: FlightSpec) -> FlightResult:
     """Fly one mission and score it.
 
-    A flight that goes wrong (not finite, into the ground, an exception in flight) is a FlightResult with its status and reason.
-    Raises BadInputError for what cannot start: unknown aircraft, script or property, impossible values.
+    Parameters
+    ----------
+    spec : FlightSpec
+        The flight.
+
+    Returns
+    -------
+    FlightResult
+        Also of a flight that diverges, hits the ground or crashes, with status and reason.
+
+    Raises
+    ------
+    BadInputError
+        If the flight cannot start: unknown aircraft, script or property, impossible values.
     """
-    return _flown(spec, one_ulp_off=False)
+    return _fly_and_score(spec, one_ulp_off=False)
 
 
 def fly_one_ulp_off(spec: FlightSpec) -> FlightResult:
-    """The same flight from a velocity over the ground that is one unit in the last place larger: what rounding alone may change."""
-    return _flown(spec, one_ulp_off=True)
+    """Fly from a ground velocity one unit in the last place larger: the effect of rounding."""
+    return _fly_and_score(spec, one_ulp_off=True)
 
 
-def _flown(spec: FlightSpec, one_ulp_off: bool) -> FlightResult:
+def _fly_and_score(spec: FlightSpec, one_ulp_off: bool) -> FlightResult:
+    """Fly and score a spec."""
     mission = staged_mission(spec)
     recorded = record_mission(
         mission, spec, scored_signals(mission), OPTIONAL_SIGNALS, one_ulp_off=one_ulp_off
@@ -416,7 +513,7 @@ def _flown(spec: FlightSpec, one_ulp_off: bool) -> FlightResult:
 
 
 def scored_signals(mission: StagedMission) -> dict[str, Source]:
-    """What a flight of the mission is scored by."""
+    """Return the signals that a mission is scored by."""
     signals = (
         from_start_signals(_steady(mission))
         if _from_start(mission)
@@ -428,11 +525,11 @@ def scored_signals(mission: StagedMission) -> dict[str, Source]:
 OPTIONAL_SIGNALS: Mapping[str, Source] = MappingProxyType(
     {"extrapolated": Source("uq/extrapolated")}
 )
-"""What is scored where the aircraft has it."""
+"""Signals scored where the aircraft has them."""
 
 
-def score(mission: StagedMission, spec: FlightSpec, recorded: Recorded) -> FlightResult:
-    """The scores of what was recorded of a flight."""
+def score(mission: StagedMission, spec: FlightSpec, recorded: RecordedFlight) -> FlightResult:
+    """Return the scores of a recorded flight."""
     return (
         score_from_start(spec, recorded)
         if _from_start(mission)
@@ -441,26 +538,33 @@ def score(mission: StagedMission, spec: FlightSpec, recorded: Recorded) -> Fligh
 
 
 def _steady(mission: StagedMission) -> bool:
+    """Return whether the mission starts from steady flight."""
     return MARK in mission.script.run_properties
 
 
 def _from_start(mission: StagedMission) -> bool:
+    """Return whether deviations count from the start, for lack of a commanded path."""
     return _steady(mission) or not mission.aircraft.card.metrics
 
 
 def staged_mission(spec: FlightSpec) -> StagedMission:
-    """The mission of a flight, staged once for as long as aircraft and script stay what they are. Raises BadInputError."""
+    """Return the staged mission of a flight, reused while aircraft and script are unchanged.
+
+    Raises BadInputError.
+    """
     return _staged(str(spec.aircraft), str(spec.script), _fingerprint(spec))
 
 
 def _fingerprint(spec: FlightSpec) -> str:
-    # A worker that lives for days must notice that somebody edited the aircraft: the staged copy is keyed by what it was made from.
+    """Return a text that changes with the files of aircraft and script."""
+    # A long-lived worker must notice edits, so that the cache is keyed by file states.
     script = find_script(spec.script)
     return f"{folder_fingerprint(find_folder(spec.aircraft))}-{script.stat().st_mtime_ns}"
 
 
 @lru_cache(maxsize=8)
 def _staged(aircraft: str, script: str, fingerprint: str) -> StagedMission:
+    """Stage a mission; the fingerprint is part of the key."""
     mission = StagedMission(find_aircraft(aircraft), find_script(script))
     atexit.register(mission.close)
     return mission
@@ -471,16 +575,43 @@ def record_mission(
     spec: FlightSpec,
     signals: Mapping[str, Source],
     optional: Mapping[str, Source] | None = None,
+    *,
     keep_burn_in: bool = False,
     one_ulp_off: bool = False,
     splits: Sequence[Split] = (),
-) -> Recorded:
-    """Fly ``spec`` and record ``signals`` (and those of ``optional`` that exist) at ``spec.record_rate_hz``.
+) -> RecordedFlight:
+    """Fly a spec and record signals.
 
-    Rows are taken after a step, so the accelerations of a row have seen the command of that row. ``one_ulp_off``: from a velocity
-    over the ground that is one unit in the last place larger. ``splits``: where the flight branches; ValueError unless its gusts
-    are the host's and nothing transient moves. Raises BadInputError.
+    Rows are taken after a step, so that the accelerations of a row include its commands.
+
+    Parameters
+    ----------
+    mission : StagedMission
+        Aircraft and script.
+    spec : FlightSpec
+        Conditions, seeds and durations.
+    signals, optional : mapping
+        Signals to record, and signals recorded if they exist.
+    keep_burn_in : bool
+        Whether to record the burn-in too.
+    one_ulp_off : bool
+        Whether the ground velocity starts one unit in the last place larger.
+    splits : sequence of Split
+        Frames behind which the flight branches.
+
+    Returns
+    -------
+    Recorded
+        Rows at ``spec.record_rate_hz``, and how the flight ended.
+
+    Raises
+    ------
+    BadInputError
+        If the flight cannot start.
+    ValueError
+        For splits of a flight with JSBSim's own turbulence or transient model error.
     """
+    # Mass properties are set through the XML, others after loading.
     changed = {name: value for name, value in spec.properties.items() if name in CHANGEABLE}
     fdm = mission.open(changed=changed)
     dt_s = fdm.get_delta_t()
@@ -489,32 +620,37 @@ def record_mission(
     if one_ulp_off:
         larger = max("ic/vn-fps", "ic/ve-fps", key=lambda name: abs(fdm[name]))
         fdm[larger] = math.nextafter(fdm[larger], math.copysign(math.inf, fdm[larger]))
+    # The first levels must act during initialisation too.
     for name, value in first_levels(spec, dt_s).items():
         engine.set_property(fdm, name, value)
     engine.run_ic(fdm)
-    _require_kept(fdm, as_model_has(fdm, spec.properties))
+    _require_settings_hold(fdm, without_missing_switches(fdm, spec.properties))
     set_wind_without_air(fdm, spec)
     if MARK in mission.script.run_properties and fdm.get_propulsion().get_num_engines():
         engine.settle_engines(fdm)
-    if (rest := marked(mission.script.run_properties, mission.aircraft, fdm)) is not None:
-        bring_to_rest(fdm, rest)
+    if (
+        # Controls come to rest before the flight starts.
+        equilibrium := marked_equilibrium(mission.script.run_properties, mission.aircraft, fdm)
+    ) is not None:
+        bring_to_rest(fdm, equilibrium)
     present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
     table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
     try:
         getters = _getters(fdm, table)
     except BadInputError as error:
         raise BadInputError(f"{mission.aircraft.xml}: {error}") from None
-    burn, wanted = row_counts(spec, dt_s * stride, keep_burn_in)
-    advance = stepper(fdm, spec, dt_s, (burn + wanted) * stride, splits)
-    read = array("d")
+    burn_in_rows, recorded_rows = row_counts(spec, dt_s * stride, keep_burn_in)
+    advance = stepper(fdm, spec, dt_s, (burn_in_rows + recorded_rows) * stride, splits)
+    values = array("d")
     height = engine.handle(fdm, "position/h-agl-ft").get_double_value
     speed = engine.handle(fdm, "velocities/vt-fps").get_double_value
+    # Step in blocks of one row; the host feeds gusts and levels before each step.
     watch = GroundWatch(fdm, mission.aircraft, stride * dt_s)
     status, reason = "ok", ""
-    if burn == 0:
-        read.extend([get() for get in getters])
+    if burn_in_rows == 0:
+        values.extend([get() for get in getters])
     try:
-        for block in range(burn + wanted):
+        for block in range(burn_in_rows + recorded_rows):
             report_time(block * stride * dt_s)
             touched = watch.advance(advance, stride)
             if not math.isfinite(speed() + height()):
@@ -523,18 +659,19 @@ def record_mission(
             if touched:
                 status, reason = "ground-contact", f"{touched} touched the ground at {_clock(fdm)}"
                 break
-            if block >= burn:
-                read.extend([get() for get in getters])
+            # Rows of the burn-in are not recorded.
+            if block >= burn_in_rows:
+                values.extend([get() for get in getters])
     except engine.RuntimeFailure as error:
         status, reason = "crashed", engine.explain(fdm, error)
     except MemoryError:
         status, reason = "crashed", f"JSBSim ran out of memory at {_clock(fdm)}"
-    rows = in_signals(np.frombuffer(read).reshape(-1, len(getters)), table)
-    return Recorded(list(table), rows, status, reason, float(fdm.get_sim_time()))
+    rows = to_signals(np.frombuffer(values).reshape(-1, len(getters)), table)
+    return RecordedFlight(list(table), rows, status, reason, float(fdm.get_sim_time()))
 
 
 def row_counts(spec: FlightSpec, row_s: float, keep_burn_in: bool = False) -> tuple[int, int]:
-    """Rows of ``row_s`` seconds that are flown before recording begins, and rows that are recorded."""
+    """Return the numbers of burn-in rows and of recorded rows, each of ``row_s`` [s]."""
     burn = 0 if keep_burn_in else math.ceil(round(spec.burn_in_s / row_s, 9))
     return burn, math.ceil(
         round((spec.duration_s + (spec.burn_in_s if keep_burn_in else 0.0)) / row_s, 9)
@@ -542,11 +679,14 @@ def row_counts(spec: FlightSpec, row_s: float, keep_burn_in: bool = False) -> tu
 
 
 def _clock(fdm: Any) -> str:
+    """Return the simulation time as text."""
     return f"{fdm.get_sim_time():.1f} s"
 
 
 def record_stride(spec: FlightSpec, dt_s: float) -> int:
-    """Steps from one recorded row to the next. Raises BadInputError."""
+    """Return the steps per recorded row. Raises BadInputError if the rate does not divide the
+    step's.
+    """
     stride = round(1.0 / (spec.record_rate_hz * dt_s))
     if stride < 1 or abs(stride * spec.record_rate_hz * dt_s - 1.0) > 1e-6:
         raise BadInputError(
@@ -557,6 +697,7 @@ def record_stride(spec: FlightSpec, dt_s: float) -> int:
 
 
 def _exists(fdm: Any, source: Source) -> bool:
+    """Return whether a source's properties exist."""
     manager = fdm.get_property_manager()
     return bool(
         manager.hasNode(source.property) and (source.over is None or manager.hasNode(source.over))
@@ -564,7 +705,7 @@ def _exists(fdm: Any, source: Source) -> bool:
 
 
 def _getters(fdm: Any, table: Mapping[str, Source]) -> list[Callable[[], float]]:
-    """Of each source's property, then of each divisor's."""
+    """Return the getters of all properties, then of all divisors."""
     names = [s.property for s in table.values()] + [
         s.over for s in table.values() if s.over is not None
     ]
@@ -572,8 +713,11 @@ def _getters(fdm: Any, table: Mapping[str, Source]) -> list[Callable[[], float]]
     return [engine.handle(fdm, name).get_double_value for name in names]
 
 
-def in_signals(read: FloatArray, table: Mapping[str, Source]) -> FloatArray:
-    """Signals (n, len(table)) from what the getters gave (n, len(getters)); NaN or infinite where a divisor is zero."""
+def to_signals(read: FloatArray, table: Mapping[str, Source]) -> FloatArray:
+    """Return signals (n, m) from the values of the getters (n, m + divisors).
+
+    NaN or infinite where a divisor is zero.
+    """
     rows = np.empty((len(read), len(table)))
     divisor = len(table)
     for column, source in enumerate(table.values()):
@@ -586,7 +730,23 @@ def in_signals(read: FloatArray, table: Mapping[str, Source]) -> FloatArray:
 
 
 def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
-    """Set seeds, wind, turbulence, noise and properties of ``spec`` on a mission just opened. Raises BadInputError."""
+    """Set seeds, wind, turbulence, noise and properties on a mission before initialisation.
+
+    Parameters
+    ----------
+    fdm : FGFDMExec
+        Instance just opened.
+    mission : StagedMission
+        Aircraft and script.
+    spec : FlightSpec
+        Conditions.
+
+    Raises
+    ------
+    BadInputError
+        For values out of range, properties that events set, and conditions that need a system which
+        the aircraft does not have.
+    """
     if spec.turbulence not in TURBULENCE_W20_KT:
         raise BadInputError(
             f"turbulence '{spec.turbulence}': allowed are {', '.join(TURBULENCE_W20_KT)}"
@@ -603,16 +763,18 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     for name in spec.properties:
         if name in _RESERVED:
             raise BadInputError(f"property {name} is not for setting by name: {_RESERVED[name]}")
-    # A script may leave the integrators of a recorded flight for some frames: at a jump a multistep rule has to begin anew.
+    # A script may change the integrators for some frames, to restart a multistep rule at a jump.
     chosen = [name for name, value in spec.properties.items() if SECOND_ORDER.get(name) != value]
     refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *chosen])
     _require_transient(fdm, mission, spec)
-    with_air = has_air(fdm)
+    # Wind and turbulence go through the air system, where there is one.
+    with_air = has_air_system(fdm)
     if not with_air and spec.turbulence != "none" and spec.turbulence_source == "jsbsim":
         raise BadInputError(
-            f"aircraft '{mission.aircraft.name}' has no air system (property air/wind-north-fps), and JSBSim's own turbulence by "
-            'itself is wrong in a wind and above sea level (docs/jsbsim-traps.md): use turbulence_source = "spec" '
-            '(--turbulence-source spec), or add <system file="air"/> to its XML'
+            f"aircraft '{mission.aircraft.name}' has no air system (property air/wind-north-fps),"
+            " and JSBSim's own turbulence by itself is wrong in a wind and above sea level"
+            ' (docs/jsbsim-traps.md): use turbulence_source = "spec" (--turbulence-source spec),'
+            ' or add <system file="air"/> to its XML'
         )
     fdm["simulation/randomseed"] = spec.seed_noise
     fdm["atmosphere/randomseed"] = spec.seed_turbulence
@@ -625,54 +787,64 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
         fdm["sensor/noise"] = float(spec.sensor_noise)
     elif spec.sensor_noise:
         raise BadInputError(
-            f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps): fly it with sensor_noise = false "
-            "(without --noise)"
+            f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps): fly"
+            " it with sensor_noise = false (without --noise)"
         )
-    for name, value in as_model_has(fdm, spec.properties).items():
+    for name, value in without_missing_switches(fdm, spec.properties).items():
         if name not in CHANGEABLE:
             engine.set_property(fdm, name, value)
-    # The script's start is an airspeed; over the ground the aircraft moves with the wind as well.
+    # Initial conditions are an airspeed; the ground velocity includes the wind.
+    # The wind blows towards this direction.
     toward = math.radians(spec.wind_from_deg + 180.0)
     if spec.wind_mps:
         north, east = fdm["ic/vn-fps"], fdm["ic/ve-fps"]
         fdm["ic/vn-fps"] = north + spec.wind_mps * math.cos(toward) / FT_M
         fdm["ic/ve-fps"] = east + spec.wind_mps * math.sin(toward) / FT_M
         if not with_air:
-            # Set after the velocity over the ground, which it then leaves alone; JSBSim's direction is where the wind blows to.
+            # Set last, when it no longer changes the ground velocity. JSBSim's direction is the one
+            # that the wind blows to.
             fdm["ic/vw-dir-deg"] = math.degrees(toward)
             fdm["ic/vw-mag-fps"] = spec.wind_mps / FT_M
 
 
 def _require_transient(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
+    """Raise BadInputError if a transient model error cannot act on the aircraft."""
     if spec.transient is None:
         return
     exists = fdm.get_property_manager().hasNode
-    lacking = [
+    missing = [
         name for name in (f"uq/{c}/transient-level" for c in COEFFICIENTS) if not exists(name)
     ]
-    if lacking:
+    if missing:
         raise BadInputError(
-            f"aircraft '{mission.aircraft.name}' has no property {lacking[0]}, so no transient model error can act on it: make its "
-            "model-form.xml anew (uqharness instrument), or fly it with [epistemic] transient = false"
+            f"aircraft '{mission.aircraft.name}' has no property {missing[0]}, so no transient"
+            " model error can act on it: make its model-form.xml anew (uqharness instrument), or"
+            " fly it with [epistemic] transient = false"
         )
 
 
-def as_model_has(fdm: Any, properties: Mapping[str, float]) -> dict[str, float]:
-    """``properties`` with bounds of zero in place of a switch uq/<C>/active 0 that the aircraft's plugin does not have."""
+def without_missing_switches(fdm: Any, properties: Mapping[str, float]) -> dict[str, float]:
+    """Return properties with zero bounds in place of a switch that the aircraft does not have.
+
+    The switch is uq/<C>/active = 0; older plugins lack it.
+    """
     exists = fdm.get_property_manager().hasNode
-    found: dict[str, float] = {}
+    result: dict[str, float] = {}
     for name, value in properties.items():
-        plugin, _, what = name.rpartition("/")
-        if what == "active" and plugin.startswith("uq/") and value == 0.0 and not exists(name):
-            found |= {f"{plugin}/lower": 0.0, f"{plugin}/upper": 0.0}
+        plugin, _, setting = name.rpartition("/")
+        if setting == "active" and plugin.startswith("uq/") and value == 0.0 and not exists(name):
+            result |= {f"{plugin}/lower": 0.0, f"{plugin}/upper": 0.0}
         else:
-            found[name] = value
-    return found
+            result[name] = value
+    return result
 
 
 def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
-    """Blow the steady wind through JSBSim's own properties where no air system does; initialising would have undone it."""
-    if has_air(fdm):
+    """Set the steady wind in an aircraft without the air system, after initialisation.
+
+    Initialisation would reset it.
+    """
+    if has_air_system(fdm):
         return
     toward = math.radians(spec.wind_from_deg + 180.0)
     fdm["atmosphere/wind-north-fps"] = spec.wind_mps * math.cos(toward) / FT_M
@@ -680,16 +852,19 @@ def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
     fdm["atmosphere/wind-down-fps"] = 0.0
 
 
-def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
-    """BadInputError for a setting that initialising has overwritten: it would have no effect and no message."""
+def _require_settings_hold(fdm: Any, properties: Mapping[str, float]) -> None:
+    """Raise BadInputError for a property that initialisation has overwritten.
+
+    It would have no effect, without a message.
+    """
     for name, value in properties.items():
-        kept = fdm[name]
+        actual = fdm[name]
         if (
             name not in CHANGEABLE
             and not name.startswith("ic/")
-            and abs(kept - value) > 1e-9 * max(abs(value), 1.0)
+            and abs(actual - value) > 1e-9 * max(abs(value), 1.0)
         ):
             raise BadInputError(
-                f"property {name} was set to {value:g} and stands at {kept:g} after initialising: the model computes it, "
-                "so it cannot be set"
+                f"property {name} was set to {value:g} and stands at {actual:g} after initialising:"
+                " the model computes it, so it cannot be set"
             )

@@ -1,7 +1,9 @@
 """Flying-quality levels of MIL-F-8785C for the modes of a linear model.
 
-The numbers are the specification's tables; levels are 1, 2, 3, or 4 for worse than Level 3. They were written for piloted aircraft:
-for a small unmanned one they are a yardstick, not a requirement.
+`assess` rates every mode that has a requirement; levels are 1, 2, 3, or 4 for worse than Level 3.
+`level_edges` and `root_limits` draw the limits in the complex plane, and `root_locus` follows the
+modes over airspeed. The specification is for piloted aircraft: for small unmanned ones it is a
+yardstick, not a requirement.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ SHORT_PERIOD_DAMPING = {
     "B": ((0.30, 2.00), (0.20, 2.00), 0.15),
     "C": ((0.35, 1.30), (0.25, 2.00), 0.15),
 }
-# 3.2.2.1.1, Figs 1-3: CAP = wn^2/(n/alpha) in g rad^-1 s^-2 for Levels 1 and 2; the lower Level 2 bound is Level 3's too.
+# 3.2.2.1.1, Figs 1-3: CAP = wn^2/(n/alpha) in g rad^-1 s^-2 for Levels 1 and 2; the lower Level 2
+# bound is Level 3's too.
 CAP = {
     "A": ((0.28, 3.6), (0.16, 10.0)),
     "B": ((0.085, 3.6), (0.038, 10.0)),
@@ -42,8 +45,8 @@ CAP = {
 }
 # 3.2.1.2: least damping at Levels 1 and 2, shortest time to double amplitude [s] at Level 3.
 PHUGOID_DAMPING, PHUGOID_DOUBLE_S = (0.04, 0.0), 55.0
-# 3.2.1.1: airspeed must not diverge without oscillation at Levels 1 and 2; shortest time to double
-# amplitude [s] at Level 3.
+# 3.2.1.1: no divergence of airspeed at Levels 1 and 2; shortest time to double amplitude [s] at
+# Level 3.
 DIVERGENCE, DIVERGENCE_DOUBLE_S = "3.2.1.1", 6.0
 # 3.3.1.4: least zeta wn [rad/s] of a coupled roll-spiral oscillation at Levels 1, 2 and 3 in
 # categories B and C; category A permits none.
@@ -52,7 +55,19 @@ ROLL_SPIRAL_RADPS = (0.5, 0.3, 0.15)
 
 @dataclass(frozen=True)
 class Assessment:
-    """One requirement met or not: the criterion, its value and unit, the level reached (1..4), the paragraph."""
+    """One requirement and the level reached.
+
+    Attributes
+    ----------
+    mode, criterion : str
+        Mode and what is rated.
+    value, unit : float, str
+        Value; NaN if it is undefined.
+    level : int
+        1 to 3, or 4 for worse than Level 3.
+    paragraph : str
+        Paragraph of MIL-F-8785C.
+    """
 
     mode: str
     criterion: str
@@ -63,15 +78,34 @@ class Assessment:
 
 
 def assess(
-    model: LinearModel, found: Sequence[Mode], category: str = "B", aircraft_class: str = "I"
+    model: LinearModel, all_modes: Sequence[Mode], category: str = "B", aircraft_class: str = "I"
 ) -> list[Assessment]:
-    """Levels of every mode that has a requirement. ValueError for an unknown category or class."""
+    """Return the levels of all modes that have a requirement.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Linear model about a trim.
+    all_modes : sequence of Mode
+        Its modes.
+    category : str
+        Flight phase category A, B or C.
+    aircraft_class : str
+        Class I to IV, with II-L and II-C.
+
+    Raises
+    ------
+    ValueError
+        For an unknown category or class.
+    """
     if category not in CATEGORIES or aircraft_class not in CLASSES:
         raise ValueError(
-            f"category {category!r}, class {aircraft_class!r}: allowed are {', '.join(CATEGORIES)} and {', '.join(CLASSES)}"
+            f"category {category!r}, class {aircraft_class!r}: allowed are {', '.join(CATEGORIES)}"
+            f" and {', '.join(CLASSES)}"
         )
+    # Modes may be missing or occur twice (two real roots).
     by_name: dict[str, list[Mode]] = {name: [] for name in MODE_NAMES}
-    for mode in found:
+    for mode in all_modes:
         by_name[mode.name].append(mode)
     return [
         *_short_period(by_name["short_period"], by_name["third"], model, category),
@@ -84,17 +118,17 @@ def assess(
 
 
 def load_factor_per_alpha(model: LinearModel) -> float:
-    """n/alpha [g/rad] = -Z_w V / g, from the linear model's Z_w."""
+    """Return n/alpha = -Z_w V/g [g/rad] of a linear model."""
     return -float(model.A[2, 2]) * model.trim.condition.V_mps / G0_MPS2
 
 
 def _short_period(
     roots: list[Mode], third: list[Mode], model: LinearModel, category: str
 ) -> list[Assessment]:
-    """Judge the short period, or the pair that takes its place.
+    """Rate the short period, or the pair that replaces it.
 
-    Beside a third oscillatory mode the short period is one real root. The pitch response to a
-    control then oscillates with the pair, which is judged instead of it.
+    Next to a third oscillatory mode, the short period is a real root. The pitch response oscillates
+    with the pair, which is then rated.
     """
     pair = third or roots
     name = pair[0].name
@@ -109,11 +143,20 @@ def _short_period(
     zeta, wn = _damping_and_frequency(pair)
     first, second, third_low = SHORT_PERIOD_DAMPING[category]
     damping = (
-        1 if _within(zeta, first) else 2 if _within(zeta, second) else 3 if zeta >= third_low else 4
+        1
+        if _is_within(zeta, first)
+        else 2
+        if _is_within(zeta, second)
+        else 3
+        if zeta >= third_low
+        else 4
     )
+    # CAP = wn^2/(n/alpha), 3.2.2.1.1.
     cap = wn**2 / load_factor_per_alpha(model)
     one, two = CAP[category]
-    control = 1 if _within(cap, one) else 2 if _within(cap, two) else 3 if cap >= two[0] else 4
+    control = (
+        1 if _is_within(cap, one) else 2 if _is_within(cap, two) else 3 if cap >= two[0] else 4
+    )
     return [
         Assessment(name, "damping", zeta, "1", damping, "3.2.2.1.2"),
         Assessment(name, "CAP", cap, "1/(g s^2)", control, "3.2.2.1.1"),
@@ -122,7 +165,7 @@ def _short_period(
 
 
 def _damping_and_frequency(pair: list[Mode]) -> tuple[float, float]:
-    """Return zeta and wn [rad/s] of a pair, or of two real roots of one sign as a pair."""
+    """Return zeta and wn [rad/s] of a pair, or of two real roots of equal sign."""
     if len(pair) == 1:
         return pair[0].zeta, pair[0].wn_radps
     wn = math.sqrt(pair[0].real * pair[1].real)
@@ -130,13 +173,14 @@ def _damping_and_frequency(pair: list[Mode]) -> tuple[float, float]:
 
 
 def _divergence(root: Mode) -> Assessment:
-    """Judge an unstable real root of the longitudinal motion."""
+    """Rate an unstable real root of the longitudinal motion."""
     double = math.log(2.0) / root.real
     level = 3 if double >= DIVERGENCE_DOUBLE_S else 4
     return Assessment(root.name, "divergence, time to double", double, "s", level, DIVERGENCE)
 
 
 def _phugoid(pair: list[Mode]) -> list[Assessment]:
+    """Rate the phugoid (3.2.1.2), or divergences in its place."""
     unstable = [root for root in pair if root.imag == 0 and root.real > 0]
     if unstable:
         return [_divergence(root) for root in unstable]
@@ -152,7 +196,7 @@ def _phugoid(pair: list[Mode]) -> list[Assessment]:
 
 
 def dutch_roll_limits(category: str, aircraft_class: str) -> tuple[tuple[float, float, float], ...]:
-    """Least zeta, zeta wn [rad/s] and wn [rad/s] at Levels 1, 2 and 3 (3.3.1.1, Table VI)."""
+    """Return the least zeta, zeta wn and wn [rad/s] at Levels 1 to 3 (3.3.1.1, Table VI)."""
     light = aircraft_class in ("I", "IV")
     if category == "A":
         one = (0.19, 0.35, 1.0 if light else 0.4)
@@ -164,106 +208,132 @@ def dutch_roll_limits(category: str, aircraft_class: str) -> tuple[tuple[float, 
 
 
 def roll_limits_s(category: str, aircraft_class: str) -> tuple[float, float, float]:
-    """Longest roll time constant [s] at Levels 1, 2 and 3 (3.3.1.2, Table VII)."""
+    """Return the longest roll time constant [s] at Levels 1 to 3 (3.3.1.2, Table VII).
+
+    Examples
+    --------
+    >>> roll_limits_s("B", "I")
+    (1.4, 3.0, 10.0)
+    """
     quick = aircraft_class in ("I", "IV") or (category == "C" and aircraft_class == "II-C")
     return (1.0, 1.4, 10.0) if quick and category != "B" else (1.4, 3.0, 10.0)
 
 
 def spiral_limits_s(category: str) -> tuple[float, float, float]:
-    """Shortest time to double amplitude [s] at Levels 1, 2 and 3 (3.3.1.3, Table VIII)."""
+    """Return the shortest time to double amplitude [s] at Levels 1 to 3 (3.3.1.3, Table VIII)."""
     return (20.0 if category == "B" else 12.0, 8.0, 4.0)
 
 
 def _dutch_roll(pair: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
+    """Rate the Dutch roll (3.3.1.1)."""
     if len(pair) == 2 and max(root.real for root in pair) >= 0:
         return [Assessment("dutch_roll", "damping", float("nan"), "1", 4, "3.3.1.1")]
     zeta, wn = _damping_and_frequency(pair)
     decay = -pair[0].real if len(pair) == 1 else zeta * wn
-    level = _first(
+    level = _best_level(
         zeta >= least_zeta and decay >= product and wn >= least_wn
         for least_zeta, product, least_wn in dutch_roll_limits(category, aircraft_class)
     )
     return [Assessment("dutch_roll", "damping", zeta, "1", level, "3.3.1.1")]
 
 
-def _roll_spiral(found: list[Mode], category: str) -> list[Assessment]:
-    """Judge a coupled roll-spiral oscillation (lateral phugoid)."""
+def _roll_spiral(coupled_modes: list[Mode], category: str) -> list[Assessment]:
+    """Rate a coupled roll-spiral oscillation (3.3.1.4)."""
     return [
         Assessment(
             mode.name,
             "coupled roll-spiral, zeta wn",
             -mode.real,
             "rad/s",
-            4 if category == "A" else _first(-mode.real >= limit for limit in ROLL_SPIRAL_RADPS),
+            4
+            if category == "A"
+            else _best_level(-mode.real >= limit for limit in ROLL_SPIRAL_RADPS),
             "3.3.1.4",
         )
-        for mode in found
+        for mode in coupled_modes
     ]
 
 
-def _roll(found: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
-    if not found:
+def _roll(roots: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
+    """Rate the roll mode (3.3.1.2)."""
+    if not roots:
         return []
-    real = found[0].real
+    real = roots[0].real
     if real >= 0:
         return [Assessment("roll", "time constant", float("nan"), "s", 4, "3.3.1.2")]
     constant = -1.0 / real
-    level = _first(constant <= limit for limit in roll_limits_s(category, aircraft_class))
+    level = _best_level(constant <= limit for limit in roll_limits_s(category, aircraft_class))
     return [Assessment("roll", "time constant", constant, "s", level, "3.3.1.2")]
 
 
-def _spiral(found: list[Mode], category: str) -> list[Assessment]:
-    if not found:
+def _spiral(roots: list[Mode], category: str) -> list[Assessment]:
+    """Rate the spiral mode (3.3.1.3)."""
+    if not roots:
         return []
-    real = found[0].real
+    real = roots[0].real
     if real <= 0:
         return [Assessment("spiral", "time to double", math.inf, "s", 1, "3.3.1.3")]
     double = math.log(2.0) / real
-    level = _first(double >= limit for limit in spiral_limits_s(category))
+    level = _best_level(double >= limit for limit in spiral_limits_s(category))
     return [Assessment("spiral", "time to double", double, "s", level, "3.3.1.3")]
 
 
-def _first(met: Iterable[bool]) -> int:
-    """The best Level whose limit is met, 4 for none."""
-    return next((level for level, yes in enumerate(met, start=1) if yes), 4)
+def _best_level(limits_met: Iterable[bool]) -> int:
+    """Return the best level whose limit is met, 4 for none."""
+    return next((level for level, yes in enumerate(limits_met, start=1) if yes), 4)
 
 
-def _within(value: float, limits: tuple[float, float]) -> bool:
+def _is_within(value: float, limits: tuple[float, float]) -> bool:
+    """Return whether a value lies within limits."""
     return limits[0] <= value <= limits[1]
 
 
-# Where the Levels of MIL-F-8785C begin in the complex plane of eigenvalues: the limits of
-# `handling` as lines.
+# Limits of the levels as lines in the complex plane of eigenvalues.
 
 OSCILLATORY = ("short_period", "phugoid", "dutch_roll")
-"""Modes whose Levels are areas of the plane; those of roll and spiral are limits of a real root."""
+"""Modes whose levels are areas of the plane; roll and spiral have limits of a real root."""
 
 
 def level_edges(
     mode: str, category: str, aircraft_class: str, imag: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Largest real part [1/s] of a pair at Levels 1, 2 and 3, each (n,), at imaginary parts ``imag`` (n,) [rad/s] above 0.
+    """Return the largest real part [1/s] of a pair at Levels 1, 2 and 3, each (n,).
 
-    Short period: by its damping alone; that it may be too large (a pair of real roots) has no edge here. ValueError for a mode
-    that is not of `OSCILLATORY`.
+    Parameters
+    ----------
+    mode : str
+        One of `OSCILLATORY`. For the short period only damping counts, without its upper limit.
+    category, aircraft_class : str
+        As of `assess`.
+    imag : ndarray
+        Imaginary parts (n,) [rad/s], positive.
+
+    Raises
+    ------
+    ValueError
+        For another mode.
     """
     if mode == "short_period":
         (one, _), (two, _), three = SHORT_PERIOD_DAMPING[category]
-        return _damped(one, imag), _damped(two, imag), _damped(three, imag)
+        return _real_part(one, imag), _real_part(two, imag), _real_part(three, imag)
     if mode == "phugoid":
-        first, second = (_damped(zeta, imag) for zeta in PHUGOID_DAMPING)
+        first, second = (_real_part(zeta, imag) for zeta in PHUGOID_DAMPING)
         return first, second, np.full(imag.shape, math.log(2.0) / PHUGOID_DOUBLE_S)
     if mode != "dutch_roll":
         raise ValueError(f"mode {mode!r}: allowed are {', '.join(OSCILLATORY)}")
     edges = []
     for zeta, product, wn in dutch_roll_limits(category, aircraft_class):
+        # wn at least its limit: outside a circle about the origin.
         slow = -np.sqrt(np.maximum(wn**2 - imag**2, 0.0))
-        edges.append(np.minimum(np.minimum(_damped(zeta, imag), slow), -max(product, 0.0)))
+        edges.append(np.minimum(np.minimum(_real_part(zeta, imag), slow), -max(product, 0.0)))
     return edges[0], edges[1], edges[2]
 
 
 def root_limits(mode: str, category: str, aircraft_class: str) -> tuple[float, float, float]:
-    """Largest real root [1/s] of roll or spiral at Levels 1, 2 and 3. ValueError for another mode."""
+    """Return the largest real root [1/s] of roll or spiral at Levels 1, 2 and 3.
+
+    Raises ValueError for another mode.
+    """
     if mode == "roll":
         one, two, three = (-1.0 / constant for constant in roll_limits_s(category, aircraft_class))
     elif mode == "spiral":
@@ -274,25 +344,25 @@ def root_limits(mode: str, category: str, aircraft_class: str) -> tuple[float, f
 
 
 def cap_limits(category: str) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Smallest and largest CAP [1/(g s^2)] at Levels 1 and 2; the smallest of Level 2 is that of Level 3 too."""
+    """Return the limits of CAP [1/(g s^2)] at Levels 1 and 2; Level 3 has Level 2's lower one."""
     return CAP[category]
 
 
-def _damped(zeta: float, imag: FloatArray) -> FloatArray:
-    """Real part of a pair of that damping, below 1."""
+def _real_part(zeta: float, imag: FloatArray) -> FloatArray:
+    """Return the real part of a pair with a damping below 1."""
     return np.asarray(-zeta / math.sqrt(1.0 - zeta**2) * imag)
 
 
-# How the modes move with airspeed: a trim and a linear model at each of several speeds.
+# Modes over airspeed: a trim and a linear model at each speed.
 
 SLOWEST, FASTEST, STEPS = 0.7, 1.6, 12
-"""Range of the usual speeds as shares of the speed asked for, and the number of steps in it."""
-_GIVEN_UP = 2
+"""Default speeds: range as shares of the requested speed, and number of steps."""
+_MAX_FAILURES = 2
 
 
 @dataclass(frozen=True)
 class LocusPoint:
-    """Modes and Levels at one true airspeed [m/s], and n/alpha [g/rad] there."""
+    """Modes and levels at one true airspeed [m/s], with n/alpha [g/rad]."""
 
     V_mps: float
     modes: tuple[Mode, ...]
@@ -302,26 +372,26 @@ class LocusPoint:
 
 @dataclass(frozen=True)
 class Locus:
-    """Points by rising speed, and the speeds [m/s] without a trim, each with its reason."""
+    """Points by rising speed, and the speeds [m/s] without a trim with their reasons."""
 
     points: tuple[LocusPoint, ...]
     refused: tuple[tuple[float, str], ...]
 
 
-def usual_speeds(
+def default_speeds(
     V_mps: float, low: float | None = None, high: float | None = None
 ) -> tuple[float, ...]:
-    """Speeds [m/s] in even steps from ``low`` to ``high``; without them from 0.7 to 1.6 times ``V_mps``."""
+    """Return evenly spaced speeds [m/s] from ``low`` to ``high``, by default .7 to 1.6 times V."""
     first, last = SLOWEST * V_mps if low is None else low, FASTEST * V_mps if high is None else high
     return tuple(float(v) for v in np.linspace(first, last, STEPS + 1))
 
 
-def point_at(model: LinearModel, category: str, aircraft_class: str) -> LocusPoint:
-    """Modes and Levels of a linear model."""
-    found = modes(model)
-    levels = assess(model, found, category, aircraft_class)
+def locus_point(model: LinearModel, category: str, aircraft_class: str) -> LocusPoint:
+    """Return modes and levels of a linear model."""
+    all_modes = modes(model)
+    levels = assess(model, all_modes, category, aircraft_class)
     return LocusPoint(
-        model.trim.condition.V_mps, tuple(found), tuple(levels), load_factor_per_alpha(model)
+        model.trim.condition.V_mps, tuple(all_modes), tuple(levels), load_factor_per_alpha(model)
     )
 
 
@@ -331,38 +401,61 @@ def root_locus(
     speeds: Sequence[float],
     category: str,
     aircraft_class: str,
+    *,
     first: LocusPoint | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    callback: Callable[[int, int], None] = lambda done, total: None,
 ) -> Locus:
-    """Modes at each of ``speeds`` [m/s], all else as in ``condition``.
+    """Return the modes at several airspeeds.
 
-    Speeds are tried from the condition's own outwards. A trim that does not exist costs ten times as much as one that does, so
-    behind two speeds in a row without one the others on that side are listed as not tried. first: the point at the condition's
-    own speed, where it is known.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    condition : SteadyCondition
+        Flight condition; only its airspeed is varied.
+    speeds : sequence of float
+        True airspeeds [m/s].
+    category, aircraft_class : str
+        As of `assess`.
+    first : LocusPoint, optional
+        The point at the condition's own speed, if known.
+    callback : callable
+        Called with the numbers of finished and of all speeds.
+
+    Notes
+    -----
+    Speeds are tried outwards from the condition's own. A trim that does not exist takes ten times
+    as long as one that does: after two failures in a row, the remaining speeds of that side are not
+    tried.
     """
     centre = condition.V_mps
     points = {} if first is None else {first.V_mps: first}
     refused: dict[float, str] = {}
-    wanted = sorted(set(speeds) | ({centre} if first is None else set()))
-    sides = ([v for v in reversed(wanted) if v <= centre], [v for v in wanted if v > centre])
+    all_speeds = sorted(set(speeds) | ({centre} if first is None else set()))
+    # Outwards from the known speed on both sides.
+    sides = (
+        [v for v in reversed(all_speeds) if v <= centre],
+        [v for v in all_speeds if v > centre],
+    )
     done = 0
-    for side, beyond in zip(sides, ("slower", "faster"), strict=True):
+    for side, direction in zip(sides, ("slower", "faster"), strict=True):
         failed: list[float] = []
         for V in side:
             done += 1
-            if len(failed) >= _GIVEN_UP:
+            if len(failed) >= _MAX_FAILURES:
                 refused[V] = (
-                    f"not tried: {beyond} than {failed[0]:.4g} and {failed[1]:.4g} m/s, which do not trim"
+                    f"not tried: {direction} than {failed[0]:.4g} and {failed[1]:.4g} m/s, which do"
+                    " not trim"
                 )
             elif V not in points:
                 trim = find_trim(aircraft, replace(condition, V_mps=V))
                 if trim.converged:
-                    points[V] = point_at(linearise(aircraft, trim), category, aircraft_class)
+                    points[V] = locus_point(linearise(aircraft, trim), category, aircraft_class)
                     failed = []
                 else:
                     refused[V] = trim.reason
                     failed.append(V)
-            progress(done, len(wanted))
+            callback(done, len(all_speeds))
     return Locus(
         tuple(points[v] for v in sorted(points)), tuple((v, refused[v]) for v in sorted(refused))
     )

@@ -1,20 +1,22 @@
 """Gain, phase and delay margins of a control loop, measured in flight.
 
-A multisine is added to one controller's output while every loop stays closed, in calm air and without sensor noise. What
-the controller puts out and what is applied (output + injection) are recorded; at the injected frequencies
+A multisine is added to one controller's output while every loop stays closed, in calm air and
+without sensor noise. What the controller puts out and what is applied (output + injection) are
+recorded; at the injected frequencies
 
     L(jw) = - output / applied
 
-is the loop opened at that output with all the others closed: servo, airframe, sensors, control law, computing delay
-and hold included, nothing modelled. Where the autopilot mixes the output into a second actuator, the injection is mixed in
-too: the loop is open on both paths, and L is proportional to the gains of its controller.
+is the loop opened at that output with all the others closed: servo, airframe, sensors, control law,
+computing delay and hold included, nothing modelled. Where the autopilot mixes the output into a
+second actuator, the injection is mixed in too: the loop is open on both paths, and L is
+proportional to the gains of its controller.
 
-The multisine is flown with both signs, and the difference is read: what does not change sign with it, such as the turn of the
-loiter and the loss of speed that follows any deflection, cancels out.
+The multisine is flown with both signs, and the difference is read: what does not change sign with
+it, such as the turn of the loiter and the loss of speed that follows any deflection, cancels out.
 
-Margins follow from L and from the fact that the flight was stable: growing or shrinking the gain first loses stability where
-k L(jw) = -1, so the nearest crossings of the negative real axis on either side of -1 are the margins, for conditionally
-stable loops too.
+Margins follow from L and from the fact that the flight was stable: growing or shrinking the gain
+first loses stability where k L(jw) = -1, so the nearest crossings of the negative real axis on
+either side of -1 are the margins, for conditionally stable loops too.
 
 The simulator is handed in (`make_fdm`); nothing here knows JSBSim.
 """
@@ -34,12 +36,12 @@ Complexes = NDArray[np.complex128]
 
 
 class Simulator(Protocol):
-    """The part of JSBSim's FGFDMExec that is needed."""
+    """The part of JSBSim's FGFDMExec that is used."""
 
     def __getitem__(self, name: str) -> float: ...
     def __setitem__(self, name: str, value: float) -> None: ...
     def run(self) -> bool:
-        """One step; False where the simulation ends."""
+        """Run one step; return False at the end of the simulation."""
         ...
 
     def run_ic(self) -> bool:
@@ -48,8 +50,8 @@ class Simulator(Protocol):
 
 
 @dataclass(frozen=True)
-class Mixed:
-    """A second actuator that the autopilot moves by the same output: by ``sign`` times the property ``gain``."""
+class CoupledActuator:
+    """A second actuator moved by the same output, by ``sign`` times the property ``gain``."""
 
     inject: str
     gain: str
@@ -58,7 +60,23 @@ class Mixed:
 
 @dataclass(frozen=True)
 class Loop:
-    """One control loop: where to inject and what to record, and a multisine that suits its bandwidth."""
+    """A control loop and the multisine that measures it.
+
+    Attributes
+    ----------
+    name : str
+        Name of the actuator.
+    inject, output, applied : str
+        Properties: injected signal, controller's output, and their sum.
+    rms : float
+        Of the injection, in the actuator's unit.
+    lowest_radps, highest_radps : float
+        Frequency band [rad/s].
+    period_s : float
+        Period of the multisine [s], which sets the spacing of its lines.
+    mixed : tuple of Mixed
+        Actuators that follow the same output.
+    """
 
     name: str
     inject: str
@@ -68,11 +86,11 @@ class Loop:
     lowest_radps: float
     highest_radps: float
     period_s: float  # of the multisine; sets the spacing of the lines
-    mixed: tuple[Mixed, ...] = ()
+    mixed: tuple[CoupledActuator, ...] = ()
 
     @property
     def properties(self) -> tuple[str, ...]:
-        """Properties that the aircraft must have for the loop to be measured."""
+        """Return the properties that the aircraft must have."""
         return (
             self.inject,
             self.output,
@@ -88,8 +106,9 @@ def _loop(
     lowest: float,
     highest: float,
     period_s: float,
-    *mixed: Mixed,
+    *mixed: CoupledActuator,
 ) -> Loop:
+    """Return a loop with the autopilot's property names."""
     return Loop(
         name=surface,
         inject=f"ap/inject-{surface}-{unit}",
@@ -104,13 +123,14 @@ def _loop(
 
 
 MAX_SCATTER = 0.1
-"""Largest difference between the records of either sign, as a share of |L|, at a line that margins are read from."""
-_FEWEST_LINES = 10
+"""Largest relative difference of L between the records of either sign, at a line that is used."""
+_MIN_LINES = 10
 
-# Amplitudes: large against the rounding of the log, small against servo rate (240 deg/s), throttle slew and the throws.
+# Amplitudes are large against rounding, and small against servo rate (240 deg/s), throttle slew and
+# throws.
 LOOPS: Mapping[str, Loop] = {
     "elevator": _loop("elevator", "deg", 0.3, 0.2, 60.0, 100.0),
-    # +aileron is right wing down and +rudder nose left: the mixing moves the rudder the other way.
+    # +aileron is right wing down and +rudder nose left: mixing moves the rudder the other way.
     "aileron": _loop(
         "aileron",
         "deg",
@@ -118,13 +138,13 @@ LOOPS: Mapping[str, Loop] = {
         0.2,
         60.0,
         100.0,
-        Mixed("ap/inject-rudder-deg", "ap/KFF_RDDRMIX", -1.0),
+        CoupledActuator("ap/inject-rudder-deg", "ap/KFF_RDDRMIX", -1.0),
     ),
     "rudder": _loop("rudder", "deg", 0.5, 0.2, 60.0, 100.0),
     "throttle": _loop("throttle", "pct", 1.5, 0.05, 12.0, 250.0),
 }
 
-# A calm loiter on the circle: the flight begins heading north with the centre a radius to the east.
+# Calm loiter: the flight starts northwards with the centre one radius to the east.
 CALM_LOITER: Mapping[str, float] = {
     "sensor/noise": 0.0,
     "air/wind-mps": 0.0,
@@ -134,7 +154,7 @@ CALM_LOITER: Mapping[str, float] = {
     "ap/loiter-center-east-m": 120.0,
 }
 
-# A circle so wide (20 km, bank 0.14 deg) that it is a straight line.
+# A circle of 20 km (bank 0.14 deg) is a straight line.
 CALM_STRAIGHT: Mapping[str, float] = {
     **CALM_LOITER,
     "ap/WP_LOITER_RAD": 2e4,
@@ -144,7 +164,7 @@ CALM_STRAIGHT: Mapping[str, float] = {
 
 @dataclass(frozen=True)
 class Margins:
-    """Distances of a stable loop from instability. Infinite where the measured band holds no crossing."""
+    """Stability margins; infinite if the measured band has no crossing."""
 
     gain_up_dB: float  # smallest increase of gain that loses stability
     gain_down_dB: float  # smallest decrease that does, as a positive number; inf: none
@@ -153,7 +173,7 @@ class Margins:
     modulus: float  # closest approach of L to -1
     gain_crossovers_radps: tuple[float, ...]
     phase_crossovers_radps: tuple[float, ...]
-    # Where each margin was read [rad/s]: NaN where it is infinite.
+    # Frequency of each margin [rad/s]; NaN if it is infinite.
     gain_up_radps: float = math.nan
     gain_down_radps: float = math.nan
     phase_radps: float = math.nan
@@ -162,7 +182,7 @@ class Margins:
 
 @dataclass(frozen=True)
 class LoopMargins:
-    """A measured loop: its margins and the frequency response they were read from."""
+    """Margins of a loop and the frequency response (n,) that they were read from."""
 
     loop: str
     margins: Margins
@@ -174,12 +194,15 @@ class LoopMargins:
 
     @property
     def reliable(self) -> NDArray[np.bool_]:
-        """The lines that the margins were read from: where L is very large, almost nothing is applied to divide by."""
+        """Return which lines were used; where L is very large, hardly anything is applied."""
         return np.asarray(self.scatter < MAX_SCATTER)
 
 
 def multisine(lines: NDArray[np.int64], samples: int, rms: float) -> Floats:
-    """Sum of equal cosines at whole `lines` per period, Schroeder's phases (low peak), one period of `samples`."""
+    """Return one period (samples,) of equal cosines at whole ``lines`` with Schroeder phases.
+
+    The phases give a low peak; ``rms`` is that of the sum.
+    """
     count = len(lines)
     index = np.arange(count)
     phase = -np.pi * index * (index + 1) / count
@@ -190,14 +213,22 @@ def multisine(lines: NDArray[np.int64], samples: int, rms: float) -> Floats:
 def choose_lines(
     lowest_radps: float, highest_radps: float, period_s: float, count: int = 60
 ) -> NDArray[np.int64]:
-    """Harmonics of the period, evenly spread in log frequency."""
+    """Return harmonics of the period, evenly spaced in log frequency."""
     base = 2 * np.pi / period_s
-    wanted = np.geomspace(max(lowest_radps / base, 1.0), highest_radps / base, count)
-    return np.unique(np.rint(wanted).astype(np.int64))
+    harmonics = np.geomspace(max(lowest_radps / base, 1.0), highest_radps / base, count)
+    return np.unique(np.rint(harmonics).astype(np.int64))
 
 
 def margins_of(frequency_radps: Floats, response: Complexes) -> Margins:
-    """Margins of a loop known to be stable, from L at rising frequencies (log-linear between them)."""
+    """Return the margins of a stable loop.
+
+    Parameters
+    ----------
+    frequency_radps : ndarray
+        Rising frequencies (n,) [rad/s]; L is interpolated log-linearly.
+    response : ndarray
+        Loop transfer function L (n,), complex.
+    """
     log_w = np.log(frequency_radps)
     log_gain = np.log(np.abs(response))
     phase = np.unwrap(np.angle(response))
@@ -208,12 +239,12 @@ def margins_of(frequency_radps: Floats, response: Complexes) -> Margins:
         )
 
     def crossings(signal: Floats) -> list[float]:
-        found = []
+        log_frequencies = []
         for i in range(len(signal) - 1):
             a, b = signal[i], signal[i + 1]
             if a == 0.0 or a * b < 0.0:
-                found.append(float(log_w[i] + (log_w[i + 1] - log_w[i]) * a / (a - b)))
-        return found
+                log_frequencies.append(float(log_w[i] + (log_w[i + 1] - log_w[i]) * a / (a - b)))
+        return log_frequencies
 
     gain_crossings = crossings(log_gain)
     turns = range(
@@ -221,7 +252,7 @@ def margins_of(frequency_radps: Floats, response: Complexes) -> Margins:
     )
     phase_crossings = sorted(x for k in turns for x in crossings(phase - np.pi * (2 * k + 1)))
 
-    # Each the smallest of (size, log frequency); NaN for a frequency that is none.
+    # Each is the smallest (size, log frequency); NaN stands for no frequency.
     up = down = phase_margin = delay = (math.inf, math.nan)
     for x in phase_crossings:
         log_factor = -at(x)[0]  # gain factor that puts this crossing on -1
@@ -260,10 +291,25 @@ def measure_loop(
 ) -> LoopMargins:
     """Fly, inject, and read the margins of one loop.
 
-    `make_fdm` returns a simulator with the aircraft loaded and its initial conditions set; `condition` is set before
-    initialising. `periods` are read with either sign of the injection, after one that lets the transient die.
-    `on_progress` is told the share of the flight that is flown, 0..1. Raises ValueError where the flight does not stay finite
-    or does not repeat itself.
+    Parameters
+    ----------
+    make_fdm : callable
+        Returns a simulator with the aircraft loaded and initial conditions set.
+    loop : Loop
+        The loop.
+    condition : mapping
+        Properties set before initialisation.
+    settle_s : float
+        Flight time before the injection [s].
+    periods : int
+        Periods read with either sign, after one for the transient.
+    on_progress : callable, optional
+        Called with the share of the flight that is done, 0 to 1.
+
+    Raises
+    ------
+    ValueError
+        If the flight does not stay finite or does not repeat itself.
     """
     if periods < 1:
         raise ValueError(f"periods {periods}: at least 1 is read")
@@ -277,18 +323,19 @@ def measure_loop(
     lines = choose_lines(loop.lowest_radps, loop.highest_radps, loop.period_s)
     excitation = multisine(lines, samples, loop.rms)
     settling = round(settle_s / dt)
-    every = settling + 2 * (periods + 1) * samples
-    tell = on_progress or (lambda _share: None)
+    total_steps = settling + 2 * (periods + 1) * samples
+    callback = on_progress or (lambda _share: None)
 
     for _ in range(settling):
         fdm.run()
-    tell(settling / every)
+    callback(settling / total_steps)
     output, applied = [], []  # at the lines, of the injection as it is and with the other sign
     for k, sign in enumerate((1.0, -1.0)):
         records = []
         for period in range(1 + periods):
             records.append(_fly_period(fdm, loop, sign * excitation))
-            tell((settling + (k * (periods + 1) + period + 1) * samples) / every)
+            callback((settling + (k * (periods + 1) + period + 1) * samples) / total_steps)
+        # The transform at the lines of the injection.
         out, on = (
             sign * np.fft.rfft(np.sum(signal, axis=0))[lines]
             for signal in zip(*records[1:], strict=True)
@@ -300,17 +347,19 @@ def measure_loop(
 
     if not np.all(np.isfinite(output)):
         raise ValueError(f"{loop.name}: the flight did not stay finite")
+    # The difference of both signs cancels what does not depend on the injection.
     response = -(output[0] + output[1]) / (applied[0] + applied[1])
     scatter = np.abs(output[0] / applied[0] - output[1] / applied[1]) / np.abs(response)
     frequency = np.asarray(2 * np.pi * lines / (samples * dt), dtype=np.float64)
-    good = scatter < MAX_SCATTER
-    if np.count_nonzero(good) < _FEWEST_LINES:
+    reliable = scatter < MAX_SCATTER
+    if np.count_nonzero(reliable) < _MIN_LINES:
         raise ValueError(
-            f"{loop.name}: the records of either sign of the injection disagree, the flight was not steady"
+            f"{loop.name}: the records of either sign of the injection disagree, the flight was not"
+            " steady"
         )
     return LoopMargins(
         loop=loop.name,
-        margins=margins_of(frequency[good], response[good]),
+        margins=margins_of(frequency[reliable], response[reliable]),
         frequency_radps=frequency,
         response=response,
         scatter=scatter,
@@ -318,7 +367,7 @@ def measure_loop(
 
 
 def _fly_period(fdm: Simulator, loop: Loop, excitation: Floats) -> tuple[Floats, Floats]:
-    """Controller's output and what is applied, (samples,) each, over one period of the injection."""
+    """Return the controller's output and the applied signal, (samples,) each, over one period."""
     output, applied = np.empty(excitation.size), np.empty(excitation.size)
     mixed = [(item.inject, item.sign * fdm[item.gain]) for item in loop.mixed]
     for i, value in enumerate(excitation.tolist()):

@@ -1,9 +1,10 @@
-"""Standard normal numbers of raw random bits, by IEEE operations alone: the same bytes on every processor.
+"""Random numbers that are bit-identical on all processors, and the named streams of a campaign.
 
-numpy's own normals call the C library's exponential and logarithm, whose last bits differ between processors and versions. Here
-two numbers of 64 random bits become two independent standard normals (Box and Muller, 1958), the logarithm and the sine
-written out as polynomials. The functions take numpy arrays, or any other values with the same operations, which are given as
-``m``: a compiler of the same expressions gives the same bits.
+numpy's normals call the C library's exponential and logarithm, whose last bits differ between
+processors and versions. Here, two numbers of 64 random bits become two independent normals (Box and
+Muller, 1958) by IEEE operations alone, with polynomials for logarithm and sine. The array functions
+take numpy arrays or any values with the operations ``m``: a compiler of the same expressions gives
+the same bits. Streams are named by their use, so that corners and conditions share the same air.
 """
 
 from __future__ import annotations
@@ -21,19 +22,20 @@ from sysid.digests import sha256_hex
 from uqharness.flight.spec import COEFFICIENTS
 
 GROUP = 16
-"""Raw numbers that are turned at once: number k of the first half goes with number k of the second half."""
+"""Raw numbers per group; number k of the first half pairs with number k of the second."""
 
 _CHUNK = 8192
-"""Pairs computed at once, so that they stay in the processor's cache."""
+"""Pairs computed at once, to stay in the processor's cache."""
 
 _ONE_BITS = 0x3FF0000000000000
 _FRACTION_BITS = (1 << 52) - 1
 _ROOT_HALF_BITS = 0x3FE6A09E00000000
-"""A little below sqrt(1/2): a number is taken apart as 2^k m with m from there to its double."""
+"""Slightly below sqrt(1/2): numbers are split as 2^k m with m from there to its double."""
 _LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
 """ln 2 in two parts, the first of 32 bits: its product with k is exact."""
 
-# Chebyshev fits: (log((1 + s)/(1 - s))/s - 2)/s^2 over s^2 to 0.0295, error 3e-16; sin(pi x/2)/x over x^2 to 1/4, error 5e-18.
+# Chebyshev fits: (log((1 + s)/(1 - s))/s - 2)/s^2 over s^2 to 0.0295, error 3e-16; sin(pi x/2)/x
+# over x^2 to 1/4, error 5e-18.
 _LOG = (
     0.666666666666667,
     0.39999999999899444,
@@ -55,26 +57,29 @@ _SINE = (
 
 
 class Operations(Protocol):
-    """What is done with bits and roots; sums, products and quotients are the values' own operators."""
+    """Operations on bits and roots; sums, products and quotients are the values' own operators."""
 
     def bits(self, x: Any) -> Any:
-        """The 64 bits of a double as an integer."""
+        """Return the 64 bits of a double as an integer."""
 
     def double(self, bits: Any) -> Any:
-        """The double of 64 bits."""
+        """Return the double of 64 bits."""
 
     def sqrt(self, x: Any) -> Any:
-        """The square root, correctly rounded."""
+        """Return the correctly rounded square root."""
 
-    def least(self, a: Any, b: Any) -> Any:
-        """The smaller of two doubles."""
+    def minimum(self, a: Any, b: Any) -> Any:
+        """Return the smaller of two doubles."""
 
     def integer(self, operation: str, a: Any, b: Any) -> Any:
-        """Of 64-bit integers: add, sub, and, or, xor, shl, shr (which fills with zeros); ``b`` may be a Python integer."""
+        """Return add, sub, and, or, xor, shl or shr (zero fill) of 64-bit integers.
+
+        ``b`` may be a Python integer.
+        """
 
 
 class NumpyOperations:
-    """The operations over numpy arrays of float64 and int64."""
+    """The operations on numpy arrays of float64 and int64."""
 
     _INTEGER: ClassVar[dict[str, Callable[..., Any]]] = {
         "add": np.add,
@@ -85,23 +90,23 @@ class NumpyOperations:
     }
 
     def bits(self, x: Any) -> Any:
-        """The 64 bits of doubles as integers."""
+        """Return the 64 bits of doubles as integers."""
         return x.view(np.int64)
 
     def double(self, bits: Any) -> Any:
-        """The doubles of 64 bits."""
+        """Return the doubles of 64 bits."""
         return bits.view(np.float64)
 
     def sqrt(self, x: Any) -> Any:
-        """The square root, correctly rounded."""
+        """Return the correctly rounded square root."""
         return np.sqrt(x)
 
-    def least(self, a: Any, b: Any) -> Any:
-        """The smaller of two doubles."""
+    def minimum(self, a: Any, b: Any) -> Any:
+        """Return the smaller of two doubles."""
         return np.minimum(a, b)
 
     def integer(self, operation: str, a: Any, b: Any) -> Any:
-        """Of 64-bit integers: add, sub, and, or, xor, shl, shr."""
+        """Return add, sub, and, or, xor, shl or shr of 64-bit integers."""
         if operation == "shl":
             return np.left_shift(a, b)
         if operation == "shr":
@@ -112,28 +117,28 @@ class NumpyOperations:
 NUMPY = NumpyOperations()
 
 Pairs = Callable[[NDArray[np.int64]], FloatArray]
-"""Turns raw numbers (groups, 2, GROUP // 2) into normals of that shape."""
+"""Function from raw numbers (groups, 2, GROUP // 2) to normals of that shape."""
 
 
 def logarithm(x: Any, m: Operations) -> Any:
-    """Natural logarithm of normal doubles between 2^-1021 and 2^1023, to 1 unit in the last place."""
+    """Return the natural logarithm of doubles between 2^-1021 and 2^1023, to 1 ulp."""
     shifted = m.integer("add", m.bits(x), (1024 << 52) - _ROOT_HALF_BITS)
-    # The exponent in the low bits of 2^52 is a double without a conversion.
+    # The exponent in the low bits of 2^52 is a double without conversion.
     k = m.double(m.integer("or", m.integer("shr", shifted, 52), _bits_of(2.0**52))) - (
         2.0**52 + 1024.0
     )
     f = m.double(m.integer("add", m.integer("and", shifted, _FRACTION_BITS), _ROOT_HALF_BITS)) - 1.0
     s = f / (f + 2.0)
     z = s * s
-    # log(1 + f) = f - s (f - s^2 P): what is added to f is small.
+    # log(1 + f) = f - s (f - s^2 P): the correction to f is small.
     return k * _LN2_HIGH - ((s * (f - z * _polynomial(z, _LOG)) - k * _LN2_LOW) - f)
 
 
 def normal_pair(first: Any, second: Any, m: Operations) -> tuple[Any, Any]:
-    """Two independent standard normals of two numbers of 64 random bits; the largest is 8.5.
+    """Return two independent standard normals from two numbers of 64 random bits.
 
-    The first gives the radius, sqrt(-2 log v) with v of 52 bits in (0, 1]; of the second 52 bits give an angle between -45 and
-    45 degrees, two others turn it into the four quadrants.
+    The first gives the radius sqrt(-2 log v) with 52 bits of v in (0, 1]. 52 bits of the second
+    give an angle between -45 and 45 deg; two more select the quadrant. The largest value is 8.5.
     """
     v = 2.0 - _one_to_two(first, m)
     radius = m.sqrt(logarithm(v, m) * -2.0)
@@ -141,16 +146,16 @@ def normal_pair(first: Any, second: Any, m: Operations) -> tuple[Any, Any]:
     sine = x * _polynomial(x * x, _SINE)
     cosine = m.sqrt(1.0 - sine * sine)
     sign = m.integer("shl", m.integer("and", second, 2), 62)
-    along = m.integer("xor", m.bits(radius * cosine), sign)
-    across = m.bits(radius * sine)
+    axial = m.integer("xor", m.bits(radius * cosine), sign)
+    lateral = m.bits(radius * sine)
     swapped = m.integer(
-        "and", m.integer("xor", along, across), m.integer("sub", 0, m.integer("and", second, 1))
+        "and", m.integer("xor", axial, lateral), m.integer("sub", 0, m.integer("and", second, 1))
     )
-    return m.double(m.integer("xor", along, swapped)), m.double(m.integer("xor", across, swapped))
+    return m.double(m.integer("xor", axial, swapped)), m.double(m.integer("xor", lateral, swapped))
 
 
 def numpy_pairs(raw: NDArray[np.int64]) -> FloatArray:
-    """Normals of raw numbers, both of shape (groups, 2, GROUP // 2), by numpy."""
+    """Return normals of raw numbers, both (groups, 2, GROUP // 2)."""
     out = np.empty(raw.shape)
     for first in range(0, len(raw), 2 * _CHUNK // GROUP):
         part = slice(first, first + 2 * _CHUNK // GROUP)
@@ -160,9 +165,10 @@ def numpy_pairs(raw: NDArray[np.int64]) -> FloatArray:
 
 
 class Normals:
-    """A stream of standard normals, drawn from a numpy bit generator (such as PCG64) that nobody else uses from here on.
+    """A stream of standard normals from a numpy bit generator that nothing else uses.
 
-    The numbers do not depend on how they are cut into calls. ``pairs`` may be a compiled form of ``numpy_pairs``.
+    The numbers do not depend on how calls divide them. ``pairs`` may be a compiled equivalent of
+    ``numpy_pairs``.
     """
 
     def __init__(self, generator: np.random.BitGenerator, pairs: Pairs = numpy_pairs) -> None:
@@ -170,7 +176,7 @@ class Normals:
         self._left = np.empty(0)
 
     def take(self, n: int) -> FloatArray:
-        """The next ``n`` numbers, (n,)."""
+        """Return the next ``n`` numbers (n,)."""
         if n > self._left.size:
             groups = -(-(n - self._left.size) // GROUP)
             raw = (
@@ -178,14 +184,14 @@ class Normals:
                 .view(np.int64)
                 .reshape(groups, 2, GROUP // 2)
             )
-            made = self._pairs(raw).reshape(-1)
-            self._left = np.concatenate([self._left, made]) if self._left.size else made
+            normals = self._pairs(raw).reshape(-1)
+            self._left = np.concatenate([self._left, normals]) if self._left.size else normals
         out, self._left = self._left[:n], self._left[n:]
         return out
 
     def copy(self) -> Normals:
-        """Another stream that goes on from here with the same numbers."""
-        # A tenth of the time of a deep copy, which copies the seed's history as well.
+        """Return a stream that continues with the same numbers."""
+        # Ten times faster than a deep copy, which also copies the seed.
         generator = type(self._generator)(0)
         generator.state = self._generator.state
         other = Normals(generator, self._pairs)
@@ -193,20 +199,28 @@ class Normals:
         return other
 
     def __deepcopy__(self, memo: object) -> Normals:
+        """Return a stream that continues with the same numbers."""
         return self.copy()
 
 
-def drawn(seed: np.random.SeedSequence, n: int) -> FloatArray:
-    """The first ``n`` normals (n,) of the stream of that seed."""
+def draw_normals(seed: np.random.SeedSequence, n: int) -> FloatArray:
+    """Return the first ``n`` normals (n,) of a seed's stream.
+
+    Examples
+    --------
+    >>> draw_normals(np.random.SeedSequence(1), 3).shape
+    (3,)
+    """
     return Normals(np.random.PCG64(seed)).take(n)
 
 
 def _one_to_two(raw: Any, m: Operations) -> Any:
-    """The upper 52 bits as a number in [1, 2)."""
+    """Return the upper 52 bits as a number in [1, 2)."""
     return m.double(m.integer("or", m.integer("shr", raw, 12), _ONE_BITS))
 
 
 def _polynomial(x: Any, coefficients: tuple[float, ...]) -> Any:
+    """Return a polynomial by Horner's rule, lowest coefficient first."""
     result = x * coefficients[-1] + coefficients[-2]
     for c in coefficients[-3::-1]:
         result = result * x + c
@@ -214,24 +228,19 @@ def _polynomial(x: Any, coefficients: tuple[float, ...]) -> Any:
 
 
 def _bits_of(x: float) -> int:
+    """Return the bits of a double."""
     return int(np.float64(x).view(np.int64))
 
 
-# Exponential, logarithm, power, quantile and factor of Python floats by IEEE operations alone:
-# the same bits on every processor.
-#
-# The C library's functions, which ``math`` and numpy call, and the matrix library's differ in
-# the last bit between processors and versions. These are for a few numbers, such as the
-# coefficients of a filter; errors of the functions stay below some 1e-15 of the result.
-# ``normals`` has the logarithm of arrays.
+# Elementary functions of Python floats by IEEE operations alone, for few numbers such as filter
+# coefficients. Relative errors are about 1e-15.
 
-_LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
 _TERMS = 18
-"""Of Taylor's series below 1/2: the next is 2^-18/18! = 6e-22."""
+"""Terms of Taylor's series below 1/2: the next is 2^-18/18! = 6e-22."""
 
 
 def log(x: float) -> float:
-    """Natural logarithm of a positive, finite number."""
+    """Return the natural logarithm of a positive, finite number."""
     if not 0.0 < x < math.inf:
         raise ValueError(f"log of {x}: a positive, finite number is needed")
     mantissa, exponent = math.frexp(x)
@@ -240,7 +249,7 @@ def log(x: float) -> float:
     f = mantissa - 1.0
     s = f / (2.0 + f)
     z = s * s
-    # atanh(s)/s; |s| is at most 0.18.
+    # Series of atanh(s)/s; |s| is at most 0.18.
     total = 0.0
     for n in range(31, 0, -2):
         total = total * z + 1.0 / n
@@ -248,7 +257,13 @@ def log(x: float) -> float:
 
 
 def exp(x: float) -> float:
-    """e^x for x from -700 to 700; 0 below."""
+    """Return e^x for x up to 700; 0 below -700.
+
+    Examples
+    --------
+    >>> exp(0.0), exp(-1000.0)
+    (1.0, 0.0)
+    """
     if not x <= 700.0:
         raise ValueError(f"exp of {x}: a number up to 700 is needed")
     if x < -700.0:
@@ -258,22 +273,31 @@ def exp(x: float) -> float:
 
 
 def expm1(x: float) -> float:
-    """e^x - 1, for x up to 700."""
+    """Return e^x - 1 for x up to 700."""
     return _series(x) if abs(x) < 0.5 else exp(x) - 1.0
 
 
 def power(x: float, y: float) -> float:
-    """x^y of a positive x."""
+    """Return x^y of a positive x."""
     return exp(y * log(x))
 
 
 def normal_quantile(p: float) -> float:
-    """x that a standard normal is below with probability ``p``, to some 1e-15/(1 - p); p between 1e-9 and 1 - 1e-9."""
+    """Return the p-quantile of the standard normal, p from 1e-9 to 1 - 1e-9.
+
+    The absolute error is about 1e-15/(1 - p). Raises ValueError for another p.
+
+    Examples
+    --------
+    >>> round(normal_quantile(0.975), 6)
+    1.959964
+    """
     if not 1e-9 <= p <= 1.0 - 1e-9:
         raise ValueError(f"p = {p}: a probability from 1e-9 to 1 - 1e-9 is needed")
     x = 0.0
     for _ in range(100):
-        # 1/2 + density (x + x^3/3 + x^5/15 + ...): Newton's steps from 0 never pass the root, for the distribution bends inwards.
+        # 1/2 + density (x + x^3/3 + x^5/15 + ...). Newton's steps from 0 never pass the root,
+        # because the distribution is concave there.
         density = exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi)
         term = total = x
         for n in range(3, 301, 2):
@@ -284,35 +308,31 @@ def normal_quantile(p: float) -> float:
 
 
 def cholesky(matrix: Sequence[Sequence[float]]) -> tuple[tuple[float, ...], ...]:
-    """Lower triangular L with L L' = ``matrix``. ValueError if it is not positive definite."""
+    """Return the lower triangular L with L L' = ``matrix``; ValueError if not positive definite."""
     n = len(matrix)
     low = [[0.0] * n for _ in range(n)]
     for i in range(n):
         for j in range(i + 1):
-            rest = matrix[i][j] - math.fsum(low[i][k] * low[j][k] for k in range(j))
-            if i == j and not rest > 0.0:
+            remainder = matrix[i][j] - math.fsum(low[i][k] * low[j][k] for k in range(j))
+            if i == j and not remainder > 0.0:
                 raise ValueError(f"row {i}: the matrix is not positive definite")
-            low[i][j] = math.sqrt(rest) if i == j else rest / low[j][j]
+            low[i][j] = math.sqrt(remainder) if i == j else remainder / low[j][j]
     return tuple(map(tuple, low))
 
 
 def _series(x: float) -> float:
-    """e^x - 1 for a number of at most 1/2 in size."""
+    """Return e^x - 1 for |x| up to 1/2."""
     result = 0.0
     for n in range(_TERMS, 0, -1):
         result = (result + 1.0) * x / n
     return result
 
 
-# Random streams of a campaign, each named by what it is for and never by who draws it.
-#
-# Turbulence and sensor noise depend on (root seed, aleatory id, kind): every corner and every
-# condition meets the same air, so differences between them are theirs and not chance's. Walks
-# depend on (root seed, epistemic id, coefficient): one walk is one epistemic sample, the same
-# in all its flights. Transient model error depends on (root seed, aleatory id, coefficient): it
-# is chance and common to the corners, as air is. Random variables of a flight, such as its
-# mass, depend on (root seed, aleatory id, property), draws of parameters on (root seed,
-# number).
+# Streams of a campaign. Turbulence and noise depend on (root seed, aleatory id, kind): all corners
+# and conditions share the same air. Walks depend on (root seed, epistemic id, coefficient): a walk
+# is one epistemic sample in all its flights. Transient model error depends on (root seed, aleatory
+# id, coefficient), like air. Variables of a flight depend on (root seed, aleatory id, property),
+# draws of parameters on (root seed, number).
 
 KINDS = {
     "turbulence": 1,
@@ -324,13 +344,13 @@ KINDS = {
     "transient": 7,
     "branch": 8,
 }
-"""Stream kinds and their numbers; a number once given is never reused, or old campaigns could not be repeated."""
+"""Numbers of the kinds; never reused, so that old campaigns can be repeated."""
 
 _LARGEST = 2**31 - 2
 
 
 def flight_seed(root_seed: int, aleatory_id: int, kind: str) -> int:
-    """Seed in 1..2^31-2 for JSBSim's generator (31 bits, where 0 and 1 would be the same stream)."""
+    """Return a seed in 1..2^31-2 for JSBSim's generator; 0 and 1 would be one stream."""
     if kind not in ("turbulence", "noise"):
         raise ValueError(f"kind '{kind}': must be turbulence or noise")
     sequence = np.random.SeedSequence(entropy=root_seed, spawn_key=(KINDS[kind], aleatory_id))
@@ -338,13 +358,13 @@ def flight_seed(root_seed: int, aleatory_id: int, kind: str) -> int:
 
 
 def walk_stream(root_seed: int, epistemic_id: str, coefficient: str) -> np.random.SeedSequence:
-    """Seed sequence of one coefficient's walk in one epistemic sample."""
+    """Return the seed sequence of a coefficient's walk in an epistemic sample."""
     key = (KINDS["walk"], *_words(epistemic_id), COEFFICIENTS.index(coefficient))
     return np.random.SeedSequence(entropy=root_seed, spawn_key=key)
 
 
 def transient_stream(root_seed: int, aleatory_id: int, coefficient: str) -> np.random.SeedSequence:
-    """Seed sequence of one coefficient's transient model error in one air."""
+    """Return the seed sequence of a coefficient's transient model error in one air."""
     key = (KINDS["transient"], aleatory_id, COEFFICIENTS.index(coefficient))
     return np.random.SeedSequence(entropy=root_seed, spawn_key=key)
 
@@ -352,7 +372,10 @@ def transient_stream(root_seed: int, aleatory_id: int, coefficient: str) -> np.r
 def branch_stream(
     root_seed: int, aleatory_id: int, level: int, branch: int, kind: str, number: int
 ) -> np.random.SeedSequence:
-    """Seed sequence of one stream of the kind behind a split: of the branch of that number at that level, in that air."""
+    """Return the seed sequence of a stream behind a split.
+
+    ``level`` and ``branch`` number the split and the branch, ``kind`` and ``number`` the stream.
+    """
     return np.random.SeedSequence(
         entropy=root_seed,
         spawn_key=(KINDS["branch"], aleatory_id, level, branch, KINDS[kind], number),
@@ -360,42 +383,52 @@ def branch_stream(
 
 
 def branch_seed(root_seed: int, aleatory_id: int, level: int, branch: int, kind: str) -> int:
-    """The same for JSBSim's generator, 1..2^31-2."""
+    """Return a seed in 1..2^31-2 for JSBSim's generator behind a split."""
     sequence = branch_stream(root_seed, aleatory_id, level, branch, kind, 0)
     return int(sequence.generate_state(1, np.uint64)[0] % _LARGEST) + 1
 
 
 def named_stream(root_seed: int, kind: str, name: str) -> np.random.SeedSequence:
-    """Seed sequence of what bears a name: one dimension of a Latin hypercube, one variable."""
+    """Return the seed sequence of something named: a dimension of a Latin hypercube, a variable."""
     return np.random.SeedSequence(entropy=root_seed, spawn_key=(KINDS[kind], *_words(name)))
 
 
 def numbered_stream(
     root_seed: int, kind: str, number: int, name: str = ""
 ) -> np.random.SeedSequence:
-    """Seed sequence of the n-th draw (of what bears that name): the first n draws are the same however many follow."""
+    """Return the seed sequence of the n-th draw, optionally of a name.
+
+    The first draws do not depend on how many follow.
+    """
     return np.random.SeedSequence(
         entropy=root_seed, spawn_key=(KINDS[kind], *(_words(name) if name else ()), number)
     )
 
 
 def _words(name: str) -> tuple[int, int]:
+    """Return two 32-bit words of a name's SHA-256."""
     number = int(sha256_hex(name.encode())[:16], 16)
     return number >> 32, number & 0xFFFFFFFF
 
 
-# A flight that branches: up to a frame the streams of its air, from there those of the branch.
-#
-# What the streams drive goes on: a gust filter keeps its state, a walk its position; only the
-# normals behind the split are others. Levels of an epistemic sample are not touched: a branch
-# is another course of the same air's chance, of the same aircraft.
+# Branching flights. Up to a frame the streams are those of the air, from there those of the branch.
+# Filters keep their states and walks their positions; only the normals change. Levels of an
+# epistemic sample are unaffected, because a branch is the same aircraft in another course of
+# chance.
 
 
 @dataclass(frozen=True)
 class Split:
-    """A branch leaves behind ``frame`` frames; ``turbulence_row``: rows that JSBSim's own turbulence has drawn by then.
+    """A branch that leaves behind ``frame`` frames.
 
-    root, aleatory_id, level, branch: the key of its streams, together with each stream's kind.
+    Attributes
+    ----------
+    frame : int
+        Frames flown before.
+    root, aleatory_id, level, branch : int
+        Key of its streams, together with each stream's kind.
+    turbulence_row : int
+        Rows that JSBSim's own turbulence has drawn by then.
     """
 
     frame: int
@@ -406,11 +439,11 @@ class Split:
     turbulence_row: int = 0
 
     def stream(self, kind: str, number: int) -> np.random.SeedSequence:
-        """Seed sequence of the kind's stream of that number."""
+        """Return the seed sequence of a stream of the branch."""
         return branch_stream(self.root, self.aleatory_id, self.level, self.branch, kind, number)
 
     def seed(self, kind: str) -> int:
-        """Seed for JSBSim's generator: kind turbulence or noise."""
+        """Return a seed for JSBSim's generator, of kind turbulence or noise."""
         return branch_seed(self.root, self.aleatory_id, self.level, self.branch, kind)
 
 
@@ -418,14 +451,24 @@ class Source(Protocol):
     """A stream of normals."""
 
     def take(self, n: int) -> FloatArray:
-        """The next ``n`` numbers, (n,)."""
+        """Return the next ``n`` numbers (n,)."""
 
 
-class Spliced:
-    """The numbers of one source up to a step, of another from there.
+class SplicedSource:
+    """Numbers of one source up to a step, of another from there.
 
-    per_step: numbers of a step. Calls take whole steps, and the numbers of one call stand in so many rows of a number a step.
-    done: steps that ``before`` has given already.
+    Calls take whole steps; the numbers of a call are ``per_step`` rows of one number per step.
+
+    Parameters
+    ----------
+    before, behind : Source
+        The two sources.
+    step : int
+        Number of steps from ``before``.
+    per_step : int
+        Numbers per step.
+    done : int
+        Steps that ``before`` has given already.
     """
 
     def __init__(
@@ -440,7 +483,7 @@ class Spliced:
         )
 
     def take(self, n: int) -> FloatArray:
-        """The next ``n`` numbers, (n,)."""
+        """Return the next ``n`` numbers (n,)."""
         steps = n // self._per_step
         first, self._done = self._done, self._done + steps
         if self._done <= self._step:
@@ -448,25 +491,33 @@ class Spliced:
         new = self._done - max(first, self._step)
         behind = self._behind.take(new * self._per_step)
         if new == steps:
-            # Nobody asks for the source before any more: a copy of this one need not carry it.
+            # The first source is no longer needed; copies need not carry it.
             self._before = self._behind
             return behind
         before = self._before.take(n).reshape(self._per_step, steps)
         return np.hstack([before[:, :-new], behind.reshape(self._per_step, new)]).reshape(-1)
 
 
-def spliced(
+def splice(
     first: Source,
     splits: Sequence[Split],
     kind: str,
     number: int,
-    made: Callable[[np.random.PCG64], Source],
+    make_source: Callable[[np.random.PCG64], Source],
+    *,
     per_step: int = 1,
     done: int = 0,
 ) -> Source:
-    """A source that goes on behind each split with the normals of its branch; ``first`` has given ``done`` steps already."""
+    """Return a source that continues behind each split with the branch's normals.
+
+    ``first`` has given ``done`` steps already; ``make_source`` makes a source of a bit generator.
+    """
     for split in splits:
-        first = Spliced(
-            first, made(np.random.PCG64(split.stream(kind, number))), split.frame, per_step, done
+        first = SplicedSource(
+            first,
+            make_source(np.random.PCG64(split.stream(kind, number))),
+            split.frame,
+            per_step,
+            done,
         )
     return first

@@ -1,4 +1,8 @@
-"""A flight flown and written as a flight record: signals, sensor noise, names of manoeuvres."""
+"""Simulated flights as flight records: flying, sensor noise, files, and FlightGear playback.
+
+`recorded_flight` flies a script in a worker process and returns the record as a table.
+`write_record` writes CSV, Parquet or DataFlash, and `playback_rows` converts to FlightGear.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +19,9 @@ from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 from sysid.units import FT_M, KT_MPS, RAD_DEG
 from uqharness.errors import BadInputError
-from uqharness.files import write_whole
-from uqharness.flight.fly import Recorded, record_mission
-from uqharness.flight.random_numbers import drawn
+from uqharness.files import write_atomically
+from uqharness.flight.fly import RecordedFlight, record_mission
+from uqharness.flight.random_numbers import draw_normals
 from uqharness.flight.spec import FlightSpec
 from uqharness.isolation import ProcessEndedError, run_isolated
 from uqharness.simulator import (
@@ -44,26 +48,47 @@ _OPTIONAL = {
 
 def recorded_flight(
     aircraft: Aircraft, script: Script, spec: FlightSpec
-) -> tuple[pd.DataFrame, Recorded]:
-    """Fly ``spec`` from its start on, in a worker process: the flight record, and how the flight ended.
+) -> tuple[pd.DataFrame, RecordedFlight]:
+    """Fly a spec from its start in a worker process and return the flight record.
 
-    A flight that ends its process is flown again up to the last row before: the same seeds give the same rows. Raises
-    BadInputError.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    script : Script
+        Its script names the manoeuvres.
+    spec : FlightSpec
+        Conditions, seeds and duration.
+
+    Returns
+    -------
+    frame : DataFrame
+        The flight record. A flight that crashes its process is flown again up to the row before;
+        equal seeds give equal rows.
+    recorded : Recorded
+        Signals without noise, and how the flight ended.
+
+    Raises
+    ------
+    BadInputError
+        If the flight cannot start.
     """
     try:
-        recorded = run_isolated(_recorded, aircraft, script, spec)
+        recorded = run_isolated(_record_in_worker, aircraft, script, spec)
     except ProcessEndedError as error:
         if error.time_s is None:
             raise
+        # The last row before the crash.
         until_s = math.floor(error.time_s * spec.record_rate_hz + 0.5) / spec.record_rate_hz
         recorded = run_isolated(
-            _recorded, aircraft, script, replace(spec, duration_s=until_s, burn_in_s=0.0)
+            _record_in_worker, aircraft, script, replace(spec, duration_s=until_s, burn_in_s=0.0)
         )
         recorded.status, recorded.reason = "crashed", error.reason
     return to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres), recorded
 
 
-def _recorded(aircraft: Aircraft, script: Script, spec: FlightSpec) -> Recorded:
+def _record_in_worker(aircraft: Aircraft, script: Script, spec: FlightSpec) -> RecordedFlight:
+    """Fly and record all signals of a record."""
     with StagedMission(aircraft, script.path) as mission:
         table = {
             name: source
@@ -72,50 +97,62 @@ def _recorded(aircraft: Aircraft, script: Script, spec: FlightSpec) -> Recorded:
         }
         optional = dict(_OPTIONAL)
         if not aircraft.has_card:
-            # What a card would have promised is only hoped for: a glider has no throttle.
+            # Without a card, controls may not exist: a glider has no throttle.
             controls = set(table) - set(properties.STANDARD)
             optional |= {
                 name: table.pop(name) for name in controls
             } | properties.standard_positions()
-        # Without a sensors system nothing in the aircraft is told of noise; the record has it all the same.
+        # Without a sensors system nothing in the aircraft needs noise; the record gets it anyway.
         has_sensors = mission.open().get_property_manager().hasNode("sensor/V-mps")
-        flown = spec if has_sensors else replace(spec, sensor_noise=False)
-        return record_mission(mission, flown, table, optional, keep_burn_in=True)
+        flight = spec if has_sensors else replace(spec, sensor_noise=False)
+        return record_mission(mission, flight, table, optional, keep_burn_in=True)
 
 
-def as_asked(spec: FlightSpec, seed: int) -> FlightSpec:
-    """A flight as a person asks for it: both streams from one ``seed``, turbulence filters of second order.
+def seeded_spec(spec: FlightSpec, seed: int) -> FlightSpec:
+    """Return a spec with both streams from one seed and second-order integrators.
 
-    Raises BadInputError for a duration, wind, direction, rate or seed that cannot be flown.
+    Parameters
+    ----------
+    spec : FlightSpec
+        The flight as requested.
+    seed : int
+        Seed of turbulence and noise, at least 0.
+
+    Raises
+    ------
+    BadInputError
+        For a duration, wind, direction, rate or seed out of range.
     """
-    for name, value, least, most in (
+    for name, value, minimum, maximum in (
         ("duration_s", spec.duration_s, 0.0, 1e6),
         ("wind_mps", spec.wind_mps, None, 100.0),
         ("rate_hz", spec.record_rate_hz, 0.0, 1e5),
     ):
         if not (
             math.isfinite(value)
-            and (value >= 0.0 if least is None else value > least)
-            and value <= most
+            and (value >= 0.0 if minimum is None else value > minimum)
+            and value <= maximum
         ):
-            low = "of at least 0" if least is None else f"above {least:g}"
-            raise BadInputError(f"{name} = {value:g}: a number {low} and up to {most:g} is needed")
+            low = "of at least 0" if minimum is None else f"above {minimum:g}"
+            raise BadInputError(
+                f"{name} = {value:g}: a number {low} and up to {maximum:g} is needed"
+            )
     if not math.isfinite(spec.wind_from_deg):
         raise BadInputError(f"wind_from_deg = {spec.wind_from_deg}: an angle in degrees is needed")
     if seed < 0:
         raise BadInputError(f"seed = {seed}: an integer of at least 0 is needed")
-    turbulence, noise = two_seeds(seed)
+    turbulence, noise = turbulence_and_noise_seeds(seed)
     settings = {**properties.SECOND_ORDER, **spec.properties}
     return replace(spec, seed_turbulence=turbulence, seed_noise=noise, properties=settings)
 
 
-def start_of(recorded: Recorded) -> dict[str, float]:
-    """Where a recorded flight began, as a log says it: latitude, longitude [deg] and altitude above sea level [m]."""
+def start_position(recorded: RecordedFlight) -> dict[str, float]:
+    """Return latitude, longitude [deg] and altitude above sea level [m] of the start."""
     return {"lat_deg": 45.0, "lon_deg": 0.0, "alt_m": float(recorded.signals["h_m"][0])}
 
 
-def two_seeds(seed: int) -> tuple[int, int]:
-    """Seeds of turbulence and of noise: two streams from one number."""
+def turbulence_and_noise_seeds(seed: int) -> tuple[int, int]:
+    """Return seeds of turbulence and of noise from one number."""
     turbulence, noise = (
         int(x) for x in np.random.SeedSequence(seed).generate_state(2, np.uint32) % (2**31 - 2)
     )
@@ -123,38 +160,52 @@ def two_seeds(seed: int) -> tuple[int, int]:
 
 
 def to_record(
-    recorded: Recorded,
+    recorded: RecordedFlight,
     aircraft: Aircraft,
     spec: FlightSpec,
     manoeuvre: str,
-    named: Mapping[int, str] | None = None,
+    manoeuvre_names: Mapping[int, str] | None = None,
 ) -> pd.DataFrame:
-    """The flight record of a recorded flight: heights from the start, headings within 0..2 pi, noise where asked for.
+    """Return the flight record of recorded signals.
 
-    The column ``manoeuvre`` follows the script's count of ``named`` manoeuvres, empty in between; without any it is ``manoeuvre``.
+    Parameters
+    ----------
+    recorded : Recorded
+        Signals; heights become relative to the start, headings 0 to 2 pi.
+    aircraft : Aircraft
+        Its card gives the noise.
+    spec : FlightSpec
+        Whether to add noise, and its seed.
+    manoeuvre : str
+        Name of the flight if it has no numbered manoeuvres.
+    manoeuvre_names : mapping, optional
+        Number to name; the column ``manoeuvre`` is empty between manoeuvres.
     """
-    # Imported here: a second of loading that no other command should pay.
+    # Imported here, because loading pandas takes a second.
     import pandas as pd
 
     columns = dict(recorded.signals)
     columns["h_m"] = columns["h_m"] - columns["h_m"][0]
-    # A script may name manoeuvres and never declare the property that counts them.
+    # A script may name manoeuvres without declaring the property that counts them.
     number = columns.pop(_NUMBER, None)
     if spec.sensor_noise:
         for name, std in (aircraft.card.sensors.noise_std or MEMS_NOISE_STD).items():
             if name in columns:
-                # One stream a channel, named by the channel: adding a sensor changes no other's noise.
+                # One stream per channel, so that adding a sensor does not change the noise of
+                # others.
                 stream = np.random.SeedSequence([spec.seed_noise, zlib.crc32(name.encode())])
-                columns[name] = columns[name] + std * drawn(stream, columns[name].size)
+                columns[name] = columns[name] + std * draw_normals(stream, columns[name].size)
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * np.pi)
     frame = pd.DataFrame(columns)
     frame["manoeuvre"] = (
-        [named.get(int(k), "") for k in number] if named and number is not None else manoeuvre
+        [manoeuvre_names.get(int(k), "") for k in number]
+        if manoeuvre_names and number is not None
+        else manoeuvre
     )
     return frame
 
 
-# Write a flight record to CSV, Parquet or DataFlash, whole or not at all.
+# Files of flight records, written atomically.
 
 FORMATS = (".csv", ".parquet", ".bin")
 
@@ -165,91 +216,113 @@ def write_record(
     aircraft: Aircraft | None = None,
     start: Mapping[str, float] | None = None,
 ) -> tuple[str, ...]:
-    """Write ``table`` by the path's suffix; the columns that the format has no place for.
+    """Write a flight record in the format of the path's suffix.
 
-    ``aircraft``, whose card turns surface angles into servo pulses, and ``start`` (lat_deg, lon_deg, alt_m) serve DataFlash alone.
-    Raises BadInputError for another suffix, a folder that cannot be written, or a card without servo tables.
+    Parameters
+    ----------
+    table : DataFrame
+        The record.
+    path : Path
+        File with a suffix of `FORMATS`.
+    aircraft : Aircraft, optional
+        For DataFlash: its card turns surface angles into servo pulses.
+    start : mapping, optional
+        For DataFlash: lat_deg, lon_deg [deg] and alt_m [m] of the start.
+
+    Returns
+    -------
+    tuple of str
+        Columns that the format cannot hold.
+
+    Raises
+    ------
+    BadInputError
+        For another suffix, a path that cannot be written, or a card without servo tables.
     """
     if path.suffix not in FORMATS:
         raise BadInputError(
-            f"--out {path}: the format follows the name's ending, {', '.join(FORMATS)}; received '{path.suffix}'"
+            f"--out {path}: the format follows the name's ending, {', '.join(FORMATS)}; received"
+            f" '{path.suffix}'"
         )
     if path.suffix == ".bin":
         return _write_dataflash(table, path, aircraft, start or {})
     if path.suffix == ".csv":
-        # repr round trip: 17 digits bring every double back.
-        write_whole(
+        # 17 digits restore every double.
+        write_atomically(
             path,
             lambda target: table.to_csv(
                 target, index=False, float_format="%.17g", lineterminator="\n"
             ),
         )
     else:
-        write_whole(path, lambda target: table.to_parquet(target, index=False))
+        write_atomically(path, lambda target: table.to_parquet(target, index=False))
     return ()
 
 
 def _write_dataflash(
     table: pd.DataFrame, path: Path, aircraft: Aircraft | None, start: Mapping[str, float]
 ) -> tuple[str, ...]:
+    """Write a DataFlash log; return the columns that it cannot hold."""
     from sysid.errors import LogError
     from sysid.logs import read_card, write_dataflash
     from sysid.record import FlightRecord, Metadata
     from sysid.vocabulary import SIGNALS
 
-    known = {str(name): table[name].to_numpy() for name in table.columns if name in SIGNALS}
-    left: list[str] = [str(name) for name in table.columns if name not in SIGNALS]
+    columns = {str(name): table[name].to_numpy() for name in table.columns if name in SIGNALS}
+    left_out: list[str] = [str(name) for name in table.columns if name not in SIGNALS]
     try:
         card = (
             read_card(aircraft.folder)
             if aircraft is not None and (aircraft.folder / "airframe.toml").is_file()
             else None
         )
-        record = FlightRecord(known, Metadata(dialect="simulation", start=dict(start)))
-        write_whole(
-            path, lambda target: left.extend(write_dataflash(record, target, card, surfaces=True))
+        record = FlightRecord(columns, Metadata(dialect="simulation", start=dict(start)))
+        write_atomically(
+            path,
+            lambda target: left_out.extend(write_dataflash(record, target, card, surfaces=True)),
         )
     except LogError as error:
         raise BadInputError(str(error)) from None
-    return tuple(left)
+    return tuple(left_out)
 
 
-# A flight record as the lines of a FlightGear playback: position on the ellipsoid, attitude,
-# airspeed, at a constant rate.
+# FlightGear playback: position on the ellipsoid, attitude and airspeed at a constant rate.
 
-NEEDED = ("north_m", "east_m", "h_m", "phi_rad", "theta_rad", "psi_rad", "V_mps")
+PLAYBACK_COLUMNS = ("north_m", "east_m", "h_m", "phi_rad", "theta_rad", "psi_rad", "V_mps")
 _RADIUS_M, _ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
-"""Of the WGS 84 ellipsoid: equatorial radius [m] and first eccentricity squared [-]."""
+"""Equatorial radius [m] and first eccentricity squared of the WGS 84 ellipsoid."""
 
 
 def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: float) -> FloatArray:
-    """Rows (n, 7) of the fields of `uqharness.xml.document.FIELDS`.
+    """Return the rows (n, 7) of the fields of `uqharness.xml.document.FIELDS`.
 
     Parameters
     ----------
-    record
-        The flight; ``h_m`` is height above its start.
-    start
-        lat_deg, lon_deg [deg] and alt_m above sea level [m] of the start point.
-    rate_hz
-        Rows per second [1/s]; each row is the nearest sample, and a dropout holds the last value.
+    record : FlightRecord
+        The flight; ``h_m`` is the height above its start.
+    start : mapping
+        lat_deg, lon_deg [deg] and alt_m above sea level [m] of the start.
+    rate_hz : float
+        Rows per second [Hz]; each row is the nearest sample, and gaps hold the last value.
 
     Raises
     ------
     BadInputError
-        For a record without one of ``NEEDED``, or with nothing known in it.
+        For a record without one of ``PLAYBACK_COLUMNS``, or without any value of it.
     """
-    missing = [name for name in NEEDED if name not in record]
+    missing = [name for name in PLAYBACK_COLUMNS if name not in record]
     if missing:
         raise BadInputError(
-            f"FlightGear needs {', '.join(missing)}, which the record does not have; it needs {', '.join(NEEDED)}"
+            f"FlightGear needs {', '.join(missing)}, which the record does not have; it needs"
+            f" {', '.join(PLAYBACK_COLUMNS)}"
         )
     time_s = np.asarray(record["time_s"])
     at = np.arange(time_s[0], time_s[-1] + 0.5 / rate_hz, 1.0 / rate_hz)
     right = np.clip(np.searchsorted(time_s, at), 1, len(time_s) - 1)
+    # Nearest sample of each row.
     rows = np.where(at - time_s[right - 1] <= time_s[right] - at, right - 1, right)
     north, east, h, phi, theta, psi, airspeed = (
-        _held(name, np.asarray(record[name]))[rows] for name in NEEDED
+        _fill_gaps(name, np.asarray(record[name]))[rows] for name in PLAYBACK_COLUMNS
     )
     latitude, longitude = geodetic(north, east, start["lat_deg"], start["lon_deg"])
     heading = np.mod(psi * RAD_DEG, 360.0)
@@ -262,17 +335,28 @@ def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: flo
 def geodetic(
     north_m: FloatArray, east_m: FloatArray, lat_deg: float, lon_deg: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Latitude and longitude (n,) [deg] of points on the local plane of a start point, from its two radii of curvature."""
+    """Return latitude and longitude (n,) [deg] of points on the local plane of a start point.
+
+    Parameters
+    ----------
+    north_m, east_m : ndarray
+        Distances from the start (n,) [m].
+    lat_deg, lon_deg : float
+        Start point [deg]; its two radii of curvature are used.
+    """
     lat0 = math.radians(lat_deg)
     w = 1.0 - _ECCENTRICITY_2 * math.sin(lat0) ** 2
+    # Radii of curvature in the meridian and of the parallel.
     meridian = _RADIUS_M * (1.0 - _ECCENTRICITY_2) / w**1.5
     parallel = _RADIUS_M / math.sqrt(w) * math.cos(lat0)
     return lat_deg + np.degrees(north_m / meridian), lon_deg + np.degrees(east_m / parallel)
 
 
-def _held(name: str, values: FloatArray) -> FloatArray:
-    known = np.isfinite(values)
-    if not known.any():
+def _fill_gaps(name: str, values: FloatArray) -> FloatArray:
+    """Return values with NaN replaced by the last finite value, or the first at the start."""
+    finite = np.isfinite(values)
+    if not finite.any():
         raise BadInputError(f"FlightGear needs {name}, and the record has no value of it")
-    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
-    return values[np.where(last < 0, int(np.argmax(known)), last)]
+    # Index of the last finite value at each sample; -1 before the first.
+    last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
+    return values[np.where(last < 0, int(np.argmax(finite)), last)]

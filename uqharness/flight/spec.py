@@ -1,4 +1,8 @@
-"""What defines one simulated flight, and what comes back from it."""
+"""Definition and result of one simulated flight.
+
+A `FlightSpec` fixes everything: equal specs give bit-identical flights in any process. A
+`FlightResult` holds scores and, if kept, signals.
+"""
 
 from __future__ import annotations
 
@@ -14,33 +18,43 @@ from numpy.typing import NDArray
 TURBULENCE_W20_KT: Mapping[str, float] = MappingProxyType(
     {"none": 0.0, "light": 15.0, "moderate": 30.0, "severe": 45.0}
 )
-"""Wind at 20 ft for each intensity, knots (MIL-F-8785C 3.7.3.2, Fig 7)."""
+"""Wind at 20 ft of each intensity [kt] (MIL-F-8785C 3.7.3.2, Fig 7)."""
 
 TURBULENCE_CEILING_M = 304.8
-"""Height above the ground up to which the low-altitude model of MIL-F-8785C is defined: 1000 ft (3.7.3.4)."""
+"""Ceiling of MIL-F-8785C's low-altitude model, 1000 ft above the ground (3.7.3.4) [m]."""
 
 BELOW_CEILING = (
-    'begin lower, or fly with turbulence = "none", or with turbulence_source = "jsbsim" if the aircraft has the air '
-    "system (docs/air.md)"
+    'begin lower, or fly with turbulence = "none", or with turbulence_source = "jsbsim" if the'
+    " aircraft has the air system (docs/air.md)"
 )
-"""What to do about a flight that begins above TURBULENCE_CEILING_M."""
+"""Advice for a flight that starts above TURBULENCE_CEILING_M."""
 
 DEFAULT_TURBULENCE_SOURCE: Literal["jsbsim", "spec"] = "spec"
-"""Which Dryden model flies unless asked otherwise: the one without a mean gust in a turn (docs/air.md)."""
+"""Dryden model used by default: the one without a mean gust in a turn (docs/air.md)."""
 
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
-"""Body-axis force and moment coefficients, in the order in which they are always listed."""
+"""Body-axis force and moment coefficients in their usual order."""
 
 STATUSES = ("ok", "diverged", "ground-contact", "crashed", "timeout")
-"""How a flight ends. crashed: an exception, the loss of its process, and in campaigns older than ground-contact the ground."""
+"""How a flight ends. ``crashed``: an exception, the loss of its process, and in campaigns older
+than ``ground-contact`` also ground contact.
+"""
 
 
 @dataclass(frozen=True)
 class LevelDriver:
-    """How the levels of one epistemic sample move in flight: ``kind`` white (redrawn each step) or walk (reflecting random walk).
+    """Motion of the levels of one epistemic sample in flight.
 
-    ``coefficients`` move, each in the stream (root seed, epistemic id, coefficient); ``rates_per_sqrt_s`` (1/sqrt(s), one per
-    coefficient) belong to a walk and are empty for white. Levels that stand still are plain ``properties``.
+    Attributes
+    ----------
+    kind : str
+        ``white`` (redrawn in each step) or ``walk`` (reflecting random walk).
+    root_seed, epistemic_id
+        Key of the streams, together with the coefficient.
+    coefficients : tuple of str
+        Coefficients whose levels move. Constant levels are plain properties.
+    rates_per_sqrt_s : tuple of float
+        Rate of each walk [1/sqrt(s)]; empty for ``white``.
     """
 
     kind: Literal["white", "walk"]
@@ -52,10 +66,16 @@ class LevelDriver:
 
 @dataclass(frozen=True)
 class TransientDriver:
-    """How the transient model error moves in flight: reflecting random walks of uq/<C>/transient-level in -1..1.
+    """Motion of the transient model error: reflecting walks of uq/<C>/transient-level in -1..1.
 
-    Each of ``coefficients`` walks in the stream (root seed, aleatory id, coefficient): chance, the same at every corner of one air.
-    ``rates_per_sqrt_s`` (1/sqrt(s), one per coefficient) are of the walk's width, as those of a LevelDriver.
+    Attributes
+    ----------
+    root_seed, aleatory_id : int
+        Key of the streams, together with the coefficient: chance, equal at all corners of one air.
+    coefficients : tuple of str
+        Coefficients that have a transient error.
+    rates_per_sqrt_s : tuple of float
+        Rates relative to the walk's width [1/sqrt(s)], one for each coefficient.
     """
 
     root_seed: int
@@ -66,12 +86,30 @@ class TransientDriver:
 
 @dataclass(frozen=True)
 class FlightSpec:
-    """One flight of a mission script, complete: the same spec gives the same bytes in any process.
+    """One flight of a mission script.
 
-    ``duration_s`` is scored and follows ``burn_in_s``, which is flown and not scored. ``seed_turbulence`` and ``seed_noise`` are
-    the streams of the air and of the sensors (any integers >= 0). ``properties`` are set after loading, before initialising
-    (levels, bounds, coefficients, gains); they win over the script's own run properties. ``levels`` moves uq/<C>/level each step,
-    ``transient`` uq/<C>/transient-level.
+    Attributes
+    ----------
+    aircraft, script : Path
+        What is flown.
+    duration_s, burn_in_s : float
+        Scored time, and time flown before it [s].
+    wind_mps, wind_from_deg : float
+        Steady wind [m/s] and the direction it blows from [deg].
+    turbulence, turbulence_source : str
+        Intensity, and the Dryden model ("jsbsim" or "spec").
+    sensor_noise : bool
+        Whether sensors are noisy.
+    seed_turbulence, seed_noise : int
+        Streams of air and sensors, at least 0.
+    properties : mapping
+        Set after loading and before initialising; they replace the script's run properties.
+    excursion_radius_m, rearm_m
+        Radii of excursions, and re-arming distance inside them [m].
+    record_rate_hz : float
+        Recorded rows per second [Hz].
+    levels, transient
+        What moves uq/<C>/level and uq/<C>/transient-level in each step.
     """
 
     aircraft: Path
@@ -95,11 +133,20 @@ class FlightSpec:
 
 @dataclass(frozen=True)
 class FlightResult:
-    """Outcome of one flight.
+    """Result of one flight.
 
-    ``status`` is one of STATUSES; ``reason`` says why it is not ``ok``. ``metrics`` holds finite numbers, or NaN where the
-    quantity is undefined (the reason is then in ``undefined[name]``). ``signals`` is the record of the scored part,
-    (samples,) arrays at ``record_rate_hz`` by name, ``time_s`` included; empty if it was not kept.
+    Attributes
+    ----------
+    status, reason : str
+        One of STATUSES, and why it is not ``ok``.
+    flown_s : float
+        Time at the end [s].
+    metrics : mapping
+        Finite numbers, or NaN for undefined quantities.
+    undefined : mapping
+        Undefined metric to the reason.
+    signals : mapping
+        Signal of the scored part to (n,), ``time_s`` included; empty if not kept.
     """
 
     status: str

@@ -1,4 +1,9 @@
-"""The step loop of a flight: JSBSim's run() with what the host feeds in before each step. Throughput is decided here."""
+"""The step loop of a flight: JSBSim's run() with gusts and levels fed before each step.
+
+`stepper` returns the fastest loop for what a spec moves. `Levels` are the moving levels of model
+errors: white, or random walks with reflecting ends. The loops determine the throughput of campaigns
+that JSBSim flies.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +31,7 @@ from uqharness.flight.random_numbers import (
     Source,
     Split,
     numpy_pairs,
-    spliced,
+    splice,
     transient_stream,
     walk_stream,
 )
@@ -39,29 +44,35 @@ from uqharness.flight.spec import (
 )
 from uqharness.simulator import engine
 
-# Levels that move in flight: f redrawn each step (white), or a Gaussian random walk between
-# reflecting ends.
-#
-# Hale (2016), section 3.7: a delta coefficient is lower + f (upper - lower) with f in 0..1. A
-# walk's rate is given in 1/sqrt(s), so that the variance gathered per second is the same at any
-# step. Streams belong to the epistemic sample and the coefficient, not to the flight: one walk
-# is one epistemic sample, the same in all its flights. The levels are the same bytes on every
-# processor.
-#
-# Beside them moves the transient part of a model's error, a walk between -1 and 1 with streams
-# of the air.
+# Moving levels (Hale 2016, section 3.7). A delta coefficient is lower + f (upper - lower) with f in
+# 0..1. A walk's rate is in 1/sqrt(s), so that the variance per second does not depend on the step.
+# Streams belong to the epistemic sample and the coefficient: a walk is one epistemic sample in all
+# its flights. Transient model error is a walk between -1 and 1 with streams of the air.
 
 BLOCK_STEPS = 8192
-"""Steps drawn at once. The values do not depend on it; memory does."""
+"""Steps drawn at once; the values do not depend on it."""
 
 
 def level_blocks(
     driver: LevelDriver | TransientDriver, steps: int, dt_s: float, block_steps: int = BLOCK_STEPS
 ) -> Iterator[FloatArray]:
-    """Levels of ``steps`` steps as arrays (<= block_steps, 6), columns in the order of COEFFICIENTS.
+    """Yield the levels of ``steps`` steps as arrays (<= block_steps, 6), columns as COEFFICIENTS.
 
-    A coefficient that the driver does not move stays at 0.5, of a transient one at 0. The same driver gives the same levels,
-    whatever the block. ValueError for a kind that is not white or walk, a step that is not positive, or a rate below 0.
+    Parameters
+    ----------
+    driver : LevelDriver or TransientDriver
+        Other coefficients stay at 0.5, of a transient driver at 0.
+    steps : int
+        Number of steps.
+    dt_s : float
+        Step [s].
+    block_steps : int
+        Longest block; it does not change the levels.
+
+    Raises
+    ------
+    ValueError
+        For an unknown kind, a step that is not positive, or a negative rate.
     """
     levels = Levels(driver, dt_s)
     for first in range(0, steps, block_steps):
@@ -69,10 +80,22 @@ def level_blocks(
 
 
 class Levels:
-    """The same without end. ``pairs`` may be a compiled form of ``numpy_pairs``. Behind each of ``splits`` transient levels, which
-    belong to the air, walk on otherwise.
+    """Endless levels.
 
-    ``copy.deepcopy`` gives levels that go on from where these stand.
+    Parameters
+    ----------
+    driver : LevelDriver or TransientDriver
+        What moves.
+    dt_s : float
+        Step [s].
+    pairs : callable
+        ``numpy_pairs`` or a compiled equivalent.
+    splits : sequence of Split
+        Steps behind which transient levels, which belong to the air, differ.
+
+    Notes
+    -----
+    ``copy.deepcopy`` gives levels that continue from the present ones.
     """
 
     def __init__(
@@ -93,22 +116,34 @@ class Levels:
             self._columns = [_column(driver, name, dt_s, pairs) for name in COEFFICIENTS]
 
     def take(self, steps: int) -> FloatArray:
-        """Levels of the next steps (steps, 6)."""
+        """Return the levels of the next steps (steps, 6)."""
         return np.column_stack([column.take(steps) for column in self._columns])
 
 
 def reflect(position: FloatArray) -> FloatArray:
-    """Fold a free path into 0..1: mirrors at every whole number. A Gaussian walk folded so is a walk with reflecting ends."""
-    # To the bit what np.mod(position, 2.0) gives, in a third of its time.
+    """Fold a free path into 0..1 by reflection at every whole number.
+
+    A folded Gaussian walk is a walk with reflecting ends.
+
+    Examples
+    --------
+    >>> reflect(np.array([0.25, 1.25, -0.5])).tolist()
+    [0.25, 0.75, 0.5]
+    """
+    # Bit-identical to np.mod(position, 2.0), three times faster.
     folded = position - 2.0 * np.floor(0.5 * position)
     return np.minimum(folded, 2.0 - folded)
 
 
 class _Column(Protocol):
+    """Levels of one coefficient."""
+
     def take(self, size: int) -> FloatArray: ...
 
 
 class _Constant:
+    """A level that does not move."""
+
     def __init__(self, level: float) -> None:
         self._level = level
 
@@ -117,6 +152,8 @@ class _Constant:
 
 
 class _White:
+    """Uniform levels, independent in each step."""
+
     def __init__(self, generator: np.random.Generator) -> None:
         self._generator = generator
 
@@ -125,7 +162,10 @@ class _White:
 
 
 class _Walk:
-    """f(0) is uniform: at the rates that flights show, a walk needs most of an hour to forget where it began."""
+    """Random walk with reflecting ends; the initial level is uniform.
+
+    At the rates of real flights a walk forgets its start only after most of an hour.
+    """
 
     def __init__(
         self,
@@ -137,7 +177,8 @@ class _Walk:
     ) -> None:
         if not rate_per_sqrt_s >= 0.0:
             raise ValueError(f"walk rate {rate_per_sqrt_s}: 0 or more per square root of a second")
-        # Eq 3.38 with the rates where the print has periods: sigma_sim = sigma_rec sqrt(rate_rec/rate_sim) = rate sqrt(dt)
+        # Eq 3.38, with rates where the print has periods: sigma_sim = sigma_rec
+        # sqrt(rate_rec/rate_sim) = rate sqrt(dt).
         self._sigma = rate_per_sqrt_s * math.sqrt(dt_s)
         self._next = float(np.random.Generator(generator).random())
         self._normals = spliced_to(Normals(generator, pairs))
@@ -146,7 +187,7 @@ class _Walk:
         path = np.empty(size + 1)
         path[0] = self._next
         np.multiply(self._normals.take(size), self._sigma, out=path[1:])
-        # Summed one after the other from the carried position: a block's end is no place where rounding differs.
+        # Sequential sums from the last position: rounding does not depend on the blocks.
         np.cumsum(path, out=path)
         self._next = float(path[-1])
         return reflect(path[:-1])
@@ -165,6 +206,7 @@ class _Centred:
 def _transient_column(
     driver: TransientDriver, coefficient: str, dt_s: float, pairs: Pairs, splits: Sequence[Split]
 ) -> _Column:
+    """Return the transient levels of one coefficient."""
     if coefficient not in driver.coefficients:
         return _Constant(0.0)
     generator = np.random.PCG64(transient_stream(driver.root_seed, driver.aleatory_id, coefficient))
@@ -176,12 +218,13 @@ def _transient_column(
             rate,
             dt_s,
             pairs,
-            lambda first: spliced(first, splits, "transient", number, lambda g: Normals(g, pairs)),
+            lambda first: splice(first, splits, "transient", number, lambda g: Normals(g, pairs)),
         )
     )
 
 
 def _column(driver: LevelDriver, coefficient: str, dt_s: float, pairs: Pairs) -> _Column:
+    """Return the levels of one coefficient."""
     if coefficient not in driver.coefficients:
         return _Constant(0.5)
     generator = np.random.PCG64(walk_stream(driver.root_seed, driver.epistemic_id, coefficient))
@@ -199,7 +242,7 @@ _GUSTS = tuple(
     f"air/host/{name}"
     for name in ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
 )
-# All six at once: a coefficient that does not move gets a level nobody reads, which is cheaper than asking.
+# All six: setting a level that nothing reads is cheaper than a test.
 _LEVELS = tuple(f"uq/{name}/level" for name in COEFFICIENTS)
 _TRANSIENTS = tuple(f"uq/{name}/transient-level" for name in COEFFICIENTS)
 
@@ -207,50 +250,68 @@ _TRANSIENTS = tuple(f"uq/{name}/transient-level" for name in COEFFICIENTS)
 def stepper(
     fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split] = ()
 ) -> Callable[[int], None]:
-    """A function that runs n steps, at most ``steps`` in all, feeding gusts and levels before each. Call it after initialising.
+    """Return a function that runs n steps and feeds gusts and levels before each.
 
-    Behind each of ``splits``, in their order, gusts and noise are those of a branch. Raises ValueError where JSBSim's own
-    turbulence or a transient model error would have to branch.
+    Parameters
+    ----------
+    fdm : FGFDMExec
+        Initialised instance.
+    spec : FlightSpec
+        What moves.
+    dt_s : float
+        Step [s].
+    steps : int
+        Number of steps in all.
+    splits : sequence of Split
+        Steps behind which gusts and noise are those of a branch, in order.
+
+    Raises
+    ------
+    ValueError
+        If JSBSim's own turbulence or a transient model error would have to branch.
     """
     if not splits:
-        return _straight(fdm, spec, dt_s, steps)
+        return _unbranched(fdm, spec, dt_s, steps)
     if spec.transient is not None or (
         spec.turbulence != "none" and spec.turbulence_source != "spec"
     ):
         raise ValueError(
             "a branch is flown in JSBSim with the host's gusts alone, without transient model error"
         )
-    return _branching(fdm, _straight(fdm, spec, dt_s, steps, splits), splits)
+    return _branched(fdm, _unbranched(fdm, spec, dt_s, steps, splits), splits)
 
 
-def _branching(
+def _branched(
     fdm: Any, advance: Callable[[int], None], splits: Sequence[Split]
 ) -> Callable[[int], None]:
-    """The same steps, with the sensors' generator seeded anew behind each split."""
-    left, done = list(splits), 0
+    """Return the steps with the sensors' generator seeded again behind each split."""
+    remaining, done = list(splits), 0
 
     def stepped(count: int) -> None:
         nonlocal done
         while count:
-            while left and left[0].frame == done:
-                fdm["simulation/randomseed"] = left.pop(0).seed("noise")
-            part = min(count, left[0].frame - done) if left else count
+            while remaining and remaining[0].frame == done:
+                fdm["simulation/randomseed"] = remaining.pop(0).seed("noise")
+            # Run up to the next split at most.
+            part = min(count, remaining[0].frame - done) if remaining else count
             advance(part)
             done, count = done + part, count - part
 
     return stepped
 
 
-def _straight(
+def _unbranched(
     fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split] = ()
 ) -> Callable[[int], None]:
+    """Return the fastest loop for what the spec moves."""
     run = fdm.run
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
     moving = [level_blocks(driver, steps, dt_s) for driver, _ in _drivers(spec)]
     names = [columns for _, columns in _drivers(spec)]
-    if gusty and not has_air(fdm):
+    # Without the air system, gusts go through JSBSim's own properties.
+    if gusty and not has_air_system(fdm):
         gusts = _rows(_gust_blocks(fdm, spec, dt_s, steps, splits))
-        return _with_turned_gusts(
+        return _with_rotated_gusts(
             fdm, gusts, tuple(chain(*names)), _rows(*moving) if moving else repeat(())
         )
     if gusty:
@@ -268,48 +329,51 @@ def _straight(
 
 
 def first_levels(spec: FlightSpec, dt_s: float) -> dict[str, float]:
-    """Levels of the first step as properties: what initialising has to see."""
-    found: dict[str, float] = {}
+    """Return the properties of the first step's levels, which initialisation must see."""
+    levels: dict[str, float] = {}
     for driver, columns in _drivers(spec):
         row = _first_row(driver, dt_s)
         moved = zip(COEFFICIENTS, columns, row, strict=True)
-        found |= {
+        levels |= {
             name: float(value)
             for coefficient, name, value in moved
             if coefficient in driver.coefficients
         }
-    return found
+    return levels
 
 
 @lru_cache(maxsize=4096)
 def _first_row(driver: LevelDriver | TransientDriver, dt_s: float) -> tuple[float, ...]:
-    # All flights of an epistemic sample, or of an air, begin with the same; to draw it takes a millisecond.
+    """Return the levels of the first step."""
+    # Cached: all flights of an epistemic sample or an air start equally, and drawing takes 1 ms.
     return tuple(float(value) for value in next(level_blocks(driver, 1, dt_s))[0])
 
 
 def _drivers(spec: FlightSpec) -> list[tuple[LevelDriver | TransientDriver, tuple[str, ...]]]:
-    """What moves levels in flight, with the properties that it moves."""
-    found: list[tuple[LevelDriver | TransientDriver, tuple[str, ...]]] = []
-    found += [(spec.levels, _LEVELS)] if spec.levels is not None else []
-    found += [(spec.transient, _TRANSIENTS)] if spec.transient is not None else []
-    return found
+    """Return what moves levels in flight, and the properties that it moves."""
+    drivers: list[tuple[LevelDriver | TransientDriver, tuple[str, ...]]] = []
+    drivers += [(spec.levels, _LEVELS)] if spec.levels is not None else []
+    drivers += [(spec.transient, _TRANSIENTS)] if spec.transient is not None else []
+    return drivers
 
 
 def _rows(*series: Iterable[FloatArray]) -> Rows:
-    """Rows as tuples of Python floats, a block at a time: a whole hour would fill the memory. Several series stand side by side."""
+    """Return rows as tuples of floats, block by block; several series are joined side by side."""
     return chain.from_iterable(
-        # array's iterator makes a float as it is asked for one: a third of the time of a list that holds them all.
+        # array creates floats when iterated, three times faster than a list of all of them.
         zip(*(array("d", column.tobytes()) for block in blocks for column in block.T), strict=True)
         for blocks in zip(*series, strict=True)
     )
 
 
 def _setters(fdm: Any, names: Iterable[str]) -> list[Callable[[float], None]]:
+    """Return the setters of properties."""
     return [engine.handle(fdm, name).set_double_value for name in names]
 
 
-# The loops below are written out: in a step of ten microseconds every call between them would show.
+# The loops are written out: in a step of 10 us each call would show.
 def _with_six(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], None]:
+    """Return a loop that feeds six properties."""
     run = fdm.run
     set_1, set_2, set_3, set_4, set_5, set_6 = _setters(fdm, names)
 
@@ -327,6 +391,7 @@ def _with_six(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], Non
 
 
 def _with_twelve(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], None]:
+    """Return a loop that feeds six gusts and six levels."""
     run = fdm.run
     set_u, set_v, set_w, set_p, set_q, set_r, set_1, set_2, set_3, set_4, set_5, set_6 = _setters(
         fdm, names
@@ -352,24 +417,26 @@ def _with_twelve(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], 
 
 
 def _with_many(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], None]:
+    """Return a loop that feeds any number of properties."""
     run = fdm.run
     setters = _setters(fdm, names)
 
     def fed(count: int) -> None:
         for row in islice(rows, count):
-            for put, one in zip(setters, row, strict=True):
-                put(one)
+            for set_value, one in zip(setters, row, strict=True):
+                set_value(one)
             run()
 
     return fed
 
 
-def _with_turned_gusts(
+def _with_rotated_gusts(
     fdm: Any, gusts: Rows, names: Sequence[str], levels: Iterable[tuple[float, ...]]
 ) -> Callable[[int], None]:
-    """Gust velocities through JSBSim's own properties, heading axes turned to north and east by the heading of the frame before.
+    """Return a loop that feeds gusts through JSBSim's own properties.
 
-    JSBSim keeps the gusts' rotation to itself, so the aircraft meets u, v and w alone.
+    Gusts in heading axes are turned to north and east by the heading of the frame before. JSBSim
+    has no input for rotation, so that only u, v and w act.
     """
     run = fdm.run
     heading = engine.handle(fdm, "attitude/psi-rad").get_double_value
@@ -396,6 +463,8 @@ def _with_turned_gusts(
 def _gust_blocks(
     fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split]
 ) -> Iterator[FloatArray]:
+    """Yield gusts (n, 6) at the airspeed and height of the start."""
+    # Airspeed, height above ground, intensity and span of the start.
     air = (
         max(_airspeed_mps(fdm, spec), 1.0),
         max(float(fdm["position/h-agl-ft"]) * FT_M, 3.048),
@@ -415,15 +484,16 @@ def _gust_blocks(
     )
 
 
-def has_air(fdm: Any) -> bool:
-    """Whether the aircraft carries the air system; asked by what it publishes, for a script makes any property that it sets."""
+def has_air_system(fdm: Any) -> bool:
+    """Return whether the aircraft has the air system, by a property that only it creates."""
     return bool(fdm.get_property_manager().hasNode("air/wind-north-fps"))
 
 
 def _airspeed_mps(fdm: Any, spec: FlightSpec) -> float:
-    if has_air(fdm):
+    """Return the initial airspeed [m/s]."""
+    if has_air_system(fdm):
         return float(fdm["velocities/vt-fps"]) * FT_M
-    # The wind has only just been set and JSBSim has not met it yet.
+    # The wind was set after initialisation, and JSBSim's airspeed does not include it yet.
     toward = math.radians(spec.wind_from_deg + 180.0)
     north = float(fdm["velocities/v-north-fps"]) * FT_M - spec.wind_mps * math.cos(toward)
     east = float(fdm["velocities/v-east-fps"]) * FT_M - spec.wind_mps * math.sin(toward)

@@ -55,7 +55,7 @@ from sysid.model_form.coverage import coverage
 from uqharness.errors import BadInputError
 from uqharness.replay import Flight, ReplayPair, flight_residuals, prediction_of
 from uqharness.simulator import Aircraft, content_hash
-from uqharness.text_tables import Tabled
+from uqharness.text_tables import TabularResult
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -179,7 +179,7 @@ class CutoffRow:
 
 
 @dataclass(frozen=True)
-class MadeBounds(Tabled):
+class MadeBounds(TabularResult):
     """A model form with its evidence.
 
     widths       coefficient -> mean width of the bounds over the data         noise  -> rms of the sensors' noise in a sample

@@ -48,7 +48,7 @@ from uqharness.replay import (
 )
 from uqharness.replay.flights import segments
 from uqharness.simulator import Aircraft
-from uqharness.text_tables import Tabled
+from uqharness.text_tables import TabularResult
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -211,7 +211,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Comparison(Tabled):
+class Comparison(TabularResult):
     """All gaps of one flight.
 
     manoeuvres  label -> channel -> rms over noise        demanded, predicted  coefficients (n, 6), one array a segment

@@ -40,7 +40,7 @@ from uqharness.replay import (
     states,
     surface_positions,
 )
-from uqharness.text_tables import Tabled
+from uqharness.text_tables import TabularResult
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -431,7 +431,7 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
 
 
 @dataclass(frozen=True)
-class Identification(Tabled):
+class Identification(TabularResult):
     """What was estimated, how, and how well it fits.
 
     names, initial, theta, std, std_crb, status, reason  over the parameters asked for (JSBSim properties)

@@ -18,7 +18,7 @@ from uqharness.flight import (
     DEFAULT_TURBULENCE_SOURCE,
     FlightSpec,
     recorded_flight,
-    two_seeds,
+    turbulence_and_noise_seeds,
     write_record,
 )
 from uqharness.next_flight.points import (
@@ -139,7 +139,7 @@ def fly_script(
 ) -> tuple[bool, float, str]:
     """The same for a script that is written already, or its first seconds."""
     read = read_script(script)
-    turbulence, noise = two_seeds(seed)
+    turbulence, noise = turbulence_and_noise_seeds(seed)
     spec = FlightSpec(
         aircraft=flight.aircraft.folder,
         script=script,

@@ -1,4 +1,4 @@
-"""The JSBSim system of uncertainty intervals: written, put into any aircraft, checked."""
+"""The JSBSim system of error bounds: written, added to any aircraft, and checked in flight."""
 
 import lazy_loader
 

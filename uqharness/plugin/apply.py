@@ -1,4 +1,9 @@
-"""Instrument an aircraft: plan, write the folder, fly it beside the untouched aircraft."""
+"""Instrument an aircraft: plan, write the folder, and fly it against the untouched aircraft.
+
+`instrument_aircraft` adds the plugin to a copy, `undo` removes it to the byte, and `with_card`
+gives an aircraft without airframe.toml a temporary copy with one. Mass properties can be changed on
+the way, and `write_estimates` writes identified values into the XML, keeping its formatting.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +25,11 @@ from uqharness.plugin.instrument import (
     Bounds,
     Change,
     Plan,
-    changed,
+    make_change,
     metrics_of,
     plan,
     read_record,
-    restored,
+    restore,
     to_json,
 )
 from uqharness.simulator import (
@@ -32,14 +37,14 @@ from uqharness.simulator import (
     Aircraft,
     check_loadable,
     content_hash,
-    copy_beside,
     copy_folder,
+    copy_shared_parts,
     engine,
     find_aircraft,
-    numbers_for,
-    opened,
+    model_files,
     read_xml,
     undefined_properties,
+    xml_numbers_for,
 )
 from uqharness.simulator import facts as aircraft_facts
 from uqharness.xml import (
@@ -55,50 +60,61 @@ from uqharness.xml import (
     folder_documents,
     parse_document,
     read_document,
-    with_attribute,
+    replace_attribute,
 )
 
-# Engines, propellers and systems that an aircraft takes from beside its folder: a copy that
-# goes elsewhere has to carry them.
+# Engines, propellers and systems outside the aircraft's folder, which a copy must contain.
 
 
 def carried_files(aircraft: Aircraft, out: Path) -> dict[str, bytes]:
-    """Files to put into ``out`` (name within it to content): those that JSBSim would not find from there, or find others of.
+    """Return name to content of files that ``out`` needs and JSBSim would not find from there.
 
     Empty for a stock aircraft, whose parts every JSBSim has. Raises BadInputError.
     """
     root = out.absolute().parent.parent
     stock = engine.default_root()
     files = {}
-    parts = opened(aircraft)
-    for place in parts.beside:
+    parts = model_files(aircraft)
+    for place in parts.shared:
         kind, _, name = place.partition("/")
-        if any(f"{folder}/{name}".lstrip("/") in parts.own for folder in INSIDE[kind]):
+        if any(f"{folder}/{name}".lstrip("/") in parts.local for folder in INSIDE[kind]):
             continue
+        # Nothing to copy if JSBSim finds the same content from the new place.
         content = read_xml(
             (aircraft.engine_path if kind == "engine" else aircraft.systems_path) / name
         )
         shared = root / kind
-        found = (shared if shared.is_dir() else stock / kind) / name
-        if not (found.is_file() and read_xml(found) == content):
+        existing = (shared if shared.is_dir() else stock / kind) / name
+        if not (existing.is_file() and read_xml(existing) == content):
             folders = [folder for folder in INSIDE[kind] if folder]
-            own = next(
+            subfolder = next(
                 (folder for folder in folders if (aircraft.folder / folder).is_dir()), folders[0]
             )
-            files[f"{own}/{name}"] = content
+            files[f"{subfolder}/{name}"] = content
     return files
 
 
-# An instrumented aircraft's folder, whole or not at all: the copy with a plan carried out, and
-# the way back.
+# Writing an instrumented folder atomically, and undoing it.
 
 
 def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
-    """Copy the aircraft's folder to ``out`` with the plan carried out, and the record beside it; whole or not at all.
+    """Copy the aircraft's folder to ``out`` with the plan carried out, atomically.
 
-    ``out`` may be the aircraft's own folder; any other folder that exists has to be empty or an earlier result. Raises
-    BadInputError.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    planned : Plan
+        Files to write, and the record of changes.
+    out : Path
+        The aircraft's own folder, a new or empty one, or an earlier result.
+
+    Raises
+    ------
+    BadInputError
+        If ``out`` holds anything else, or an earlier instrumentation must be undone first.
     """
+    # The aircraft's own folder may be replaced.
     in_place = out.exists() and out.resolve() == aircraft.folder
     if (
         out.exists()
@@ -113,22 +129,35 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
     changes, files = dict(planned.changes), dict(planned.files)
     if not in_place:
         for name, content in carried_files(aircraft, out).items():
-            files[name], changes[name] = content, changed(None, content)
+            files[name], changes[name] = content, make_change(None, content)
     if (aircraft.folder / FILE_NAME).is_file():
-        changes = _chained(read_record(aircraft.folder), changes)
+        changes = _merge_records(read_record(aircraft.folder), changes)
     with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
         copy = Path(temporary) / "new"
         copy_folder(aircraft.folder, copy, keep_links=in_place)
         for name, content in files.items():
-            _put(copy / name, content)
+            _write_file(copy / name, content)
         (copy / FILE_NAME).write_bytes(to_json(changes))
         _swap(copy, out, Path(temporary) / "old")
 
 
 def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
-    """Write to ``out`` what ``folder`` was before it was instrumented; (file, what became of it). ``out`` may be ``folder``.
+    """Write to ``out`` what ``folder`` was before it was instrumented.
 
-    Raises BadInputError where a file changed since in a way that leaves no clean way back; nothing is written then.
+    Parameters
+    ----------
+    folder, out : Path
+        Instrumented folder, and result; they may be the same.
+
+    Returns
+    -------
+    list of (str, str)
+        File, and what became of it.
+
+    Raises
+    ------
+    BadInputError
+        If a file has changed so that the plugin cannot be removed; nothing is written then.
     """
     changes = read_record(folder)
     done = []
@@ -139,23 +168,27 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
             path = copy / name
             if not path.is_file():
                 if change.edited:
-                    raise BadInputError(f"{folder / name}: is gone; undo cannot bring it back")
+                    raise BadInputError(f"{folder / name}: is missing; undo cannot restore it")
                 continue
-            content = restored(folder / name, change, path.read_bytes())
+            # None: the file was added and is removed.
+            content = restore(folder / name, change, path.read_bytes())
             if content is None:
                 path.unlink()
                 if not any(path.parent.iterdir()):
                     path.parent.rmdir()
                 done.append((name, "removed"))
             else:
-                _put(path, content)
-                same = changed(None, content).after == change.before
+                _write_file(path, content)
+                # Identical to the original, or with later changes of the author.
+                same = make_change(None, content).after == change.before
                 done.append(
                     (
                         name,
-                        "as it was, byte for byte"
-                        if same
-                        else "without the plugin; other changes since are kept",
+                        (
+                            "as it was, byte for byte"
+                            if same
+                            else "without the plugin; other changes since are kept"
+                        ),
                     )
                 )
         (copy / FILE_NAME).unlink()
@@ -172,20 +205,22 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
     return done
 
 
-def _put(path: Path, content: bytes) -> None:
+def _write_file(path: Path, content: bytes) -> None:
+    """Write a file; never through a link."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Written through a link, the file of another aircraft would change.
+    # Through a link, another aircraft's file would change.
     if path.is_symlink():
         path.unlink()
     path.write_bytes(content)
 
 
 def _swap(new: Path, out: Path, old: Path) -> None:
-    """Put ``new`` in the place of ``out``; whatever fails, ``out`` is one of the two."""
+    """Put ``new`` in the place of ``out``; if anything fails, ``out`` is one of the two."""
     if (out / ".git").exists():
-        # A working copy's own data are not ours to copy: they go over.
+        # A repository's data are moved, not copied.
         os.rename(out / ".git", new / ".git")
     if out.exists():
+        # Two renames; the first is undone if the second fails.
         out.rename(old)
     try:
         new.rename(out)
@@ -195,25 +230,24 @@ def _swap(new: Path, out: Path, old: Path) -> None:
         raise
 
 
-def _chained(earlier: Mapping[str, Change], now: Mapping[str, Change]) -> dict[str, Change]:
-    """The record of both: what an earlier instrumentation changed goes on being undone to the author's own bytes."""
-    out = dict(earlier)
-    for name, change in now.items():
-        first = earlier.get(name)
+def _merge_records(old: Mapping[str, Change], new: Mapping[str, Change]) -> dict[str, Change]:
+    """Return the record of both instrumentations, so that undo restores the author's bytes."""
+    merged = dict(old)
+    for name, change in new.items():
+        first = old.get(name)
         if first is None:
-            out[name] = change
+            merged[name] = change
         elif first.edited or change.edited:
             raise BadInputError(f"{name}: was instrumented before; undo that first (--undo)")
         else:
-            out[name] = Change(first.before, change.after, (), first.content)
-    return out
+            merged[name] = Change(first.before, change.after, (), first.content)
+    return merged
 
 
-# Mass, inertia and centre of gravity given as numbers, and the aircraft's <mass_balance> edited
-# so that it has them.
+# Mass, inertia and CG given as numbers, set by editing <mass_balance>.
 
 _STEP = re.compile(r"(\w+)(?:\[@name='(\w+)'\])?")
-# Factor from the option's unit to the property's; JSBSim's inertia/ixz-slugs_ft2 is minus the product of inertia.
+# Factor from the option's unit to the property's; JSBSim's ixz is minus the product of inertia.
 _PROPERTIES: Mapping[str, tuple[str, float]] = {
     "mass_kg": ("inertia/mass-slugs", 1.0 / (SLUG_LB * LB_KG)),
     "ixx_kgm2": ("inertia/ixx-slugs_ft2", 1.0 / SLUG_FT2_KGM2),
@@ -228,10 +262,18 @@ _PROPERTIES: Mapping[str, tuple[str, float]] = {
 
 @dataclass(frozen=True)
 class MassProperties:
-    """What is known of the aircraft as it flew, fuel and loads on board included; None: as the XML has it.
+    """Mass properties of the aircraft as flown, with fuel and loads; None keeps the XML's value.
 
-    ``mass_kg``; moments of inertia about the centre of gravity in body axes [kg m2], ``ixz_kgm2`` the product, the integral of x z
-    over the mass; ``cg_x_m`` ... in the XML's own structural frame [m], x aft, y right, z up.
+    Attributes
+    ----------
+    mass_kg : float or None
+        Mass [kg].
+    ixx_kgm2, iyy_kgm2, izz_kgm2 : float or None
+        Moments of inertia about the CG in body axes [kg m2].
+    ixz_kgm2 : float or None
+        Product of inertia, the integral of x z over the mass [kg m2].
+    cg_x_m, cg_y_m, cg_z_m : float or None
+        CG in the XML's structural frame [m]: x aft, y right, z up.
     """
 
     mass_kg: float | None = None
@@ -243,8 +285,8 @@ class MassProperties:
     cg_y_m: float | None = None
     cg_z_m: float | None = None
 
-    def given(self) -> dict[str, float]:
-        """Those that are given, by name."""
+    def specified(self) -> dict[str, float]:
+        """Return the values that are not None, by name."""
         values = ((item.name, getattr(self, item.name)) for item in fields(self))
         return {name: float(value) for name, value in values if value is not None}
 
@@ -252,32 +294,48 @@ class MassProperties:
 def mass_insertions(
     aircraft: Aircraft, document: Document, mass: MassProperties
 ) -> tuple[Insertion, ...]:
-    """The edits of ``document``, the aircraft's XML, after which JSBSim computes those mass properties. Empty for none.
+    """Return the edits of the aircraft's XML after which JSBSim computes the mass properties.
 
-    The other inertias stay as JSBSim computes them. Raises BadInputError for values that no body has, and where a number is not in
-    this file.
+    Other inertias keep their values.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    document : Document
+        Its XML.
+    mass : MassProperties
+        Target values.
+
+    Raises
+    ------
+    BadInputError
+        For impossible values, and if a number is not in this file.
     """
-    given = mass.given()
-    if not given:
+    values = mass.specified()
+    if not values:
         return ()
-    for name, value in given.items():
+    for name, value in values.items():
         free = name.startswith(("cg", "ixz"))
         if not math.isfinite(value) or not (free or value > 0.0):
             raise BadInputError(
                 f"{name} = {value:g}: a {'finite' if free else 'positive'} number is needed"
             )
-    moments = [given.get(f"i{axis}{axis}_kgm2") for axis in "xyz"]
-    if None not in moments and max(moments) > sum(moments) - max(moments):  # type: ignore[type-var, arg-type, operator]
+    moments = [values.get(f"i{axis}{axis}_kgm2") for axis in "xyz"]
+    specified = [moment for moment in moments if moment is not None]
+    if len(specified) == 3 and max(specified) > sum(specified) - max(specified):
         raise BadInputError(
-            f"ixx, iyy, izz = {moments} kg m2: no body has one moment of inertia above the sum of the other two"
+            f"ixx, iyy, izz = {moments} kg m2: no body has one moment of inertia above the sum of"
+            " the other two"
         )
-    wanted = {_PROPERTIES[name][0]: _PROPERTIES[name][1] * value for name, value in given.items()}
-    texts = numbers_for(aircraft, wanted)
+    # Numbers in the XML follow from properties in JSBSim's units.
+    target = {_PROPERTIES[name][0]: _PROPERTIES[name][1] * value for name, value in values.items()}
+    texts = xml_numbers_for(aircraft, target)
     return tuple(_edit(document, path, text) for path, text in texts.items())
 
 
 def _edit(document: Document, path: str, text: str) -> Insertion:
-    """The element at ``path`` with that number, made where there is none."""
+    """Return the edit that writes a number into the element at ``path``, made if absent."""
     node = document.root
     steps = path.split("/")
     for step in steps[:-1]:
@@ -295,27 +353,38 @@ def _edit(document: Document, path: str, text: str) -> Insertion:
 
 
 def _child(document: Document, node: Node, step: str) -> Node:
+    """Return the child that a step of a path names. Raises BadInputError."""
     match = _STEP.fullmatch(step)
     assert match is not None
     for child in node.all(match[1]):
         if match[2] is None or attribute(child, "name") == match[2]:
             return child
     raise BadInputError(
-        f"{document.where(node)}: <{step}> is not in this file, so that mass properties cannot be changed"
+        f"{document.where(node)}: <{step}> is not in this file, so that mass properties cannot be"
+        " changed"
     )
 
 
 CHECK_S = 1.0
-"""Flight time [s] of the comparison with the untouched aircraft."""
+"""Flight time of the comparison with the untouched aircraft [s]."""
 
 
 @dataclass(frozen=True)
 class Instrumented:
-    """What was done to an aircraft.
+    """Result of instrumenting an aircraft.
 
-    planned  files, axes and places of the deltas        notes  what to know of the result
-    verdict  the comparison with the untouched aircraft; None where none was flown
-    unmeasured  control -> why it could not be measured, so that its part of the card is assumed
+    Attributes
+    ----------
+    folder : Path
+        Folder of the copy.
+    planned : Plan
+        Files, axes and places of the deltas.
+    notes : tuple of str
+        Remarks for the user.
+    verdict : Verdict or None
+        Comparison with the untouched aircraft; None if it was not flown.
+    unmeasured : mapping
+        Control to the reason why it could not be measured and is assumed.
     """
 
     folder: Path
@@ -325,7 +394,10 @@ class Instrumented:
     unmeasured: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        return f"Instrumented({str(self.folder)!r}, {self.verdict.status if self.verdict is not None else 'not flown'})"
+        return (
+            f"Instrumented({str(self.folder)!r},"
+            f" {self.verdict.status if self.verdict is not None else 'not flown'})"
+        )
 
 
 def instrument_aircraft(
@@ -338,23 +410,49 @@ def instrument_aircraft(
     dry_run: bool = False,
     mass: MassProperties | None = None,
 ) -> Instrumented:
-    """Copy the aircraft to ``out`` with the plugin in it. ``check``: fly it beside the untouched one; ``dry_run``: write nothing;
-    ``mass``: properties that the copy is to have, and with which it is then flown beside the untouched one.
+    """Copy an aircraft to ``out`` with the plugin added.
 
-    Raises BadInputError for an aircraft that cannot be instrumented and for a folder that cannot be written.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    bounds : Bounds
+        Error bounds.
+    out : Path
+        Folder of the copy.
+    air : bool
+        Whether to add the air system (wind and turbulence).
+    check : bool
+        Whether to fly the copy against the untouched aircraft.
+    dry_run : bool
+        Whether to write nothing.
+    mass : MassProperties, optional
+        Mass properties of the copy, and of the aircraft that it is compared with.
+
+    Returns
+    -------
+    Instrumented
+        What was done.
+
+    Raises
+    ------
+    BadInputError
+        If the aircraft cannot be instrumented or the folder cannot be written.
     """
     undefined_properties(aircraft)
+    # A first plan refuses what cannot be instrumented before the aircraft is measured.
     plan(aircraft, bounds, None, air)
     facts, notes = None, []
     if not aircraft.has_card:
         try:
-            facts = aircraft_facts.ask_in_child(aircraft.folder)
+            # Sense, throws and thrust are measured in a child process.
+            facts = aircraft_facts.measure_facts_in_child(aircraft.folder)
         except BadInputError as error:
             if check:
                 raise BadInputError(
                     f"{error}; --no-check instruments it unflown, for a host that knows better"
                 ) from None
-            facts = aircraft_facts.assumed(*metrics_of(aircraft))
+            facts = aircraft_facts.assumed_facts(*metrics_of(aircraft))
             notes.append(f"unflown, so the card is a guess: {error}")
     unmeasured = {
         name: control.unmeasured
@@ -362,7 +460,8 @@ def instrument_aircraft(
         if control.unmeasured
     }
     notes += [
-        f"{name} could not be measured, so its sense and throw in airframe.toml are assumed: {reason}"
+        f"{name} could not be measured, so its sense and throw in airframe.toml are assumed:"
+        f" {reason}"
         for name, reason in unmeasured.items()
     ]
     edits = mass_insertions(aircraft, read_document(aircraft.xml), mass or MassProperties())
@@ -373,39 +472,40 @@ def instrument_aircraft(
         write(aircraft, planned, out)
         undefined_properties(find_aircraft(out))
         if check and other and not planned.had_plugin:
+            # The copy is flown unless it replaces the original or had the plugin before.
             verdict = _checked(aircraft, out, edits)
     return Instrumented(out, planned, (*planned.notes, *notes), verdict, unmeasured)
 
 
 def _checked(aircraft: Aircraft, out: Path, edits: tuple[Insertion, ...]) -> Verdict:
-    """The comparison with the aircraft that differs from its author's by ``edits`` alone."""
+    """Return the comparison with the aircraft that only differs from the author's by ``edits``."""
     if not edits:
         return check_in_child(aircraft.folder, out, CHECK_S)
     with scratch_folder("mass") as scratch:
         folder = scratch.path / "aircraft" / aircraft.folder.name
         copy_folder(aircraft.folder, folder)
-        copy_beside(aircraft, scratch.path, engine.default_root())
+        copy_shared_parts(aircraft, scratch.path, engine.default_root())
         document = read_document(folder / aircraft.xml.name)
         document.path.write_bytes(apply(document, list(edits)))
         return check_in_child(folder, out, CHECK_S)
 
 
-# An aircraft that comes without airframe.toml, given one: an instrumented copy that lasts as
-# long as the process.
+# Temporary copies with a card, for aircraft without airframe.toml.
 
 _LOG = logging.getLogger("uqharness")
-_made: dict[str, tuple[Scratch, Aircraft]] = {}
+_instrumented: dict[str, tuple[Scratch, Aircraft]] = {}
 
 
 def with_card(aircraft: Aircraft) -> Aircraft:
-    """``aircraft`` itself where it has a card, else a copy as ``instrument`` writes it, with bounds of zero: it flies the same.
+    """Return the aircraft if it has a card, else an instrumented copy with zero bounds.
 
-    Made once a process for the same files. Raises BadInputError for an aircraft that does not fly or cannot be instrumented.
+    The copy flies identically, lasts as long as the process, and is made once for the same files.
+    Raises BadInputError if the aircraft does not fly or cannot be instrumented.
     """
     if aircraft.has_card:
         return aircraft
     key = content_hash(aircraft)
-    if key not in _made:
+    if key not in _instrumented:
         check_loadable(
             aircraft
         )  # names the user's file; later checks would name the copy and its lines
@@ -417,12 +517,11 @@ def with_card(aircraft: Aircraft) -> Aircraft:
             _LOG.info(
                 "%s: %s could not be measured and is assumed: %s", aircraft.name, control, reason
             )
-        _made[key] = scratch, find_aircraft(folder)
-    return _made[key][1]
+        _instrumented[key] = scratch, find_aircraft(folder)
+    return _instrumented[key][1]
 
 
-# Write numbers into an aircraft's XML as a hand would: the value changes, formatting and
-# comments stay, a remark says why.
+# Identified values written into XML: only the number and a comment change.
 
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _REMARK = re.compile(rb"[ \t]*<!-- identified [^>]*?-->")
@@ -430,71 +529,94 @@ _REMARK = re.compile(rb"[ \t]*<!-- identified [^>]*?-->")
 
 @dataclass(frozen=True)
 class Estimate:
-    """New value of a property and the remark that stands behind it in the XML (no double hyphen)."""
+    """New value of a property, and the comment behind it in the XML (no double hyphen)."""
 
     value: float
     remark: str
 
 
 def write_estimates(aircraft: Aircraft, estimates: Mapping[str, Estimate], out: Path) -> list[str]:
-    """Copy the aircraft's folder to ``out`` with the estimates in its XML; names that no XML file declares are returned.
+    """Copy an aircraft's folder to ``out`` with estimates written into its XML, atomically.
 
-    The copy appears whole or not at all; an existing ``out`` is replaced only if it is an aircraft's folder. Raises BadInputError.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    estimates : mapping
+        Property to estimate.
+    out : Path
+        New folder, or an aircraft's folder to replace.
+
+    Returns
+    -------
+    list of str
+        Properties that no XML file declares.
+
+    Raises
+    ------
+    BadInputError
+        If ``out`` holds anything but an aircraft.
     """
     if out.exists() and not (out / "airframe.toml").is_file() and any(out.iterdir()):
         raise BadInputError(
-            f"{out}: exists and is no aircraft folder of an earlier run; remove it or choose another --out"
+            f"{out}: exists and is no aircraft folder of an earlier run; remove it or choose"
+            " another --out"
         )
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".aircraft-") as temporary:
         copy = Path(temporary) / "new"
         copy_folder(aircraft.folder, copy)
-        left = put_values(copy, estimates)
+        undeclared = put_values(copy, estimates)
         old = Path(temporary) / "old"
         if out.exists():
             out.rename(old)
         copy.rename(out)
-    return left
+    return undeclared
 
 
 def with_value(document: Document, name: str, estimate: Estimate) -> bytes | None:
-    """The file with another number in ``<property value="...">name</property>``; None where it does not declare the property.
+    """Return a file with another value of a declared property; None if it does not declare it.
 
-    An earlier remark of ours is replaced as well; the author's comments are not.
+    An earlier comment of this program is replaced, the author's comments are kept.
     """
     node = declaration(document, name)
     return None if node is None else apply(document, _edits(document, node, estimate))
 
 
 def _edits(document: Document, node: Node, estimate: Estimate) -> list[Insertion]:
+    """Return the edits of a declaration: its value, and the comment on its line."""
     end = document.raw.find(b"\n", node.end)
     old = document.raw[node.end : None if end < 0 else end].removesuffix(b"\r")
-    rest = _REMARK.sub(b"", old).rstrip(b" \t")
-    # A remark inside a comment that runs over lines would end it early; such a line keeps its number alone.
-    runs_on = b"<!--" in _COMMENT.sub(b"", rest)
+    other_text = _REMARK.sub(b"", old).rstrip(b" \t")
+    # A comment cannot be added where another comment continues on the next line.
+    runs_on = b"<!--" in _COMMENT.sub(b"", other_text)
     remark = b"" if runs_on else document.encoded(f"  {comment(f'identified {estimate.remark}')}")
-    number = with_attribute(document, node, "value", f"{estimate.value:.8g}")
-    return [number, Insertion(node.end, rest + remark, old)]
+    number = replace_attribute(document, node, "value", f"{estimate.value:.8g}")
+    return [number, Insertion(node.end, other_text + remark, old)]
 
 
 def put_values(folder: Path, values: Mapping[str, Estimate]) -> list[str]:
-    """Write values of properties into the XML files of a folder, in place; names that no file declares are returned."""
-    left = dict(values)
+    """Write values of properties into the XML files of a folder, in place.
+
+    Returns the names that no file declares.
+    """
+    remaining = dict(values)
     for document in folder_documents(folder):
         edited = document
-        while edits := _together(edited, left):
+        # Declarations on one line are edited one after the other.
+        while edits := _edits_by_line(edited, remaining):
             edited = parse_document(document.path, apply(edited, edits))
         if edited is not document:
             document.path.write_bytes(edited.raw)
-    return list(left)
+    return list(remaining)
 
 
-def _together(document: Document, left: dict[str, Estimate]) -> list[Insertion]:
-    """Edits of the declarations of a file's properties ``left``, one to a line; the properties are taken out of ``left``."""
+def _edits_by_line(document: Document, remaining: dict[str, Estimate]) -> list[Insertion]:
+    """Return edits of declarations, one per line, and remove their names from ``remaining``."""
     edits: list[Insertion] = []
     until = -1
     for name, node in declarations(document):
-        if name in left and node.start > until:
-            edits += _edits(document, node, left.pop(name))
+        if name in remaining and node.start > until:
+            edits += _edits(document, node, remaining.pop(name))
             end = document.raw.find(b"\n", node.end)
             until = len(document.raw) if end < 0 else end
     return edits

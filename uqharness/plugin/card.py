@@ -1,4 +1,9 @@
-"""airframe.toml for an aircraft that came without one: what JSBSim and a short flight of the aircraft could tell."""
+"""airframe.toml and systems for an aircraft without a card, and scales of its functions.
+
+`card_text` writes a card from measured facts. `add_scales` adds a scale and a bias to each force
+and moment function of an aircraft without coefficient properties, and `bake_scales` later writes
+scales into the author's numbers.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +28,7 @@ from uqharness.xml import (
     Reference,
     SectionEdit,
     append_child,
+    append_remark,
     apply,
     attribute,
     call,
@@ -31,53 +37,52 @@ from uqharness.xml import (
     folder_documents,
     function_lines,
     number,
-    prop,
-    remarked,
+    property_value,
+    replace_attribute,
+    replace_text,
     value,
-    with_attribute,
-    with_text,
 )
 
-# What an aircraft made for FlightGear reads of it, passed on in JSBSim alone: a system that
-# copies properties.
-#
-# FlightGear's interface to JSBSim writes commands and engine readings into its own property
-# tree in every frame, and some aircraft read them there: the p51d takes its throttle from
-# /controls/engines/engine/throttle, and governs it by /engines/engine/mp-inhg. Without the host
-# these stay at zero.
+# FlightGear's properties in JSBSim alone. FlightGear's interface writes commands and engine
+# readings into its own property tree, and some aircraft read them there: the p51d takes its
+# throttle from /controls/engines/engine/throttle. Without the host they stay zero; a system copies
+# them.
 
 HOST_SYSTEM = "flightgear-host"
 SWITCH = "host/flightgear"
-"""Property that is 1 where copying is on: 0 in the XML, where the aircraft flies as its author's; the card's open loop sets it."""
+"""Property that is 1 while copying is on; 0 in the XML, set by the card's open-loop mode."""
 
 
 def host_xml(pairs: Sequence[tuple[str, str]]) -> bytes:
-    """The system's XML for pairs of FlightGear's property and JSBSim's own, which is copied to it in every frame."""
+    """Return the system that copies JSBSim's properties to FlightGear's in every frame.
+
+    ``pairs`` are (FlightGear's property, JSBSim's).
+    """
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        "<!-- FlightGear's properties that the aircraft reads, with what it would write there, a frame late as it does. -->",
+        (
+            "<!-- FlightGear's properties that the aircraft reads, with what it would write there,"
+            " a frame late as it does. -->"
+        ),
         f'<system name="{HOST_SYSTEM}">',
         f'  <property value="0">{SWITCH}</property>',
         f'  <channel name="FlightGear" execute="{SWITCH}">',
     ]
-    for index, (theirs, own) in enumerate(pairs):
+    for index, (host_name, jsbsim_name) in enumerate(pairs):
         lines += [
             f'    <pure_gain name="host/copy-{index}">',
-            f"      <input>{own}</input>",
+            f"      <input>{jsbsim_name}</input>",
             "      <gain>1</gain>",
-            f"      <output>{theirs}</output>",
+            f"      <output>{host_name}</output>",
             "    </pure_gain>",
         ]
     return "\n".join([*lines, "  </channel>", "</system>", ""]).encode()
 
 
-# Scale and bias properties for every force and moment function of an aircraft that has no
-# coefficient properties.
-#
-# The author's functions stay as they are. Behind them in each axis comes one function that adds
-# what scales other than 1 and biases other than 0 change: (scale - 1) times each function's
-# value of this frame, and q S (b, c) times the biases, which are coefficients in the author's
-# own axes. At scale 1 and bias 0 it adds zero, so the flight is bit-identical.
+# Scales and biases. The author's functions are unchanged. In each axis one function follows that
+# adds (scale - 1) times each function's value, and q S (b, c) times the biases, which are
+# coefficients in the author's axes. At scale 1 and bias 0 it adds zero: the flight is
+# bit-identical.
 
 COEFFICIENT_PROPERTY = re.compile(r"aero/(CX|CY|CZ|Cl|Cm|Cn)_\w+")
 SYSTEM_NAME = "scale-bias"
@@ -86,8 +91,18 @@ _IDENTIFIED = re.compile(rb"[ \t]*<!-- identified ([^>]*?)-->")
 
 
 @dataclass(frozen=True)
-class Scaled:
-    """One function: its property, where it stands, and the names of its scale and bias."""
+class ScaledFunction:
+    """A function with its scale and bias.
+
+    Attributes
+    ----------
+    axis, function : str
+        Axis, and the function's property.
+    file, line
+        Where it is written.
+    scale, bias : str
+        Properties.
+    """
 
     axis: str
     function: str
@@ -98,7 +113,7 @@ class Scaled:
 
 
 def coefficient_properties(documents: list[Document]) -> list[str]:
-    """Names ``aero/<C>_<term>`` that the files declare: such an aircraft is identified by them and needs no scales."""
+    """Return the properties ``aero/<C>_<term>`` that files declare; they replace scales."""
     return [
         name
         for document in documents
@@ -107,13 +122,17 @@ def coefficient_properties(documents: list[Document]) -> list[str]:
     ]
 
 
-def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, list[Scaled]]:
-    """Add the functions ``uq/scaled/<axis>``; the properties are declared by `scale_system`. What was scaled, in order."""
+def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, list[ScaledFunction]]:
+    """Add the functions ``uq/scaled/<axis>``; return the edit and the scaled functions in order.
+
+    The properties are declared by `scale_system`.
+    """
     section = edit.section
-    named, edit = _names(edit)
-    short = _short_names(section, named)
-    done = []
+    names, edit = _names(edit)
+    short = _short_names(section, names)
+    all_rows = []
     for _, axis in sorted(section.axes.items()):
+        # Forces that act at the CG and at the aerodynamic centre need functions of their own.
         for at_cg in (False, True):
             nodes = [
                 node
@@ -123,9 +142,9 @@ def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, li
             if not nodes:
                 continue
             rows = [
-                Scaled(
+                ScaledFunction(
                     axis.name,
-                    named[id(node)],
+                    names[id(node)],
                     str(axis.document.path.relative_to(section.folder)),
                     node.line,
                     f"uq/scale/{short[id(node)]}",
@@ -133,21 +152,27 @@ def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, li
                 )
                 for node in nodes
             ]
-            done += rows
+            all_rows += rows
             edit = edit.plus(
                 axis.document,
                 append_child(axis.document, axis.node, _function(axis, rows, at_cg, reference)),
             )
-    return edit, done
+    return edit, all_rows
 
 
-def scale_system(rows: list[Scaled]) -> bytes:
-    """The system file that declares scales (1) and biases (0), with where each belongs."""
+def scale_system(rows: list[ScaledFunction]) -> bytes:
+    """Return the system that declares scales (1) and biases (0) with comments."""
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         "<!--",
-        "  Factor and addition to each force and moment function of the aerodynamics, for identification and refinement.",
-        "  A scale multiplies the function; a bias is a coefficient: q S bias for a force, q S b bias (ROLL, YAW) or q S c bias",
+        (
+            "  Factor and addition to each force and moment function of the aerodynamics, for"
+            " identification and refinement."
+        ),
+        (
+            "  A scale multiplies the function; a bias is a coefficient: q S bias for a force, q S"
+            " b bias (ROLL, YAW) or q S c bias"
+        ),
         "  (PITCH) for a moment, positive as the axis it stands in.",
         "-->",
         f'<system name="{SYSTEM_NAME}">',
@@ -168,36 +193,36 @@ class BakedScales:
     ----------
     changed : dict of str to tuple of float
         Scale property to the author's number before and after.
-    kept : tuple of str
+    remaining : tuple of str
         Scales that stay properties: their functions have no single number, such as a table.
     """
 
     changed: Mapping[str, tuple[float, float]]
-    kept: tuple[str, ...]
+    remaining: tuple[str, ...]
 
 
 def bake_scales(folder: Path) -> BakedScales:
     """Write the scales of an instrumented aircraft into the author's numbers, in place.
 
-    A function that is a product with a number as a factor gets that number times its scale, and the
-    scale is 1 again; the model stays the same to rounding (eight digits). Biases, and scales of
-    functions without such a number, stay as they are.
+    In a product with a constant factor, that factor is multiplied by the scale, and the scale
+    becomes 1; the model is unchanged to rounding (eight digits). Biases, and scales of functions
+    without such a factor, are kept.
 
     Parameters
     ----------
     folder : Path
-        Folder of the instrumented aircraft. Its XML files are edited as a hand would: other bytes
-        stay, and a remark gives the old number and the estimate.
+        Folder of the instrumented aircraft. Other bytes of its XML are unchanged; a comment gives
+        the old number and the estimate.
 
     Returns
     -------
     BakedScales
-        The numbers that changed, and the scales that were kept.
+        The changed numbers, and the scales that remain.
     """
     documents = list(folder_documents(folder))
     functions = _scaled_functions(documents)
     changed: dict[str, tuple[float, float]] = {}
-    kept = []
+    remaining = []
     edits: dict[Path, list[Insertion]] = {document.path: [] for document in documents}
     for document in documents:
         for name, declared in declarations(document):
@@ -206,29 +231,31 @@ def bake_scales(folder: Path) -> BakedScales:
             scale = float(attribute(declared, "value"))
             if scale == 1.0:
                 continue
+            # A table, for example, has no constant factor.
             place = _constant_factor(documents, functions.get(name, ""))
             if place is None:
-                kept.append(name)
+                remaining.append(name)
                 continue
             owner, node = place
             before = number(node, f"<{node.tag}>", owner)
             changed[name] = (before, before * scale)
+            # The comment of the estimate moves from the scale to the number.
             remark = f"was {node.text.strip()}, times {name} = {scale:.8g}"
             note = _IDENTIFIED.search(_behind(document, declared))
             if note:
                 remark += f" ({note.group(1).decode('utf-8', 'replace').strip()})"
             edits[owner.path] += [
-                with_text(owner, node, f"{before * scale:.8g}"),
-                remarked(owner, node, remark),
+                replace_text(owner, node, f"{before * scale:.8g}"),
+                append_remark(owner, node, remark),
             ]
-            edits[document.path] += [with_attribute(document, declared, "value", "1")]
+            edits[document.path] += [replace_attribute(document, declared, "value", "1")]
             if note:
                 at = declared.end + note.start()
                 edits[document.path].append(Insertion(at, b"", note.group(0)))
     for document in documents:
         if edits[document.path]:
             document.path.write_bytes(apply(document, edits[document.path]))
-    return BakedScales(changed, tuple(kept))
+    return BakedScales(changed, tuple(remaining))
 
 
 def _behind(document: Document, node: Node) -> bytes:
@@ -238,12 +265,13 @@ def _behind(document: Document, node: Node) -> bytes:
 
 
 def _scaled_functions(documents: Iterable[Document]) -> dict[str, str]:
-    """Map each scale property to the name of the function that it multiplies."""
+    """Return scale property to the name of the function that it multiplies."""
     functions = {}
     for document in documents:
         for product in document.root.walk():
             if product.tag != "product" or len(product.children) != 2:
                 continue
+            # The form that `_function` writes: (scale - 1) times the function.
             difference, function = product.children
             if difference.tag != "difference" or not difference.children:
                 continue
@@ -254,7 +282,7 @@ def _scaled_functions(documents: Iterable[Document]) -> dict[str, str]:
 
 
 def _constant_factor(documents: Iterable[Document], name: str) -> tuple[Document, Node] | None:
-    """Return the number that multiplies the whole function of that name; None without one."""
+    """Return the constant factor of a function, with its file; None without one."""
     for document in documents:
         for node in document.root.walk():
             if node.tag != "function" or re.sub(r"\s", "-", attribute(node, "name")) != name:
@@ -264,31 +292,38 @@ def _constant_factor(documents: Iterable[Document], name: str) -> tuple[Document
                 return None
             factors = body[0].children if body[0].tag == "product" else body
             constants = [child for child in factors if child.tag in ("value", "v")]
-            # The last number is the coefficient; numbers before it are conversions of units.
+            # The last constant is the coefficient; earlier ones convert units.
             return (document, constants[-1]) if constants else None
     return None
 
 
-def _function(axis: Axis, rows: list[Scaled], at_cg: bool, reference: Reference) -> list[str]:
+def _function(
+    axis: Axis, rows: list[ScaledFunction], at_cg: bool, reference: Reference
+) -> list[str]:
+    """Return the lines of the function that adds scales and biases of an axis."""
     slot = SLOT[axis.name]
     lengths = [reference.lengths[slot - 3]] if slot >= 3 else []
     scaled = [
-        call("product", call("difference", prop(row.scale), value(1, "g")), prop(row.function))
+        call(
+            "product",
+            call("difference", property_value(row.scale), value(1, "g")),
+            property_value(row.function),
+        )
         for row in rows
     ]
     biases = call(
         "product",
-        prop("aero/qbar-psf"),
+        property_value("aero/qbar-psf"),
         reference.area,
         *lengths,
-        call("sum", *(prop(row.bias) for row in rows)),
+        call("sum", *(property_value(row.bias) for row in rows)),
     )
     name = f"uq/scaled/{axis.name}{'-at-cg' if at_cg else ''}"
     return function_lines(name, "sum", [term.line() for term in (*scaled, biases)], at_cg)
 
 
 def _names(edit: SectionEdit) -> tuple[dict[int, str], SectionEdit]:
-    """Property of each function; one without a name is given one, because nothing else can refer to it."""
+    """Return the property of each function; functions without a name get one."""
     names: dict[int, str] = {}
     for axis in edit.section.axes.values():
         for k, node in enumerate(axis.functions, 1):
@@ -299,20 +334,21 @@ def _names(edit: SectionEdit) -> tuple[dict[int, str], SectionEdit]:
                     axis.document,
                     Insertion(node.start + len("<function"), f' name="{name}"'.encode("ascii")),
                 )
-            # JSBSim turns white space within a name into hyphens (FGPropertyManager::mkPropertyName).
+            # JSBSim turns white space in a name into hyphens (FGPropertyManager::mkPropertyName).
             names[id(node)] = re.sub(r"\s", "-", name)
     return names, edit
 
 
-def _short_names(section: AeroSection, named: dict[int, str]) -> dict[int, str]:
-    """The last part of each function's name where that is enough to distinguish them, else all of it with hyphens."""
+def _short_names(section: AeroSection, names: dict[int, str]) -> dict[int, str]:
+    """Return the last part of each function's name if it is unique, else all of it with hyphens."""
     nodes: list[tuple[Axis, Node]] = [
         (axis, node) for axis in section.axes.values() for node in axis.functions
     ]
-    count = Counter(_leaf(named[id(node)]) for _, node in nodes)
+    # Names that are unique by their last part are shortened.
+    count = Counter(_leaf(names[id(node)]) for _, node in nodes)
     out = {}
     for axis, node in nodes:
-        name = named[id(node)]
+        name = names[id(node)]
         short = _leaf(name) if count[_leaf(name)] == 1 else name.strip("/").replace("/", "-")
         short = re.sub(r"[^\w.\-]", "-", short)
         out[id(node)] = short if re.match(r"[A-Za-z_]", short) else f"{axis.name}-{short}"
@@ -320,6 +356,7 @@ def _short_names(section: AeroSection, named: dict[int, str]) -> dict[int, str]:
 
 
 def _leaf(name: str) -> str:
+    """Return the last part of a name."""
     return name.rstrip("/").rsplit("/", 1)[-1]
 
 
@@ -335,13 +372,31 @@ _POSITIVE = {
 
 
 def card_text(
-    name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled], errors: bool
+    name: str, xml: str, facts: AircraftFacts, scaled: Sequence[ScaledFunction], errors: bool
 ) -> str:
-    """The card's TOML. ``errors``: the system path-errors goes with it, and missions are scored by its properties."""
-    shown = as_toml(name)[1:-1]
+    """Return airframe.toml for an aircraft without one.
+
+    Parameters
+    ----------
+    name, xml : str
+        Name and XML file of the aircraft.
+    facts : AircraftFacts
+        Measured facts.
+    scaled : sequence of Scaled
+        Scales, which become parameters.
+    errors : bool
+        Whether the system path-errors is added, whose properties score missions.
+    """
+    plain_name = as_toml(name)[1:-1]
     lines = [
-        f"# What XML cannot say of {shown}. Written by `uqharness instrument`, which measured the aircraft in JSBSim{_where(facts)}:",
-        "# read it before trusting it. A throw is degrees of surface per unit of the normalised command, mean of both ends, with + as",
+        (
+            f"# What XML cannot say of {plain_name}. Written by `uqharness instrument`, which"
+            f" measured the aircraft in JSBSim{_where(facts)}:"
+        ),
+        (
+            "# read it before trusting it. A throw is degrees of surface per unit of the normalised"
+            " command, mean of both ends, with + as"
+        ),
         "# a flight record counts (nose down, right wing down, nose left).",
         "",
         "[aircraft]",
@@ -354,8 +409,8 @@ def card_text(
         f"b_m = {facts.b_m!r}",
         f"c_m = {facts.c_m!r}",
     ]
-    for control, found in facts.controls.items():
-        remark = _remark(found)
+    for control, control_facts in facts.controls.items():
+        remark = _remark(control_facts)
         lines += [
             "",
             f"[inputs.{control}]{' ' * (45 - len(control) - 9)}{remark}".rstrip(),
@@ -363,24 +418,28 @@ def card_text(
             'unit = "norm"',
         ]
         lines += [
-            f'positive = "{_POSITIVE[control][found.sense < 0]}"',
+            f'positive = "{_POSITIVE[control][control_facts.sense < 0]}"',
             f"limits = {[0, 1] if control == 'throttle' else [-1, 1]}",
         ]
-        throw = found.throw_deg
+        throw = control_facts.throw_deg
         if control != "throttle":
+            # Surfaces without a measured angle get an assumed throw.
             assumed = "" if throw is not None else "     # assumed: the XML tells no angle"
             if throw is None:
-                throw = _ASSUMED_THROW_DEG if found.sense else 1.0
-            lines.append(f"throw_deg = {(found.sense or 1) * throw:.6g}{assumed}")
+                throw = _ASSUMED_THROW_DEG if control_facts.sense else 1.0
+            lines.append(f"throw_deg = {(control_facts.sense or 1) * throw:.6g}{assumed}")
         lines.append(
             f"servo_pwm = {_pulses(control, throw)}     # assumed: your log's, if it has others"
         )
-        if found.position is not None:
-            lines.append(f"position = {as_toml(found.position)}")
+        if control_facts.position is not None:
+            lines.append(f"position = {as_toml(control_facts.position)}")
     if facts.host:
         lines += [
             "",
-            "[modes.open_loop]                              # FlightGear's properties are passed on",
+            (
+                "[modes.open_loop]                              # FlightGear's properties are"
+                " passed on"
+            ),
             f'"{SWITCH}" = 1',
         ]
     lines += ["", "[sensors.noise_std]                            # assumed: small MEMS units; SI"]
@@ -388,7 +447,10 @@ def card_text(
     if errors:
         lines += [
             "",
-            f"[metrics]                                     # from the line the flight began on: Systems/{ERRORS_SYSTEM}.xml",
+            (
+                "[metrics]                                     # from the line the flight began"
+                f" on: Systems/{ERRORS_SYSTEM}.xml"
+            ),
             'cross_track = { true = "nav/cross-track-m" }',
             'altitude = { true = "nav/altitude-error-m" }',
             'speed = { true = "nav/speed-error-mps" }',
@@ -400,7 +462,10 @@ def card_text(
     if scaled:
         lines += [
             "",
-            "# Factors on the aircraft's own functions. The biases (uq/bias/...) of one axis act alike, so none is a default.",
+            (
+                "# Factors on the aircraft's own functions. The biases (uq/bias/...) of one axis"
+                " act alike, so none is a default."
+            ),
             "[parameters]",
         ]
         lines += [f"{dotted((row.scale,))} = {_inline(scale_entry(row))}" for row in scaled]
@@ -408,13 +473,14 @@ def card_text(
 
 
 def _where(facts: AircraftFacts) -> str:
+    """Return speed and altitude of the measurement as text."""
     if not math.isfinite(facts.V_mps):
         return ""
     return f" at {facts.V_mps:.0f} m/s, {ALTITUDE_M:.0f} m"
 
 
 def _remark(facts: ControlFacts) -> str:
-    """What the card says of a control behind its heading; empty where its keys say all."""
+    """Return the comment behind a control's heading; empty if its keys say everything."""
     if facts.unmeasured:
         return f"# not measured, so sense and throw are assumed: {facts.unmeasured}"
     if not facts.sense:
@@ -426,25 +492,27 @@ def _remark(facts: ControlFacts) -> str:
 
 
 def _pulses(control: str, throw_deg: float | None) -> list[list[float]]:
-    """Servo pulses [us] and what they mean: degrees as a record counts, percent of a throttle."""
+    """Return servo pulses [us] and their meaning: degrees of a surface, percent of a throttle."""
     if control == "throttle" or throw_deg is None:
         return [[1000, 0], [2000, 100]]
     reach = float(f"{abs(throw_deg):.6g}")
     return [[1000, -reach], [1500, 0], [2000, reach]]
 
 
-def scale_entry(row: Scaled) -> dict[str, Any]:
-    """What [parameters] says of a factor."""
+def scale_entry(row: ScaledFunction) -> dict[str, Any]:
+    """Return the entry of a scale in [parameters]."""
     return {"initial": 1.0, "bounds": [-1, 4], "unit": "1", "source": f"factor on {row.function}"}
 
 
 def _inline(entry: Mapping[str, Any]) -> str:
+    """Return an inline table of TOML."""
     return "{ " + ", ".join(f"{key} = {as_toml(value)}" for key, value in entry.items()) + " }"
 
 
 IDLE_SYSTEM = "idle-throttle"
 IDLE_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
-<!-- JSBSim makes this property for aircraft with engines alone; hosts set it and records have a column for it. -->
+<!-- JSBSim makes this property for aircraft with engines alone; hosts set it and records \
+have a column for it. -->
 <system name="idle-throttle">
   <property value="0">fcs/throttle-cmd-norm</property>
 </system>
@@ -452,10 +520,12 @@ IDLE_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
 
 ERRORS_XML = f"""<?xml version="1.0" encoding="UTF-8"?>
 <!--
-  How far the flight is from the steady straight one it began as: for scoring a mission of an aircraft that has no navigation.
+  How far the flight is from the steady straight one it began as: for scoring a mission \
+of an aircraft that has no navigation.
   Read ten times a second at a step of 0.01 s; nothing in the aircraft reads it.
 
-    nav/cross-track-m      m    distance from the line of the initial velocity over the ground, + to the right of it
+    nav/cross-track-m      m    distance from the line of the initial velocity over the ground, \
++ to the right of it
     nav/altitude-error-m   m    height above the initial one
     nav/speed-error-mps    m/s  true airspeed less the initial one
     nav/distance-3d-m      m    distance from the line, height included
@@ -468,8 +538,10 @@ ERRORS_XML = f"""<?xml version="1.0" encoding="UTF-8"?>
           <product>
             <value>{FT_M}</value>
             <difference>
-              <product> <property>position/from-start-neu-e-ft</property> <property>ic/vn-fps</property> </product>
-              <product> <property>position/from-start-neu-n-ft</property> <property>ic/ve-fps</property> </product>
+              <product> <property>position/from-start-neu-e-ft</property> \
+<property>ic/vn-fps</property> </product>
+              <product> <property>position/from-start-neu-n-ft</property> \
+<property>ic/ve-fps</property> </product>
             </difference>
           </product>
           <sqrt>
@@ -485,7 +557,8 @@ ERRORS_XML = f"""<?xml version="1.0" encoding="UTF-8"?>
       <function>
         <product>
           <value>{FT_M}</value>
-          <difference> <property>position/h-sl-ft</property> <property>ic/h-sl-ft</property> </difference>
+          <difference> <property>position/h-sl-ft</property> \
+<property>ic/h-sl-ft</property> </difference>
         </product>
       </function>
     </fcs_function>
@@ -493,7 +566,8 @@ ERRORS_XML = f"""<?xml version="1.0" encoding="UTF-8"?>
       <function>
         <product>
           <value>{FT_M}</value>
-          <difference> <property>velocities/vt-fps</property> <property>ic/vt-fps</property> </difference>
+          <difference> <property>velocities/vt-fps</property> \
+<property>ic/vt-fps</property> </difference>
         </product>
       </function>
     </fcs_function>
@@ -501,8 +575,10 @@ ERRORS_XML = f"""<?xml version="1.0" encoding="UTF-8"?>
       <function>
         <sqrt>
           <sum>
-            <product> <property>nav/cross-track-m</property> <property>nav/cross-track-m</property> </product>
-            <product> <property>nav/altitude-error-m</property> <property>nav/altitude-error-m</property> </product>
+            <product> <property>nav/cross-track-m</property> \
+<property>nav/cross-track-m</property> </product>
+            <product> <property>nav/altitude-error-m</property> \
+<property>nav/altitude-error-m</property> </product>
           </sum>
         </sqrt>
       </function>

@@ -1,7 +1,8 @@
-"""Add the model-form plugin to any JSBSim aircraft: a copy of its folder with delta coefficients, bounds, and a record for undo.
+"""Plan of an instrumentation: delta coefficients, bounds, and a record for undo.
 
-The aerodynamics gain six functions, the aircraft's XML a line per system; ``Systems/model-form.xml`` holds bounds and levels. An
-aircraft that carries the plugin already (E-SPAARO, or an earlier copy) gets new bounds and nothing else.
+The aerodynamics gain six functions, the aircraft's XML one line per system, and
+``Systems/model-form.xml`` holds bounds and levels. An aircraft that already has the plugin only
+gets new bounds. `plan` touches nothing; `uqharness.plugin.apply` carries it out.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from uqharness.plugin.card import (
     IDLE_SYSTEM,
     IDLE_XML,
     SYSTEM_NAME,
-    Scaled,
+    ScaledFunction,
     add_scales,
     card_text,
     coefficient_properties,
@@ -56,12 +57,8 @@ from uqharness.xml import (
     require_reference,
 )
 
-# What an instrumentation did to a folder, kept beside it, so that it can be taken back to the
-# byte.
-#
-# An edited file is recorded by its insertions: undoing takes these out again and leaves alone
-# what an author has changed since elsewhere in the file. A file that was added is removed, one
-# that was replaced comes back as it was.
+# Record of an instrumentation. An edited file is recorded by its insertions: undo removes them and
+# keeps later changes of the author. Added files are removed, replaced ones restored.
 
 FILE_NAME = "uq-instrument.json"
 FORMAT = "instrument 1"
@@ -69,7 +66,17 @@ FORMAT = "instrument 1"
 
 @dataclass(frozen=True)
 class Change:
-    """One file: SHA-256 before and after; insertions (at bytes of the file as it was), or its old content (None: a new file)."""
+    """Change of one file.
+
+    Attributes
+    ----------
+    before, after : str
+        SHA-256; ``before`` is empty for a new file.
+    insertions : tuple of Insertion
+        Insertions into an edited file, at bytes of the original.
+    content : bytes or None
+        Original content of a replaced file.
+    """
 
     before: str
     after: str
@@ -78,22 +85,25 @@ class Change:
 
     @property
     def edited(self) -> bool:
-        """Whether an author's own file was changed, not only one added."""
+        """Return whether an author's file was edited."""
         return bool(self.insertions)
 
 
-def changed(before: bytes | None, after: bytes, insertions: Sequence[Insertion] = ()) -> Change:
-    """The change from ``before`` (None: the file is new) to ``after``."""
+def make_change(before: bytes | None, after: bytes, insertions: Sequence[Insertion] = ()) -> Change:
+    """Return the change from ``before`` (None for a new file) to ``after``."""
     old = "" if before is None else sha256_hex(before)
-    kept = None if insertions else before
-    return Change(old, sha256_hex(after), tuple(sorted(insertions, key=lambda item: item.at)), kept)
+    old_content = None if insertions else before
+    return Change(
+        old, sha256_hex(after), tuple(sorted(insertions, key=lambda item: item.at)), old_content
+    )
 
 
 def to_json(changes: Mapping[str, Change]) -> bytes:
-    """The record's file; bytes of XML as Latin-1 text, replaced files in base 64."""
+    """Return the record as JSON: bytes of XML as Latin-1 text, replaced files in base 64."""
     files: dict[str, Any] = {}
     for name, change in sorted(changes.items()):
         row: dict[str, Any] = {"before": change.before, "after": change.after}
+        # Latin-1 maps each byte to one character.
         if change.edited:
             row["insertions"] = [
                 [i.at, i.text.decode("latin-1"), i.removed.decode("latin-1")]
@@ -106,7 +116,7 @@ def to_json(changes: Mapping[str, Change]) -> bytes:
 
 
 def read_record(folder: Path) -> dict[str, Change]:
-    """The changes made to ``folder``. BadInputError if there is no record, or it is not one."""
+    """Return the recorded changes of a folder. Raises BadInputError without a valid record."""
     path = folder / FILE_NAME
     try:
         document = parse_json(read_regular(path))
@@ -114,6 +124,7 @@ def read_record(folder: Path) -> dict[str, Change]:
             raise BadInputError(
                 f"{path}: format is {str(document['format'])[:80]!r}; '{FORMAT}' is read"
             )
+        # Names are checked, because undo writes and removes these files.
         return {_inside(name): _change(row) for name, row in document["files"].items()}
     except FileNotFoundError:
         raise BadInputError(
@@ -128,8 +139,12 @@ def read_record(folder: Path) -> dict[str, Change]:
 
 
 def _inside(name: str) -> str:
-    """The name, if it can only be that of a file inside the folder: undoing writes and removes what is named. Raises ValueError."""
+    """Return a name of a file inside the folder; ValueError for any other.
+
+    Undo writes and removes the named files.
+    """
     parts = name.split("/")
+    # A damaged record must not make undo write elsewhere.
     hidden = any(part in ("", "..") or part.startswith(".") or len(part) > 100 for part in parts)
     if hidden or name == FILE_NAME or PureWindowsPath(name).drive or "\\" in name or "\0" in name:
         raise ValueError(f"it names {name[:200]!r}, which is no file that an instrumentation makes")
@@ -137,6 +152,7 @@ def _inside(name: str) -> str:
 
 
 def _change(row: Mapping[str, Any]) -> Change:
+    """Return a change from its JSON. Raises ValueError."""
     insertions = tuple(
         Insertion(int(at), text.encode("latin-1"), removed.encode("latin-1"))
         for at, text, removed in row.get("insertions", ())
@@ -150,37 +166,41 @@ def _change(row: Mapping[str, Any]) -> Change:
     return Change(before, after, insertions, None if content is None else base64.b64decode(content))
 
 
-def restored(path: Path, change: Change, now: bytes) -> bytes | None:
-    """The content of an edited or replaced file without the instrumentation; None: the file is to be removed.
+def restore(path: Path, change: Change, content: bytes) -> bytes | None:
+    """Return a file's content without the instrumentation; None if the file is to be removed.
 
-    Raises BadInputError if an edited file no longer holds the inserted text as it was written, once.
+    Raises BadInputError unless each inserted text still occurs exactly once.
     """
     if not change.edited:
         return change.content
-    if sha256_hex(now) == change.after:
-        return _exactly(path, change, now)
+    # Unchanged since: restore by bytes, else by searching the inserted texts.
+    if sha256_hex(content) == change.after:
+        return _undo_insertions(path, change, content)
     for insertion in change.insertions:
-        if now.count(insertion.text) != 1:
+        if content.count(insertion.text) != 1:
             line = next(iter(insertion.text.decode("latin-1").strip().splitlines()), "")
             raise BadInputError(
-                f"{path}: changed since it was instrumented, and the lines that begin with '{line}' are not there once as they "
-                "were written; take the uq/ lines out by hand"
+                f"{path}: changed since it was instrumented, and the lines that begin with '{line}'"
+                " are not there once as they were written; take the uq/ lines out by hand"
             )
-        now = now.replace(insertion.text, insertion.removed)
-    return now
+        content = content.replace(insertion.text, insertion.removed)
+    return content
 
 
-def _exactly(path: Path, change: Change, now: bytes) -> bytes:
+def _undo_insertions(path: Path, change: Change, content: bytes) -> bytes:
+    """Return the original content of an unchanged file, checked by its digest."""
     pieces, position, shift = [], 0, 0
     for insertion in change.insertions:
+        # Earlier insertions shift later ones.
         begin = insertion.at + shift
-        pieces += [now[position:begin], insertion.removed]
+        pieces += [content[position:begin], insertion.removed]
         position = begin + len(insertion.text)
         shift += len(insertion.text) - len(insertion.removed)
-    out = b"".join([*pieces, now[position:]])
+    out = b"".join([*pieces, content[position:]])
     if sha256_hex(out) != change.before:
         raise BadInputError(
-            f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines out by hand"
+            f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines"
+            " out by hand"
         )
     return out
 
@@ -189,12 +209,12 @@ SYSTEM = "model-form"
 AIR_SYSTEM = "air"
 AIR_FILE = PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "air.xml"
 _SAME = 1e-6  # a card's rounded figures mean the XML's metrics
-_OWN = re.compile(r"uq/[\w./\-]+")
+_PLUGIN_NAME = re.compile(r"uq/[\w./\-]+")
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Where bounds come from: a model form, or constant (lower, upper) per coefficient; neither: all zero, to be written later."""
+    """Source of bounds: a model form, or constant (lower, upper) per coefficient; else all zero."""
 
     form: ModelForm | None = None
     constant: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -202,15 +222,30 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Plan:
-    """Files to write (relative name to content), what the record has to keep, and what to tell the reader.
+    """What an instrumentation would write.
 
-    had_plugin  the aircraft's aerodynamics read uq/<C>/delta already
+    Attributes
+    ----------
+    section : AeroSection
+        The aircraft's aerodynamics.
+    files : mapping
+        Relative name to content.
+    changes : mapping
+        Relative name to its record.
+    scaled : tuple of Scaled
+        Functions with scale and bias.
+    had_plugin : bool
+        Whether the aerodynamics read uq/<C>/delta before.
+    notes : tuple of str
+        Remarks for the user.
+    rows : tuple of (str, str, str)
+        Coefficient, axis, and ``file:line`` of each delta.
     """
 
     section: AeroSection
     files: Mapping[str, bytes]
     changes: Mapping[str, Change]
-    scaled: tuple[Scaled, ...]
+    scaled: tuple[ScaledFunction, ...]
     had_plugin: bool
     notes: tuple[str, ...]
     rows: tuple[tuple[str, str, str], ...]
@@ -223,35 +258,52 @@ def plan(
     air: bool = False,
     mass: Sequence[Insertion] = (),
 ) -> Plan:
-    """What instrumenting the aircraft's folder would write. Nothing is touched.
+    """Plan the instrumentation of an aircraft; nothing is written.
 
-    ``facts`` of an aircraft without a card: it is given one, and the errors that a mission is scored by. ``air``: it is given this
-    project's wind and turbulence as well (Systems/air.xml), unless it has them. ``mass``: edits of its XML (see mass_insertions).
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    bounds : Bounds
+        Error bounds.
+    facts : AircraftFacts, optional
+        Facts for a card, if the aircraft has none.
+    air : bool
+        Whether to add the air system (Systems/air.xml).
+    mass : sequence of Insertion
+        Edits of its XML (`mass_insertions`).
 
-    Raises BadInputError with file and line for what cannot be done: mixed axes, no reference, names that are taken, bounds on a
-    control that the card does not give.
+    Raises
+    ------
+    BadInputError
+        With file and line: mixed axes, no reference, names that are taken, bounds on a control that
+        the card does not give.
     """
+    # Refuse what cannot be instrumented before anything is planned.
     section = read_section(aircraft.folder, aircraft.xml.name)
     _refuse_outside(section)
     reference = coefficient_reference(aircraft, section)
     if None in (reference.S_sqft, reference.b_ft, reference.c_ft):
         require_reference(section)
     notes = _notes(section)
-    had = _has_plugin(section)
+    had_plugin = _has_plugin(section)
     edit = SectionEdit(section, tuple((section.main, insertion) for insertion in mass))
-    scaled: list[Scaled] = []
+    scaled: list[ScaledFunction] = []
     files: dict[str, bytes] = {}
-    if had:
+    if had_plugin:
         system = _plugin_system(aircraft, section)
     else:
         _refuse_taken(aircraft)
+        # New plugin: bounds, deltas, and scales where coefficients have no properties.
         system = _system_file(aircraft, SYSTEM)
-        known = coefficient_properties(
+        coefficient_names = coefficient_properties(
             [read_document(path) for path in sorted(aircraft.folder.rglob("*.xml"))]
         )
-        if known:
+        if coefficient_names:
             notes.append(
-                f"{len(known)} coefficient properties ({known[0]}, ...): no scales and biases are needed"
+                f"{len(coefficient_names)} coefficient properties ({coefficient_names[0]}, ...): no"
+                " scales and biases are"
+                " needed"
             )
         else:
             edit, scaled = add_scales(edit, reference)
@@ -269,36 +321,42 @@ def plan(
         edit = _add_card(aircraft, facts, scaled, edit, files, notes)
     elif scaled and aircraft.has_card:
         card = _with_parameters(aircraft.folder / "airframe.toml", scaled, notes)
+    # Bounds are written in every case.
     files[system] = bounds_xml(aircraft, bounds)
     if bounds.form is not None and bounds.form.aircraft.sha256 != content_hash(aircraft):
         notes.append(
-            f"the bounds were made for aircraft {bounds.form.aircraft.name} with other files (SHA-256 "
-            f"{bounds.form.aircraft.sha256[:12]}...); they mean something only if its aerodynamics are the same"
+            f"the bounds were made for aircraft {bounds.form.aircraft.name} with other files"
+            f" (SHA-256 {bounds.form.aircraft.sha256[:12]}...); they mean something only if its"
+            " aerodynamics are the same"
         )
+    # Record new and replaced files; edited ones follow.
     changes = {
-        name: changed(_content(aircraft.folder / name), content) for name, content in files.items()
+        name: make_change(_content(aircraft.folder / name), content)
+        for name, content in files.items()
     }
     for document in section.documents:
-        if mine := edit.made_in(document):
+        if mine := edit.insertions_into(document):
             name = document.path.relative_to(aircraft.folder).as_posix()
             files[name] = edit.files()[document.path]
-            changes[name] = changed(document.raw, files[name], mine)
+            changes[name] = make_change(document.raw, files[name], mine)
     if card is not None:
         raw = (aircraft.folder / "airframe.toml").read_bytes()
         files["airframe.toml"] = raw + card.text
-        changes["airframe.toml"] = changed(raw, raw + card.text, [card])
-    return Plan(section, files, changes, tuple(scaled), had, tuple(notes), _rows(section, had))
+        changes["airframe.toml"] = make_change(raw, raw + card.text, [card])
+    return Plan(
+        section, files, changes, tuple(scaled), had_plugin, tuple(notes), _rows(section, had_plugin)
+    )
 
 
 def _add_card(
     aircraft: Aircraft,
     facts: AircraftFacts,
-    scaled: Sequence[Scaled],
+    scaled: Sequence[ScaledFunction],
     edit: SectionEdit,
     files: dict[str, bytes],
     notes: list[str],
 ) -> SectionEdit:
-    """A card for an aircraft that has none, and the systems that it speaks of, in ``files``; what is to be known in ``notes``."""
+    """Add a card and its systems to ``files`` and remarks to ``notes``; return the edit."""
     errors = not folder_names(aircraft.folder, "nav/")
     if errors:
         files[_system_file(aircraft, ERRORS_SYSTEM)] = ERRORS_XML
@@ -311,7 +369,8 @@ def _add_card(
         edit = add_system(edit, HOST_SYSTEM)
         read = ", ".join(theirs for theirs, _ in facts.host)
         notes.append(
-            f"the aircraft reads what FlightGear writes ({read}): Systems/{HOST_SYSTEM}.xml passes it on"
+            f"the aircraft reads what FlightGear writes ({read}): Systems/{HOST_SYSTEM}.xml passes"
+            " it on"
         )
     files["airframe.toml"] = card_text(
         aircraft.name, aircraft.xml.name, facts, scaled, errors
@@ -320,7 +379,7 @@ def _add_card(
 
 
 def bounds_xml(aircraft: Aircraft, bounds: Bounds) -> bytes:
-    """model-form.xml for these bounds. Raises BadInputError."""
+    """Return model-form.xml for bounds. Raises BadInputError."""
     if bounds.form is not None:
         try:
             return model_form_xml(bounds.form, aircraft)
@@ -335,79 +394,86 @@ def bounds_xml(aircraft: Aircraft, bounds: Bounds) -> bytes:
 
 
 def coefficient_reference(aircraft: Aircraft, section: AeroSection) -> Reference:
-    """Return area and lengths that coefficients are multiplied by, for the aircraft's XML.
+    """Return the reference area and lengths of coefficients in the aircraft's XML.
 
-    JSBSim's own ``metrics/...`` properties serve where the card agrees with them to 1e-6; a card
-    with other numbers gets these.
+    JSBSim's own ``metrics/...`` are used where the card agrees with them to 1e-6, else the card's
+    numbers.
     """
     card = aircraft.card.reference
-    wanted = (
+    card_values = (
         card.S_m2 and card.S_m2 / FT_M**2,
         card.b_m and card.b_m / FT_M,
         card.c_m and card.c_m / FT_M,
     )
-    written = read_reference(section)
+    xml_values = read_reference(section)
+    # None takes JSBSim's own metrics.
     return Reference(
         *(
             None if w is None or abs(w - x) <= _SAME * w else w
-            for w, x in zip(wanted, written, strict=True)
+            for w, x in zip(card_values, xml_values, strict=True)
         )
     )
 
 
 def metrics_of(aircraft: Aircraft) -> tuple[float, float, float]:
-    """S [m2], b and c [m] as the XML has them. Raises BadInputError."""
+    """Return S [m2], b and c [m] of the XML. Raises BadInputError."""
     S, b, c = read_reference(read_section(aircraft.folder, aircraft.xml.name))
     return S * FT_M**2, b * FT_M, c * FT_M
 
 
 def _has_plugin(section: AeroSection) -> bool:
-    """Whether the aerodynamics add all six deltas already; BadInputError if they add some."""
-    found: dict[str, str] = {}
+    """Return whether the aerodynamics add all six deltas; BadInputError if they add some."""
+    delta_places: dict[str, str] = {}
     for document in section.documents:
         for node in document.root.walk():
             if node.tag in ("property", "p") and (
                 match := re.fullmatch(r"uq/(C\w)/delta", node.text.strip())
             ):
-                found.setdefault(match.group(1), document.where(node))
-    if not found:
+                delta_places.setdefault(match.group(1), document.where(node))
+    if not delta_places:
         return False
-    missing = [c for c in COEFFICIENTS if c not in found]
+    # Some deltas only: neither instrumented nor clean.
+    missing = [c for c in COEFFICIENTS if c not in delta_places]
     if missing:
-        name, where = next(iter(found.items()))
+        name, where = next(iter(delta_places.items()))
         raise BadInputError(
-            f"{where}: the aerodynamics read uq/{name}/delta but not uq/{missing[0]}/delta; complete the plugin or take it out"
+            f"{where}: the aerodynamics read uq/{name}/delta but not uq/{missing[0]}/delta;"
+            " complete the plugin or take it out"
         )
     return True
 
 
 def _refuse_taken(aircraft: Aircraft) -> None:
-    """BadInputError with file and line if the aircraft uses names of the plugin for something of its own."""
+    """Raise BadInputError if the aircraft uses names of the plugin."""
     for path in sorted(aircraft.folder.rglob("*.xml")):
         document = read_document(path)
         for node in document.root.walk():
             for text in (node.text.strip(), *(value.strip() for value in node.attributes.values())):
-                if _OWN.fullmatch(text):
+                if _PLUGIN_NAME.fullmatch(text):
                     raise BadInputError(
-                        f"{document.where(node)}: '{text}' is a name of the plugin, which this aircraft does not carry; rename it, "
-                        "or undo what was left of an earlier instrumentation"
+                        f"{document.where(node)}: '{text}' is a name of the plugin, which this"
+                        " aircraft does not carry; rename it, or undo what was left of an earlier"
+                        " instrumentation"
                     )
 
 
 def _refuse_outside(section: AeroSection) -> None:
-    """BadInputError for file="../..." anywhere in the aircraft's XML: a copied folder would not find it."""
+    """Raise BadInputError for a file outside the folder, which a copy would not find."""
     for node in section.main.root.walk():
         name = attribute(node, "file")
         if name and ".." in Path(name).parts:
             raise BadInputError(
-                f'{section.main.where(node)}: <{node.tag} file="{name}"> lies outside the aircraft\'s folder, and a copy elsewhere '
-                "would not find it; move the file into the folder"
+                f'{section.main.where(node)}: <{node.tag} file="{name}"> lies outside the'
+                " aircraft's folder, and a copy elsewhere would not find it; move the file into"
+                " the folder"
             )
 
 
 def _notes(section: AeroSection) -> list[str]:
+    """Return remarks about ignored axes and induced drag."""
     notes = [
-        f'{axis.document.where(axis.node)}: JSBSim ignores this <axis name="{axis.name}">, because a later one replaces it'
+        f'{axis.document.where(axis.node)}: JSBSim ignores this <axis name="{axis.name}">, because'
+        " a later one replaces it"
         for axis in section.overridden
     ]
     induced = any(
@@ -417,22 +483,25 @@ def _notes(section: AeroSection) -> list[str]:
     )
     if induced:
         notes.append(
-            "the drag follows aero/cl-squared: a delta in lift moves it from the next frame on, as more lift of any origin does"
+            "the drag follows aero/cl-squared: a delta in lift moves it from the next frame on, as"
+            " more lift of any origin does"
         )
     return notes
 
 
 def _plugin_system(aircraft: Aircraft, section: AeroSection) -> str:
-    """Name, within the folder, of the system file that declares uq/active."""
+    """Return the name, within the folder, of the system that declares uq/active."""
     for node in section.main.root.all("system"):
         name = attribute(node, "file")
         if not name:
             if declaration(section.main, "uq/active") is not None:
                 raise BadInputError(
-                    f"{section.main.where(node)}: the plugin's system stands in the aircraft's own XML; move it to a file, "
+                    f"{section.main.where(node)}: the plugin's system is part of the aircraft's main"
+                    " XML; move it to a file, "
                     f'<system file="{SYSTEM}"/>, so that bounds can replace it'
                 )
             continue
+        # The system may lie outside the folder; a copy then gets its own.
         for path in _candidates(aircraft, name):
             if path.is_file() and declaration(read_document(path), "uq/active") is not None:
                 inside = path.is_relative_to(aircraft.folder)
@@ -442,13 +511,14 @@ def _plugin_system(aircraft: Aircraft, section: AeroSection) -> str:
                     else _system_file(aircraft, name)
                 )
     raise BadInputError(
-        f"{section.main.where(section.main.root)}: the aerodynamics read uq/CX/delta, but no <system> declares uq/active; add "
+        f"{section.main.where(section.main.root)}: the aerodynamics read uq/CX/delta, but no"
+        " <system> declares uq/active; add "
         f'<system file="{SYSTEM}"/>'
     )
 
 
 def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
-    """Where JSBSim looks for a system, in its order (FGFCS::FindFullPathName)."""
+    """Return where JSBSim looks for a system, in its order (FGFCS::FindFullPathName)."""
     file = name if name.endswith(".xml") else f"{name}.xml"
     return [
         aircraft.folder / file,
@@ -458,60 +528,67 @@ def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
 
 
 def _system_file(aircraft: Aircraft, name: str) -> str:
-    """Where a new system goes; BadInputError if the aircraft has another of that name."""
+    """Return the file of a new system; BadInputError if the aircraft has another of that name."""
     for path in _candidates(aircraft, name)[:3]:
         if path.is_file() and declaration(read_document(path), "uq/active") is None:
             raise BadInputError(
-                f"{path}:1: the aircraft has a system of this name; rename it, because the plugin brings its own"
+                f"{path}:1: the aircraft has a system of this name; rename it, because the plugin"
+                " brings its own"
             )
     return f"Systems/{name}.xml"
 
 
-def _with_parameters(card: Path, scaled: list[Scaled], notes: list[str]) -> Insertion | None:
-    """The scales as [parameters] at the end of a card that there is already; a note where that would spoil it."""
+def _with_parameters(
+    card: Path, scaled: list[ScaledFunction], notes: list[str]
+) -> Insertion | None:
+    """Return the insertion of scales into [parameters] of a card; None with a note if it fails."""
     raw = card.read_bytes()
     newline = b"\r\n" if raw.count(b"\r\n") * 2 > raw.count(b"\n") else b"\n"
     tables = [tomlkit.dumps({"parameters": {row.scale: scale_entry(row)}}) for row in scaled]
     text = newline.join([b"", *"".join(tables).encode().split(b"\n")])
     text = text if raw.endswith(b"\n") or not raw else newline + text
     try:
+        # The extended card must still be valid.
         parse_card((raw + text).decode("utf-8"), card)
     except (UnicodeDecodeError, BadInputError):
         notes.append(
-            f"{card}: the scales could not be added to [parameters]; name them by hand or with --params"
+            f"{card}: the scales could not be added to [parameters]; name them by hand or with"
+            " --params"
         )
         return None
     return Insertion(len(raw), text)
 
 
 def _content(path: Path) -> bytes | None:
+    """Return the content of a file; None if it does not exist."""
     return path.read_bytes() if path.is_file() else None
 
 
-def _rows(section: AeroSection, had: bool) -> tuple[tuple[str, str, str], ...]:
-    """(coefficient, axis it goes into, file:line) for the table."""
-    if had:
+def _rows(section: AeroSection, had_plugin: bool) -> tuple[tuple[str, str, str], ...]:
+    """Return (coefficient, axis, file:line) of each delta."""
+    if had_plugin:
         return tuple((c, "already there", "") for c in COEFFICIENTS)
-    spread = {"wind": "DRAG, SIDE, LIFT", "stability": "X, Z (stability)"}.get(section.force)
+    turned_axes = {"wind": "DRAG, SIDE, LIFT", "stability": "X, Z (stability)"}.get(section.force)
     out = []
     for slot, c in enumerate(COEFFICIENTS):
-        own = section.axes.get(slot)
+        axis = section.axes.get(slot)
         name = axis_name(section, slot)
+        # Increments in turned axes spread over several axis elements.
         turned = (
-            (spread is not None and (slot != 1 or section.force == "wind"))
+            (turned_axes is not None and (slot != 1 or section.force == "wind"))
             if slot < 3
             else section.moment != "body"
         )
         target = (
             name
             if not turned
-            else spread
-            if slot < 3 and spread
+            else turned_axes
+            if slot < 3 and turned_axes
             else f"ROLL, PITCH, YAW ({section.moment})"
         )
         where = (
-            own.document.where(own.node)
-            if own
+            axis.document.where(axis.node)
+            if axis
             else f"{section.document.where(section.node)} (axis made)"
         )
         out.append((c, target, where))

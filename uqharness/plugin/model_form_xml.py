@@ -1,9 +1,8 @@
-"""model-form.xml: the JSBSim <system> that computes the bounds of a ModelForm from the present flight state and applies deltas.
+"""model-form.xml: a JSBSim <system> that computes bounds from the flight state and applies deltas.
 
-The XML is the one source of truth in flight: it needs JSBSim alone. Its arithmetic is that of sysid.model_form.model_form
-(eqs 2.17, 2.18),
-with the quadratic form x'(X'X)^-1 x written out as a polynomial of the normalised states in Horner's form, one for all coefficients
-that were regressed on the same states.
+In flight it needs JSBSim alone. Its arithmetic is that of sysid.model_form.model_form (eqs 2.17,
+2.18). The quadratic form x'(X'X)^-1 x is written as a polynomial of the normalised states in Horner
+form, once for all coefficients that share it.
 """
 
 from __future__ import annotations
@@ -17,10 +16,19 @@ from sysid.model_form import CoefficientBounds, ModelForm
 from sysid.units import FT_M, RAD_DEG
 from uqharness.errors import BadInputError
 from uqharness.simulator import Aircraft, position_factor
-from uqharness.xml import Expression, Powers, call, declare, horner, in_comment, prop, value
+from uqharness.xml import (
+    Expression,
+    Powers,
+    call,
+    declare,
+    horner,
+    in_comment,
+    property_value,
+    value,
+)
 
 RATE_HZ = 50.0
-"""Bounds are computed at least this often; levels and deltas in every frame."""
+"""Lowest rate of computing bounds [Hz]; levels and deltas are computed in every frame."""
 
 _ROUNDING = 1e-9  # as in sysid.model_form.model_form: a state on the hull's edge lies inside
 _FLIGHT_STATES = {
@@ -39,7 +47,7 @@ _TO_PERCENT = {"pct": 1.0, "norm": 100.0}
 
 @dataclass(frozen=True)
 class _Normalised:
-    """z = (x - centre)/scale of one state, and the box of the data in z."""
+    """z = (x - centre)/scale of one state, and the range of the data."""
 
     state: str
     centre: float
@@ -50,7 +58,7 @@ class _Normalised:
 
 @dataclass(frozen=True)
 class _Group:
-    """Coefficients that share one quadratic form; ``names`` of the properties that hold their normalised states."""
+    """Coefficients that share a quadratic form; ``names`` are properties of their states."""
 
     coefficients: tuple[str, ...]
     bounds: CoefficientBounds
@@ -58,33 +66,53 @@ class _Group:
 
     @property
     def leverage(self) -> str:
+        """Return the property of the leverage that the bounds use."""
         return f"uq/leverage/{'-'.join(self.coefficients)}"
 
     @property
     def free_leverage(self) -> str:
-        """That of the states as they are, where those of the bounds are held at the data's box."""
+        """Return the property of the leverage without clamping to the data's range."""
         return f"uq/leverage-free/{'-'.join(self.coefficients)}"
 
 
 def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ) -> bytes:
-    """The system's XML, the same bytes for the same form and aircraft.
+    """Return the system of a model form.
 
-    The step is the card's dt_s; ``execrate`` is the largest whole number of frames that keeps ``rate_hz``.
+    Parameters
+    ----------
+    form : ModelForm
+        Bounds as functions of the flight state.
+    aircraft : Aircraft
+        Its card gives step and controls.
+    rate_hz : float
+        Lowest rate of computing bounds [Hz]; ``execrate`` is the largest number of frames that
+        keeps it.
 
-    Raises BadInputError if the bounds depend on a control that the aircraft's card does not give in degrees or percent.
+    Returns
+    -------
+    bytes
+        XML; equal for equal arguments.
+
+    Raises
+    ------
+    BadInputError
+        If the bounds depend on a control that the card does not give in degrees or percent.
     """
-    every = max(1, math.floor(1.0 / (rate_hz * aircraft.dt_s) + 1e-9))
+    frames = max(1, math.floor(1.0 / (rate_hz * aircraft.dt_s) + 1e-9))
+    # Outside the data, bounds either grow with the polynomial or stay as at the edge.
     clamped = form.outside == "clamp"
     states: dict[_Normalised, str] = {}
     groups = _groups(form, states)
     body = [*_declarations(form)]
-    body += [f'<channel name="Bounds" execrate="{every}">']
+    body += [f'<channel name="Bounds" execrate="{frames}">']
+    # Normalised states first, clamped to the data if the form asks for it.
     for state, name in states.items():
         body += _indent(
             _component(f"{name}-free" if clamped else name, _normalise(state, aircraft))
         )
         if clamped:
-            body += _indent(_held(name, state))
+            body += _indent(_clamp(name, state))
+    # One leverage for all coefficients that share the quadratic form.
     for group in groups:
         form_of_group = quadratic_form(group.bounds)
         body += _indent(_component(group.leverage, horner(form_of_group, group.names)))
@@ -95,18 +123,29 @@ def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ
                     horner(form_of_group, [f"{name}-free" for name in group.names]),
                 )
             )
-    body += _indent(_outside(states, groups, clamped))
+    body += _indent(_extrapolation(states, groups, clamped))
+    # Bounds of each coefficient from its leverage.
     for name, bounds in form.coefficients.items():
         group = next(group for group in groups if name in group.coefficients)
         body += _indent(_coefficient(name, bounds, group))
     body += ["</channel>", *_deltas()]
-    return _document(_remarks(form, aircraft, every), body)
+    return _document(_remarks(form, aircraft, frames), body)
 
 
 def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> bytes:
-    """The system with constant bounds, lower <= 0 <= upper; a coefficient left out has none.
+    """Return the system with constant bounds, lower <= 0 <= upper.
 
-    ``remark`` says where they come from. Raises BadInputError for bounds that do not enclose 0.
+    Parameters
+    ----------
+    bounds : mapping
+        Coefficient to (lower, upper); others have none.
+    remark : str
+        Source of the bounds, for the comment.
+
+    Raises
+    ------
+    BadInputError
+        For bounds that do not enclose 0.
     """
     lines = [
         declare("uq/active", "0"),
@@ -114,10 +153,12 @@ def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> byte
         declare("uq/extrapolation", "0"),
     ]
     for name in COEFFICIENTS:
+        # The model itself must lie within its bounds.
         lower, upper = bounds.get(name, (0.0, 0.0))
         if not lower <= 0.0 <= upper:
             raise BadInputError(
-                f"bounds of {name}: lower must be <= 0 and upper >= 0; received {lower:g}, {upper:g}"
+                f"bounds of {name}: lower must be <= 0 and upper >= 0; received {lower:g},"
+                f" {upper:g}"
             )
         lines += [
             declare(f"uq/{name}/lower", repr(lower)),
@@ -128,7 +169,7 @@ def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> byte
 
 
 def quadratic_form(bounds: CoefficientBounds) -> dict[Powers, float]:
-    """x' (X'X)^-1 x as a polynomial: powers of the normalised states to coefficient."""
+    """Return x' (X'X)^-1 x as powers of the normalised states to coefficient."""
     out: dict[Powers, list[float]] = {}
     for i, a in enumerate(bounds.terms):
         for j, b in enumerate(bounds.terms):
@@ -139,10 +180,11 @@ def quadratic_form(bounds: CoefficientBounds) -> dict[Powers, float]:
 
 
 def _groups(form: ModelForm, states: dict[_Normalised, str]) -> list[_Group]:
-    """Coefficients by equal quadratic form, in order; ``states`` gains the normalised states they need, each once."""
+    """Return coefficients by equal quadratic form; ``states`` gains the states they need."""
     shared: dict[tuple[object, ...], list[str]] = {}
     for name, bounds in form.coefficients.items():
         arrays = (bounds.centre, bounds.scale, bounds.XtX_inv, bounds.hull.low, bounds.hull.high)
+        # Equal arrays give equal quadratic forms.
         key = (
             bounds.states,
             bounds.terms,
@@ -159,6 +201,7 @@ def _groups(form: ModelForm, states: dict[_Normalised, str]) -> list[_Group]:
             low, high = float(hull.low[k]), float(hull.high[k])
             z = _Normalised(state, float(bounds.centre[k]), float(bounds.scale[k]), low, high)
             if z not in states:
+                # The same state with another normalisation gets a number.
                 same = sum(other.state == state for other in states)
                 states[z] = f"uq/z/{state}" + (f"-{same + 1}" if same else "")
             names.append(states[z])
@@ -167,13 +210,17 @@ def _groups(form: ModelForm, states: dict[_Normalised, str]) -> list[_Group]:
 
 
 def _normalise(state: _Normalised, aircraft: Aircraft) -> Expression:
+    """Return the expression of a normalised state."""
     name, factor = state_source(state.state, aircraft)
-    scaled = call("product", prop(name), value(factor / state.scale))
+    scaled = call("product", property_value(name), value(factor / state.scale))
     return call("difference", scaled, value(state.centre / state.scale))
 
 
 def state_source(state: str, aircraft: Aircraft) -> tuple[str, float]:
-    """JSBSim property of a state and its factor to the record's unit. Raises BadInputError for a control the card does not give."""
+    """Return the JSBSim property of a state and its factor to the record's unit.
+
+    Raises BadInputError for a control that the card does not give.
+    """
     if state in _FLIGHT_STATES:
         return _FLIGHT_STATES[state]
     control = state.split("_")[0]
@@ -181,26 +228,29 @@ def state_source(state: str, aircraft: Aircraft) -> tuple[str, float]:
     if card is not None and control == "throttle" and card.unit in _TO_PERCENT:
         return card.position or card.selected or card.property, _TO_PERCENT[card.unit]
     if card is not None and control != "throttle":
+        # The surface's position, else its command.
         if card.position is not None:
             return card.position, position_factor(card)
         if card.unit in _TO_DEGREES or card.throw_deg is not None:
             throw = card.throw_deg if card.unit == "norm" and card.throw_deg is not None else 1.0
             return card.selected or card.property, _TO_DEGREES.get(card.unit, throw)
-    known = (
+    problem = (
         "is not there" if card is None else f'has unit "{card.unit}" and no position or throw_deg'
     )
     raise BadInputError(
-        f"the bounds depend on {state}, but [inputs.{control}] of aircraft {aircraft.name} {known}; say in airframe.toml how to "
-        "read it, or make the bounds from other states"
+        f"the bounds depend on {state}, but [inputs.{control}] of aircraft {aircraft.name}"
+        f" {problem};"
+        " say in airframe.toml how to read it, or make the bounds from other states"
     )
 
 
 def _edges(state: _Normalised) -> tuple[float, float]:
-    """The data's box in z."""
+    """Return the data's range in z."""
     return (state.low - state.centre) / state.scale, (state.high - state.centre) / state.scale
 
 
-def _held(name: str, state: _Normalised) -> list[str]:
+def _clamp(name: str, state: _Normalised) -> list[str]:
+    """Return the component that clamps a state to the data's range."""
     low, high = _edges(state)
     return [
         f'<pure_gain name="{name}">',
@@ -211,62 +261,75 @@ def _held(name: str, state: _Normalised) -> list[str]:
     ]
 
 
-def _outside(states: Mapping[_Normalised, str], groups: list[_Group], clamped: bool) -> list[str]:
-    """uq/extrapolation: by how much the state lies outside the data, as CoefficientBounds.distance; uq/extrapolated: whether.
+def _extrapolation(
+    states: Mapping[_Normalised, str], groups: list[_Group], clamped: bool
+) -> list[str]:
+    """Return components for uq/extrapolation (distance from the data) and uq/extrapolated.
 
-    Of all coefficients at once, for the largest distance of any is the largest of all excesses.
+    The distance is that of CoefficientBounds.distance, the largest over all coefficients.
     """
     excesses = []
     for state, name in states.items():
         low, high = _edges(state)
-        z = prop(f"{name}-free" if clamped else name)
-        beyond = call(
+        z = property_value(f"{name}-free" if clamped else name)
+        excess = call(
             "difference",
             call("abs", call("difference", z, value(0.5 * (low + high)))),
             value(0.5 * (high - low)),
         )
-        # In widths of the box; a state that stood still in the data has none, and its own unit serves.
+        # In widths of the range; a constant state has none and counts in its own unit.
         width = high - low if high > low else 1.0 / state.scale
-        excesses.append(call("product", beyond, value(1.0 / width)))
+        excesses.append(call("product", excess, value(1.0 / width)))
     for group in groups:
         share = call(
             "quotient",
-            prop(group.free_leverage if clamped else group.leverage),
+            property_value(group.free_leverage if clamped else group.leverage),
             value(group.bounds.hull.leverage),
         )
         excesses.append(call("difference", call("sqrt", share), value(1.0)))
-    far = prop("uq/beyond-edge")
+    largest_excess = property_value("uq/beyond-edge")
     return [
         *_component("uq/beyond-edge", call("max", *excesses, value(0.0))),
-        *_component("uq/extrapolated", call("gt", far, value(_ROUNDING))),
-        *_component("uq/extrapolation", call("product", prop("uq/extrapolated"), far)),
+        *_component("uq/extrapolated", call("gt", largest_excess, value(_ROUNDING))),
+        *_component(
+            "uq/extrapolation", call("product", property_value("uq/extrapolated"), largest_excess)
+        ),
     ]
 
 
 def _coefficient(name: str, bounds: CoefficientBounds, group: _Group) -> list[str]:
-    """y, half width, lower and upper of one coefficient."""
+    """Return the components of centre, half width, lower and upper of one coefficient."""
     beta = dict(zip(bounds.terms, (float(b) for b in bounds.beta_hat), strict=True))
-    # t sqrt(constant + s2 f h) with t brought inside the root (2.18).
-    known = bounds.t * bounds.t * bounds.s2 * bounds.leverage_factor
+    # (2.18): t sqrt(constant + s2 f h) with t inside the root.
+    variance_per_leverage = bounds.t * bounds.t * bounds.s2 * bounds.leverage_factor
     constant = bounds.t * bounds.t * bounds.constant_variance
-    if not math.isfinite(known + constant):
+    if not math.isfinite(variance_per_leverage + constant):
         raise BadInputError(
-            f"coefficient {name}: its half width would not be finite (t = {bounds.t:g}, s2 = {bounds.s2:g}); "
-            "make the bounds again with: uqharness bounds"
+            f"coefficient {name}: its half width would not be finite (t = {bounds.t:g}, s2 ="
+            f" {bounds.s2:g}); make the bounds again with: uqharness bounds"
         )
-    root = call("sum", value(constant), call("product", value(known), prop(group.leverage)))
+    root = call(
+        "sum",
+        value(constant),
+        call("product", value(variance_per_leverage), property_value(group.leverage)),
+    )
     y, half = f"uq/{name}/centre", f"uq/{name}/half-width"
     return [
         *_component(y, horner(beta, group.names)),  # (2.17)
         *_component(half, call("sqrt", root)),
         *_component(
-            f"uq/{name}/lower", call("min", call("difference", prop(y), prop(half)), value(0.0))
+            f"uq/{name}/lower",
+            call("min", call("difference", property_value(y), property_value(half)), value(0.0)),
         ),
-        *_component(f"uq/{name}/upper", call("max", call("sum", prop(y), prop(half)), value(0.0))),
+        *_component(
+            f"uq/{name}/upper",
+            call("max", call("sum", property_value(y), property_value(half)), value(0.0)),
+        ),
     ]
 
 
 def _declarations(form: ModelForm) -> list[str]:
+    """Return the declarations of properties that no component computes."""
     lines = [declare("uq/active", "0")]
     for name in COEFFICIENTS:
         if name not in form.coefficients:
@@ -280,6 +343,7 @@ def _declarations(form: ModelForm) -> list[str]:
 
 
 def _levels(name: str, transient: float = 0.0) -> list[str]:
+    """Return the declarations of a coefficient's levels and switch."""
     return [
         declare(f"uq/{name}/level", "0.5"),
         declare(f"uq/{name}/transient", repr(float(transient)) if transient else "0"),
@@ -289,24 +353,36 @@ def _levels(name: str, transient: float = 0.0) -> list[str]:
 
 
 def _deltas() -> list[str]:
+    """Return the channel that computes the deltas in every frame."""
     lines = ['<channel name="Deltas">']
     for name in COEFFICIENTS:
-        lower, upper = prop(f"uq/{name}/lower"), prop(f"uq/{name}/upper")
-        persistent = call("product", prop(f"uq/{name}/level"), call("difference", upper, lower))
-        transient = call(
-            "product", prop(f"uq/{name}/transient"), prop(f"uq/{name}/transient-level")
+        lower, upper = property_value(f"uq/{name}/lower"), property_value(f"uq/{name}/upper")
+        # delta = active (lower + level (upper - lower) + transient transient-level).
+        persistent = call(
+            "product", property_value(f"uq/{name}/level"), call("difference", upper, lower)
         )
-        whole = call("sum", lower, persistent, transient)
+        transient = call(
+            "product",
+            property_value(f"uq/{name}/transient"),
+            property_value(f"uq/{name}/transient-level"),
+        )
+        total = call("sum", lower, persistent, transient)
         lines += _indent(
             _component(
                 f"uq/{name}/delta",
-                call("product", prop("uq/active"), prop(f"uq/{name}/active"), whole),
+                call(
+                    "product",
+                    property_value("uq/active"),
+                    property_value(f"uq/{name}/active"),
+                    total,
+                ),
             )
         )
     return [*lines, "</channel>"]
 
 
 def _component(name: str, expression: Expression) -> list[str]:
+    """Return a component that computes an expression."""
     return [
         f'<fcs_function name="{name}">',
         "  <function>",
@@ -317,13 +393,16 @@ def _component(name: str, expression: Expression) -> list[str]:
 
 
 def _indent(lines: list[str]) -> list[str]:
+    """Return lines indented by two blanks."""
     return [f"  {line}" for line in lines]
 
 
 _GENERAL = """Model-form uncertainty: delta coefficients in body axes, between bounds.
 
-  uq/active                 0: nominal, bit-identical to the aircraft without this system;   1: deltas applied
-  uq/<C>/lower, upper       bounds at the present flight state, lower <= 0 <= upper; <C> is CX CY CZ Cl Cm Cn
+  uq/active                 0: nominal, bit-identical to the aircraft without this system;   \
+1: deltas applied
+  uq/<C>/lower, upper       bounds at the present flight state, lower <= 0 <= upper; \
+<C> is CX CY CZ Cl Cm Cn
   uq/<C>/level              0..1, driven by the host or a script
   uq/<C>/transient          half-width of the transient model error; 0: no such part
   uq/<C>/transient-level    -1..1, driven by the host or a script
@@ -331,12 +410,14 @@ _GENERAL = """Model-form uncertainty: delta coefficients in body axes, between b
   uq/<C>/delta              what the aerodynamics add: uq/active uq/<C>/active
                             (lower + level (upper - lower) + transient transient-level)
   uq/extrapolated           1 while the state lies outside the data the bounds came from
-  uq/extrapolation          by how much: the largest of a state's excess over its box, in widths of the box, and
+  uq/extrapolation          by how much: the largest of a state's excess over its box, \
+in widths of the box, and
                             sqrt(leverage/largest of the data) - 1; 0 inside
 """
 
 
 def _remarks(form: ModelForm, aircraft: Aircraft, every: int) -> list[str]:
+    """Return the comment about source and rate of the bounds."""
     flights = ", ".join(f"{f.name} ({f.seconds:.0f} s)" for f in form.flights) or "none named"
     growth = (
         "grow with the polynomial (published form)"
@@ -347,16 +428,29 @@ def _remarks(form: ModelForm, aircraft: Aircraft, every: int) -> list[str]:
     parted = any(bounds.parts is not None for bounds in form.coefficients.values())
     half = "t sqrt(persistent^2 + s2 f leverage)" if parted else "t sqrt(s2 (1 + f leverage))"
     return [
-        f"{form.confidence:.0%} intervals of aircraft {form.aircraft.name} (SHA-256 {form.aircraft.sha256[:16]}...),",
+        (
+            f"{form.confidence:.0%} intervals of aircraft {form.aircraft.name} (SHA-256"
+            f" {form.aircraft.sha256[:16]}...),"
+        ),
         f"from flights: {flights}.",
-        "Bounds are centre -/+ half-width, clipped at 0 so that the model itself always lies inside;",
-        f"  centre = polynomial of z,   half-width = {half},   z = (state - centre)/scale, uq/z/...",
+        (
+            "Bounds are centre -/+ half-width, clipped at 0 so that the model itself always lies"
+            " inside;"
+        ),
+        (
+            f"  centre = polynomial of z,   half-width = {half},   z = (state - centre)/scale,"
+            " uq/z/..."
+        ),
         f"Outside the data's box they {growth}.",
-        f"Bounds every {every} frame(s), {rate:.4g} Hz at a step of {aircraft.dt_s:g} s; deltas every frame.",
+        (
+            f"Bounds every {every} frame(s), {rate:.4g} Hz at a step of {aircraft.dt_s:g} s; deltas"
+            " every frame."
+        ),
     ]
 
 
 def _document(remarks: list[str], body: list[str]) -> bytes:
+    """Return the system's XML."""
     comment = [*_GENERAL.splitlines(), "", *remarks]
     text = [
         '<?xml version="1.0" encoding="UTF-8"?>',

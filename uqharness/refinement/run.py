@@ -43,8 +43,8 @@ from uqharness.replay import CONTROLS, numbers_of_files, read_flights, renamed
 from uqharness.simulator import (
     Aircraft,
     content_hash,
-    copy_beside,
     copy_folder,
+    copy_shared_parts,
     engine,
     find_aircraft,
     open_aircraft,
@@ -87,7 +87,7 @@ class Refinement:
     judged: Judged
     aircraft: Aircraft
     given: Aircraft
-    earlier: checksums.Earlier = field(default_factory=checksums.Earlier)
+    earlier: checksums.DamageRecord = field(default_factory=checksums.DamageRecord)
 
     def __repr__(self) -> str:
         return f"Refinement({self.document['verdict']}, {self.aircraft!r})"
@@ -158,7 +158,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
 
         judged = shown("judged", Judged, flown_both_ways)
         say("writing the aircraft")
-        earlier = checksums.take_away(request.out)
+        earlier = checksums.remove_sums(request.out)
         target = _put(write(judged.found), aircraft, request.out)
         baked = bake_scales(target.folder) if request.bake else None
         if baked is not None:
@@ -185,7 +185,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
     forms = write_forms(dict(zip(models, intervals, strict=True)), request.out)
     document = _document(request, document, intervals, _mission(request, models, forms, say))
     if baked is not None:
-        document["baked"] = {"changed": baked.changed, "kept": list(baked.kept)}
+        document["baked"] = {"changed": baked.changed, "kept": list(baked.remaining)}
     stages.forget()
     document["seconds"] = round(time.perf_counter() - begun, 1)
     return Refinement(document, chosen, judged, target, aircraft, earlier)
@@ -307,7 +307,7 @@ def _put(made: Aircraft, given: Aircraft, root: Path) -> Aircraft:
     if target.exists():
         shutil.rmtree(target)
     beside.rename(target)
-    copy_beside(given, root, engine.default_root())
+    copy_shared_parts(given, root, engine.default_root())
     return find_aircraft(target)
 
 

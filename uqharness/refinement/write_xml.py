@@ -42,27 +42,27 @@ from uqharness.xml import (
     add_deltas,
     add_functions,
     add_to_axis,
-    after,
     append_child,
+    append_remark,
     apply,
     attribute,
-    before,
     call,
     comment,
-    computes,
     declaration,
     declarations,
     declare,
     folder_declares,
     function_lines,
+    has_function,
+    insert_after,
+    insert_before,
     number,
-    prop,
+    property_value,
     read_document,
     read_section,
-    remarked,
+    replace_attribute,
+    replace_text,
     value,
-    with_attribute,
-    with_text,
 )
 
 # Effects that change numbers an author wrote: <mass_balance> and <actuator>.
@@ -168,24 +168,24 @@ def write_servo(
         if declared is not None and own is not None and own.text.strip() == name:
             # The aircraft carries this effect already.
             edits = [
-                with_attribute(document, declared, "value", text),
-                remarked(document, declared, remark),
+                replace_attribute(document, declared, "value", text),
+                append_remark(document, declared, remark),
             ]
         else:
             named = (
                 append_child(document, actuator, [f"<{tag}>{name}</{tag}>"])
                 if own is None
-                else with_text(document, own, name)
+                else replace_text(document, own, name)
             )
-            edits = [before(document, _channel(actuator), [declare(name, text, remark)]), named]
+            edits = [insert_before(document, _channel(actuator), [declare(name, text, remark)]), named]
         _write(document, edits)
 
 
 def _shift(document: Document, node: Node, by: float, remark: str) -> None:
     """The number in an element moved, with a remark behind it."""
     edits = [
-        with_text(document, node, f"{number(node, f'<{node.tag}>', document) + by:.8g}"),
-        remarked(document, node, remark),
+        replace_text(document, node, f"{number(node, f'<{node.tag}>', document) + by:.8g}"),
+        append_remark(document, node, remark),
     ]
     _write(document, edits)
 
@@ -221,56 +221,56 @@ _CONTROLS = {
     "dr": "rudder_pos_deg",
     "dt": "throttle_pct",
 }
-_QBAR_S = (prop("aero/qbar-psf"), prop("metrics/Sw-sqft"))
+_QBAR_S = (property_value("aero/qbar-psf"), property_value("metrics/Sw-sqft"))
 
 
 def _computes(section: AeroSection, name: str) -> bool:
-    return any(computes(document, name) for document in section.documents)
+    return any(has_function(document, name) for document in section.documents)
 
 
 def _per_rate(length: str, section: AeroSection) -> Expression:
     """b/2V or c/2V [s] of this frame: JSBSim's own aero/bi2vel, aero/ci2vel are a frame old in an effect's function."""
     if _computes(section, f"aero/{length}_2V"):
-        return prop(f"aero/{length}_2V")
+        return property_value(f"aero/{length}_2V")
     metric = {"b": "metrics/bw-ft", "c": "metrics/cbarw-ft"}[length]
-    speed = call("max", prop("velocities/vt-fps"), value(0.1))
-    return call("quotient", prop(metric), call("product", value(2, "g"), speed))
+    speed = call("max", property_value("velocities/vt-fps"), value(0.1))
+    return call("quotient", property_value(metric), call("product", value(2, "g"), speed))
 
 
 def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Expression:
     """A term's variable in this aircraft. Raises BadInputError where nothing gives it."""
     if variable in ("alpha", "beta"):
-        return prop(f"aero/{variable}-rad")
+        return property_value(f"aero/{variable}-rad")
     if variable.endswith("_hat"):
         rate = variable.removesuffix("_hat")
         of_body = rate in ("p", "q", "r")
         if of_body and _computes(section, f"aero/{variable}"):
-            return prop(f"aero/{variable}")
+            return property_value(f"aero/{variable}")
         per_rate = _per_rate("c" if rate in ("q", "alphadot") else "b", section)
         return call(
             "product",
             per_rate,
-            prop(f"velocities/{rate}-aero-rad_sec" if of_body else f"aero/{rate}-rad_sec"),
+            property_value(f"velocities/{rate}-aero-rad_sec" if of_body else f"aero/{rate}-rad_sec"),
         )
     if variable in _CONTROLS:
         source, factor = state_source(_CONTROLS[variable], aircraft)
         factor *= 0.01 if variable == "dt" else 1.0
         return (
-            prop(source) if factor == 1.0 else call("product", value(factor, ".10g"), prop(source))
+            property_value(source) if factor == 1.0 else call("product", value(factor, ".10g"), property_value(source))
         )
     if variable == "CT":
         thrust = aircraft.card.outputs.get("thrust_N")
         force = (
-            call("product", value(1.0 / LBF_N, ".10g"), prop(thrust))
+            call("product", value(1.0 / LBF_N, ".10g"), property_value(thrust))
             if thrust
-            else prop("forces/fbx-prop-lbs")
+            else property_value("forces/fbx-prop-lbs")
         )
         return call("quotient", force, call("product", *_QBAR_S))
     if variable == "V_rel":
-        return call("product", value(FT_M / V_REFERENCE_MPS, ".10g"), prop("velocities/vt-fps"))
+        return call("product", value(FT_M / V_REFERENCE_MPS, ".10g"), property_value("velocities/vt-fps"))
     if variable == "h_over_b":
         return call(
-            "max", value(0.1), call("quotient", prop("position/h-agl-ft"), prop("metrics/bw-ft"))
+            "max", value(0.1), call("quotient", property_value("position/h-agl-ft"), property_value("metrics/bw-ft"))
         )
     raise BadInputError(f"variable '{variable}' has no JSBSim form")
 
@@ -334,10 +334,10 @@ def subsystem_terms(
             near = call("exp", call("product", value(-2, "g"), x("h_over_b")))
             # The force of the frame before holds the effect already: divided by 1 + k exp(-2 h/b) it is the force without.
             with_effect = call(
-                "sum", value(1, "g"), call("product", prop(effect.property_name), near)
+                "sum", value(1, "g"), call("product", property_value(effect.property_name), near)
             )
             force = call("product", *_QBAR_S, with_effect)
-            return [("CZ", 1.0, [near, call("quotient", prop("forces/fbz-aero-lbs"), force)])]
+            return [("CZ", 1.0, [near, call("quotient", property_value("forces/fbz-aero-lbs"), force)])]
     raise BadInputError(f"effect {effect.key}: no JSBSim form is known")
 
 
@@ -349,9 +349,9 @@ def _lift_lost(term: str, section: AeroSection) -> Expression:
             "product",
             value(2, "g"),
             _per_rate("c", section),
-            call("todegrees", prop("aero/alphadot-rad_sec")),
+            call("todegrees", property_value("aero/alphadot-rad_sec")),
         )
-    angle = call("difference", prop("aero/alpha-deg"), lag)
+    angle = call("difference", property_value("aero/alpha-deg"), lag)
     a1 = 2.0 * STALL["a1_per_deg"]
 
     def side(sign: int, at: float) -> Expression:
@@ -478,14 +478,14 @@ def _add(
         home = _sum_of(edit.section, w.effect.coefficient)
         if home is not None:
             document, total = home
-            product = Expression("product", "", (prop(name), *terms[0][2]))
+            product = Expression("product", "", (property_value(name), *terms[0][2]))
             alike = [
                 node
                 for known, node in declarations(document)
                 if known.startswith(f"aero/{w.effect.coefficient}_")
             ]
             edit = (
-                edit.plus(document, after(document, alike[-1], declared))
+                edit.plus(document, insert_after(document, alike[-1], declared))
                 if alike
                 else add_functions(edit, declared)
             )
@@ -496,7 +496,7 @@ def _add(
             return add_to_axis(add_functions(edit, declared), slot, lines)
     part = name.rpartition("/")[2]
     for coefficient, scale, factors in terms:
-        parts = [prop(name), *([] if scale == 1.0 else [value(scale, ".8g")]), *factors]
+        parts = [property_value(name), *([] if scale == 1.0 else [value(scale, ".8g")]), *factors]
         function = (
             f"aero/effect/{part if part.startswith(coefficient) else f'{coefficient}-{part}'}"
         )
@@ -536,11 +536,11 @@ def _author_style(
     # Authors write Cmq, Cm_q or other words; a name in the first style has no underscores.
     compact = any(re.match(rf"{coefficient}[a-zA-Z0-9]", name.rpartition("/")[2]) for name in names)
     name = f"{folder}/{leaf.replace('_', '') if compact else leaf}"
-    if any(computes(document, name) for document in section.documents):
+    if any(has_function(document, name) for document in section.documents):
         name = f"{folder}/{leaf}-effect"
     reference = coefficient_reference(aircraft, section)
     lengths = [] if force else [reference.lengths[slot - 3]]
-    parts = [prop("aero/qbar-psf"), reference.area, *lengths, prop(w.effect.property_name)]
+    parts = [property_value("aero/qbar-psf"), reference.area, *lengths, property_value(w.effect.property_name)]
     lines = [part.line() for part in (*parts, *factors)]
     if not any(node.find("description") for node in authored):
         return slot, function_lines(name, "product", lines, force, w.effect.name)

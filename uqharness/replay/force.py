@@ -21,7 +21,7 @@ from uqharness.errors import BadInputError
 from uqharness.replay.in_lanes import level_of, sources_of
 from uqharness.replay.model import ReplayModel, control_setters, terrain_m
 from uqharness.replay.segments import Segment
-from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS, TRIM_LATITUDE_DEG, body_velocity, engine
+from uqharness.simulator import MAX_FRAMES, SETTLED_RADPS, TRIM_LATITUDE_DEG, body_velocity, engine
 
 # Forces at measured states by the batch engine, where it understands the aircraft and enough
 # states are asked for at once.
@@ -378,7 +378,7 @@ def _forced(fdm: Any, model: ReplayModel, asked: States) -> FloatArray:
 def _settle_rates(fdm: Any, alphadot: Callable[[], float], betadot: Callable[[], float]) -> None:
     # JSBSim takes alphadot and betadot from the accelerations of the frame before: of another state, when states are forced.
     before, moved = (alphadot(), betadot()), float("inf")
-    for _ in range(MOST_FRAMES):
+    for _ in range(MAX_FRAMES):
         engine.renew_forces(fdm)
         now, last = (alphadot(), betadot()), moved
         moved = abs(now[0] - before[0]) + abs(now[1] - before[1])

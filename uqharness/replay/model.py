@@ -33,7 +33,7 @@ from uqharness.simulator import (
     position_factor,
     stage,
 )
-from uqharness.xml import declared_in
+from uqharness.xml import declared_properties
 
 if TYPE_CHECKING:
     from uqharness.replay.segments import Segment
@@ -182,7 +182,7 @@ class ReplayFolder:
                     dict(settings or {}),
                 )
             ),
-            varied=(*declared_in(copy, "aero/"), *declared_in(copy, "effect/")),
+            varied=(*declared_properties(copy, "aero/"), *declared_properties(copy, "effect/")),
             servos=servos,
         )
         engines = _declare_orphans(self.model, staging.xml, aircraft.dt_s)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sysid.aerodynamics import COEFFICIENTS
-from uqharness.checksums import Fault, faults, write_sums
+from uqharness.checksums import FileFault, faults, write_sums
 from uqharness.errors import BadInputError
 from uqharness.files import finite, inner_folder, remove, write_bytes, write_json
 from uqharness.refinement import Refinement
@@ -98,7 +98,7 @@ class Report:
     path: Path
     figures: tuple[Path, ...]
     page: Page
-    damaged: tuple[Fault, ...] = ()
+    damaged: tuple[FileFault, ...] = ()
     rewritten: tuple[str, ...] = ()
 
     @property
@@ -152,7 +152,7 @@ def write_page(folder: Path, page: Page, drawn: Page | None = None) -> Report:
     return Report(path, drawings, page, damaged, again)
 
 
-def _damage_words(damaged: Sequence[Fault]) -> str:
+def _damage_words(damaged: Sequence[FileFault]) -> str:
     """Say on the page that files are not as they were written, and how many."""
     named = "; ".join(f"{fault.name}: {fault.problem}" for fault in damaged[:_NAMED])
     more = f"; and {len(damaged) - _NAMED} more" if len(damaged) > _NAMED else ""

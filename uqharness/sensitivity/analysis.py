@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sysid.distributions import student_quantile
-from uqharness.arguments import flag, instance, whole
+from uqharness.arguments import flag, instance, integer
 from uqharness.errors import BadInputError
 from uqharness.sensitivity.measures import anova, corner_pairs, local, pinching, scatter
 from uqharness.sensitivity.result import CONFIDENCE, Index, MethodResult, PairRange
 from uqharness.sensitivity.study import METHODS, Evaluations, Study
-from uqharness.text_tables import Tabled
+from uqharness.text_tables import TabularResult
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,7 +31,7 @@ assert tuple(_FUNCTIONS) == METHODS
 
 
 @dataclass(frozen=True)
-class Sensitivity(Tabled):
+class Sensitivity(TabularResult):
     """Results by output, then by method."""
 
     results: Mapping[str, Mapping[str, MethodResult]]
@@ -122,7 +122,7 @@ def analyse(
     True
     """
     instance("study", study, Study, "a Study, as run_study gives it,")
-    whole("seed", seed)
+    integer("seed", seed)
     flag("intervals", intervals)
     unknown = sorted(set(methods) - set(METHODS))
     if unknown:

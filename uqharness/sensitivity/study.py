@@ -13,7 +13,7 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.foreign.regular_files import parse_json
-from uqharness.arguments import flag, instance, whole
+from uqharness.arguments import flag, instance, integer
 from uqharness.arguments import path as file_path
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
@@ -155,9 +155,9 @@ def run_study(
     >>> study.theta.shape, list(study.outputs)
     ((64, 2), ['output'])
     """
-    whole("samples", samples)
-    whole("draws", draws)
-    whole("seed", seed)
+    integer("samples", samples)
+    integer("draws", draws)
+    integer("seed", seed)
     flag("vectorised", vectorised)
     problem = make_problem(epistemic, aleatory, nominal, step)
     _check(problem, samples, draws, methods)

@@ -1,4 +1,8 @@
-"""JSBSim: the engine, what is handed to it, aircraft and scripts, trim and linearisation."""
+"""JSBSim: aircraft and scripts, the gate before it, trim, linearisation, mass and settling.
+
+`engine` is the only module that imports JSBSim. Everything that JSBSim opens passes through
+`staging`.
+"""
 
 import lazy_loader
 

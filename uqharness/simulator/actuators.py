@@ -1,8 +1,9 @@
-"""Surface positions from logged commands: the aircraft's own actuators, as JSBSim 1.3.3 steps them.
+"""Surface positions from logged commands by the aircraft's own actuators.
 
-A log has commands, held from one sample to the next, while the aerodynamics see positions. Five milliseconds here are four
-per cent of every moment coefficient, so the actuators are stepped at the aircraft's own step and order: lag by Tustin's
-rule, then the rate limit, then the stops (FGActuator.cpp).
+A log holds commands, constant between samples, while the aerodynamics depend on positions. A delay
+of 5 ms changes moment coefficients by 4 %. Actuators are therefore stepped at the aircraft's own
+step and in JSBSim's order (FGActuator.cpp, version 1.3.3): lag by Tustin's rule, rate limit, then
+stops.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -19,16 +21,26 @@ from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import Aircraft, open_aircraft, parse_xml
 
 SHORTEST_S = 1e-3
-"""Time constant below which a servo acts at once."""
+"""Time constant [s] below which a servo has no lag."""
 
 
 FREE_LAG = 1e15
-"""Lag [1/s] with which a servo acts at once, to what a replay can tell."""
+"""Lag [1/s] of a servo that follows without delay, as far as a replay resolves."""
 
 
 @dataclass(frozen=True)
 class Actuator:
-    """First-order lag [1/s] (None: none), rate limit [unit/s] and stops."""
+    """A first-order servo with rate limit and stops.
+
+    Attributes
+    ----------
+    lag : float or None
+        Inverse time constant [1/s]; None without a lag.
+    rate : float
+        Rate limit [unit/s].
+    low, high : float
+        Stops [unit].
+    """
 
     lag: float | None
     rate: float = math.inf
@@ -36,82 +48,113 @@ class Actuator:
     high: float = math.inf
 
     def lag_with(self, more_s: float) -> float:
-        """Lag [1/s] where its time constant is so much longer, or for a negative one shorter: at least SHORTEST_S."""
+        """Return the lag [1/s] of a time constant longer by ``more_s``, at least SHORTEST_S."""
         return 1.0 / max((1.0 / self.lag if self.lag else 0.0) + more_s, SHORTEST_S)
 
     def slowed_to(self, more_s_per_unit: float) -> float:
-        """Rate limit [unit/s] where each unit of travel takes so much longer."""
+        """Return the rate limit [unit/s] if each unit takes ``more_s_per_unit`` [s] longer."""
         return 1.0 / max(more_s_per_unit + 1.0 / self.rate, 1e-9)
 
     def follow(self, commands: FloatArray, dt_s: float, step_s: float) -> FloatArray:
-        """(n,) positions at rows ``dt_s`` apart, each having seen its row's command for one step of ``step_s``; starts at rest."""
-        return self.follow_finely(commands, dt_s, step_s)[0]
+        """Return positions (n,) for commands (n,).
 
-    def follow_finely(
+        Parameters
+        ----------
+        commands : ndarray
+            Commands (n,) in the unit of the stops.
+        dt_s : float
+            Time between rows [s].
+        step_s : float
+            Integration step [s]. A row's command acts from the step that arrives at the row; the
+            servo starts at rest.
+        """
+        return self.follow_with_midpoints(commands, dt_s, step_s)[0]
+
+    def follow_with_midpoints(
         self, commands: FloatArray, dt_s: float, step_s: float
     ) -> tuple[FloatArray, FloatArray]:
-        """(n,) positions at rows as `follow` has them, and (n-1,) half-way between, in straight lines from step to step."""
-        runs = max(1, round(dt_s / step_s))
-        # A row's command is there from the run on that arrives at the row.
-        asked = np.repeat(commands, runs)[: (len(commands) - 1) * runs + 1].astype(float)
-        out = asked
+        """Return positions (n,) at the rows, and (n-1,) half-way between rows, linearly
+        interpolated.
+        """
+        steps_per_row = max(1, round(dt_s / step_s))
+        # The command of a row acts in the step that ends at the row.
+        fine_commands = np.repeat(commands, steps_per_row)[
+            : (len(commands) - 1) * steps_per_row + 1
+        ].astype(float)
+        positions = fine_commands
         if self.lag is not None:
             half = step_s * self.lag
+            # Tustin: y' = keep y + gain (u + u').
             gain, keep = half / (2.0 + half), (2.0 - half) / (2.0 + half)
-            out = first_order(
-                gain * (asked + np.concatenate([asked[:1], asked[:-1]])), keep, asked[0]
+            positions = first_order(
+                gain * (fine_commands + np.concatenate([fine_commands[:1], fine_commands[:-1]])),
+                keep,
+                fine_commands[0],
             )
-        out = _limited(out, self.rate * step_s)
-        # The lag remembers its own output, the rate limit what it let through.
-        np.clip(out, self.low, self.high, out=out)
+        positions = _limit_rate(positions, self.rate * step_s)
+        # JSBSim's lag keeps its unlimited output; the rate limit keeps its limited one.
+        np.clip(positions, self.low, self.high, out=positions)
         early, late = (
-            runs // 2,
-            -(-runs // 2),
+            steps_per_row // 2,
+            -(-steps_per_row // 2),
         )  # the steps on either side of the middle, one and the same if runs is even
-        return out[::runs], 0.5 * (
-            out[early : len(out) - late : runs] + out[late : len(out) - early : runs]
+        return positions[::steps_per_row], 0.5 * (
+            positions[early : len(positions) - late : steps_per_row]
+            + positions[late : len(positions) - early : steps_per_row]
         )
 
 
 def servo_number(servo: Actuator, term: str, value: float) -> float:
-    """The number of an actuator whose lag is ``value`` [s] longer than the servo's, or whose rate limit takes ``value`` [s/unit]
-    longer; term: lag or rate_limit."""
+    """Return the parameter of an actuator that is slower by ``value``.
+
+    ``term`` is ``lag`` (``value`` [s] of time constant) or ``rate_limit`` (``value`` [s/unit]).
+    """
     if term == "rate_limit":
         return servo.slowed_to(value)
     return FREE_LAG if servo.lag is None and value == 0.0 else servo.lag_with(value)
 
 
-def _limited(asked: FloatArray, reach: float) -> FloatArray:
-    """(n,) positions that follow what is asked, by ``reach`` from one to the next at most; the first is what is asked."""
-    out = asked.copy()
-    begun = np.flatnonzero(np.abs(np.diff(asked)) > reach) + 1
-    wanted, caught = asked.tolist() if len(begun) else [], 0
-    for first in begun.tolist():
-        if first < caught:
+def _limit_rate(requested: FloatArray, max_step: float) -> FloatArray:
+    """Return positions (n,) that follow the request by at most ``max_step`` per step."""
+    positions = requested.copy()
+    # Only where a step is too long does the loop in Python run.
+    limit_starts = np.flatnonzero(np.abs(np.diff(requested)) > max_step) + 1
+    targets, caught_up = requested.tolist() if len(limit_starts) else [], 0
+    for first in limit_starts.tolist():
+        # Still catching up from an earlier step.
+        if first < caught_up:
             continue
-        position, k = float(out[first - 1]), first
-        while k < len(wanted):
-            position = min(max(wanted[k], position - reach), position + reach)
-            out[k] = position
+        position, k = float(positions[first - 1]), first
+        while k < len(targets):
+            position = min(max(targets[k], position - max_step), position + max_step)
+            positions[k] = position
             k += 1
-            if position == wanted[k - 1]:
+            if position == targets[k - 1]:
                 break
-        caught = k
-    return out
+        caught_up = k
+    return positions
 
 
 def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator]:
-    """The actuator behind each control's position, from the XML. Raises BadInputError for a control without one."""
-    wanted = {aircraft.card.inputs[c].position: c for c in controls if c in aircraft.card.inputs}
+    """Return the actuator of each control's position property, from the XML.
+
+    Raises
+    ------
+    BadInputError
+        If a control has no actuator.
+    """
+    control_by_property = {
+        aircraft.card.inputs[c].position: c for c in controls if c in aircraft.card.inputs
+    }
     fdm = open_aircraft(aircraft)
-    found: dict[str, Actuator] = {}
+    result: dict[str, Actuator] = {}
     for path in sorted(aircraft.folder.rglob("*.xml")):
         for element in parse_xml(path).getroot().iter("actuator"):
-            control = wanted.get(element.get("name"))
+            control = control_by_property.get(element.get("name"))
             if control is None:
                 continue
 
-            def number(tag: str, default: float, element=element) -> float:  # type: ignore[no-untyped-def]
+            def number(tag: str, default: float, element: Any = element) -> float:
                 text = (element.findtext(tag) or "").strip()
                 if not text:
                     return default
@@ -120,16 +163,18 @@ def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator
                 except ValueError:
                     return float(fdm[text])
 
+            # Numbers may be given by a property's name.
             lag = number("lag", math.nan)
-            found[control] = Actuator(
+            result[control] = Actuator(
                 None if math.isnan(lag) else lag,
                 number("rate_limit", math.inf),
                 number("clipto/min", -math.inf),
                 number("clipto/max", math.inf),
             )
-    missing = [c for c in controls if c not in found]
+    missing = [c for c in controls if c not in result]
     if missing:
         raise BadInputError(
-            f"aircraft '{aircraft.name}': no <actuator> has the name of [inputs.{missing[0]}] position"
+            f"aircraft '{aircraft.name}': no <actuator> has the name of [inputs.{missing[0]}]"
+            " position"
         )
-    return found
+    return result

@@ -1,4 +1,9 @@
-"""Find an aircraft, check that JSBSim can load it, open it."""
+"""Aircraft: finding one, checking that JSBSim can load it, opening it, and its signals.
+
+`find_aircraft` reads a folder and its card, `open_aircraft` returns a JSBSim instance, and
+`sources` lists the JSBSim properties behind the columns of a flight record with their factors to SI
+units.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +26,7 @@ from uqharness.files import PROJECT_ROOT
 from uqharness.simulator import engine
 from uqharness.simulator.card import Card, InputCard, read_card, standard_card
 from uqharness.simulator.physical_checks import (
-    Undefined,
+    UndefinedProperty,
     check_physical,
     ensure_loadable,
     undefined_message,
@@ -31,7 +36,19 @@ from uqharness.simulator.staging import fingerprint, identity, read_xml, signatu
 
 @dataclass(frozen=True)
 class Aircraft:
-    """A JSBSim aircraft on disk. ``folder`` holds ``<name>.xml``, its systems and, perhaps, airframe.toml."""
+    """A JSBSim aircraft on disk.
+
+    Attributes
+    ----------
+    name : str
+        Name of its XML file without suffix.
+    folder : Path
+        Folder with ``<name>.xml``, systems and, optionally, airframe.toml.
+    card : Card
+        Content of airframe.toml, or a standard card.
+    engine_path, systems_path : Path
+        Folders searched for engines and systems after its own.
+    """
 
     name: str
     folder: Path
@@ -44,42 +61,47 @@ class Aircraft:
 
     @property
     def xml(self) -> Path:
-        """The aircraft's own XML file."""
+        """Return the aircraft's main XML file."""
         return self.folder / self.card.aircraft.xml
 
     @property
     def has_card(self) -> bool:
-        """Whether the folder has an airframe.toml; without one, JSBSim's normalised commands are taken for the controls."""
+        """Return whether the folder has an airframe.toml; else JSBSim's normalised commands are
+        used.
+        """
         return (self.folder / "airframe.toml").is_file()
 
     @property
     def dt_s(self) -> float:
-        """Integration step [s] that the card asks for."""
+        """Return the integration step of the card [s]."""
         return self.card.aircraft.dt_s
 
     @property
     def accelerometer_m(self) -> tuple[float, float, float]:
-        """Place of the accelerometers from the centre of gravity, body axes [m]; at it unless the card says otherwise."""
+        """Return the accelerometers' position from the CG in body axes [m]; zero by default."""
         return self.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
 
 
 def find_aircraft(name_or_folder: str | Path) -> Aircraft:
-    """The aircraft of that folder, or of that name under ./aircraft, the project's aircraft/ or JSBSim's own.
+    """Return the aircraft in a folder, or of a name.
+
+    Names are searched in ./aircraft, in the project's aircraft/ and in JSBSim's collection.
 
     Parameters
     ----------
     name_or_folder : str or Path
-        A name, or a folder that holds ``<name>.xml`` and, perhaps, airframe.toml.
+        A name, or a folder that holds ``<name>.xml`` and, optionally, airframe.toml.
 
     Returns
     -------
     Aircraft
-        ``name``, ``folder``, ``xml`` and ``card`` (airframe.toml; docs/aircraft.md). Nothing has been loaded into JSBSim yet.
+        ``name``, ``folder``, ``xml`` and ``card`` (airframe.toml; docs/aircraft.md). Nothing is
+        loaded into JSBSim yet.
 
     Raises
     ------
     BadInputError
-        Where there is none, naming those there are, and for a card with a mistake in it.
+        If there is no such aircraft (the message lists the names), or its card has an error.
 
     Examples
     --------
@@ -92,16 +114,17 @@ def find_aircraft(name_or_folder: str | Path) -> Aircraft:
 
 
 def find_folder(name_or_folder: str | Path) -> Path:
-    """Folder of that aircraft, its files unread. Raises BadInputError as find_aircraft does."""
-    given = Path(name_or_folder)
+    """Return the folder of an aircraft without reading its files. Raises BadInputError."""
+    requested = Path(name_or_folder)
     roots = [Path.cwd() / "aircraft", PROJECT_ROOT / "aircraft", engine.default_root() / "aircraft"]
-    candidates = [given] if given.is_dir() else []
-    if len(given.parts) == 1:
-        candidates += [root / given for root in roots]
+    # A folder counts before a name; names have one part.
+    candidates = [requested] if requested.is_dir() else []
+    if len(requested.parts) == 1:
+        candidates += [root / requested for root in roots]
     for folder in candidates:
         if folder.is_dir():
             return folder.resolve()
-    known = sorted(
+    project_names = sorted(
         {
             path.name
             for root in roots[:2]
@@ -112,11 +135,12 @@ def find_folder(name_or_folder: str | Path) -> Path:
     )
     raise BadInputError(
         f"aircraft '{name_or_folder}' not found: it is neither a folder nor a name under aircraft/ "
-        f"(there: {', '.join(known) or 'none'}) or in JSBSim's own collection"
+        f"(there: {', '.join(project_names) or 'none'}) or in JSBSim's own collection"
     )
 
 
 def _read_aircraft(folder: Path) -> Aircraft:
+    """Read the card of an aircraft's folder and find its engines and systems."""
     card_file = folder / "airframe.toml"
     if card_file.is_file():
         card = read_card(card_file)
@@ -129,13 +153,15 @@ def _read_aircraft(folder: Path) -> Aircraft:
         card = standard_card(folder.name, xml.name)
     if Path(card.aircraft.xml).name != card.aircraft.xml or "\\" in card.aircraft.xml:
         raise BadInputError(
-            f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this folder is needed'
+            f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this'
+            " folder is needed"
         )
     xml = folder / card.aircraft.xml
     if not xml.is_file():
         raise BadInputError(
             f'{card_file}: [aircraft] xml = "{card.aircraft.xml}", but {xml} does not exist'
         )
+    # Engines and systems lie next to the folder "aircraft" in a JSBSim root.
     root = folder.parent.parent
     own_engine, own_systems = root / "engine", root / "systems"
     stock = engine.default_root()
@@ -149,7 +175,7 @@ def _read_aircraft(folder: Path) -> Aircraft:
 
 
 def _other_models(folder: Path) -> str:
-    """Say which aircraft a folder holds under names other than its own."""
+    """Return a hint about aircraft in a folder under other names."""
     models = [
         path.name for path in sorted(folder.glob("*.xml")) if b"<fdm_config" in read_xml(path)
     ]
@@ -157,13 +183,28 @@ def _other_models(folder: Path) -> str:
         return "so this is not a JSBSim aircraft folder"
     name = Path(models[0]).stem
     return (
-        f"but {' and '.join(models)}: JSBSim wants folder and file of one name; rename the folder to "
-        f'{name}, or put an airframe.toml with [aircraft] name = "{name}" and xml = "{models[0]}" into it'
+        f"but {' and '.join(models)}: JSBSim requires equal names of folder and file; rename the"
+        " folder to "
+        f'{name}, or put an airframe.toml with [aircraft] name = "{name}" and xml = "{models[0]}"'
+        " into it"
     )
 
 
 def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
-    """A fresh ``FGFDMExec`` of the aircraft in its open-loop mode, nothing run. Raises BadInputError."""
+    """Return a new ``FGFDMExec`` with the aircraft in its open-loop mode, before initialisation.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    dt_s : float, optional
+        Integration step [s]; the card's by default.
+
+    Raises
+    ------
+    BadInputError
+        If the aircraft cannot be loaded, or the card sets a property that does not exist.
+    """
     check_loadable(aircraft)
     fdm = engine.open_fdm(staged(aircraft), dt_s or aircraft.dt_s)
     for name, value in aircraft.card.modes.get("open_loop", {}).items():
@@ -175,17 +216,21 @@ def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
 
 
 def check_loadable(aircraft: Aircraft, defined: Collection[str] = ()) -> None:
-    """Raise BadInputError if loading the aircraft would end the interpreter (see preflight). Cheap for unchanged files.
+    """Raise BadInputError if loading the aircraft would crash the interpreter.
 
-    ``defined`` are properties that a run script makes, which the aircraft may then read.
+    Unchanged files are checked once. ``defined`` are properties that a run script creates.
     """
     undefined = tuple(u for u in undefined_properties(aircraft) if u.name not in defined)
     if undefined:
         raise BadInputError(f"{aircraft.folder}: {undefined_message(undefined)}")
 
 
-def undefined_properties(aircraft: Aircraft) -> tuple[Undefined, ...]:
-    """Properties that the aircraft reads and only a host such as FlightGear may define. Raises BadInputError as above."""
+def undefined_properties(aircraft: Aircraft) -> tuple[UndefinedProperty, ...]:
+    """Return the properties that the aircraft reads and neither it nor JSBSim defines.
+
+    A host such as FlightGear may define them. Raises BadInputError if the aircraft is not loadable.
+    """
+    # Cached by file states within this process, and by content on disk.
     stamp = fingerprint(aircraft)
     if stamp not in _undefined:
         for _, path in walk(aircraft.folder):
@@ -196,27 +241,29 @@ def undefined_properties(aircraft: Aircraft) -> tuple[Undefined, ...]:
     return _undefined[stamp]
 
 
-# What JSBSim 1.3.3 computes within a <function>; anything else it drops without a word, or dies of.
+# Operations in a <function> of JSBSim 1.3.3. It ignores others silently, or crashes.
 _OPERATIONS_TEXT = """
-abs acos and asin atan atan2 avg ceil cos difference eq exp floor fmod fraction ge gt ifthen integer interpolate1d le ln
-log10 log2 lt max min mod not nq or p pi pow product property quotient random rotation_alpha_local rotation_beta_local
-rotation_bf_to_wf rotation_gamma_local rotation_wf_to_bf roundmultiple sign sin sqrt sum switch t table tan todegrees
-toradians urandom v value description documentation
+abs acos and asin atan atan2 avg ceil cos difference eq exp floor fmod fraction ge gt ifthen integer
+interpolate1d le ln log10 log2 lt max min mod not nq or p pi pow product property quotient random
+rotation_alpha_local rotation_beta_local rotation_bf_to_wf rotation_gamma_local rotation_wf_to_bf
+roundmultiple sign sin sqrt sum switch t table tan todegrees toradians urandom v value description
+documentation
 """
 _OPERATIONS = frozenset(_OPERATIONS_TEXT.split())
 _TABLES = frozenset({"table", "t"})
 
 
 def refuse_unknown_operations(path: Path) -> None:
-    """BadInputError with file and line for an operation within a function that JSBSim does not know."""
+    """Raise BadInputError with file and line for an operation that JSBSim does not know."""
 
     def walk(element: etree._Element) -> None:
         for child in element.iterchildren("*"):
             if child.tag not in _OPERATIONS:
-                near = difflib.get_close_matches(str(child.tag), sorted(_OPERATIONS), n=1)
-                hint = f"; did you mean <{near[0]}>?" if near else ""
+                matches = difflib.get_close_matches(str(child.tag), sorted(_OPERATIONS), n=1)
+                hint = f"; did you mean <{matches[0]}>?" if matches else ""
                 raise BadInputError(
-                    f"{path}:{child.sourceline}: <{child.tag}> is no operation of a JSBSim function; JSBSim would ignore it{hint}"
+                    f"{path}:{child.sourceline}: <{child.tag}> is no operation of a JSBSim"
+                    f" function; JSBSim would ignore it{hint}"
                 )
             if child.tag not in _TABLES:
                 walk(child)
@@ -225,31 +272,38 @@ def refuse_unknown_operations(path: Path) -> None:
         walk(function)
 
 
-_undefined: dict[str, tuple[Undefined, ...]] = {}
+_undefined: dict[str, tuple[UndefinedProperty, ...]] = {}
 
 
 def content_hash(aircraft: Aircraft) -> str:
-    """SHA-256 over every file that decides how the aircraft flies; the identity a campaign is tied to. Raises BadInputError."""
+    """Return the SHA-256 over all files that determine how the aircraft flies.
+
+    It identifies the aircraft of a campaign. Raises BadInputError.
+    """
     return identity(aircraft)
 
 
 def folder_hash(folder: Path) -> str:
-    """The same for an aircraft's folder. Raises BadInputError."""
+    """Return the `content_hash` of the aircraft in a folder. Raises BadInputError."""
     return identity(_read_aircraft(folder.resolve()))
 
 
 def folder_fingerprint(folder: Path) -> str:
-    """A text that changes when a file of the aircraft in ``folder`` does; reads none where nothing has. Raises BadInputError."""
-    return fingerprint(_unchanged(folder, signature(folder)))
+    """Return a text that changes whenever a file of the aircraft does.
+
+    Files are read only after a change. Raises BadInputError.
+    """
+    return fingerprint(_read_cached(folder, signature(folder)))
 
 
 @lru_cache(maxsize=8)
-def _unchanged(folder: Path, _: object) -> Aircraft:
+def _read_cached(folder: Path, _: object) -> Aircraft:
+    """Return the aircraft of a folder, read again only if its file states changed."""
     return _read_aircraft(folder)
 
 
 def parse_xml(path: Path) -> etree._ElementTree:
-    """Parse an XML file with line numbers; BadInputError with file and line if it is not well formed."""
+    """Parse an XML file with line numbers; BadInputError with file and line if it is malformed."""
     try:
         return etree.parse(
             BytesIO(read_xml(path)), etree.XMLParser(remove_comments=False, resolve_entities=False)
@@ -260,24 +314,23 @@ def parse_xml(path: Path) -> etree._ElementTree:
         ) from None
 
 
-# Signals of a flight record and the JSBSim properties they come from: one table, with the
-# factor to SI.
+# Signals of a flight record and the JSBSim properties behind them.
 
 LBF_PER_SLUG_TO_MPS2 = FT_M
-"""Force in lbf over mass in slugs is ft/s2."""
+"""lbf/slug is ft/s2."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """signal = factor * property (divided by ``over``, if given)."""
+    """A signal: factor * property, divided by ``over`` if given."""
 
     property: str
     factor: float = 1.0
     over: str | None = None
 
 
-# Specific force is total force without gravity over mass, at the CG: JSBSim's own a-pilot properties are one frame old, and a
-# record promises that the acceleration of a sample has already seen the command of that sample.
+# Specific force at the CG: total force without gravity over mass. JSBSim's own a-pilot properties
+# are one frame old, while a record's acceleration includes the command of its row.
 STANDARD: Mapping[str, Source] = MappingProxyType(
     {
         "time_s": Source("simulation/sim-time-sec"),
@@ -308,10 +361,11 @@ SECOND_ORDER: Mapping[str, float] = MappingProxyType(
         "simulation/integrator/position/rotational": 3.0,
     }
 )
-"""Adams-Bashforth integrators of second order for a flight that is to be compared with others.
+"""Second-order Adams-Bashforth integrators, for flights that are compared with others.
 
-JSBSim's default for body rates and attitude is Euler's rule, which at 100 Hz makes roll damping 4 % too strong and moves everything
-by half a step; an identification would put the difference into the coefficients.
+JSBSim's default for body rates and attitude is Euler's rule. At 100 Hz it makes roll damping 4 %
+too strong and shifts everything by half a step, which an identification would attribute to the
+coefficients.
 """
 
 _UNIT_TO_RECORD = {"deg": 1.0, "pct": 1.0, "rad": RAD_DEG, "norm": 1.0}
@@ -324,10 +378,11 @@ _COLUMN = {
 
 
 def sources(aircraft: Aircraft) -> dict[str, Source]:
-    """The record's signals for this aircraft: the standard table, the card's outputs, commands and measured surfaces.
+    """Return the signals of a record for this aircraft.
 
-    A normalised command (unit "norm") becomes percent of a throttle, and degrees of a surface through the card's throw_deg; without
-    a throw it is left as it stands and named ``<surface>_norm``.
+    These are the standard signals, the card's outputs, the commands and the measured surfaces. A
+    normalised command becomes percent for a throttle, and degrees for a surface whose card has
+    throw_deg. Without a throw it stays normalised and is named ``<surface>_norm``.
     """
     table = dict(STANDARD)
     for signal, name in aircraft.card.outputs.items():
@@ -342,6 +397,7 @@ def sources(aircraft: Aircraft) -> dict[str, Source]:
                 factor = card.throw_deg
             else:
                 column = f"{control}_norm"
+        # The command after the autopilot's selection, where the card names it.
         selected = card.selected or card.property
         table[column] = Source(selected, factor)
         if card.position is not None and column.endswith("_deg"):
@@ -350,13 +406,14 @@ def sources(aircraft: Aircraft) -> dict[str, Source]:
 
 
 def position_factor(card: InputCard) -> float:
-    """Unit of a card's position property to degrees, + as a record counts.
+    """Return the factor from a card's position property to degrees in the record's sign.
 
-    A card in deg or rad has its position in the same unit. Of a normalised command the property's ending tells (JSBSim's own
-    names end in -deg, -rad or -norm), and the throw its sign.
+    A card in deg or rad has its position in the same unit. For a normalised command, the ending of
+    the property (-deg, -rad, -norm) gives the unit, and the throw gives the sign.
     """
     if card.unit != "norm" or card.position is None:
         return _UNIT_TO_RECORD.get(card.unit, 1.0)
+    # Normalised command: the throw's sign is the record's sign.
     throw = 1.0 if card.throw_deg is None else card.throw_deg
     if card.position.endswith("-rad"):
         return math.copysign(_UNIT_TO_RECORD["rad"], throw)
@@ -364,7 +421,7 @@ def position_factor(card: InputCard) -> float:
 
 
 def standard_positions() -> dict[str, Source]:
-    """Surface positions by JSBSim's own properties, for an aircraft without a card; they may or may not be there."""
+    """Return JSBSim's usual position properties of the surfaces; they may not exist."""
     return {
         f"{surface}_pos_deg": Source(f"fcs/{surface}-pos-deg")
         for surface in ("elevator", "aileron", "rudder")

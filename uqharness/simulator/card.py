@@ -1,4 +1,8 @@
-"""airframe.toml as the simulator needs it: which JSBSim property is which control, what open loop means, what is scored."""
+"""airframe.toml as the simulator needs it: controls, open-loop mode, scored signals, noise.
+
+`read_card` validates the file with pydantic. Sections that only serve the reading of logs are
+validated by `sysid.logs`. `sensors_from_cg` edits positions in place.
+"""
 
 from __future__ import annotations
 
@@ -17,21 +21,32 @@ from sysid.logs import card as airframe_card
 from uqharness.errors import BadInputError
 from uqharness.toml import dotted
 
-# Sections and keys of inputs that are for reading logs alone, or are passed on as the one reader has them.
-_READ = {"reference", "sensors", "mixing"}
-_OF_SERVOS = {"servo_pwm", "channel"}
+# Sections and keys that only the log reader uses, or that it has validated already.
+_LOG_READER_SECTIONS = {"reference", "sensors", "mixing"}
+_SERVO_KEYS = {"servo_pwm", "channel"}
 
 
 class _Strict(BaseModel):
+    """Immutable section; unknown keys are errors."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
 class InputCard(_Strict):
-    """One control: the command property, its unit and its sign. ``servo_pwm`` and ``channel`` are for reading logs (docs/logs.md).
+    """One control.
 
-    ``selected`` is the command that counts after the aircraft's own selection (autopilot or pilot), ``position`` the surface; both
-    are optional and both are only read. ``throw_deg`` turns a normalised command into a record's degrees: 1 is that many, with the
-    record's sign.
+    Attributes
+    ----------
+    property : str
+        Command property that is set.
+    selected : str or None
+        Command after the aircraft's own selection (autopilot or pilot); read only.
+    position : str or None
+        Position of the surface; read only.
+    unit, positive, limits
+        Unit of the command, meaning of its sign, and range.
+    throw_deg : float or None
+        Degrees of a record, with its sign, for a normalised command of 1.
     """
 
     property: str
@@ -45,20 +60,21 @@ class InputCard(_Strict):
     @field_validator("throw_deg")
     @classmethod
     def _moves(cls, value: float | None) -> float | None:
+        """Reject a throw of zero."""
         if value == 0.0:
             raise ValueError("a throw of 0 degrees cannot be flown")
         return value
 
 
 class MetricCard(_Strict):
-    """True and noise-laden property of one error signal."""
+    """Property of an error signal, and the one with sensor noise."""
 
     true: str
     measured: str | None = None
 
 
 class ParameterCard(_Strict):
-    """An identifiable property: first guess, bounds, unit and source."""
+    """A parameter that can be identified: initial value, bounds, unit and source."""
 
     initial: float | None = None
     bounds: tuple[float, float] | None = None
@@ -67,7 +83,7 @@ class ParameterCard(_Strict):
 
 
 class AircraftSection(_Strict):
-    """Name, file and integration step [s] of the aircraft."""
+    """Name, XML file and integration step [s]."""
 
     name: str
     xml: str
@@ -75,14 +91,16 @@ class AircraftSection(_Strict):
 
 
 class _ReplaySection(_Strict):
-    """``without_systems``: systems without effect in open loop and still air; a replay leaves them out, which
-    saves a third of its time."""
+    """Systems that a replay leaves out, because they have no effect in open loop and still air.
+
+    This saves a third of the time.
+    """
 
     without_systems: tuple[str, ...] = ()
 
 
 class Card(_Strict):
-    """airframe.toml, validated."""
+    """Validated content of airframe.toml."""
 
     aircraft: AircraftSection
     reference: Reference = Reference()
@@ -112,10 +130,10 @@ MEMS_NOISE_STD: Mapping[str, float] = MappingProxyType(
         "h_m": 0.3,
     }
 )
-"""Standard deviations taken for sensors of an aircraft whose card names none: an assumption, of the size of small MEMS units."""
+"""Assumed standard deviations of sensor noise (small MEMS units) for a card without any."""
 
 
-# JSBSim's own command properties, for an aircraft that comes without a card.
+# JSBSim's command properties, for an aircraft without a card.
 _STANDARD_INPUTS = {
     "elevator": InputCard(property="fcs/elevator-cmd-norm", positive="nose down"),
     "aileron": InputCard(property="fcs/aileron-cmd-norm", positive="right wing down"),
@@ -127,70 +145,90 @@ _STANDARD_INPUTS = {
 
 
 def standard_card(name: str, xml: str) -> Card:
-    """The card of an aircraft that has none: JSBSim's normalised commands."""
+    """Return the card of an aircraft without one: JSBSim's normalised commands."""
     return Card(aircraft=AircraftSection(name=name, xml=xml), inputs=_STANDARD_INPUTS)
 
 
 def read_card(path: Path) -> Card:
     """Read and validate airframe.toml. Raises BadInputError with file, key and what is allowed."""
     try:
-        return _card(airframe_card.read_card(path))
+        return _validate(airframe_card.read_card(path))
     except LogError as error:
         raise BadInputError(str(error)) from None
 
 
 def parse_card(text: str, path: Path) -> Card:
-    """The same of the text of that file. Raises BadInputError."""
+    """Validate the text of airframe.toml; ``path`` names it in messages. Raises BadInputError."""
     try:
-        return _card(airframe_card.parse_card(text, path))
+        return _validate(airframe_card.parse_card(text, path))
     except LogError as error:
         raise BadInputError(str(error)) from None
 
 
-def _card(read: AirframeCard) -> Card:
-    own: dict[str, Any] = {key: value for key, value in read.document.items() if key not in _READ}
-    if "inputs" in own:
-        own["inputs"] = {
-            control: {key: value for key, value in row.items() if key not in _OF_SERVOS}
-            for control, row in own["inputs"].items()
+def _validate(airframe: AirframeCard) -> Card:
+    """Validate the sections that the simulator uses."""
+    sections: dict[str, Any] = {
+        key: value for key, value in airframe.document.items() if key not in _LOG_READER_SECTIONS
+    }
+    # Keys of servos belong to the log reader.
+    if "inputs" in sections:
+        sections["inputs"] = {
+            control: {key: value for key, value in row.items() if key not in _SERVO_KEYS}
+            for control, row in sections["inputs"].items()
         }
     try:
-        return Card.model_validate({**own, "reference": read.reference, "sensors": read.sensors})
+        return Card.model_validate(
+            {**sections, "reference": airframe.reference, "sensors": airframe.sensors}
+        )
     except ValidationError as error:
+        # One mistake per message: later ones often follow from the first.
         first = error.errors()[0]
-        what = (
+        problem = (
             "no such key in airframe.toml; see docs/aircraft.md"
             if first["type"] == "extra_forbidden"
             else first["msg"]
         )
         raise BadInputError(
-            f"{read.path}: {dotted(first['loc'])}: {what}; received {first.get('input')!r}"
+            f"{airframe.path}: {dotted(first['loc'])}: {problem}; received {first.get('input')!r}"
         ) from None
 
 
-# airframe.toml changed in place: the author's remarks, order and spacing stay.
+# Editing airframe.toml in place: comments, order and spacing are kept.
 
 DECIMALS = 7
-"""Places of a metre that a sensor's position is written with."""
+"""Decimals [m] of a sensor position."""
 
 
 def sensors_from_cg(path: Path, forward_m: float, remark: str) -> None:
-    """Positions in the card for a centre of gravity further forward by ``forward_m``; the sensors stay in the airframe.
+    """Rewrite sensor positions for a CG that is further forward; sensors stay in the airframe.
 
-    The card's positions are from the centre of gravity, x forward. Accelerometers without one sat at it. A folder without a card
-    stays without. Raises BadInputError with the file where it is no TOML.
+    Parameters
+    ----------
+    path : Path
+        airframe.toml; nothing happens if it does not exist.
+    forward_m : float
+        Shift of the CG, + forward [m]. Positions are relative to the CG, x forward; accelerometers
+        without a position were at the CG.
+    remark : str
+        Comment behind the positions.
+
+    Raises
+    ------
+    BadInputError
+        If the file is no TOML.
     """
     if not path.is_file():
         return
     try:
         card = tomlkit.parse(path.read_bytes().decode("utf-8"))
         sensors = card.setdefault("sensors", tomlkit.table())
-        places = sensors.setdefault("position_m", tomlkit.inline_table())
-        for name in dict.fromkeys(("accelerometer", *places)):
-            x, *rest = (float(v) for v in places.get(name, (0.0, 0.0, 0.0)))
-            places[name] = [round(x - forward_m, DECIMALS), *rest]
-        if isinstance(places, tomlkit.items.InlineTable):
-            places.comment(remark.replace("\n", " "))
+        positions = sensors.setdefault("position_m", tomlkit.inline_table())
+        # Accelerometers without a position were at the CG.
+        for name in dict.fromkeys(("accelerometer", *positions)):
+            x, *yz = (float(v) for v in positions.get(name, (0.0, 0.0, 0.0)))
+            positions[name] = [round(x - forward_m, DECIMALS), *yz]
+        if isinstance(positions, tomlkit.items.InlineTable):
+            positions.comment(remark.replace("\n", " "))
     except (TOMLKitError, UnicodeDecodeError) as error:
         raise BadInputError(f"{path}: {error}") from None
     path.write_bytes(tomlkit.dumps(card).encode("utf-8"))

@@ -1,8 +1,9 @@
-"""JSBSim: the one file that imports it. Opens models and scripts quietly, turns its failures into sentences.
+"""The only module that imports JSBSim: opens models and scripts, and turns failures into messages.
 
-JSBSim 1.3.3 has four ways to fail: ``False`` from a loader, an exception, a silent NaN, and the end of the whole process
-(a property that a function reads but nobody made: the exception comes first, the abort when the object is destroyed).
-Each is met here, so that the callers see :class:`~uqharness.errors.BadInputError` and nothing else.
+JSBSim 1.3.3 fails in four ways: a loader returns False, an exception, a silent NaN, and the end of
+the process (a property that a function reads but nothing defines: first an exception, then an abort
+when the object is destroyed). All are handled here, so that callers only see
+:class:`~uqharness.errors.BadInputError`.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ from uqharness.simulator.staging import Staging
 JSBSIM_VERSION: str = jsbsim.__version__
 
 RuntimeFailure = RuntimeError
-"""What JSBSim throws: its own errors, which derive from it, and the bare one of an illegal property name."""
+"""Exception class of JSBSim's errors, and of illegal property names."""
 
 _MISSING = re.compile(
     r"[Pp]roperty\s+\"?([^\s\"]+?)\"?\s+(?:does not exist|is not defined|not found|is undefined)"
 )
-_MOST_MESSAGES, _MOST_SHOWN = 200, 64
+_MAX_MESSAGES, _MAX_PATHS = 200, 64
 _LEGAL_NAME = re.compile(r"/?[A-Za-z_][\w.\-]*(\[\d+\])?(/[A-Za-z_][\w.\-]*(\[\d+\])?)*")
 
 
 class _Collector(jsbsim.FGLogger):
-    """Keeps warnings and errors with their place in the XML instead of printing them."""
+    """Logger that keeps warnings and errors, with their place in the XML, for messages."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -43,20 +44,23 @@ class _Collector(jsbsim.FGLogger):
         self.mirror: int | None = None
 
     def set_level(self, level: jsbsim.LogLevel) -> None:
+        """Start a message of a level."""
         self._level = int(level)
         self._place = ""
 
     def file_location(self, filename: str, line: int) -> None:
+        """Set the place of the message."""
         self._place = f"{filename}:{line}: "
 
     def message(self, message: str) -> None:
+        """Keep a message if it is a warning or an error."""
         if self._level >= int(jsbsim.LogLevel.ERROR) and self._level != int(jsbsim.LogLevel.STDOUT):
             # A model may complain in every frame of an hour.
-            if len(self.entries) >= _MOST_MESSAGES:
+            if len(self.entries) >= _MAX_MESSAGES:
                 return
             self.entries.append((self._level, self._place, message))
             if self.mirror is not None:
-                os.write(self.mirror, f"{_as_shown(self._place + message)}\n".encode())
+                os.write(self.mirror, f"{_with_user_paths(self._place + message)}\n".encode())
 
     def format(self, format: jsbsim.LogFormat) -> None:
         pass
@@ -65,31 +69,34 @@ class _Collector(jsbsim.FGLogger):
         pass
 
     def take(self) -> str:
-        """Text of what was collected, and forget it."""
+        """Return the collected text and clear it."""
         text = " ".join((place + message).strip() for _, place, message in self.entries)
         self.entries.clear()
-        return re.sub(r"\s+", " ", _as_shown(text)).strip()
+        return re.sub(r"\s+", " ", _with_user_paths(text)).strip()
 
 
 _collector: _Collector | None = None
-_shown_as: dict[str, str] = {}
+_user_paths: dict[str, str] = {}
 
 
-def _show_as(staging: Staging) -> None:
-    # The reader knows their own folder, not a copy's; of many stagings only the newest are still spoken of.
-    _shown_as.update((str(staged), str(real)) for staged, real in staging.shown)
-    while len(_shown_as) > _MOST_SHOWN:
-        del _shown_as[next(iter(_shown_as))]
+def _register_user_paths(staging: Staging) -> None:
+    """Remember which user folders a staging's copies stand for."""
+    # Messages name the user's folders, of the newest stagings only.
+    _user_paths.update((str(staged), str(real)) for staged, real in staging.user_folders)
+    while len(_user_paths) > _MAX_PATHS:
+        del _user_paths[next(iter(_user_paths))]
 
 
-def _as_shown(text: str) -> str:
-    for staged, real in _shown_as.items():
+def _with_user_paths(text: str) -> str:
+    """Return a message with the user's folders in place of the copies."""
+    for staged, real in _user_paths.items():
         text = text.replace(staged, real)
     return text
 
 
 def _collect() -> _Collector:
-    # One logger for the process, set at first use: JSBSim keeps a single one, and importing this file must change nothing.
+    """Return the process's only logger, installed at first use."""
+    # JSBSim holds one logger; importing this module must not change it.
     global _collector
     if _collector is None:
         _collector = _Collector()
@@ -98,35 +105,46 @@ def _collect() -> _Collector:
 
 
 def mirror_messages(descriptor: int) -> None:
-    """Write every message to that file descriptor as it comes: for a process that may not live to report it."""
+    """Write each message to a file descriptor at once, for a process that may crash."""
     _collect().mirror = descriptor
 
 
 def default_root() -> Path:
-    """Folder of the aircraft, engines and scripts that come with JSBSim."""
+    """Return the folder of the aircraft, engines and scripts that come with JSBSim."""
     return Path(jsbsim.get_default_root_dir())
 
 
 def _new(staging: Staging, dt_s: float) -> Any:
+    """Return a quiet instance with the paths of a staging."""
     _collect().take()
-    _show_as(staging)
+    _register_user_paths(staging)
     fdm = jsbsim.FGFDMExec(str(staging.root))
+    # Without a debug level JSBSim prints nothing.
     fdm.set_debug_level(0)
     fdm.set_aircraft_path(str(staging.root / "aircraft"))
     fdm.set_engine_path(str(staging.root / "engine"))
     fdm.set_systems_path(str(staging.root / "systems"))
-    # No such folder: a model may ask for the state to be written in every frame (simulation/write-state-file).
+    # This folder does not exist: a model may request a state file in every frame
+    # (simulation/write-state-file).
     fdm.set_output_path(str(staging.root / "nowhere"))
     fdm.set_dt(dt_s)
     return fdm
 
 
 def open_fdm(staging: Staging, dt_s: float) -> Any:
-    """A fresh ``FGFDMExec`` with the staged aircraft loaded and nothing run.
+    """Return a new ``FGFDMExec`` with the staged aircraft loaded, before initialisation.
 
-    The step is set before loading, because filters compute their coefficients while they are read.
+    Parameters
+    ----------
+    staging : Staging
+        Copy of the aircraft that passed the gate.
+    dt_s : float
+        Integration step [s], set before loading: filters compute their coefficients while read.
 
-    Raises BadInputError with file and line when JSBSim does not accept the model.
+    Raises
+    ------
+    BadInputError
+        With file and line, if JSBSim does not accept the model.
     """
     log = _collect()
     fdm = _new(staging, dt_s)
@@ -139,14 +157,18 @@ def open_fdm(staging: Staging, dt_s: float) -> Any:
         ) from None
     if not loaded:
         raise BadInputError(
-            f"aircraft '{name}': JSBSim could not load it: {log.take() or 'no reason given'}; "
-            f"expected {name}/{name}.xml with <metrics>, <mass_balance>, <ground_reactions> and <aerodynamics>"
+            f"aircraft '{name}': JSBSim could not load it: {log.take() or 'no reason given'};"
+            f" expected {name}/{name}.xml with <metrics>, <mass_balance>, <ground_reactions> and"
+            " <aerodynamics>"
         )
     return fdm
 
 
 def open_script(staging: Staging, script: str | Path, dt_s: float) -> Any:
-    """A fresh ``FGFDMExec`` with a run script that passed the gate, the staged aircraft and its initial conditions, nothing run."""
+    """Return a new ``FGFDMExec`` with run script, aircraft and initial conditions loaded.
+
+    Raises BadInputError if JSBSim does not accept the script.
+    """
     log = _collect()
     fdm = _new(staging, dt_s)
     try:
@@ -163,10 +185,10 @@ def open_script(staging: Staging, script: str | Path, dt_s: float) -> Any:
 
 
 def run_ic(fdm: Any) -> None:
-    """Initialise, and name a property that the XML reads but never makes.
+    """Initialise an instance.
 
-    Raises BadInputError. The missing properties are created first: destroying an ``FGFDMExec`` that lacks them aborts the
-    interpreter, whatever Python catches.
+    Raises BadInputError, which names properties that the XML reads but nothing defines. They are
+    created first: destroying an instance without them aborts the interpreter.
     """
     log = _collect()
     log.take()
@@ -174,7 +196,8 @@ def run_ic(fdm: Any) -> None:
         if fdm.run_ic():
             if not fdm["inertia/mass-slugs"] > 0.0:
                 raise BadInputError(
-                    f"the model's mass is {fdm['inertia/mass-slugs']:g} slug: a positive one is needed in <mass_balance>"
+                    f"the model's mass is {fdm['inertia/mass-slugs']:g} slug: a positive one is"
+                    " needed in <mass_balance>"
                 )
             return
         raise BadInputError(
@@ -182,25 +205,27 @@ def run_ic(fdm: Any) -> None:
         )
     except RuntimeFailure as error:
         text = log.take() or _one_line(error)
+    # The instance must not be destroyed while a property is missing.
     missing = disarm(fdm, text)
     log.take()
     if missing:
         raise BadInputError(
-            f"the model reads {_plural('property', missing)} that nothing defines: {', '.join(missing)} ({text}); "
-            'declare it in the XML, as <property value="0">name</property>'
+            f"the model reads {_plural('property', missing)} that nothing defines:"
+            f" {', '.join(missing)} ({text}); declare it in the XML, as <property"
+            ' value="0">name</property>'
         )
     raise BadInputError(f"JSBSim could not initialise the flight: {text}")
 
 
 def start_engines(fdm: Any) -> None:
-    """Every engine runs, with rich mixture and fine pitch, which no flight record tells; its throttle is left wide open."""
+    """Start every engine with rich mixture and fine pitch; the throttles end wide open."""
     fdm["propulsion/set-running"] = -1
     for name in levers(fdm):
         fdm[name] = 1.0
 
 
 def levers(fdm: Any) -> list[str]:
-    """The commands of every engine's mixture and propeller pitch: 1 is rich and fine."""
+    """Return the command properties of mixture and propeller pitch of every engine."""
     engines = range(fdm.get_propulsion().get_num_engines())
     names = [
         f"fcs/{lever}-cmd-norm" + (f"[{k}]" if k else "")
@@ -212,26 +237,27 @@ def levers(fdm: Any) -> list[str]:
 
 
 def settle_engines(fdm: Any) -> str:
-    """Bring <propulsion> engines to the steady state of their throttles and renew the forces, the aircraft's state unmoved.
+    """Bring engines to the steady state of their levers with the aircraft's state unchanged.
 
-    JSBSim's own way where it arrives, else by frames with the motion frozen (see settling). Empty, or which engine does not settle
-    or stands still.
+    Uses JSBSim's own method if it converges, else frames with frozen motion (`settling`). Returns
+    an empty text, or which engine does not settle or stops.
     """
     changing = ""
     fdm.get_propulsion().get_steady_state()
     renew_forces(fdm)
-    if not settling.settled(fdm):
+    # JSBSim's half-second steps did not converge.
+    if not settling.is_balanced(fdm):
         try:
             changing = settling.settle(fdm)
         except RuntimeFailure as error:
             raise BadInputError(explain(fdm, error)) from None
         if not settling.has_turboprop(fdm):
             renew_forces(fdm)
-    return settling.stopped(fdm) or changing
+    return settling.stopped_engines(fdm) or changing
 
 
 def renew_forces(fdm: Any) -> None:
-    """One frame in which time stands still."""
+    """Run one frame without integration."""
     fdm.suspend_integration()
     try:
         fdm.run()
@@ -242,15 +268,22 @@ def renew_forces(fdm: Any) -> None:
 
 
 def undefined_properties(fdm: Any, function_properties: Iterable[str] = ()) -> list[str]:
-    """Names that the loaded model reads and nobody makes. Initialises the instance, which serves for nothing else afterwards.
+    """Return the properties that a loaded model reads and nothing defines.
 
-    ``function_properties`` are the names in the functions of the model's XML. Initialising does not evaluate all of them (a branch
-    of an <ifthen> that is not taken), but JSBSim evaluates named functions once more when the instance is destroyed: one that is
-    missing then aborts the interpreter.
+    The instance is initialised and useless afterwards.
+
+    Parameters
+    ----------
+    fdm : FGFDMExec
+        The loaded model.
+    function_properties : iterable of str
+        Names in the functions of its XML. Initialisation does not evaluate all of them (a branch of
+        an <ifthen>), but destroying the instance does, and aborts if one is missing.
     """
     log = _collect()
     log.take()
     exists = fdm.get_property_manager().hasNode
+    # Before initialisation, which may create some.
     unmade = [name for name in dict.fromkeys(function_properties) if not exists(name)]
     missing: list[str] = []
     try:
@@ -265,14 +298,18 @@ def undefined_properties(fdm: Any, function_properties: Iterable[str] = ()) -> l
 
 
 def disarm(fdm: Any, text: str) -> list[str]:
-    """Create the properties whose absence ``text`` complains of until initialising no longer does; their names."""
+    """Create the properties that ``text`` reports as missing until initialisation succeeds.
+
+    Returns their names.
+    """
     missing: list[str] = []
+    # Each attempt reports one missing property.
     for _ in range(1000):
-        found = _MISSING.search(text)
-        if found is None or found.group(1) in missing:
+        match = _MISSING.search(text)
+        if match is None or match.group(1) in missing:
             break
-        missing.append(found.group(1))
-        fdm[found.group(1)] = 0.0
+        missing.append(match.group(1))
+        fdm[match.group(1)] = 0.0
         try:
             fdm.run_ic()
             break
@@ -282,58 +319,71 @@ def disarm(fdm: Any, text: str) -> list[str]:
 
 
 def explain(fdm: Any, error: BaseException) -> str:
-    """A sentence for a RuntimeFailure; leaves ``fdm`` in a state in which it can be destroyed."""
+    """Return a sentence for a RuntimeFailure, and make ``fdm`` safe to destroy."""
     text = _collect().take() or _one_line(error)
     disarm(fdm, text)
     return f"JSBSim stopped at {fdm.get_sim_time():.2f} s: {text}"
 
 
 def set_property(fdm: Any, name: str, value: float) -> None:
-    """Set an existing property. JSBSim itself would create a misspelt one without a word; here that is BadInputError."""
+    """Set an existing property; BadInputError if it does not exist.
+
+    JSBSim itself would create a misspelt property silently.
+    """
     require(fdm, [name])
     fdm[name] = value
 
 
 def require(fdm: Any, names: Iterable[str]) -> None:
-    """BadInputError unless every property exists; suggests the nearest names."""
+    """Raise BadInputError unless every property exists; the message suggests similar names."""
     manager = fdm.get_property_manager()
     for name in names:
         if not is_legal_name(name):
-            # Property trees of other JSBSim builds end the interpreter at such a name, so it must never get there.
+            # Other builds of JSBSim crash at such a name.
             raise BadInputError(
-                f"property '{name}': not a legal JSBSim property name (letters, digits, _, -, / and [index])"
+                f"property '{name}': not a legal JSBSim property name (letters, digits, _, -, / and"
+                " [index])"
             )
+        # Similar names of the loaded model help against typing errors.
         if not manager.hasNode(name):
-            near = difflib.get_close_matches(name, catalog(fdm), n=3, cutoff=0.6)
+            similar = difflib.get_close_matches(name, catalog(fdm), n=3, cutoff=0.6)
             hint = (
-                f"; did you mean {', '.join(near)}?"
-                if near
+                f"; did you mean {', '.join(similar)}?"
+                if similar
                 else "; see the aircraft's XML for its properties"
             )
             raise BadInputError(f"property '{name}' does not exist in this model{hint}")
 
 
 def is_legal_name(name: str) -> bool:
-    """Whether JSBSim's property tree accepts the name; at another one it may end the interpreter."""
+    """Return whether JSBSim's property tree accepts a name; others may crash the interpreter.
+
+    Examples
+    --------
+    >>> is_legal_name("fcs/elevator-cmd-norm"), is_legal_name("a b")
+    (True, False)
+    """
     return _LEGAL_NAME.fullmatch(name) is not None
 
 
 def catalog(fdm: Any) -> list[str]:
-    """Names of all properties of the loaded model, without JSBSim's access remarks."""
-    found = fdm.query_property_catalog("")
-    rows = found.splitlines() if isinstance(found, str) else list(found)
+    """Return the names of all properties of the loaded model."""
+    listing = fdm.query_property_catalog("")
+    rows = listing.splitlines() if isinstance(listing, str) else list(listing)
     return [row.split(" (")[0].strip() for row in rows if row.strip()]
 
 
 def handle(fdm: Any, name: str) -> Any:
-    """Bound node of a property (``get_double_value``, ``set_double_value``), for hot loops."""
+    """Return the node of a property, whose getter and setter are fast enough for loops."""
     require(fdm, [name])
     return fdm.get_property_manager().get_node(name)
 
 
 def _one_line(error: BaseException) -> str:
+    """Return an error's text in one line."""
     return re.sub(r"\s+", " ", str(error)).strip()
 
 
 def _plural(word: str, items: list[str]) -> str:
+    """Return "a property", or their number."""
     return f"a {word}" if len(items) == 1 else f"{len(items)} {word[:-1]}ies"

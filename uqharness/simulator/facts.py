@@ -1,4 +1,10 @@
-"""An aircraft in the middle of its envelope, with every axis in motion: what checks fly that know nothing of the aircraft."""
+"""Facts about an unknown aircraft: a flight in mid-envelope, and what its controls do.
+
+`open_mid_envelope` starts any aircraft in level flight with all axes in motion. `measure_facts`
+measures the sense and throw of each control and the thrust, for an aircraft without a card. It runs
+in a child process (`measure_facts_in_child`), because an unknown aircraft may crash the
+interpreter.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +25,8 @@ from uqharness.simulator.forced_state import (
     TRIM_LATITUDE_DEG,
     BodyState,
     body_velocity,
-    forced,
-    rest_of,
+    control_equilibrium,
+    open_forced,
     set_control,
     still_moving,
     written_by_components,
@@ -39,10 +45,24 @@ _RATES_RADPS = (0.03, 0.02, -0.02)
 def open_mid_envelope(
     aircraft: Aircraft, dt_s: float | None = None
 ) -> tuple[Any, Callable[[int], None]]:
-    """An initialised instance in the middle of the aircraft's envelope, and a function that flies frame k.
+    """Return an initialised instance in the middle of the envelope, and a function that flies frame
+    k.
 
-    Level at 5000 ft above the sea, at the speed where a lift coefficient of 0.5 carries the weight (12 to 274 m/s), with a little
-    incidence, sideslip and rotation; engines run settled at 60 % and the controls move, so that no axis is idle. Raises BadInputError.
+    Level at 5000 ft, at the speed where a lift coefficient of 0.5 carries the weight (limited to 12
+    to 274 m/s), with small incidence, sideslip and rates. Engines are settled at 60 % throttle and
+    controls move, so that no axis is idle.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Any aircraft that loads.
+    dt_s : float, optional
+        Integration step [s].
+
+    Raises
+    ------
+    BadInputError
+        If it does not load or initialise.
     """
     state = mid_envelope_state(aircraft)
     speed_fps = math.hypot(state.u, state.v, state.w) / FT_M
@@ -50,7 +70,7 @@ def open_mid_envelope(
     _initial(fdm, speed_fps)
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
-        # A propeller that is let go at rest gives some electric aircraft a torque in the first frames that ends the flight.
+        # Released at rest, some electric propellers give a torque that ends the flight at once.
         engine.start_engines(fdm)
         for k in range(engines):
             fdm["fcs/throttle-cmd-norm" + (f"[{k}]" if k else "")] = THROTTLE
@@ -58,37 +78,41 @@ def open_mid_envelope(
     if engines:
         engine.settle_engines(fdm)
     dt = fdm.get_delta_t()
+    # Different frequencies, so that axes move independently.
     surfaces = [
         (engine.handle(fdm, f"fcs/{name}-cmd-norm").set_double_value, 2.0 * math.pi * rate * dt)
         for name, rate in (("elevator", 0.5), ("aileron", 0.7), ("rudder", 0.3))
     ]
 
     def step(k: int) -> None:
-        for put, phase in surfaces:
-            put(0.05 * math.sin(phase * k))
+        for set_command, phase in surfaces:
+            set_command(0.05 * math.sin(phase * k))
         fdm.run()
 
     return fdm, step
 
 
 def mid_envelope_state(aircraft: Aircraft) -> BodyState:
-    """The state of `open_mid_envelope`. Raises BadInputError."""
+    """Return the state of `open_mid_envelope`. Raises BadInputError."""
     fdm = _open(aircraft, None)
     _initial(fdm, 150.0)
     engine.run_ic(fdm)
     weight, area, rho = (
         fdm[n] for n in ("inertia/weight-lbs", "metrics/Sw-sqft", "atmosphere/rho-slugs_ft3")
     )
+    # W = rho/2 V^2 S CL.
     speed_fps = math.sqrt(2.0 * weight / (rho * max(area, 1e-3) * _LIFT_COEFFICIENT))
     V_mps = min(max(speed_fps, _SPEEDS_FPS[0]), _SPEEDS_FPS[1]) * FT_M
     return BodyState(*body_velocity(V_mps, _ALPHA, _BETA), _PHI, _THETA, 0.0, *_RATES_RADPS)
 
 
 def _open(aircraft: Aircraft, dt_s: float | None) -> Any:
+    """Return a new instance of the aircraft."""
     return engine.open_fdm(staged(aircraft), dt_s or aircraft.dt_s)
 
 
 def _initial(fdm: Any, speed_fps: float) -> None:
+    """Set the initial conditions in mid-envelope at an airspeed [ft/s]."""
     fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"] = TRIM_LATITUDE_DEG, _ALTITUDE_FT
     fdm["ic/theta-rad"], fdm["ic/phi-rad"] = _THETA, _PHI
     for name, value in zip("uvw", body_velocity(speed_fps, _ALPHA, _BETA), strict=True):
@@ -97,22 +121,19 @@ def _initial(fdm: Any, speed_fps: float) -> None:
         fdm[f"ic/{name}-rad_sec"] = value
 
 
-# What an aircraft without a card answers when it is asked: reference, which controls act, in
-# which sense, throws and thrust.
-#
-# Each of JSBSim's normalised commands is held at -1, -0.5, 0, 0.5 and 1 with the aircraft's
-# motion frozen in the middle of its envelope, as a trim does: engines are started and settled,
-# the control system is brought to rest. The sense is read from angular accelerations, the throw
-# from a surface that has come to rest, the thrust from engines that have settled. No answer
-# depends on whether the aircraft is stable. A control that shows no effect there is held in a
-# short flight. All this runs in a process of its own, because an aircraft from anywhere may end
-# its interpreter.
+# Measurement of the controls of an aircraft without a card. Each normalised command is held at -1,
+# -0.5, 0, 0.5 and 1 with the motion frozen in mid-envelope, engines and control system settled.
+# Angular accelerations give the sense, positions at rest the throw, settled engines the thrust.
+# None of this depends on the aircraft's stability. A control without effect is tried in a short
+# flight.
 
 _COMMANDS = (-1.0, -0.5, 0.0, 0.5, 1.0, -1.0)  # the first once more: what then differs is drift
-_LINEAR = 0.01  # of the throw: how far the middle may lie from halfway between the ends
-_MOVES = 1e-6  # rad/s2, lbf; smaller answers may be engines that still settle, and a flight decides
-_DIFFERS = 1e-9  # rad/s, ft/s: a control that moves nothing leaves a flight bit-identical
-_RESTS = 1e-6  # deg or rad
+_LINEAR_SHARE = 0.01  # of the throw: how far the middle may lie from halfway between the ends
+_MIN_ANSWER = (
+    1e-6  # rad/s2, lbf; smaller answers may be engines that still settle, and a flight decides
+)
+_MIN_RATE_CHANGE = 1e-9  # rad/s, ft/s: a control that moves nothing leaves a flight bit-identical
+_MIN_TRAVEL = 1e-6  # deg or rad
 _TURNING_RADPS = 0.1
 _METRICS = ("metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")
 _POSITIONS = {
@@ -125,7 +146,7 @@ _POSITIONS = {
     ),
     "rudder": ("fcs/rudder-pos-deg", "fcs/rudder-pos-rad"),
 }
-# What FlightGear passes to JSBSim's engines before a frame and takes from them after it (its src/FDM/JSBSim/JSBSim.cxx).
+# What FlightGear exchanges with JSBSim's engines in each frame (src/FDM/JSBSim/JSBSim.cxx).
 _FLIGHTGEAR = (
     ("/controls/engines/engine{}/throttle", "fcs/throttle-cmd-norm{}"),
     ("/controls/engines/engine{}/mixture", "fcs/mixture-cmd-norm{}"),
@@ -138,8 +159,8 @@ _FLIGHTGEAR = (
     ("/engines/engine{}/oil-temperature-degf", "propulsion/engine{}/oil-temperature-degF"),
     ("/engines/engine{}/oil-pressure-psi", "propulsion/engine{}/oil-pressure-psi"),
 )
-# Acceleration that answers to a control, and whether the positive command of the record's convention makes it positive.
-_ANSWER = {
+# Acceleration caused by a control, and its sign for a positive command of the record.
+_RESPONSE = {
     "elevator": ("accelerations/qdot-rad_sec2", -1),
     "aileron": ("accelerations/pdot-rad_sec2", 1),
     "rudder": ("accelerations/rdot-rad_sec2", -1),
@@ -156,12 +177,20 @@ _THRUST = "thrust-lbs"
 
 @dataclass(frozen=True)
 class ControlFacts:
-    """One normalised command. sense: +1 as the record counts (nose down, right wing down, nose left), -1 opposite, 0 no answer.
+    """One normalised command.
 
-    throw_deg    degrees per norm, mean of both ends, positive; None where no position property follows
-    position     the property that follows, None where its travel is not in proportion to the command
-    thrust_N     of all engines, settled, throttle closed and open; None where there is no engine or it does not settle
-    unmeasured   why the control could not be measured: ``sense`` is then assumed; empty where it was
+    Attributes
+    ----------
+    sense : int
+        +1 as in a record (nose down, right wing down, nose left), -1 opposite, 0 without effect.
+    throw_deg : float or None
+        Degrees per unit, mean of both ends, positive; None if no position property follows.
+    position : str or None
+        The property that follows; None if its travel is not proportional.
+    thrust_N : tuple of float or None
+        Settled thrust of all engines [N], throttle closed and open; None without a value.
+    unmeasured : str
+        Why the control could not be measured, in which case `sense` is assumed; else empty.
     """
 
     sense: int
@@ -173,10 +202,20 @@ class ControlFacts:
 
 @dataclass(frozen=True)
 class AircraftFacts:
-    """Reference lengths by JSBSim's metrics, number of engines, and the controls.
+    """Reference values, engines and controls of an aircraft.
 
-    host       (FlightGear's property, JSBSim's own) of what the aircraft reads of FlightGear and nothing in JSBSim alone writes
-    V_mps      airspeed at which the controls were measured, at ALTITUDE_M above the sea; NaN where nothing was
+    Attributes
+    ----------
+    S_m2, b_m, c_m : float
+        Wing area [m2], span and chord [m] by JSBSim's metrics.
+    engines : int
+        Number of engines.
+    controls : mapping
+        Control to its facts.
+    host : tuple of (str, str)
+        (FlightGear's property, JSBSim's) that the aircraft reads and only FlightGear writes.
+    V_mps : float
+        Airspeed of the measurement [m/s] at ALTITUDE_M; NaN if nothing was measured.
     """
 
     S_m2: float
@@ -188,31 +227,34 @@ class AircraftFacts:
     V_mps: float = math.nan
 
 
-def assumed(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
-    """What is taken for granted of an aircraft that does not fly by itself: JSBSim's commands in the usual sense, no throws."""
+def assumed_facts(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
+    """Return assumed facts of an aircraft that does not fly alone: usual senses, no throws."""
     return AircraftFacts(
-        S_m2, b_m, c_m, 1, {name: ControlFacts(1) for name in (*_ANSWER, "throttle")}
+        S_m2, b_m, c_m, 1, {name: ControlFacts(1) for name in (*_RESPONSE, "throttle")}
     )
 
 
-def ask(folder: Path) -> AircraftFacts:
-    """The facts, asked for in this process. Raises BadInputError."""
+def measure_facts(folder: Path) -> AircraftFacts:
+    """Measure the aircraft in a folder, in this process. Raises BadInputError."""
     aircraft = find_aircraft(folder)
     controls = {
-        name: _facts(
+        name: _control_facts(
             name,
-            _held(aircraft, name, _COMMANDS),
-            functools.partial(_held, aircraft, name, _COMMANDS, _TURNING_RADPS),
+            _hold_commands(aircraft, name, _COMMANDS),
+            functools.partial(_hold_commands, aircraft, name, _COMMANDS, _TURNING_RADPS),
         )
-        for name in _ANSWER
+        for name in _RESPONSE
     }
-    closed, opened = (_held(aircraft, "throttle", (value,))[0] for value in (0.0, 1.0))
-    host = _of_host(aircraft)
+    closed, opened = (_hold_commands(aircraft, "throttle", (value,))[0] for value in (0.0, 1.0))
+    host = _host_properties(aircraft)
     throttle = _throttle_facts(closed, opened)
-    if not throttle.sense and any(own == "fcs/throttle-cmd-norm" for _, own in host):
+    # A host may move the throttle that JSBSim alone does not.
+    if not throttle.sense and any(
+        jsbsim_name == "fcs/throttle-cmd-norm" for _, jsbsim_name in host
+    ):
         throttle = ControlFacts(1)
     controls["throttle"] = throttle
-    # A control law may be at its limit at rest, whatever the command: a flight has the last word on a control without effect.
+    # At rest a control law may be at its limit whatever the command; a flight decides.
     controls |= {
         name: _in_flight(aircraft, name) for name, facts in controls.items() if not facts.sense
     }
@@ -228,25 +270,32 @@ def ask(folder: Path) -> AircraftFacts:
     )
 
 
-def _of_host(aircraft: Aircraft) -> tuple[tuple[str, str], ...]:
+def _host_properties(aircraft: Aircraft) -> tuple[tuple[str, str], ...]:
+    """Return the properties that the aircraft expects FlightGear to write."""
     fdm = open_aircraft(aircraft)
-    exists, written = fdm.get_property_manager().hasNode, written_by_components(aircraft)
-    found = []
+    exists, written_properties = fdm.get_property_manager().hasNode, written_by_components(aircraft)
+    pairs = []
     for k in range(fdm.get_propulsion().get_num_engines()):
         index = f"[{k}]" if k else ""
-        for theirs, own in _FLIGHTGEAR:
-            pair = theirs.format(index), own.format(index)
-            if all(map(exists, pair)) and pair[0] not in written:
-                found.append(pair)
-    return tuple(found)
+        for host_name, jsbsim_name in _FLIGHTGEAR:
+            pair = host_name.format(index), jsbsim_name.format(index)
+            if all(map(exists, pair)) and pair[0] not in written_properties:
+                pairs.append(pair)
+    return tuple(pairs)
 
 
 @dataclass(frozen=True)
-class _Held:
-    """The aircraft with one command held.
+class _HeldState:
+    """The aircraft at rest with one command held.
 
-    values     of properties; positions: of the surfaces at rest
-    unsettled  what of the engines does not settle
+    Attributes
+    ----------
+    values, positions : mapping
+        Properties, and positions of surfaces that are at rest.
+    engines : int
+        Number of engines.
+    unsettled : str
+        Which engine does not settle; else empty.
     """
 
     values: Mapping[str, float]
@@ -255,12 +304,15 @@ class _Held:
     unsettled: str = ""
 
 
-def _held(
+def _hold_commands(
     aircraft: Aircraft, control: str, commands: Sequence[float], rate_radps: float = 0.0
-) -> list[_Held]:
-    """The aircraft with one command after the other held until all has come to rest. Raises BadInputError."""
+) -> list[_HeldState]:
+    """Hold one command after another until control system and engines are at rest.
+
+    Raises BadInputError.
+    """
     flying = mid_envelope_state(aircraft)
-    # Straight and level: dampers would add to the commands.
+    # Without rates, which dampers would answer.
     rates = (rate_radps,) * 3
     state = BodyState(flying.u, 0.0, flying.w, 0.0, flying.theta, flying.psi, *rates)
     exists = open_aircraft(aircraft).get_property_manager().hasNode
@@ -269,26 +321,27 @@ def _held(
         for name, setting in {"throttle": THROTTLE, control: commands[0]}.items()
         if exists(aircraft.card.inputs[name].property)
     }
-    fdm, unsettled = forced(aircraft, state, controls, ALTITUDE_M, None)
-    rest = rest_of(aircraft, fdm)
+    # One instance for all commands: engines are settled once.
+    fdm, unsettled = open_forced(aircraft, state, controls, ALTITUDE_M, None)
+    equilibrium = control_equilibrium(aircraft, fdm)
     engines = fdm.get_propulsion().get_num_engines()
     names = [name for group in _POSITIONS.values() for name in group if exists(name)]
-    values = [*_METRICS, "velocities/vt-fps", _FORWARD, *(name for name, _ in _ANSWER.values())]
+    values = [*_METRICS, "velocities/vt-fps", _FORWARD, *(name for name, _ in _RESPONSE.values())]
     rows = []
     for command in commands:
         if control in controls:
             set_control(fdm, aircraft, control, command)
-        moving = still_moving(fdm, rest, names)
-        # A surface that still moves is led by more than its command: a control law, or an autopilot.
+        moving = still_moving(fdm, equilibrium, names)
+        # A surface that keeps moving is driven by a control law or an autopilot as well.
         positions = {name: float(fdm[name]) for name in names if name not in moving}
         thrust = sum(fdm[f"propulsion/engine[{k}]/{_THRUST}"] for k in range(engines))
         read = {name: float(fdm[name]) for name in values} | {_THRUST: float(thrust)}
-        rows.append(_Held(read, positions, engines, unsettled))
+        rows.append(_HeldState(read, positions, engines, unsettled))
     return rows
 
 
 def _in_flight(aircraft: Aircraft, control: str) -> ControlFacts:
-    """The sense that a short flight shows with the command held at either end; "moves nothing" where a finite one shows none."""
+    """Return the sense of a control from short flights with the command at either end."""
     rate, sign = _RATE.get(control, ("velocities/vt-fps", 1))
     ends = (0.0, 1.0) if control == "throttle" else (-1.0, 1.0)
     answers = []
@@ -304,21 +357,34 @@ def _in_flight(aircraft: Aircraft, control: str) -> ControlFacts:
     if not all(map(math.isfinite, answers)):
         return ControlFacts(1, unmeasured=f"the flight does not stay finite with {control} held")
     change = answers[1] - answers[0]
-    return ControlFacts(0 if not abs(change) > _DIFFERS else sign if change > 0.0 else -sign)
+    return ControlFacts(
+        0 if not abs(change) > _MIN_RATE_CHANGE else sign if change > 0.0 else -sign
+    )
 
 
-def _facts(
-    control: str, rows: Sequence[_Held], turning: Callable[[], Sequence[_Held]]
+def _control_facts(
+    control: str, rows: Sequence[_HeldState], turning: Callable[[], Sequence[_HeldState]]
 ) -> ControlFacts:
-    """Sense and throw by what was held. ``turning`` gives the same rows with the aircraft turning."""
-    name, sign = _ANSWER[control]
+    """Return sense and throw of a surface.
+
+    Parameters
+    ----------
+    control : str
+        The control.
+    rows : sequence of _HeldState
+        One for each of `_COMMANDS`.
+    turning : callable
+        Returns the same rows with the aircraft turning.
+    """
+    name, sign = _RESPONSE[control]
     answers = [row.values[name] for row in rows]
     if not all(map(math.isfinite, answers)):
         return ControlFacts(1, unmeasured=f"{name} is not finite with {control} held")
-    low, high, again = answers[0], answers[-2], answers[-1]
-    # What goes on changing by itself, such as the gas of a balloon, is no answer to the command.
-    if not abs(high - low) > max(_MOVES, 10.0 * abs(again - low)):
+    low, high, repeated = answers[0], answers[-2], answers[-1]
+    # A drift, such as the gas of a balloon, is no effect of the command.
+    if not abs(high - low) > max(_MIN_ANSWER, 10.0 * abs(repeated - low)):
         return ControlFacts(0)
+    # Compare the accelerations at both ends.
     sense = sign if high > low else -sign
     for name in _POSITIONS[control]:
         ends = [
@@ -328,62 +394,84 @@ def _facts(
         ]
         if len(ends) < len(rows) or not all(map(math.isfinite, ends)):
             continue
-        least, half_down, middle, half_up, most, _ = ends
-        throw = 0.5 * abs(most - least)
-        limited = min(abs(most - half_up), abs(least - half_down)) <= _LINEAR * throw
-        if throw > _RESTS and not (limited and _is_led(name, rows, turning())):
-            straight = not limited and abs(middle - 0.5 * (least + most)) <= _LINEAR * throw
-            return ControlFacts(sense, round(throw, 6), name if straight and most > least else None)
+        lowest, half_down, middle, half_up, highest, _ = ends
+        throw = 0.5 * abs(highest - lowest)
+        limited = min(abs(highest - half_up), abs(lowest - half_down)) <= _LINEAR_SHARE * throw
+        if throw > _MIN_TRAVEL and not (limited and _depends_on_motion(name, rows, turning())):
+            # A position is proportional to the command if its middle lies half-way between its
+            # ends.
+            is_linear = (
+                not limited and abs(middle - 0.5 * (lowest + highest)) <= _LINEAR_SHARE * throw
+            )
+            return ControlFacts(
+                sense, round(throw, 6), name if is_linear and highest > lowest else None
+            )
     return ControlFacts(sense)
 
 
-def _is_led(position: str, rows: Sequence[_Held], turning: Sequence[_Held]) -> bool:
-    """Whether the motion moves the surface too: the end of its travel is then a control law's limit, not the command's throw."""
+def _depends_on_motion(
+    position: str, rows: Sequence[_HeldState], turning: Sequence[_HeldState]
+) -> bool:
+    """Return whether the motion moves the surface too: the end is then a control law's limit."""
     return any(
-        abs(row.positions[position] - other.positions.get(position, math.inf)) > _RESTS
+        abs(row.positions[position] - other.positions.get(position, math.inf)) > _MIN_TRAVEL
         for row, other in zip(rows, turning, strict=True)
     )
 
 
-def _throttle_facts(closed: _Held, opened: _Held) -> ControlFacts:
-    """Sense and thrust of the throttle: of the engines, or of what pulls the aircraft forward where it has none."""
+def _throttle_facts(closed: _HeldState, opened: _HeldState) -> ControlFacts:
+    """Return sense and thrust of the throttle; without engines, of the force forward."""
     name = _THRUST if opened.engines else _FORWARD
     thrust = closed.values[name], opened.values[name]
     if not all(map(math.isfinite, thrust)):
         return ControlFacts(1, unmeasured="the thrust is not finite with the throttle held")
     if opened.unsettled:
         return ControlFacts(1, unmeasured=f"with the throttle open, {opened.unsettled}")
-    sense = int(thrust[1] - thrust[0] > _MOVES)
+    sense = int(thrust[1] - thrust[0] > _MIN_ANSWER)
     if not sense or not opened.engines or closed.unsettled:
         return ControlFacts(sense)
     return ControlFacts(sense, thrust_N=(thrust[0] * LBF_N, thrust[1] * LBF_N))
 
 
-def ask_in_child(folder: Path, timeout_s: float = 300.0) -> AircraftFacts:
-    """The same in a process of its own. Raises BadInputError with its last words."""
-    ended = run_module(__name__, folder, timeout_s=timeout_s)
-    if ended.code is None:
+def measure_facts_in_child(folder: Path, timeout_s: float = 300.0) -> AircraftFacts:
+    """Measure the aircraft in a child process.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the aircraft.
+    timeout_s : float
+        Time limit [s].
+
+    Raises
+    ------
+    BadInputError
+        If it does not fly, with the last message of the child.
+    """
+    child = run_module(__name__, folder, timeout_s=timeout_s)
+    if child.code is None:
         raise BadInputError(f"aircraft {folder}: was not measured within {timeout_s:g} s")
-    if ended.code or not ended.answer:
-        words = ended.errors or "no message"
+    if child.code or not child.answer:
+        words = child.errors or "no message"
         raise BadInputError(
             f"aircraft {folder}: does not fly in JSBSim as it is ({words}); mend that first"
         )
-    if "error" in ended.answer:
+    if "error" in child.answer:
         raise BadInputError(
-            f"aircraft {folder}: does not fly in JSBSim as it is: {ended.answer['error']}"
+            f"aircraft {folder}: does not fly in JSBSim as it is: {child.answer['error']}"
         )
     controls = {
         name: ControlFacts(**{**facts, "thrust_N": facts["thrust_N"] and tuple(facts["thrust_N"])})
-        for name, facts in ended.answer["controls"].items()
+        for name, facts in child.answer["controls"].items()
     }
-    host = tuple((theirs, own) for theirs, own in ended.answer["host"])
-    return AircraftFacts(**{**ended.answer, "controls": controls, "host": host})
+    host = tuple((host_name, jsbsim_name) for host_name, jsbsim_name in child.answer["host"])
+    return AircraftFacts(**{**child.answer, "controls": controls, "host": host})
 
 
 def _main(folder: str) -> None:
+    """Measure an aircraft and answer the parent."""
     try:
-        give_answer(asdict(ask(Path(folder))))
+        give_answer(asdict(measure_facts(Path(folder))))
     except (BadInputError, engine.RuntimeFailure) as error:
         give_answer({"error": " ".join(str(error).split())})
 

@@ -1,4 +1,10 @@
-"""A state forced upon the model: a fresh instance put there, its engines and, if asked, its control system settled."""
+"""States imposed on the model: attitude, velocity and controls set, engines and controls settled.
+
+`force_state` returns the accelerations of a new instance at a given state; trim, linearisation and
+replays use it. With a `ControlEquilibrium` the control system is first brought to rest: frames are
+run with the motion frozen until nothing changes. Body rates can be left free, for control laws that
+integrate a rate error and settle only at the commanded rate.
+"""
 
 from __future__ import annotations
 
@@ -17,23 +23,18 @@ from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, settling
 from uqharness.simulator.aircraft import Aircraft, open_aircraft
-from uqharness.simulator.staging import HasFiles, opened
+from uqharness.simulator.staging import HasFiles, model_files
 
-# The control system at rest: what aerodynamics and engines read of it no longer changes while
-# the aircraft's motion stands still.
-#
-# In the first frames of an instance its filters and integrators are on their way from zero,
-# flaps and gear from where JSBSim has put them: forces there are not those of steady flight.
-# Frames are run with the motion frozen until all comes to rest. The body rates may be left
-# free: a control law that integrates the error of a rate rests where the aircraft turns as
-# commanded, and nowhere before.
+# Control system at rest. In the first frames of an instance, filters and integrators start from
+# zero, and flaps and gear move: forces are not those of steady flight.
 
 RATES_HELD, RATES_FREE = "flight/steady-controls", "flight/steady-rates"
-"""Run properties of a mission that begins with the control system at rest, body rates held or free meanwhile."""
+"""Run properties of a mission that starts with the control system at rest, body rates held or free.
+"""
 
 AT_REST = 1e-9
-"""Change in a frame, as a share of the value or of 1, below which nothing moves."""
-BLOCK_FRAMES, MOST_BLOCKS, PATIENCE = 50, 400, 20
+"""Relative (or absolute below 1) change per frame that counts as rest."""
+BLOCK_FRAMES, MAX_BLOCKS, PATIENCE = 50, 400, 20
 _CONVERGED = 1e-11  # change over a block
 _MOVED_POSITION = 1e-6  # deg or rad
 _ROTATION = "simulation/integrator/rate/rotational"
@@ -47,167 +48,207 @@ _BY_POWER = ("thrust-lbs", "propeller-rpm")
 
 
 @dataclass(frozen=True)
-class Rest:
-    """How the control system comes to rest. ``watched``: properties that must; ``free``: the body rates are left free meanwhile."""
+class ControlEquilibrium:
+    """How the control system is brought to rest.
+
+    Attributes
+    ----------
+    watched : tuple of str
+        Properties that must come to rest.
+    free : bool
+        Whether body rates are left to the control system.
+    """
 
     watched: tuple[str, ...]
     free: bool = False
 
     @property
     def mark(self) -> str:
-        """The run property that says so to a flight."""
+        """Return the run property that tells a flight to start this way."""
         return RATES_FREE if self.free else RATES_HELD
 
 
-def felt(aircraft: HasFiles) -> tuple[str, ...]:
-    """Properties that components of the control system write and aerodynamics, engines or external forces read. Raises
-    BadInputError."""
-    written, read = _written_and_read(aircraft)
+def control_outputs(aircraft: HasFiles) -> tuple[str, ...]:
+    """Return the properties that the control system writes and the rest of the model reads.
+
+    These are inputs of aerodynamics, engines and external forces. Raises BadInputError.
+    """
+    outputs, read = _written_and_read(aircraft)
     levers = {
         name
-        for name in written
+        for name in outputs
         if any(name.startswith(f"fcs/{lever}-pos-norm") for lever in _LEVERS)
     }
     return tuple(
-        sorted((written & read) | levers | {name for name in written if name.startswith(_DIRECT)})
+        sorted((outputs & read) | levers | {name for name in outputs if name.startswith(_DIRECT)})
     )
 
 
 def written_by_components(aircraft: HasFiles) -> set[str]:
-    """Properties that components of the control system write. Raises BadInputError."""
+    """Return the properties that components of the control system write. Raises BadInputError."""
     return _written_and_read(aircraft)[0]
 
 
 def _written_and_read(aircraft: HasFiles) -> tuple[set[str], set[str]]:
-    written: set[str] = set()
+    """Return the properties that the control system writes, and those that other sections read."""
+    outputs: set[str] = set()
     read: set[str] = set()
-    found = opened(aircraft)
-    for file in (*found.own.values(), *found.beside.values()):
+    files = model_files(aircraft)
+    for file in (*files.local.values(), *files.shared.values()):
         root = etree.parse(
             BytesIO(file.content), etree.XMLParser(remove_comments=True, resolve_entities=False)
         ).getroot()
+        # A file is an aircraft with sections, or one section of its own.
         for section in [root] if root.tag != "fdm_config" else root.iterchildren("*"):
             if section.tag in _CONTROLS:
-                written.update(_outputs(section))
+                outputs.update(_outputs(section))
             else:
                 read.update(_tokens(section))
-    return written, read
+    return outputs, read
 
 
 def _outputs(section: Any) -> Iterator[str]:
+    """Yield the properties that the components of a section write."""
     for channel in section.iter("channel"):
         for component in channel.iterchildren("*"):
             if name := (component.get("name") or "").strip():
-                yield _bare(
+                # JSBSim derives the property from a name without a path.
+                yield _without_index(
                     name if "/" in name else f"fcs/{re.sub(r'[^a-z0-9._-]', '-', name.lower())}"
                 )
             for output in component.iterchildren("output"):
-                yield _bare((output.text or "").strip())
+                yield _without_index((output.text or "").strip())
 
 
 def _tokens(section: Any) -> Iterator[str]:
+    """Yield the texts of a section that may be names of properties."""
     for element in section.iter("*"):
         text = (element.text or "").strip().lstrip("-+")
         if _NAME.fullmatch(text):
-            yield _bare(text)
+            yield _without_index(text)
 
 
-def _bare(name: str) -> str:
+def _without_index(name: str) -> str:
+    """Return a property's name without the index of the first one."""
     return name.removesuffix("[0]")
 
 
-def rest_of(aircraft: HasFiles, fdm: Any, free: bool = False) -> Rest:
-    """What must come to rest in an instance of the aircraft. Raises BadInputError."""
+def control_equilibrium(aircraft: HasFiles, fdm: Any, free: bool = False) -> ControlEquilibrium:
+    """Return what must come to rest in an instance of the aircraft. Raises BadInputError."""
     exists = fdm.get_property_manager().hasNode
-    return Rest(tuple(name for name in felt(aircraft) if exists(name)), free)
+    return ControlEquilibrium(
+        tuple(name for name in control_outputs(aircraft) if exists(name)), free
+    )
 
 
-def moving(fdm: Any, rest: Rest) -> str:
-    """What of the control system moves in the next frame, in which time and motion stand still; empty where nothing does."""
-    before = [fdm[name] for name in rest.watched]
+def moving_property(fdm: Any, equilibrium: ControlEquilibrium) -> str:
+    """Return a watched property that changes in the next frame; empty if none does.
+
+    Time and motion are frozen in that frame.
+    """
+    old_values = [fdm[name] for name in equilibrium.watched]
     engine.renew_forces(fdm)
-    for name, old in zip(rest.watched, before, strict=True):
+    for name, old in zip(equilibrium.watched, old_values, strict=True):
         if abs(fdm[name] - old) > AT_REST * max(abs(old), 1.0):
             return name
     return ""
 
 
-def bring_to_rest(fdm: Any, rest: Rest) -> str:
-    """Run frames, the motion frozen, until control system and engines rest: empty, or what still changes. Clock and fuel stay.
+def bring_to_rest(fdm: Any, equilibrium: ControlEquilibrium) -> str:
+    """Run frames with frozen motion until control system and engines are at rest.
 
-    With ``rest.free`` the body rates end where the control system brings them. Raises BadInputError.
+    Clock and fuel are unchanged. With ``equilibrium.free``, body rates end where the control system
+    brings them. Returns an empty text, or what still changes. Raises BadInputError.
     """
     try:
-        return _run_to_rest(fdm, rest)
+        return _run_to_rest(fdm, equilibrium)
     except engine.RuntimeFailure as error:
         raise BadInputError(engine.explain(fdm, error)) from None
 
 
-def still_moving(fdm: Any, rest: Rest, names: Sequence[str]) -> set[str]:
-    """Bring the control system to rest as far as it goes, and return those of ``names`` that change in further frames."""
-    if not bring_to_rest(fdm, rest):
+def still_moving(fdm: Any, equilibrium: ControlEquilibrium, names: Sequence[str]) -> set[str]:
+    """Bring the control system to rest and return those of ``names`` that keep changing."""
+    if not bring_to_rest(fdm, equilibrium):
         return set()
-    before = {name: fdm[name] for name in names}
+    old_values = {name: fdm[name] for name in names}
+    # It does not come to rest: see which of the names are affected.
     run_frozen(fdm, BLOCK_FRAMES)
-    return {name for name in names if not abs(fdm[name] - before[name]) <= _MOVED_POSITION}
+    return {name for name in names if not abs(fdm[name] - old_values[name]) <= _MOVED_POSITION}
 
 
-def _run_to_rest(fdm: Any, rest: Rest) -> str:
+def _run_to_rest(fdm: Any, equilibrium: ControlEquilibrium) -> str:
+    """Run blocks of frames until no watched property changes, or no progress is made."""
     exists = fdm.get_property_manager().hasNode
     engines = range(fdm.get_propulsion().get_num_engines())
     powers = [
-        f"propulsion/engine[{k}]/{what}"
+        f"propulsion/engine[{k}]/{reading}"
         for k in engines
-        for what in _BY_POWER
-        if exists(f"propulsion/engine[{k}]/{what}")
+        for reading in _BY_POWER
+        if exists(f"propulsion/engine[{k}]/{reading}")
     ]
-    rates = [f"velocities/{axis}-rad_sec" for axis in _RATES] if rest.free else []
-    names = [*rest.watched, *powers, *rates]
+    rates = [f"velocities/{axis}-rad_sec" for axis in _RATES] if equilibrium.free else []
+    names = [*equilibrium.watched, *powers, *rates]
     read = [engine.handle(fdm, name).get_double_value for name in names]
-    last, nearest, since, most, worst = [get() for get in read], float("inf"), 0, float("inf"), ""
-    for _ in range(MOST_BLOCKS):
-        run_frozen(fdm, BLOCK_FRAMES, rest.free)
-        now = [get() for get in read]
-        changes = [abs(new - old) / max(abs(new), 1.0) for new, old in zip(now, last, strict=True)]
-        most = max(changes, default=0.0)
-        worst = names[changes.index(most)] if changes else ""
-        last = now
-        if not most > _CONVERGED:
+    previous, smallest, blocks_without_gain, largest, worst = (
+        [get() for get in read],
+        float("inf"),
+        0,
+        float("inf"),
+        "",
+    )
+    for _ in range(MAX_BLOCKS):
+        run_frozen(fdm, BLOCK_FRAMES, equilibrium.free)
+        current = [get() for get in read]
+        changes = [
+            abs(new - old) / max(abs(new), 1.0) for new, old in zip(current, previous, strict=True)
+        ]
+        largest = max(changes, default=0.0)
+        worst = names[changes.index(largest)] if changes else ""
+        previous = current
+        if not largest > _CONVERGED:
             return ""
-        nearest, since = (most, 0) if most < 0.5 * nearest else (nearest, since + 1)
-        if since == PATIENCE:
+        # Give up once PATIENCE blocks have not halved the smallest change.
+        smallest, blocks_without_gain = (
+            (largest, 0) if largest < 0.5 * smallest else (smallest, blocks_without_gain + 1)
+        )
+        if blocks_without_gain == PATIENCE:
             break
-    if most <= AT_REST * BLOCK_FRAMES:
+    # Small enough, although it has not converged.
+    if largest <= AT_REST * BLOCK_FRAMES:
         return ""
-    return f"the control system does not come to rest: {worst} still changes by {most:.2g} in {BLOCK_FRAMES} frames"
+    return (
+        f"the control system does not come to rest: {worst} still changes by {largest:.2g} in"
+        f" {BLOCK_FRAMES} frames"
+    )
 
 
 def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
-    """Frames with the motion frozen, then the aircraft back where it was: the Earth has turned beneath it meanwhile.
+    """Run frames with frozen motion, then restore the position: the Earth turned meanwhile.
 
-    ``free``: body rates are left to the control system.
+    ``free`` leaves body rates to the control system.
     """
     frozen = [name for name in settling.INTEGRATORS if not (free and name == _ROTATION)]
-    before = {name: fdm[name] for name in frozen}
+    saved = {name: fdm[name] for name in frozen}
     time_s, trimming = fdm.get_sim_time(), fdm.get_trim_status()
     for name in frozen:
         fdm[name] = 0.0
-    # While JSBSim takes itself to be trimming, no engine draws fuel, and actuators, flaps and gear stand where they are commanded.
+    # In trim mode engines draw no fuel, and actuators, flaps and gear are at their commands.
     fdm.set_trim_status(True)
     try:
         for _ in range(frames):
-            # A script's events must not take these frames for flight.
+            # Events of a script must not see time advance.
             fdm.set_sim_time(time_s)
             fdm.run()
     finally:
         fdm.set_trim_status(trimming)
         fdm.set_sim_time(time_s)
-        for name, value in before.items():
+        for name, value in saved.items():
             fdm[name] = value
     if free:
         for axis in _RATES:
+            # Keep the rates that the control system reached.
             fdm[f"ic/{axis}-rad_sec"] = fdm[f"velocities/{axis}-rad_sec"]
-    # A turboprop would fall back to idle.
+    # Initialisation would set a turboprop to idle.
     if not settling.has_turboprop(fdm):
         wind = {name: fdm[name] for name in _WIND}
         fdm.run_ic()
@@ -215,22 +256,26 @@ def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
             fdm[name] = value
 
 
-def marked(run_properties: Sequence[str], aircraft: HasFiles, fdm: Any) -> Rest | None:
-    """How a mission's flights bring the control system to rest before they begin; None where they need not.
+def marked_equilibrium(
+    run_properties: Sequence[str], aircraft: HasFiles, fdm: Any
+) -> ControlEquilibrium | None:
+    """Return the equilibrium that a mission's run properties ask for; None if they do not.
 
     Raises BadInputError.
     """
     for free, mark in ((False, RATES_HELD), (True, RATES_FREE)):
         if mark in run_properties:
-            return rest_of(aircraft, fdm, free)
+            return control_equilibrium(aircraft, fdm, free)
     return None
 
 
 TRIM_LATITUDE_DEG = 45.0
-"""Where states are forced and trims are made: there JSBSim's effective gravity is 9.806 m/s2."""
+"""Latitude of forced states and trims [deg]; JSBSim's effective gravity there is 9.806 m/s2."""
 
-SETTLED_RADPS, MOST_FRAMES = 1e-6, 25
-"""Change of alphadot and betadot from frame to frame at which a forced state has settled, and the frames that it may take."""
+SETTLED_RADPS, MAX_FRAMES = 1e-6, 25
+"""Change of alphadot and betadot per frame at which a forced state has settled, and the largest
+number of frames.
+"""
 
 ACCELERATIONS = (
     "accelerations/udot-ft_sec2",
@@ -243,7 +288,13 @@ ACCELERATIONS = (
 
 
 def body_velocity(V: float, alpha: float, beta: float) -> tuple[float, float, float]:
-    """u, v, w [m/s] of airspeed V at alpha, beta."""
+    """Return u, v, w of an airspeed V at alpha and beta [rad], in the unit of V.
+
+    Examples
+    --------
+    >>> body_velocity(20.0, 0.0, 0.0)
+    (20.0, 0.0, 0.0)
+    """
     return (
         V * math.cos(alpha) * math.cos(beta),
         V * math.sin(beta),
@@ -253,7 +304,7 @@ def body_velocity(V: float, alpha: float, beta: float) -> tuple[float, float, fl
 
 @dataclass(frozen=True)
 class BodyState:
-    """A state to be forced upon the model: air-relative velocity [m/s], Euler angles [rad], body rates [rad/s]."""
+    """A state: air-relative velocity [m/s], Euler angles [rad], body rates [rad/s]."""
 
     u: float
     v: float
@@ -273,51 +324,83 @@ def force_state(
     altitude_m: float,
     properties: Mapping[str, float] | None = None,
     outputs: tuple[str, ...] = (),
-    rest: Rest | None = None,
+    *,
+    equilibrium: ControlEquilibrium | None = None,
 ) -> tuple[NDArray[np.float64], dict[str, float]]:
-    """Accelerations (6,) [m/s2, rad/s2] of the model at a forced state in still air, and the values of those ``outputs`` that
-    the model has.
+    """Return the accelerations of the model at a state in still air.
 
-    Actuators stand at their commands (first frame of a fresh instance, or with ``rest`` the control system brought to rest); the
-    ground is put 300 m below. Raises BadInputError.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    state : BodyState
+        Velocity, attitude and rates.
+    controls : mapping
+        Control to command, in the card's units.
+    altitude_m : float
+        Altitude above sea level [m]; the ground is 300 m below.
+    properties : mapping, optional
+        Properties set before initialisation.
+    outputs : tuple of str
+        Properties to read, where they exist.
+    equilibrium : ControlEquilibrium, optional
+        Brings the control system to rest; else actuators are at their commands.
+
+    Returns
+    -------
+    accelerations : ndarray
+        (6,) du, dv, dw [m/s2], dp, dq, dr [rad/s2].
+    values : dict
+        Of ``outputs``.
+
+    Raises
+    ------
+    BadInputError
+        If the model does not load or a property does not exist.
     """
-    fdm, _ = forced(aircraft, state, controls, altitude_m, properties, rest)
-    return answers(fdm, outputs)
+    fdm, _ = open_forced(aircraft, state, controls, altitude_m, properties, equilibrium)
+    return read_accelerations(fdm, outputs)
 
 
-def answers(fdm: Any, outputs: tuple[str, ...]) -> tuple[NDArray[np.float64], dict[str, float]]:
-    """Accelerations (6,) [m/s2, rad/s2] of an instance as it stands, and the values of those ``outputs`` that it has."""
+def read_accelerations(
+    fdm: Any, outputs: tuple[str, ...]
+) -> tuple[NDArray[np.float64], dict[str, float]]:
+    """Return accelerations (6,) [m/s2, rad/s2] and ``outputs`` of an instance as it is."""
     acceleration = np.array([fdm[name] for name in ACCELERATIONS])
     acceleration[:3] *= FT_M
     manager = fdm.get_property_manager()
     return acceleration, {name: fdm[name] for name in outputs if manager.hasNode(name)}
 
 
-def forced(
+def open_forced(
     aircraft: Aircraft,
     state: BodyState,
     controls: Mapping[str, float],
     altitude_m: float,
     properties: Mapping[str, float] | None,
-    rest: Rest | None = None,
+    equilibrium: ControlEquilibrium | None = None,
 ) -> tuple[Any, str]:
-    """A fresh instance at that state, engines settled, and with ``rest`` the control system, and what does not settle (empty: all
-    does)."""
+    """Return a new instance at a state, and what does not settle (empty if all does).
+
+    Engines are settled, and with ``equilibrium`` the control system. Parameters as of
+    `force_state`.
+    """
     fdm = open_aircraft(aircraft)
     for name, value in (properties or {}).items():
         engine.set_property(fdm, name, value)
     apply_controls(fdm, aircraft, controls)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
+    # Far above the ground, where no ground effect or gear acts.
     fdm["ic/terrain-elevation-ft"] = (altitude_m - 300.0) / FT_M
     fdm["ic/h-sl-ft"] = altitude_m / FT_M
-    place(fdm, state)
+    set_initial_state(fdm, state)
     engine.run_ic(fdm)
     unsettled = engine.settle_engines(fdm) if fdm.get_propulsion().get_num_engines() else ""
-    return fdm, unsettled or (bring_to_rest(fdm, rest) if rest is not None else "")
+    return fdm, unsettled or (bring_to_rest(fdm, equilibrium) if equilibrium is not None else "")
 
 
-def place(fdm: Any, state: BodyState) -> None:
-    """Give an instance its start: attitude, velocity and body rates."""
+def set_initial_state(fdm: Any, state: BodyState) -> None:
+    """Set attitude, velocity and body rates of the initial conditions."""
     fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = (
         state.phi,
         state.theta,
@@ -332,17 +415,20 @@ def place(fdm: Any, state: BodyState) -> None:
 
 
 def apply_controls(fdm: Any, aircraft: Aircraft, controls: Mapping[str, float]) -> None:
-    """Set the command properties of the card's inputs; every engine runs, and takes JSBSim's throttle where that is the input."""
+    """Set the commands of the card's inputs, with all engines running."""
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
-        # First of all: starting the engines opens their throttles.
+        # Starting the engines opens their throttles, so it comes first.
         engine.start_engines(fdm)
     for control, value in controls.items():
         set_control(fdm, aircraft, control, value)
 
 
 def set_control(fdm: Any, aircraft: Aircraft, control: str, value: float) -> None:
-    """Set one input's property, all throttles where it is JSBSim's first; nothing where the card has no such input."""
+    """Set one input's property; all throttles if it is JSBSim's first one.
+
+    Does nothing if the card has no such input.
+    """
     card = aircraft.card.inputs.get(control)
     if card is None:
         return

@@ -1,4 +1,8 @@
-"""Linearise the nonlinear JSBSim model about a trim and name its modes."""
+"""Linear model about a trim, and the names of its modes.
+
+`linearise` differentiates the accelerations of the JSBSim model by central differences. `modes`
+names the eigenvalues by the shapes of their eigenvectors.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ from uqharness.arguments import instance
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import Aircraft
 from uqharness.simulator.forced_state import BodyState, force_state
-from uqharness.simulator.trim import Trim, force_beside
+from uqharness.simulator.trim import Trim, force_near_trim
 
 STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
 LONGITUDINAL = (0, 2, 4, 7)
@@ -21,7 +25,7 @@ LATERAL = (1, 3, 5, 6)
 MODE_NAMES = ("short_period", "phugoid", "third", "dutch_roll", "roll", "spiral", "other")
 """Names that `modes` gives, in its order."""
 
-# Central-difference steps: m/s, rad/s and rad; controls take a thousandth of their span.
+# Central-difference steps [m/s, rad/s, rad]; controls use a thousandth of their range.
 _STEP = {
     "u": 0.05,
     "v": 0.05,
@@ -32,13 +36,25 @@ _STEP = {
     "phi": 1e-3,
     "theta": 1e-3,
 }
-# Accelerations [m/s2, rad/s2] of an aircraft in the trim that was found for it; find_trim leaves less than 1e-6.
-_STILL = 1e-4
+# Accelerations [m/s2, rad/s2] that a trim of this aircraft may leave; find_trim leaves under 1e-6.
+_TRIM_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
 class LinearModel:
-    """dx/dt = A x + B u about a trim. x = (u, v, w, p, q, r, phi, theta) in m/s, rad/s, rad; u in the controls' own units."""
+    """dx/dt = A x + B u about a trim.
+
+    Attributes
+    ----------
+    trim : Trim
+        The trim.
+    A : ndarray
+        (8, 8), x = (u, v, w, p, q, r, phi, theta) in m/s, rad/s, rad.
+    B : ndarray
+        (8, m), u in the controls' own units.
+    controls : tuple of str
+        Names of the m controls.
+    """
 
     trim: Trim
     A: NDArray[np.float64]
@@ -53,7 +69,17 @@ class LinearModel:
 
 @dataclass(frozen=True)
 class Mode:
-    """One mode: a conjugate pair is listed once, with its positive imaginary part; wn in rad/s, zeta = -real/wn."""
+    """One mode; a conjugate pair is listed once.
+
+    Attributes
+    ----------
+    name : str
+        One of `MODE_NAMES`.
+    real, imag : float
+        Eigenvalue [1/s], imaginary part not negative.
+    wn_radps, zeta : float
+        Natural frequency [rad/s] and damping ratio, -real/wn.
+    """
 
     name: str
     real: float
@@ -63,12 +89,31 @@ class Mode:
 
 
 def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
-    """A (8, 8) and B (8, controls) by central differences of the model's accelerations and exact attitude kinematics.
+    """Linearise the model about a trim.
 
-    Actuators are outside (a control here is a surface position) and thrust follows its map at fixed throttle. A control system that
-    was brought to rest stands as it rested in the trim; what it makes of a control is what it ends at, and NaN where the body rates
-    are its own: it answers with another rate, not with another acceleration. Raises BadInputError if the trim did not converge or
-    is of another aircraft.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    trim : Trim
+        A converged trim of it.
+
+    Returns
+    -------
+    LinearModel
+        A by central differences of the accelerations and exact attitude kinematics, B likewise.
+
+    Raises
+    ------
+    BadInputError
+        If the trim did not converge or belongs to another aircraft.
+
+    Notes
+    -----
+    A control is a surface position: actuators are not part of the model. Thrust follows its map at
+    fixed throttle. A control system that was brought to rest for the trim stays there; for a change
+    of command, B holds the final effect. B is NaN if the control system sets body rates, because it
+    then answers with another rate, not with an acceleration.
     """
     instance("trim", trim, Trim, "a Trim, as find_trim gives it,")
     if not trim.converged:
@@ -76,24 +121,33 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
     condition = trim.condition
     centre, base = trim.state, dict(trim.controls)
 
+    # Around a trim with settled controls, the control system must stay as it is.
     def accelerations(state: BodyState, controls: dict[str, float]) -> NDArray[np.float64]:
-        if trim.rest is not None and controls == base:
-            return force_beside(aircraft, trim, state, controls)
+        if trim.equilibrium is not None and controls == base:
+            return force_near_trim(aircraft, trim, state, controls)
         return force_state(
-            aircraft, state, controls, condition.altitude_m, condition.properties, rest=trim.rest
+            aircraft,
+            state,
+            controls,
+            condition.altitude_m,
+            condition.properties,
+            equilibrium=trim.equilibrium,
         )[0]
 
     def derivative(state: BodyState, controls: dict[str, float]) -> NDArray[np.float64]:
         acceleration = accelerations(state, controls)
+        # Exact attitude kinematics: phi' and theta' from body rates.
         turning = state.q * np.sin(state.phi) + state.r * np.cos(state.phi)
         phi_dot = state.p + np.tan(state.theta) * turning
         theta_dot = state.q * np.cos(state.phi) - state.r * np.sin(state.phi)
         return np.array([*acceleration, phi_dot, theta_dot])
 
-    known = aircraft.card.inputs.keys() >= base.keys()
-    if not (known and np.max(np.abs(derivative(centre, base)[:6])) <= _STILL):
+    # A trim of another aircraft would give a linear model of no flight condition.
+    has_controls = aircraft.card.inputs.keys() >= base.keys()
+    if not (has_controls and np.max(np.abs(derivative(centre, base)[:6])) <= _TRIM_TOLERANCE):
         raise BadInputError(
-            f"this trim is not of aircraft '{aircraft.name}', which is not in steady flight there; find its own"
+            f"this trim is not of aircraft '{aircraft.name}', which is not in steady flight there;"
+            " find its own"
         )
     A = np.empty((8, 8))
     for column, name in enumerate(STATES):
@@ -105,28 +159,33 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
         )
     names = tuple(base)
     B = np.full((8, len(names)), np.nan)
-    for column, name in enumerate(names if trim.rest is None or not trim.rest.free else ()):
+    for column, name in enumerate(
+        names if trim.equilibrium is None or not trim.equilibrium.free else ()
+    ):
         low, high = aircraft.card.inputs[name].limits
         B[:, column] = _central(
-            lambda h, name=name: derivative(centre, base | {name: base[name] + h}),  # type: ignore[misc]
+            lambda h, name=name: derivative(  # type: ignore[misc]
+                centre, base | {name: base[name] + h}
+            ),
             1e-3 * (high - low),
         )
     return LinearModel(trim, A, B, names)
 
 
 def _central(function: Callable[[float], NDArray[np.float64]], step: float) -> NDArray[np.float64]:
+    """Return the central difference of a function at 0."""
     return (function(step) - function(-step)) / (2.0 * step)
 
 
 def modes(model: LinearModel) -> list[Mode]:
-    """Modes of A, every eigenvalue once, conjugate pairs whole, named by their eigenvectors.
+    """Return the modes of A, named by their eigenvectors; every eigenvalue appears once.
 
-    The four roots whose eigenvectors have the largest share of u, w, q, theta are longitudinal, the
-    other four lateral. Among the longitudinal roots, short_period has the most angle of attack for
-    its airspeed and phugoid the least. A pair between two real roots is ``third``, the third
-    oscillatory mode of an aircraft with little or no static stability. Among the lateral roots,
-    dutch_roll has the most sideslip for its bank; of the others the faster one is roll, the
-    slower one spiral. Roll and spiral that have joined in a pair (lateral phugoid) are ``other``.
+    The four roots with the largest share of u, w, q, theta are longitudinal, the others lateral.
+    Longitudinal roots: short_period has the largest ratio of incidence to airspeed, phugoid the
+    smallest; a pair between two real roots is ``third``, the third oscillatory mode of an aircraft
+    with little static stability. Lateral roots: dutch_roll has the largest ratio of sideslip to
+    bank; of the others the faster is roll, the slower spiral. A pair formed by roll and spiral
+    (lateral phugoid) is ``other``.
 
     Parameters
     ----------
@@ -136,9 +195,9 @@ def modes(model: LinearModel) -> list[Mode]:
     Returns
     -------
     list of Mode
-        short_period, phugoid, third, dutch_roll, roll, spiral, other, as far as they exist. Two
-        real roots in place of a pair are two entries of one name. Axes are coupled in a steep
-        turn; a name then says which mode of straight flight is nearest.
+        In the order of `MODE_NAMES`. Two real roots in place of a pair are two entries of one name.
+        In a steep turn axes are coupled; the name is then that of the nearest mode of straight
+        flight.
 
     References
     ----------
@@ -147,11 +206,11 @@ def modes(model: LinearModel) -> list[Mode]:
     values, vectors = np.linalg.eig(model.A)
     V = model.trim.condition.V_mps
     size = np.abs(vectors)
-    # Angles and rates times airspeed have the unit of u, v, w, so shares can be added.
+    # Multiplied by airspeed, angles and rates have the unit of u, v, w.
     energy = (size * np.where(np.arange(8) < 3, 1.0, V)[:, None]) ** 2
     share = energy[list(LONGITUDINAL)].sum(axis=0) / energy.sum(axis=0)
     blocks = _conjugate_blocks(values)
-    # Blocks of four roots in all; eight roots of a real matrix always allow such a choice.
+    # All choices of blocks with four roots; a real 8 x 8 matrix always has one.
     choices = [
         chosen
         for count in range(2, 5)
@@ -159,38 +218,44 @@ def modes(model: LinearModel) -> list[Mode]:
         if sum(map(len, chosen)) == 4
     ]
     longitudinal = max(choices, key=lambda chosen: sum(share[k] for block in chosen for k in block))
+    # What remains is lateral.
     lateral = [block for block in blocks if block not in longitudinal]
     incidence = np.arctan2(size[2], size[0])  # 0 where airspeed alone moves, pi/2 where alpha does
     sideslip = np.arctan2(size[1], V * size[6])
-    named = _longitudinal_names(list(longitudinal), values, incidence)
-    named += _lateral_names(lateral, values, sideslip)
-    named.sort(key=lambda item: MODE_NAMES.index(item[0]))
-    return [_mode(name, values[block[0]]) for name, block in named]
+    named_blocks = _longitudinal_names(list(longitudinal), values, incidence)
+    named_blocks += _lateral_names(lateral, values, sideslip)
+    named_blocks.sort(key=lambda item: MODE_NAMES.index(item[0]))
+    return [_mode(name, values[block[0]]) for name, block in named_blocks]
 
 
 def _conjugate_blocks(values: NDArray[np.complex128]) -> list[tuple[int, ...]]:
-    """Return indices of each real root alone and of each pair, the upper half first."""
+    """Return the indices of each real root and of each pair, the upper half first."""
     upper = [k for k, value in enumerate(values) if value.imag > 0]
     lower = [k for k, value in enumerate(values) if value.imag < 0]
     blocks: list[tuple[int, ...]] = [(k,) for k, value in enumerate(values) if value.imag == 0]
     for k in upper:
         # LAPACK gives exact conjugates; equal pairs must not share one lower half.
-        partner = min(lower, key=lambda j, k=k: abs(values[j] - values[k].conjugate()))  # type: ignore[misc]
+        conjugate = values[k].conjugate()
+        partner = min(
+            lower,
+            key=lambda j, target=conjugate: abs(values[j] - target),  # type: ignore[misc]
+        )
         lower.remove(partner)
         blocks.append((k, partner))
     return blocks
 
 
-_Named = list[tuple[str, tuple[int, ...]]]
+_NamedBlocks = list[tuple[str, tuple[int, ...]]]
 
 
 def _longitudinal_names(
     blocks: list[tuple[int, ...]], values: NDArray[np.complex128], incidence: NDArray[np.float64]
-) -> _Named:
-    """Name four roots in blocks by their share of angle of attack; fastest first within a name."""
+) -> _NamedBlocks:
+    """Name blocks of four roots by their share of incidence; within a name the fastest first."""
     ranked = sorted(blocks, key=lambda block: (-incidence[block[0]], -abs(values[block[0]])))
     if [len(block) for block in ranked] == [1, 2, 1]:
         return [("short_period", ranked[0]), ("phugoid", ranked[2]), ("third", ranked[1])]
+    # Two pairs, a pair and two real roots, or four real roots.
     half = 2 if len(ranked) == 4 else 1 if len(ranked[0]) == 2 else 2
     return [("short_period", block) for block in ranked[:half]] + [
         ("phugoid", block) for block in ranked[half:]
@@ -199,8 +264,8 @@ def _longitudinal_names(
 
 def _lateral_names(
     blocks: list[tuple[int, ...]], values: NDArray[np.complex128], sideslip: NDArray[np.float64]
-) -> _Named:
-    """Name four roots in blocks by their share of sideslip."""
+) -> _NamedBlocks:
+    """Name blocks of four roots by their share of sideslip."""
     ranked = sorted(blocks, key=lambda block: -sideslip[block[0]])
     pairs, reals = ([b for b in ranked if len(b) == n] for n in (2, 1))
     if len(pairs) == 2:
@@ -213,6 +278,7 @@ def _lateral_names(
 
 
 def _mode(name: str, value: complex) -> Mode:
+    """Return a mode of an eigenvalue."""
     value = complex(value)
     wn = abs(value)
     return Mode(name, value.real, value.imag, wn, -value.real / wn if wn > 0 else float("nan"))

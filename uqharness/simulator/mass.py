@@ -1,8 +1,9 @@
-"""Mass, inertia and reference lengths by the name of the property that JSBSim computes from them.
+"""Mass, inertia and reference lengths set through the XML numbers that JSBSim computes them from.
 
-JSBSim 1.3.3 gives inertia/iyy-slugs_ft2 and its like to read, not to set: they follow from <mass_balance>, point masses and fuel.
-Here they are set all the same: the numbers in a copy of the aircraft's XML are moved until the property stands at what is wanted.
-inertia/ixz-slugs_ft2 is, as JSBSim has it, the entry of the inertia matrix: minus the product of inertia.
+In JSBSim 1.3.3, properties such as inertia/iyy-slugs_ft2 are read-only: they follow from
+<mass_balance>, point masses and fuel. `MassChange` adjusts the numbers in a copy of the XML until
+the properties reach their targets. inertia/ixz-slugs_ft2 is the entry of the inertia matrix, that
+is, minus the product of inertia.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, parse_xml
-from uqharness.simulator.staging import Staging, copied, stage
+from uqharness.simulator.staging import Staging, copy_staging, stage
 
 _WEIGHT = {"LBS": 1.0, "KG": LB_KG}
 _INERTIA = {"SLUG*FT2": 1.0, "KG*M2": SLUG_FT2_KGM2}
 _LENGTH_FT = {"FT": 1.0, "M": FT_M, "IN": 12.0}
 _LENGTH_IN = {"IN": 1.0, "FT": 1.0 / 12.0, "M": IN_M}
-_TRIES, _TOLERANCE = (
+_MAX_ITERATIONS, _TOLERANCE = (
     60,
     1e-9,
 )  # the centre of gravity nears what is asked by the share of fuel and loads at each try
@@ -34,7 +35,19 @@ _TRIES, _TOLERANCE = (
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a property's number stands: path below <fdm_config>, units by attribute (one property unit in each), default unit."""
+    """Where the XML holds a property's number.
+
+    Attributes
+    ----------
+    path : str
+        Path below <fdm_config>.
+    units : mapping
+        Unit attribute to its size in the property's unit (before `per_property_unit`).
+    default : str
+        Unit without an attribute.
+    per_property_unit : float
+        Further factor from the property's unit.
+    """
 
     path: str
     units: Mapping[str, float]
@@ -65,9 +78,16 @@ CHANGEABLE = frozenset(_PLACES)
 
 
 class MassChange:
-    """Copies of one aircraft with other numbers in its XML, made beside the staged one.
+    """Copies of a staged aircraft with other mass properties.
 
-    ``open_copy`` opens a mission with such a copy.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    staging : Staging
+        Its staged copy; changed copies are written next to it.
+    open_copy : callable
+        Opens an instance with a staged copy.
     """
 
     def __init__(
@@ -79,45 +99,54 @@ class MassChange:
         self._open_copy = open_copy
         self._nominal: dict[str, float] | None = None
 
-    def realise(self, wanted: Mapping[str, float]) -> Staging:
-        """The staged copy in which every property of ``wanted`` stands at its value.
+    def realise(self, target: Mapping[str, float]) -> Staging:
+        """Return a staged copy in which every property of ``target`` has its value.
 
-        Raises BadInputError for a value that cannot be (a mass of 0) and for a number that is not in the aircraft's own XML.
+        Raises
+        ------
+        BadInputError
+            For an impossible value, for properties that depend on each other, and for a number that
+            is not in the aircraft's main XML file.
         """
-        elements, tree = self._elements(wanted)
+        elements, tree = self._elements(target)
         if self._nominal is None:
             self._nominal = self._measure(tree, CHANGEABLE)
-        for name, value in wanted.items():
+        for name, value in target.items():
             if not math.isfinite(value) or (
                 value <= 0.0 and not name.startswith(("inertia/cg", "inertia/ix", "inertia/iyz"))
             ):
                 raise BadInputError(f"property {name} = {value:g}: must be a positive number")
-        found = {name: self._nominal[name] for name in wanted}
-        for _ in range(_TRIES):
-            self._move(elements, wanted, found)
-            found = self._measure(tree, wanted)
+        actual = {name: self._nominal[name] for name in target}
+        # Fixed-point iteration: the error shrinks by the share of fuel and loads in each step.
+        for _ in range(_MAX_ITERATIONS):
+            self._move(elements, target, actual)
+            actual = self._measure(tree, target)
             if all(
-                _near(found[name], value, self._nominal[name]) for name, value in wanted.items()
+                _is_close(actual[name], value, self._nominal[name])
+                for name, value in target.items()
             ):
                 assert self._changed is not None
                 return self._changed
-        left = ", ".join(
-            f"{name} stands at {found[name]:g}, {value:g} was wanted"
-            for name, value in wanted.items()
+        mismatch = ", ".join(
+            f"{name} is {actual[name]:g} instead of {value:g}" for name, value in target.items()
         )
         raise BadInputError(
-            f"{self._aircraft.xml}: mass properties cannot be set together as asked: {left}; "
+            f"{self._aircraft.xml}: these mass properties cannot be set together: {mismatch}; "
             "set only independent ones (a mass or a weight, not both)"
         )
 
     def _elements(
-        self, wanted: Mapping[str, float]
+        self, target: Mapping[str, float]
     ) -> tuple[dict[str, etree._Element], etree._ElementTree]:
+        """Return the XML elements behind the target properties, and the tree that holds them.
+
+        A missing inertia is created with the value 0.
+        """
         path = self._aircraft.xml
         tree = parse_xml(self._staging.xml)
         root = tree.getroot()
-        found: dict[str, etree._Element] = {}
-        for name in wanted:
+        elements: dict[str, etree._Element] = {}
+        for name in target:
             place = _PLACES[name]
             element = root.find(place.path)
             if (
@@ -132,54 +161,72 @@ class MassChange:
             if element is None:
                 section, _, leaf = place.path.partition("/")
                 raise BadInputError(
-                    f"{path}:{root.sourceline}: property {name} comes from <{leaf}> in <{section}>, which is not in this file, "
-                    "so it cannot be changed"
+                    f"{path}:{root.sourceline}: property {name} comes from <{leaf}> in <{section}>,"
+                    " which is not in this file, so it cannot be changed"
                 )
-            if element in found.values():
+            # Two properties of one number (mass and weight) cannot be set independently.
+            if element in elements.values():
                 raise BadInputError(
-                    f"{path}:{element.sourceline}: two of the properties to set come from the same <{element.tag}>"
+                    f"{path}:{element.sourceline}: two of the properties to set come from the same"
+                    f" <{element.tag}>"
                 )
             _unit(path, element, place)
-            found[name] = element
-        return found, tree
+            elements[name] = element
+        return elements, tree
 
     def _move(
         self,
         elements: Mapping[str, etree._Element],
-        wanted: Mapping[str, float],
-        found: Mapping[str, float],
+        target: Mapping[str, float],
+        actual: Mapping[str, float],
     ) -> None:
+        """Add the remaining difference to each element, in its own unit."""
         for name, element in elements.items():
             place = _PLACES[name]
             change = (
-                (wanted[name] - found[name])
+                (target[name] - actual[name])
                 * place.per_property_unit
                 * _unit(self._aircraft.xml, element, place)
             )
             if place.units is _INERTIA and element.tag not in ("ixx", "iyy", "izz"):
                 mass_balance = element.getparent()
                 assert mass_balance is not None
-                # The property is the entry of the inertia matrix, minus the product of inertia; the XML means the one or the other.
+                # Cross products: the property is the matrix entry; the XML may hold the entry or
+                # its negative.
                 change *= (
                     -1.0 if mass_balance.get("negated_crossproduct_inertia") == "false" else 1.0
                 )
             element.text = repr(float(element.text or 0.0) + change)
 
     def _measure(self, tree: etree._ElementTree, names: Any) -> dict[str, float]:
+        """Write the tree, initialise the copy, and return the properties."""
         if self._changed is None:
-            self._changed = copied(self._staging, self._staging.root / "changed")
+            self._changed = copy_staging(self._staging, self._staging.root / "changed")
         tree.write(str(self._changed.xml), encoding="UTF-8", xml_declaration=True)
         fdm = self._open_copy(self._changed)
         engine.run_ic(fdm)
         return {name: float(fdm[name]) for name in names}
 
 
-def numbers_for(aircraft: Aircraft, wanted: Mapping[str, float]) -> dict[str, str]:
-    """The numbers with which the properties ``wanted`` (of CHANGEABLE) stand at their values.
+def xml_numbers_for(aircraft: Aircraft, target: Mapping[str, float]) -> dict[str, str]:
+    """Return the XML numbers for which properties of CHANGEABLE have their target values.
 
-    Keys are elements of the aircraft's XML, as paths below its root such as ``mass_balance/location[@name='CG']/x``.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    target : mapping
+        Property to value in its own unit.
 
-    Raises BadInputError as MassChange.realise does.
+    Returns
+    -------
+    dict
+        Path below the root, such as ``mass_balance/location[@name='CG']/x``, to the number as text.
+
+    Raises
+    ------
+    BadInputError
+        As `MassChange.realise`.
     """
     with scratch_folder("mass") as scratch:
         change = MassChange(
@@ -187,17 +234,19 @@ def numbers_for(aircraft: Aircraft, wanted: Mapping[str, float]) -> dict[str, st
             stage(aircraft, scratch.path / "root"),
             lambda staging: engine.open_fdm(staging, aircraft.dt_s),
         )
-        root = parse_xml(change.realise(wanted).xml).getroot()
-        paths = [_PLACES[name].path for name in wanted]
+        root = parse_xml(change.realise(target).xml).getroot()
+        # The solver has written the numbers into the copy.
+        paths = [_PLACES[name].path for name in target]
         return {path: (root.findtext(path) or "").strip() for path in paths}
 
 
-def _near(found: float, wanted: float, nominal: float) -> bool:
-    return abs(found - wanted) <= _TOLERANCE * max(abs(wanted), abs(nominal), 1e-3)
+def _is_close(actual: float, target: float, nominal: float) -> bool:
+    """Return whether a property has reached its target."""
+    return abs(actual - target) <= _TOLERANCE * max(abs(target), abs(nominal), 1e-3)
 
 
 def _unit(path: Path, element: etree._Element, place: _Place) -> float:
-    """The element's own unit in one unit of the property (before ``per_property_unit``)."""
+    """Return the element's unit in units of the property, before ``per_property_unit``."""
     owner = element
     if place.units is _LENGTH_IN:
         parent = element.getparent()
@@ -206,7 +255,8 @@ def _unit(path: Path, element: etree._Element, place: _Place) -> float:
     unit = owner.get("unit", place.default)
     if unit not in place.units:
         raise BadInputError(
-            f"{path}:{owner.sourceline}: unit {unit!r} of <{owner.tag}>: known are {', '.join(place.units)}"
+            f"{path}:{owner.sourceline}: unit {unit!r} of <{owner.tag}>: known are"
+            f" {', '.join(place.units)}"
         )
     try:
         float(element.text or "")

@@ -1,8 +1,10 @@
-"""Manoeuvres for any aircraft without a script: it is trimmed, and steps are added to the controls that trim it.
+"""Generated missions: steady flight and manoeuvres for any aircraft, without a run script.
 
-The steps are sized by the linear model about the trim, so that the greatest excursion of each is a few degrees. Their lengths
-follow the mode that each control excites: 2.3/wn for a doublet, 1.6/wn for 3-2-1-1 (R. V. Jategaonkar, Flight Vehicle System
-Identification, chapter 2).
+`write_steady_start` trims the aircraft and writes a script that starts in the trim.
+`write_own_mission` adds doublets and 3-2-1-1 inputs, sized by the linear model so that each reaches
+a few degrees. Step lengths follow the excited mode: 2.3/wn for a doublet, 1.6/wn for 3-2-1-1 (R. V.
+Jategaonkar, Flight Vehicle System Identification, chapter 2). `script` writes the identification
+flights of this project's aircraft, flown on its autopilot between manoeuvres.
 """
 
 from __future__ import annotations
@@ -28,19 +30,28 @@ from uqharness.simulator.mission import MANOEUVRE_PROPERTY
 from uqharness.simulator.trim import SteadyCondition, Trim, find_trim
 from uqharness.toml import Number, Section
 
-# [start] of campaign.toml: the trimmed flight of a mission that needs no script.
+# Section [start] of campaign.toml.
 
 STEADY = "steady"
-"""The mission that [start] describes."""
+"""Name of the mission that [start] describes."""
 
 MARK = "flight/steady-start"
-"""Run property of such a mission: engines begin in the steady state of their throttles, deviations are scored from the start."""
+"""Run property of such a mission: engines start settled, and deviations count from the start."""
 
 
 class StartSection(Section):
-    """Steady flight, wings level, controls where they trim the nominal model; above flat ground at sea level.
+    """Steady flight, wings level, above flat ground at sea level, with the trimmed controls fixed.
 
-    ``climb_deg`` is the flight-path angle, level where it is None; it is solved for where the throttle gives no thrust.
+    Attributes
+    ----------
+    V_mps : float
+        True airspeed [m/s].
+    altitude_m : float
+        Altitude above sea level [m].
+    heading_deg : float
+        True heading [deg].
+    climb_deg : float or None
+        Flight-path angle [deg]; None for level flight. Solved for if the throttle gives no thrust.
     """
 
     V_mps: Number = Field(gt=0, le=1000)
@@ -49,23 +60,42 @@ class StartSection(Section):
     climb_deg: Number | None = Field(default=None, ge=-45, le=45)
 
 
-# Steady flight as a mission of any aircraft: trim it, and write initial conditions and a run
-# script that begin in that trim.
-#
-# The controls stay where they are (what an aircraft does by itself), so flights should be
-# short: seconds to a minute or two.
+# Steady flight as a mission. Controls are fixed, so flights should last seconds to two minutes.
 
 SCRIPT = "steady-mission.xml"
 INITIALIZE = "steady-start"
 
-# A campaign makes its copy more than once (to know it, to fly it, to see that nothing was edited); a trim takes a second.
+# Trims by content and start: a campaign stages its aircraft several times.
 _trims: dict[tuple[str, StartSection], Trim] = {}
 
 
 def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, source: str) -> Trim:
-    """Trim ``aircraft`` and write its folder's steady-start.xml and the run script. Raises BadInputError where there is no trim.
+    """Trim the aircraft and write its initial conditions and a run script.
 
-    Numbers carry nine digits: what a solver leaves in the last ones would be another file on another machine.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Its folder receives ``steady-start.xml``.
+    start : StartSection
+        Flight condition.
+    script : Path
+        Run script to write.
+    source : str
+        Begins an error message.
+
+    Returns
+    -------
+    Trim
+        The converged trim.
+
+    Raises
+    ------
+    BadInputError
+        If there is no trim.
+
+    Notes
+    -----
+    Numbers have nine digits; the last digits of the solver differ between machines.
     """
     condition = SteadyCondition(
         start.V_mps,
@@ -79,8 +109,9 @@ def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, so
     trim = _trims[key]
     if not trim.converged:
         raise BadInputError(
-            f"{source}: [start] aircraft '{aircraft.name}' has {trim.reason}; "
-            f"try another V_mps, altitude_m or climb_deg (uqharness modes {aircraft.name} --speed-mps V --altitude-m H tells)"
+            f"{source}: [start] aircraft '{aircraft.name}' has {trim.reason}; try another V_mps,"
+            f" altitude_m or climb_deg (uqharness modes {aircraft.name} --speed-mps V --altitude-m"
+            " H lists trims)"
         )
     write_bytes(aircraft.folder / f"{INITIALIZE}.xml", _initialize(trim).encode())
     write_bytes(script, _script(aircraft, trim).encode())
@@ -88,12 +119,14 @@ def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, so
 
 
 def _initialize(trim: Trim) -> str:
+    """Return the initial conditions of a trim as XML."""
     condition = trim.condition
     u, v, w = (
         speed / FT_M for speed in body_velocity(condition.V_mps, trim.alpha_rad, trim.beta_rad)
     )
     return f"""<?xml version="1.0" encoding="UTF-8"?>
-<!-- {_path(condition)} at {condition.V_mps:g} m/s true and {condition.altitude_m:g} m above flat ground at sea level. -->
+<!-- {_path(condition)} at {condition.V_mps:g} m/s true and {condition.altitude_m:g} m \
+above flat ground at sea level. -->
 <initialize name="{INITIALIZE}">
   <latitude unit="DEG" type="geodetic"> {TRIM_LATITUDE_DEG:g} </latitude>
   <longitude unit="DEG"> 0 </longitude>
@@ -110,18 +143,20 @@ def _initialize(trim: Trim) -> str:
 
 
 def _path(condition: SteadyCondition) -> str:
+    """Return the flight path as text."""
     if condition.climb_rad == 0.0:
         return "Level flight"
     return f"Steady flight on a path of {math.degrees(condition.climb_rad):.3f} deg"
 
 
 def _script(aircraft: Aircraft, trim: Trim) -> str:
+    """Return a run script that holds the trimmed controls."""
     fdm = open_aircraft(aircraft)
     engines = fdm.get_propulsion().get_num_engines()
-    marks = [(MARK, 1.0), *([(trim.rest.mark, 1.0)] if trim.rest is not None else [])]
+    marks = [(MARK, 1.0), *([(trim.equilibrium.mark, 1.0)] if trim.equilibrium is not None else [])]
     properties = [*marks, *aircraft.card.modes.get("open_loop", {}).items()]
     if engines:
-        # Before the throttle, which starting an engine opens.
+        # Starting an engine opens its throttle, so the throttle follows.
         properties += [
             ("propulsion/set-running", -1.0),
             *((name, 1.0) for name in engine.levers(fdm)),
@@ -145,14 +180,9 @@ def _script(aircraft: Aircraft, trim: Trim) -> str:
 """
 
 
-# Run scripts of the three identification flights: manoeuvres flown open loop, the autopilot in
-# between.
-#
-# A manoeuvre begins where the autopilot left the controls: the surfaces' and the motor's own
-# positions become the open-loop commands, the autopilot lets go, and the steps are added to
-# what it held, so that one script serves any aircraft with this project's autopilot, at any
-# speed, in turbulence. ``flight/manoeuvre`` counts the manoeuvres; `uqharness fly` turns the
-# count into the name of the event that set it, and the record's column ``manoeuvre``.
+# Run scripts of three identification flights: open-loop manoeuvres between autopilot phases. Each
+# manoeuvre starts from the positions at which the autopilot left the controls and adds its steps,
+# so that one script serves any aircraft with this autopilot, at any speed and in turbulence.
 
 STEP_S = 0.01
 _COMMAND = {
@@ -168,9 +198,22 @@ QUIET_S = 1.0  # open loop before the first step: the segment's start state is e
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """Steps of one control about where it stands: ``pattern`` of (units, sign), ``unit_s`` s, ``size`` deg or percent.
+    """Steps of one control about its present position.
 
-    ``rest_s`` open loop after the last step; then the autopilot recovers for ``recovery_s`` at ``speed_mps`` (None: as before).
+    Attributes
+    ----------
+    name, control : str
+        Name, and the control that moves.
+    size : float
+        Step size [deg or percent].
+    unit_s : float
+        Length of a unit [s].
+    pattern : tuple of (int, float)
+        (units, sign) of each step.
+    rest_s, recovery_s : float
+        Open loop after the last step, then on the autopilot [s].
+    speed_mps : float or None
+        Commanded airspeed of the recovery [m/s]; None for no change.
     """
 
     name: str
@@ -185,7 +228,7 @@ class Manoeuvre:
 
 @dataclass(frozen=True)
 class Plan:
-    """A flight: ``speed_mps`` to begin with, ``settle_s`` on the autopilot, then manoeuvres one after the other."""
+    """A flight: ``settle_s`` on the autopilot at ``speed_mps``, then the manoeuvres."""
 
     name: str
     purpose: str
@@ -195,7 +238,7 @@ class Plan:
 
     @property
     def end_s(self) -> float:
-        """When the script ends [s]."""
+        """Return the end time [s]."""
         return self.settle_s + sum(_length(m) for m in self.manoeuvres)
 
 
@@ -280,32 +323,37 @@ PLANS = (
 
 
 def _length(m: Manoeuvre) -> float:
+    """Return the duration of a manoeuvre with its recovery [s]."""
     return QUIET_S + m.unit_s * sum(units for units, _ in m.pattern) + m.rest_s + m.recovery_s
 
 
 def _event(time_s: float, name: str, sets: Sequence[str], step_s: float) -> str:
+    """Return an event of a run script at a time [s]."""
     # Half a step early, so that rounding of the clock cannot shift it by a frame.
     lines = "".join(f"\n      {text}" for text in sets)
     return (
-        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge {time_s - step_s / 2:.3f}</condition>'
-        f"{lines}\n    </event>\n"
+        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge'
+        f" {time_s - step_s / 2:.3f}</condition>{lines}\n    </event>\n"
     )
 
 
 def _events(plan: Plan, step_s: float) -> Iterator[str]:
+    """Yield the events of a plan."""
     time = plan.settle_s
     for number, m in enumerate(plan.manoeuvres, start=1):
-        take = [
-            f'<set name="{command}"><function> <sum> <property>{position}</property> <value>0</value> </sum> </function></set>'
+        # Hold the commands at the present positions, so that the open loop starts without a jump.
+        hold = [
+            f'<set name="{command}"><function> <sum> <property>{position}</property>'
+            " <value>0</value> </sum> </function></set>"
             for command, position in _COMMAND.values()
         ]
         yield _event(
-            time, m.name, [*take, '<set name="ap/engaged" value="0"/>', _count(number)], step_s
+            time, m.name, [*hold, '<set name="ap/engaged" value="0"/>', _count(number)], step_s
         )
         time += QUIET_S
-        before = 0.0
+        previous_sign = 0.0
         for units, sign in (*m.pattern, (0, 0.0)):
-            step = m.size * (sign - before)
+            step = m.size * (sign - previous_sign)
             where = "back" if units == 0 else f"{m.control} {m.size * sign:+g}"
             yield _event(
                 time,
@@ -313,56 +361,77 @@ def _events(plan: Plan, step_s: float) -> Iterator[str]:
                 [f'<set name="{_COMMAND[m.control][0]}" type="FG_DELTA" value="{step:g}"/>'],
                 step_s,
             )
-            before, time = sign, time + units * m.unit_s
+            previous_sign, time = sign, time + units * m.unit_s
         time += m.rest_s
-        after = ['<set name="ap/engaged" value="1"/>', _count(0)]
+        recovery = ['<set name="ap/engaged" value="1"/>', _count(0)]
         if m.speed_mps is not None:
-            after.append(f'<set name="ap/airspeed-cmd-mps" value="{m.speed_mps:g}"/>')
-        yield _event(time, f"{time:.2f} s, autopilot", after, step_s)
+            recovery.append(f'<set name="ap/airspeed-cmd-mps" value="{m.speed_mps:g}"/>')
+        yield _event(time, f"{time:.2f} s, autopilot", recovery, step_s)
         time += m.recovery_s
 
 
 def _count(number: int) -> str:
+    """Return the element that sets the manoeuvre's number."""
     return f'<set name="{MANOEUVRE_PROPERTY}" value="{number}"/>'
 
 
 def script(plan: Plan, step_s: float = STEP_S) -> str:
-    """The run script of a plan as text, for a step of ``step_s`` (2 ms or more)."""
+    """Return the run script of a plan as text.
+
+    Parameters
+    ----------
+    plan : Plan
+        The flight.
+    step_s : float
+        Integration step [s], at least 2 ms.
+    """
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <!--
-  Flight for {plan.purpose}, made by uqharness/simulator/own_mission.py: do not edit, change the plan there.
+  Flight for {plan.purpose}, made by uqharness/simulator/own_mission.py: do not edit, \
+change the plan there.
 
-  On the autopilot along a wide circle, with manoeuvres open loop in between. A manoeuvre starts from where the
-  autopilot left the controls and adds its steps to that, so this serves any aircraft with this project's autopilot.
-  {MANOEUVRE_PROPERTY} counts the manoeuvres, 0 in between; the event that sets a number bears the manoeuvre's name.
+  On the autopilot along a wide circle, with manoeuvres open loop in between. A manoeuvre \
+starts from where the
+  autopilot left the controls and adds its steps to that, so this serves any aircraft with \
+this project's autopilot.
+  {MANOEUVRE_PROPERTY} counts the manoeuvres, 0 in between; the event that sets a number \
+bears the manoeuvre's name.
 -->
 <runscript name="{plan.name}">
   <description>Flight for {plan.purpose}: {len(plan.manoeuvres)} manoeuvres</description>
   <use aircraft="espaaro" initialize="cruise"/>
   <run start="0" end="{plan.end_s:g}" dt="{step_s:g}">
-    <property value="0">{MANOEUVRE_PROPERTY}</property>           <!-- 1, 2, ... during a manoeuvre -->
-    <!-- Second-order integration of the motion: JSBSim's own choice for rates is Euler's rule, which at 0.01 s acts as 4 % more
+    <property value="0">{MANOEUVRE_PROPERTY}</property>           \
+<!-- 1, 2, ... during a manoeuvre -->
+    <!-- Second-order integration of the motion: JSBSim's own choice for rates is Euler's rule, \
+which at 0.01 s acts as 4 % more
          roll damping, and an identification from this flight would find that. -->
     <property value="3">simulation/integrator/rate/rotational</property>
     <property value="3">simulation/integrator/rate/translational</property>
     <property value="3">simulation/integrator/position/rotational</property>
     <property value="1">ap/engaged</property>
-    <!-- A wide circle, bank 1.4 deg. The autopilot, as ArduPlane, scales the radius by (true over equivalent airspeed)^2:
+    <!-- A wide circle, bank 1.4 deg. The autopilot, as ArduPlane, scales the radius \
+by (true over equivalent airspeed)^2:
          2019 m at 100 m above the sea. -->
     <property value="2000">ap/WP_LOITER_RAD</property>            <!-- m -->
     <property value="0">ap/loiter-center-north-m</property>       <!-- m -->
     <property value="2019">ap/loiter-center-east-m</property>     <!-- m -->
-    <property value="30">ap/NAVL1_PERIOD</property>               <!-- s, gentle: a manoeuvre should not begin in a turn -->
+    <property value="30">ap/NAVL1_PERIOD</property>               \
+<!-- s, gentle: a manoeuvre should not begin in a turn -->
     <property value="20">ap/ROLL_LIMIT_DEG</property>             <!-- deg -->
     <property value="100">ap/altitude-cmd-m</property>            <!-- m above ground -->
     <property value="{plan.speed_mps:g}">ap/airspeed-cmd-mps</property>         <!-- m/s, true -->
     <property value="0">air/wind-mps</property>                   <!-- m/s -->
     <property value="270">air/wind-from-deg</property>            <!-- deg -->
-    <property value="0">air/turbulence-w20-kt</property>          <!-- kt; 0 none, 15 light, 30 moderate, 45 severe -->
-    <property value="1">sensor/noise</property>                   <!-- 1: what the autopilot is told carries Table 2.1's noise -->
-    <property value="1">sensor/log</property>                     <!-- 1: all channels of a flight log -->
+    <property value="0">air/turbulence-w20-kt</property>          \
+<!-- kt; 0 none, 15 light, 30 moderate, 45 severe -->
+    <property value="1">sensor/noise</property>                   \
+<!-- 1: what the autopilot is told carries Table 2.1's noise -->
+    <property value="1">sensor/log</property>                     \
+<!-- 1: all channels of a flight log -->
     <property value="1">simulation/randomseed</property>          <!-- sensors; 1 .. 2147483646 -->
-    <property value="2">atmosphere/randomseed</property>          <!-- turbulence; unset, it would share the sensors' stream -->
+    <property value="2">atmosphere/randomseed</property>          \
+<!-- turbulence; unset, it would share the sensors' stream -->
 {"".join(_events(plan, step_s))}  </run>
 </runscript>
 """
@@ -370,9 +439,9 @@ def script(plan: Plan, step_s: float = STEP_S) -> str:
 
 MISSIONS = ("steady", "doublets", "3-2-1-1")
 EXCURSION_DEG = 4.0
-"""Greatest angle of incidence, sideslip, pitch or bank [deg] that a manoeuvre is to reach by the linear model; bank three times."""
-FLOWN_S = 0.0025
-"""Longest step [s] that these missions are flown with, which is that of the replays that they will be compared with."""
+"""Largest angle [deg] of incidence, sideslip or pitch by the linear model; three times for bank."""
+MAX_STEP_S = 0.0025
+"""Longest step [s] of these missions, as that of the replays compared with them."""
 SETTLE_S, REST_S = 2.0, 4.0
 STEADY_S = 20.0
 _MODE = {"elevator": "short_period", "aileron": "roll", "rudder": "dutch_roll"}
@@ -381,9 +450,10 @@ _UNITS_S = (
     0.2,
     1.5,
 )  # a step that a servo can follow, and one that the aircraft does not leave its trim by
-_GRID_S = 0.04  # steps fall on rows of a record at 25, 50 or 100 Hz: between two rows they would be dated too late
-_BANK = 3.0
-_MOST_TRAVEL = 0.5  # of what is left of a control's travel
+# steps fall on rows of a record at 25, 50 or 100 Hz: between two rows they would be dated too late
+_GRID_S = 0.04
+_BANK_WEIGHT = 3.0
+_MAX_TRAVEL_SHARE = 0.5  # of what is left of a control's travel
 _DT_S = 0.01
 _RATES = ("simulation/integrator/rate/rotational", "simulation/integrator/rate/translational")
 _EULER = 1.0
@@ -391,7 +461,19 @@ _EULER = 1.0
 
 @dataclass(frozen=True)
 class Step:
-    """A manoeuvre of one control: (units, sign) pairs of ``unit_s`` seconds, ``size`` in the control's own unit."""
+    """A manoeuvre of one control.
+
+    Attributes
+    ----------
+    name, control : str
+        Name, and the control that moves.
+    size : float
+        Step size in the control's unit.
+    unit_s : float
+        Length of a unit [s].
+    pattern : tuple of (int, float)
+        (units, sign) of each step.
+    """
 
     name: str
     control: str
@@ -401,35 +483,58 @@ class Step:
 
     @property
     def length_s(self) -> float:
-        """From the first step to the return [s]."""
+        """Return the time from the first step to the return [s]."""
         return self.unit_s * sum(units for units, _ in self.pattern)
 
 
 def write_own_mission(
     aircraft: Aircraft, start: StartSection, kind: str, *, restarting: bool = False
 ) -> tuple[Path, list[Step]]:
-    """Trim the aircraft and write initial conditions and a run script into its folder: the script, and its manoeuvres.
+    """Trim an aircraft and write initial conditions and a run script into its folder.
 
-    ``kind`` one of MISSIONS; ``restarting``: the flight is integrated by SECOND_ORDER, and begins anew at every step of a
-    control (`_restart`). Raises BadInputError where there is no trim, and for an aircraft whose controls move nothing or
-    command body rates.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft; its folder is written to.
+    start : StartSection
+        Flight condition.
+    kind : str
+        One of `MISSIONS`.
+    restarting : bool
+        Whether the flight is integrated by SECOND_ORDER, which is restarted at every step of a
+        control.
+
+    Returns
+    -------
+    path : Path
+        The run script.
+    steps : list of Step
+        Its manoeuvres.
+
+    Raises
+    ------
+    BadInputError
+        If there is no trim, no control turns the aircraft, or controls command body rates.
     """
     if kind not in MISSIONS:
         raise BadInputError(f"mission '{kind}': allowed are {', '.join(MISSIONS)}")
     path = aircraft.folder / SCRIPT
     trim = write_steady_start(aircraft, start, path, f"mission {kind}")
-    if kind != "steady" and trim.rest is not None and trim.rest.free:
+    if kind != "steady" and trim.equilibrium is not None and trim.equilibrium.free:
         raise BadInputError(
-            f"aircraft '{aircraft.name}': its control laws answer a command with a body rate, so steps cannot be sized by a "
-            "surface's moment; fly mission steady, or --script with commands of your own"
+            f"aircraft '{aircraft.name}': its control laws answer a command with a body rate, so"
+            " steps cannot be sized by a surface's moment; fly mission steady, or --script with"
+            " your own commands"
         )
     steps = [] if kind == "steady" else manoeuvres(aircraft, linearise(aircraft, trim), kind)
     if kind != "steady" and not steps:
         raise BadInputError(
-            f"aircraft '{aircraft.name}': no surface turns it at {start.V_mps:g} m/s, so there is nothing to fly"
+            f"aircraft '{aircraft.name}': no surface turns it at {start.V_mps:g} m/s, so there is"
+            " nothing to fly"
         )
     text = path.read_text(encoding="utf-8")
     end = STEADY_S if kind == "steady" else SETTLE_S + sum(step.length_s + REST_S for step in steps)
+    # The steady script ends after 60 s; this one after the last manoeuvre.
     text = text.replace('end="60"', f'end="{end:.2f}"')
     properties = (
         "" if kind == "steady" else f'    <property value="0">{MANOEUVRE_PROPERTY}</property>\n'
@@ -437,21 +542,24 @@ def write_own_mission(
     write_bytes(
         path,
         text.replace(
-            "  </run>", f"{properties}{_own_mission_events(aircraft, steps, restarting)}  </run>"
+            "  </run>", f"{properties}{_step_events(aircraft, steps, restarting)}  </run>"
         ).encode(),
     )
     return path, steps
 
 
-def finely(aircraft: Aircraft) -> Aircraft:
-    """The aircraft with a step of at most FLOWN_S: at 10 ms JSBSim answers a command half a step late."""
+def with_fine_step(aircraft: Aircraft) -> Aircraft:
+    """Return the aircraft with a step of at most MAX_STEP_S.
+
+    At 10 ms JSBSim responds to a command half a step late.
+    """
     section = aircraft.card.aircraft
-    fine = section.model_copy(update={"dt_s": min(section.dt_s, FLOWN_S)})
+    fine = section.model_copy(update={"dt_s": min(section.dt_s, MAX_STEP_S)})
     return replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": fine}))
 
 
 def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
-    """Steps of every surface that turns the aircraft, sized for EXCURSION_DEG."""
+    """Return the steps of every surface that turns the aircraft, sized for EXCURSION_DEG."""
     frequency = {mode.name: mode.wn_radps for mode in modes(model)}
     coupled = frequency.get("other", 0.0)  # ailerons excite it where roll and spiral have joined
     steps = []
@@ -463,6 +571,7 @@ def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
             if kind == "3-2-1-1" and control == "elevator"
             else (DOUBLET, 2.3)
         )
+        # Length by the mode's frequency, limited, and rounded to the grid.
         unit_s = _GRID_S * round(
             min(max(cycles / max(frequency.get(mode, coupled), 1e-3), _UNITS_S[0]), _UNITS_S[1])
             / _GRID_S
@@ -472,7 +581,10 @@ def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
             continue
         low, high = aircraft.card.inputs[control].limits
         at = model.trim.controls[control]
-        size = min(math.radians(EXCURSION_DEG) / greatest, _MOST_TRAVEL * min(high - at, at - low))
+        # By the target angle, limited to half of the remaining travel.
+        size = min(
+            math.radians(EXCURSION_DEG) / greatest, _MAX_TRAVEL_SHARE * min(high - at, at - low)
+        )
         if size > 0.0:
             name = "3-2-1-1" if pattern is THREE_TWO_ONE_ONE else f"{_AXIS[control]} doublet"
             steps.append(Step(name, control, size, unit_s, pattern))
@@ -482,15 +594,17 @@ def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
 def _excursion_rad(
     model: LinearModel, control: str, unit_s: float, pattern: tuple[tuple[int, float], ...]
 ) -> float:
-    """Greatest angle [rad] that a unit of the control reaches during the steps, bank counted a third."""
+    """Return the largest angle [rad] per unit of the control, bank divided by three."""
     n = len(STATES)
-    column = model.B[:, [model.controls.index(control)]]
-    both = np.zeros((n + 1, n + 1))
-    both[:n, :n], both[:n, n:] = model.A, column
-    step: NDArray[np.float64] = expm(both * _DT_S)
+    control_column = model.B[:, [model.controls.index(control)]]
+    augmented = np.zeros((n + 1, n + 1))
+    augmented[:n, :n], augmented[:n, n:] = model.A, control_column
+    # Zero-order hold: exp of [[A, b], [0, 0]] dt gives transition matrix and input column.
+    step: NDArray[np.float64] = expm(augmented * _DT_S)
     x, greatest = np.zeros(n), 0.0
     V = model.trim.condition.V_mps
-    weight = {"v": 1.0 / V, "w": 1.0 / V, "phi": 1.0 / _BANK, "theta": 1.0}
+    # v/V and w/V are sideslip and incidence.
+    weight = {"v": 1.0 / V, "w": 1.0 / V, "phi": 1.0 / _BANK_WEIGHT, "theta": 1.0}
     weights = np.array([weight.get(name, 0.0) for name in STATES])
     for units, sign in pattern:
         for _ in range(round(units * unit_s / _DT_S)):
@@ -499,46 +613,47 @@ def _excursion_rad(
     return greatest
 
 
-def _own_mission_events(aircraft: Aircraft, steps: list[Step], restarting: bool) -> str:
-    out, time = [], SETTLE_S
+def _step_events(aircraft: Aircraft, steps: list[Step], restarting: bool) -> str:
+    """Return the events of all steps."""
+    events, time = [], SETTLE_S
     half = aircraft.dt_s / 2.0  # early, so that rounding of the clock cannot shift it by a frame
     for number, step in enumerate(steps, start=1):
-        out.append(
-            _own_mission_event(
+        events.append(
+            _timed_event(
                 time - half, step.name, f'<set name="{MANOEUVRE_PROPERTY}" value="{number}"/>'
             )
         )
-        before, name = 0.0, aircraft.card.inputs[step.control].property
+        previous_sign, name = 0.0, aircraft.card.inputs[step.control].property
         for units, sign in (*step.pattern, (0, 0.0)):
-            change = (
-                f'<set name="{name}" type="FG_DELTA" value="{step.size * (sign - before):.9g}"/>'
-            )
-            out.append(_own_mission_event(time - half, f"{time:.2f} s, {step.control}", change))
+            delta = step.size * (sign - previous_sign)
+            change = f'<set name="{name}" type="FG_DELTA" value="{delta:.9g}"/>'
+            events.append(_timed_event(time - half, f"{time:.2f} s, {step.control}", change))
             if restarting:
-                out.append(_restart(time, aircraft.dt_s))
-            before, time = sign, time + units * step.unit_s
+                events.append(_restart(time, aircraft.dt_s))
+            previous_sign, time = sign, time + units * step.unit_s
         time += REST_S
-    return "".join(out)
+    return "".join(events)
 
 
 def _restart(time_s: float, dt_s: float) -> str:
-    """Begin Adams and Bashforth's rule anew at a step of a control, by one frame of Euler's.
+    """Return events that restart the Adams-Bashforth rule by one frame of Euler's.
 
-    The rule extrapolates accelerations from the frame before. Across a jump of a surface that is half a frame of a motion that
-    no aircraft makes: the rates of all later rows answer half a frame early, the row of the step itself does not.
+    The rule extrapolates accelerations of the frame before. Across a jump of a surface that shifts
+    the rates of all later rows by half a frame.
     """
-    out = []
+    events = []
     for frames, rule, name in ((0.5, _EULER, "begin anew"), (1.5, None, "go on")):
         changes = "\n      ".join(
             f'<set name="{rate}" value="{SECOND_ORDER[rate] if rule is None else rule:g}"/>'
             for rate in _RATES
         )
-        out.append(_own_mission_event(time_s + frames * dt_s, f"{time_s:.2f} s, {name}", changes))
-    return "".join(out)
+        events.append(_timed_event(time_s + frames * dt_s, f"{time_s:.2f} s, {name}", changes))
+    return "".join(events)
 
 
-def _own_mission_event(time_s: float, name: str, change: str) -> str:
+def _timed_event(time_s: float, name: str, change: str) -> str:
+    """Return an event of a generated mission."""
     return (
-        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge {time_s:.5f}</condition>\n'
-        f"      {change}\n    </event>\n"
+        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge'
+        f" {time_s:.5f}</condition>\n      {change}\n    </event>\n"
     )

@@ -1,8 +1,9 @@
-"""What an aircraft's XML says that no aeroplane can have: geometry, inertia, and rotors.
+"""Checks of an aircraft before JSBSim flies it: geometry, inertia, rotors, and a trial load.
 
-JSBSim loads a wing without area or an inertia that no body has without a word, and then flies NaN
-or nonsense. The values are read from the XML, so that a message has the file and the line. What
-cannot be flown is refused; what JSBSim flies although no body or no trim of ours fits it is a note.
+JSBSim loads a wing without area, or an inertia that no body has, without a message and then
+computes NaN. Such values are refused with file and line; questionable ones are warned about. Some
+errors crash the interpreter, so that an unknown model is first loaded in a child process; the
+result is cached by content.
 """
 
 from __future__ import annotations
@@ -25,11 +26,18 @@ from lxml import etree
 from sysid.foreign.limited import MemoryLimit
 from sysid.foreign.regular_files import in_words
 from sysid.units import SLUG_FT2_KGM2
-from uqharness.child_process import ending, give_answer, run_module
+from uqharness.child_process import describe_exit, give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.simulator import engine
-from uqharness.simulator.staging import HasFiles, Named, Opened, Staging, opened, staged
+from uqharness.simulator.staging import (
+    HasFiles,
+    ModelFiles,
+    NamedFiles,
+    Staging,
+    model_files,
+    staged,
+)
 
 _LOG = logging.getLogger("uqharness")
 _SIZES = {"wingarea": "area", "wingspan": "span", "chord": "mean chord"}
@@ -42,14 +50,14 @@ _noted: set[tuple[str, str]] = set()
 
 @dataclass(frozen=True)
 class _Number:
-    """A number of the XML with its place, "file:line"."""
+    """A number of the XML and its place, "file:line"."""
 
     value: float
     place: str
 
 
 def check_physical(aircraft: HasFiles) -> None:
-    """Refuse sizes and inertia that no aircraft has; note rotors and inertia that no body has.
+    """Refuse sizes and inertia that no aircraft has; warn about rotors and unlikely inertia.
 
     Parameters
     ----------
@@ -59,13 +67,14 @@ def check_physical(aircraft: HasFiles) -> None:
     Raises
     ------
     BadInputError
-        For a wing area, span or chord that is not positive, and for moments of inertia that are
-        not positive or whose products make the tensor indefinite, with file and line.
+        For a wing area, span or chord that is not positive, and for moments of inertia that are not
+        positive or whose products make the tensor indefinite, with file and line.
     """
-    files = opened(aircraft)
+    files = model_files(aircraft)
     root = _root(aircraft, files, aircraft.xml.relative_to(aircraft.folder).as_posix())
     _check_sizes(_section(aircraft, files, root, "metrics"))
     _check_inertia(_section(aircraft, files, root, "mass_balance"))
+    # Rotors fly in JSBSim but are not trimmed here.
     if rotor := rotor_place(aircraft):
         place, _, text = rotor.partition(": ")
         _note(
@@ -74,14 +83,14 @@ def check_physical(aircraft: HasFiles) -> None:
 
 
 def rotor_place(aircraft: HasFiles) -> str:
-    """Where the XML has a rotor, as a sentence "file:line: ..."; empty for other aircraft."""
-    files = opened(aircraft)
+    """Return where the XML has a rotor, as "file:line: ..."; empty for other aircraft."""
+    files = model_files(aircraft)
     rotors = {
         PurePosixPath(name).name
-        for name, file in (files.own | files.beside).items()
+        for name, file in (files.local | files.shared).items()
         if file.root == "rotor"
     }
-    for name, file in files.own.items():
+    for name, file in files.local.items():
         for reference in file.references:
             if reference.tag == "thruster" and PurePosixPath(reference.name).name in rotors:
                 place = f"{aircraft.folder / name}:{reference.line}"
@@ -99,7 +108,7 @@ class _Section:
     where: str
 
     def number(self, tag: str) -> _Number | None:
-        """The number of a child; None where there is none, or no number (JSBSim says so itself)."""
+        """Return the number of a child in SI; None if it is absent or no number."""
         child = self.element.find(tag)
         if child is None:
             return None
@@ -112,20 +121,23 @@ class _Section:
         return _Number(value * factor, f"{self.where}:{child.sourceline}")
 
 
-def _root(aircraft: HasFiles, files: Opened, name: str) -> _Section | None:
-    if name not in files.own:
+def _root(aircraft: HasFiles, files: ModelFiles, name: str) -> _Section | None:
+    """Return the root element of a file of the aircraft."""
+    if name not in files.local:
         return None
     parser = etree.XMLParser(remove_comments=True, resolve_entities=False)
     where = str(aircraft.folder / name)
     try:
-        root = etree.parse(BytesIO(files.own[name].content), parser).getroot()
+        root = etree.parse(BytesIO(files.local[name].content), parser).getroot()
     except etree.XMLSyntaxError as error:
         raise BadInputError(f"{where}:{error.lineno}: not well-formed XML: {error.msg}") from None
     return _Section(root, where)
 
 
-def _section(aircraft: HasFiles, files: Opened, root: _Section | None, tag: str) -> _Section | None:
-    """A section of the aircraft, from a file of its own where it names one."""
+def _section(
+    aircraft: HasFiles, files: ModelFiles, root: _Section | None, tag: str
+) -> _Section | None:
+    """Return a section of the aircraft, from its own file if it names one."""
     element = None if root is None else root.element.find(tag)
     if root is None or element is None:
         return None
@@ -135,20 +147,22 @@ def _section(aircraft: HasFiles, files: Opened, root: _Section | None, tag: str)
 
 
 def _check_sizes(metrics: _Section | None) -> None:
+    """Raise BadInputError for a reference size that is not positive."""
     for tag, words in _SIZES.items() if metrics is not None else ():
         number = metrics.number(tag)  # type: ignore[union-attr]
         if number is not None and not (number.value > 0.0 and math.isfinite(number.value)):
             raise BadInputError(
-                f"{number.place}: <{tag}> is {number.value:g}: a positive {words} is needed, because "
-                "coefficients and dimensionless rates refer to it"
+                f"{number.place}: <{tag}> is {number.value:g}: a positive {words} is needed,"
+                " because coefficients and dimensionless rates refer to it"
             )
 
 
 def _check_inertia(mass: _Section | None) -> None:
+    """Raise BadInputError for impossible inertia; warn if the triangle inequality fails."""
     if mass is None:
         return
     moments = [mass.number(tag) for tag in _MOMENTS]
-    # Point masses may carry all of the inertia; a moment below zero is wrong even then.
+    # Point masses may carry all inertia; a negative moment is wrong even then.
     has_points = mass.element.find("pointmass") is not None
     for tag, moment in zip(_MOMENTS, moments, strict=True):
         if moment is None or (has_points and moment.value == 0.0):
@@ -159,10 +173,11 @@ def _check_inertia(mass: _Section | None) -> None:
                 "is needed"
             )
     present = [moment for moment in moments if moment is not None and moment.value > 0.0]
+    # The tensor is tested only if it is complete.
     if len(present) != 3:
         return
     products = [number.value if (number := mass.number(tag)) else 0.0 for tag in _PRODUCTS]
-    # JSBSim has two sign conventions for products; a tensor that is possible in one passes.
+    # JSBSim has two sign conventions of products; one possible tensor suffices.
     low, middle, high = max(_principal(present, products, sign) for sign in (1.0, -1.0))
     values = f"principal moments {low:.4g}, {middle:.4g} and {high:.4g} kg m^2"
     place = present[0].place
@@ -174,61 +189,82 @@ def _check_inertia(mass: _Section | None) -> None:
     if high > (1.0 + _TRIANGLE_TOLERANCE) * (low + middle):
         _note(
             place,
-            f"impossible inertia, {values}: the largest exceeds the sum of the others by "
-            f"{100.0 * (high / (low + middle) - 1.0):.0f} %, which no body has; check {', '.join(_MOMENTS)} "
-            "and their units",
+            f"impossible inertia, {values}: the largest exceeds the sum of the others by"
+            f" {100.0 * (high / (low + middle) - 1.0):.0f} %, which no body has; check"
+            f" {', '.join(_MOMENTS)} and their units",
         )
 
 
 def _principal(
     moments: list[_Number], products: list[float], sign: float
 ) -> tuple[float, float, float]:
-    """Principal moments of inertia [kg m2], rising."""
+    """Return the principal moments of inertia [kg m2] in rising order."""
     xy, xz, yz = (sign * value for value in products)
-    (xx, yy, zz) = (moment.value for moment in moments)
+    xx, yy, zz = (moment.value for moment in moments)
     low, middle, high = np.linalg.eigvalsh([[xx, -xy, -xz], [-xy, yy, -yz], [-xz, -yz, zz]])
     return float(low), float(middle), float(high)
 
 
 def _note(place: str, text: str) -> None:
-    """Say it once per process, and not again of a copy that this process made of the aircraft."""
+    """Warn once per process, also about copies of the aircraft."""
     key = Path(place).name.rpartition(":")[0], text
     if key not in _noted:
         _noted.add(key)
         _LOG.warning("%s: %s", place, text)
 
 
-# Load an unknown model in a process of its own first: some mistakes in its XML end the
-# interpreter instead of raising.
-#
-# JSBSim 1.3.3 dies of a segmentation fault at an unknown function operation, and aborts when a
-# model that reads an undefined property is destroyed. The verdict on a model that loads is
-# remembered by its content, so the check costs half a second per changed aircraft and nothing
-# afterwards.
+# Trial load in a child process. JSBSim 1.3.3 has a segmentation fault at an unknown operation, and
+# aborts when a model that reads an undefined property is destroyed. The check takes 0.5 s for a
+# changed aircraft.
 
 TIMEOUT_S = 20.0
-MOST_BYTES = 1_500_000_000
-"""Of memory for one model: the largest that comes with JSBSim takes some 20 MB."""
+MAX_BYTES = 1_500_000_000
+"""Memory limit of the trial load; JSBSim's largest aircraft takes about 20 MB."""
 _VERDICT_FORMAT = 2
-_checked: dict[str, tuple[Undefined, ...]] = {}
+_checked: dict[str, tuple[UndefinedProperty, ...]] = {}
 
 
 @dataclass(frozen=True)
-class Undefined:
-    """A property that the model reads and nothing makes, where it is read ("u3.xml:21"), and the most similar existing name."""
+class UndefinedProperty:
+    """A property that the model reads and nothing defines.
+
+    Attributes
+    ----------
+    name : str
+        The property.
+    place : str
+        Where it is read, such as "u3.xml:21".
+    similar : str
+        The most similar existing name; empty without one.
+    """
 
     name: str
     place: str
     similar: str = ""
 
 
-def ensure_loadable(aircraft: Named, content: str) -> tuple[Undefined, ...]:
-    """Load the model in a child process; return the properties that it reads and nothing defines. A known model costs nothing.
+def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[UndefinedProperty, ...]:
+    """Load the model in a child process, unless the result is known.
 
-    Raises BadInputError if the model cannot be loaded, or if initialising it kills or hangs the child. What JSBSim refuses in an
-    orderly way is not loaded a second time in this process: after some such refusals (a propeller without its tables) JSBSim's
-    memory is spoilt. ``content`` is the hash of the model's files.
+    Parameters
+    ----------
+    aircraft : NamedFiles
+        The aircraft.
+    content : str
+        Hash of its files.
+
+    Returns
+    -------
+    tuple of Undefined
+        Properties that it reads and nothing defines.
+
+    Raises
+    ------
+    BadInputError
+        If the model cannot be loaded, or the child crashes or hangs. A refused model is not loaded
+        again in this process: some refusals (a propeller without tables) corrupt JSBSim's memory.
     """
+    # The verdict depends on files, JSBSim, and the format of this cache.
     key = f"{content}-{engine.JSBSIM_VERSION}-{_VERDICT_FORMAT}"
     if key not in _checked:
         mark = _cache_folder() / key
@@ -240,8 +276,8 @@ def ensure_loadable(aircraft: Named, content: str) -> tuple[Undefined, ...]:
     return _checked[key]
 
 
-def undefined_message(undefined: tuple[Undefined, ...]) -> str:
-    """A sentence that names every undefined property with its place, and what to do."""
+def undefined_message(undefined: tuple[UndefinedProperty, ...]) -> str:
+    """Return a sentence that names every undefined property, its place, and what to do."""
     names = ", ".join(f"{u.name} ({u.place})" if u.place else u.name for u in undefined)
     one = len(undefined) == 1
     subject = "a property" if one else f"{len(undefined)} properties"
@@ -250,45 +286,51 @@ def undefined_message(undefined: tuple[Undefined, ...]) -> str:
     )
     hint = f"did you mean {similar}? Correct" if similar else "correct"
     return (
-        f"the model reads {subject} that nothing defines: {names}; {hint} the name, or declare the property in "
-        "a system of the XML"
+        f"the model reads {subject} that nothing defines: {names}; {hint} the name, or declare the"
+        " property in a system of the XML"
     )
 
 
-def _try_in_child(aircraft: Named) -> tuple[Undefined, ...]:
+def _try_in_child(aircraft: NamedFiles) -> tuple[UndefinedProperty, ...]:
+    """Load the model in a child process and return its undefined properties."""
     folder = aircraft.folder
     places = (folder, aircraft.xml.name, aircraft.engine_path, aircraft.systems_path)
-    ended = run_module(__name__, *places, timeout_s=TIMEOUT_S)
-    if ended.code is None:
+    child = run_module(__name__, *places, timeout_s=TIMEOUT_S)
+    if child.code is None:
         raise BadInputError(
             f"aircraft {folder}: JSBSim did not finish loading it within {TIMEOUT_S:g} s"
         )
-    if "refused" in ended.answer:
-        words = str(ended.answer["refused"])
-        raise BadInputError(words if str(folder) in words else f"{folder}: {words}")
-    if ended.code < 0:
+    if "refused" in child.answer:
+        message = str(child.answer["refused"])
+        raise BadInputError(message if str(folder) in message else f"{folder}: {message}")
+    if child.code < 0:
         raise BadInputError(
-            f"aircraft {folder}: loading it ends JSBSim's process ({ending(ended.code)}); its last words: "
-            f"{ended.said or 'no message'}; "
-            "look there for an unknown element or function operation, or a property name with illegal characters"
+            f"aircraft {folder}: loading it ends JSBSim's process ({describe_exit(child.code)});"
+            f" its last words: {child.output or 'no message'}; look there for an unknown element or"
+            " function operation, or a property name with illegal characters"
         )
-    return tuple(Undefined(*row) for row in ended.answer.get("undefined", ()))
+    return tuple(UndefinedProperty(*row) for row in child.answer.get("undefined", ()))
 
 
 def _cache_folder() -> Path:
+    """Return the user's folder of cached results."""
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(base) / "uqharness" / "loadable"
 
 
-def _recall(mark: Path) -> tuple[Undefined, ...] | None:
+def _recall(mark: Path) -> tuple[UndefinedProperty, ...] | None:
+    """Return a cached result; None without a valid one."""
     try:
-        return tuple(Undefined(*row) for row in json.loads(mark.read_text(encoding="utf-8")))
+        return tuple(
+            UndefinedProperty(*row) for row in json.loads(mark.read_text(encoding="utf-8"))
+        )
     except (OSError, ValueError, TypeError):
         return None
 
 
-def _remember(mark: Path, undefined: tuple[Undefined, ...]) -> None:
-    # Only a saving: where the cache cannot be written, the check is simply made again.
+def _remember(mark: Path, undefined: tuple[UndefinedProperty, ...]) -> None:
+    """Cache a result."""
+    # Without a writable cache the check is repeated.
     rows = [(u.name, u.place, u.similar) for u in undefined]
     try:
         mark.parent.mkdir(parents=True, exist_ok=True)
@@ -298,8 +340,8 @@ def _remember(mark: Path, undefined: tuple[Undefined, ...]) -> None:
 
 
 @dataclass(frozen=True)
-class _Unread:
-    """An aircraft by its places alone, its card unread."""
+class _AircraftPaths:
+    """Places of an aircraft whose card is not read."""
 
     folder: Path
     xml: Path
@@ -312,9 +354,13 @@ class _Unread:
 
 
 def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> None:
+    """Load the aircraft in this process and answer the parent."""
     engine.mirror_messages(sys.stdout.fileno())
-    aircraft = _Unread(Path(folder), Path(folder) / xml, Path(engine_path), Path(systems_path))
-    with MemoryLimit(MOST_BYTES):
+    aircraft = _AircraftPaths(
+        Path(folder), Path(folder) / xml, Path(engine_path), Path(systems_path)
+    )
+    # A small XML can ask for huge tables.
+    with MemoryLimit(MAX_BYTES):
         try:
             staging = staged(aircraft)
             fdm = engine.open_fdm(staging, 0.01)
@@ -322,16 +368,18 @@ def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> None:
             give_answer({"refused": str(error)})
             return
         except MemoryError:
-            give_answer({"refused": f"loading it takes more than {in_words(MOST_BYTES)} of memory"})
+            give_answer({"refused": f"loading it takes more than {in_words(MAX_BYTES)} of memory"})
             return
+        # Named functions are evaluated again when the instance is destroyed.
         read = list(function_properties(staging))
         missing = engine.undefined_properties(fdm, (name for name, _, _ in read))
         if missing:
             existing = set(engine.catalog(fdm)) - set(missing)
-            give_answer({"undefined": [_located(name, staging, existing) for name in missing]})
+            give_answer({"undefined": [_locate(name, staging, existing) for name in missing]})
 
 
-def _located(name: str, staging: Staging, existing: set[str]) -> tuple[str, str, str]:
+def _locate(name: str, staging: Staging, existing: set[str]) -> tuple[str, str, str]:
+    """Return a property's name, the place where it is read, and a similar name."""
     places = (
         f"{file.relative_to(home).as_posix()}:{line}"
         for file, home in _model_files(staging)
@@ -342,7 +390,7 @@ def _located(name: str, staging: Staging, existing: set[str]) -> tuple[str, str,
 
 
 def _lines_that_name(name: str, file: Path) -> Iterator[int]:
-    """Lines of elements whose text is the property's name; # stands for the number of an engine."""
+    """Yield the lines of elements whose text is the property; # stands for an engine's number."""
     for element in _elements(file):
         text = (element.text or "").strip().lstrip("-")
         if text == name or ("#" in text and name in (text.replace("#", str(k)) for k in range(9))):
@@ -350,13 +398,16 @@ def _lines_that_name(name: str, file: Path) -> Iterator[int]:
 
 
 def function_properties(staging: Staging) -> Iterator[tuple[str, Path, int]]:
-    """(Name, file, line) of every property that a function or a table of the model reads; with an engine's number (#), left out."""
+    """Yield (name, file, line) of every property that a function or table of the model reads.
+
+    Names with an engine's number (#) are left out.
+    """
     for file, _ in _model_files(staging):
         for element in _elements(file):
             if element.tag not in ("property", "p", "independentVar"):
                 continue
             functions = [e for e in element.iterancestors() if e.tag == "function"]
-            # The properties of a template function are its arguments' names.
+            # Properties of a template function are its arguments.
             if any(e.get("type") == "template" for e in functions):
                 continue
             name = (element.text or "").strip().lstrip("-")
@@ -365,20 +416,25 @@ def function_properties(staging: Staging) -> Iterator[tuple[str, Path, int]]:
 
 
 def _line(element: etree._Element) -> int:
+    """Return the line of an element; 0 if unknown."""
     return element.sourceline if isinstance(element.sourceline, int) else 0
 
 
 def _elements(file: Path) -> Iterator[etree._Element]:
+    """Return all elements of a file."""
     parser = etree.XMLParser(resolve_entities=False, remove_comments=True)
     return etree.parse(str(file), parser).getroot().iter("*")
 
 
 def _model_files(staging: Staging) -> Iterator[tuple[Path, Path]]:
-    """(File, folder that its name is shown in) of the XML that JSBSim loads; a file of the aircraft hides a shared one."""
-    within = [file for file in sorted(staging.folder.rglob("*.xml")) if file != staging.xml]
+    """Yield (file, folder it is shown in) of the XML that JSBSim loads.
+
+    A file of the aircraft hides a shared one of the same name.
+    """
+    local = [file for file in sorted(staging.folder.rglob("*.xml")) if file != staging.xml]
     yield staging.xml, staging.folder
-    yield from ((file, staging.folder) for file in within)
-    hidden = {file.name for file in within}
+    yield from ((file, staging.folder) for file in local)
+    hidden = {file.name for file in local}
     for part in ("engine", "systems"):
         for file in sorted((staging.root / part).rglob("*.xml")):
             if file.name not in hidden:

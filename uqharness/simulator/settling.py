@@ -1,9 +1,10 @@
-"""Engines brought to the steady state of their levers while the aircraft's state stands still.
+"""Engines brought to the steady state of their levers while the aircraft stands still.
 
-JSBSim's own way (FGPropulsion::GetSteadyState) steps engines by half a second. That is longer than a propeller takes to follow its
-engine, so the speed of many piston engines and turboprops oscillates instead of settling, and the engine stops. And a frame in
-which time stands still takes a turboprop's power away. Here frames of the whole model are run with the integrators of the motion
-switched off. A steady state is the same for every length of step, so steps begin long and get shorter while nothing settles.
+JSBSim's own method (FGPropulsion::GetSteadyState) steps engines by 0.5 s. That is longer than the
+time constant of a propeller, so that many piston engines and turboprops oscillate and stop.
+`settle` instead runs frames of the whole model with the motion's integrators switched off. A steady
+state does not depend on the step, so that steps start long and are shortened while the engines do
+not settle.
 """
 
 from __future__ import annotations
@@ -11,31 +12,32 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
-_OF_MOTION = (
+_MOTION_INTEGRATORS = (
     "rate/rotational",
     "rate/translational",
     "position/rotational",
     "position/translational",
 )
-INTEGRATORS = tuple(f"simulation/integrator/{what}" for what in _OF_MOTION)
+INTEGRATORS = tuple(f"simulation/integrator/{name}" for name in _MOTION_INTEGRATORS)
 STEPS_S = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
-"""Lengths of step that are tried one after the other, down to the step that the aircraft flies with."""
-BLOCK_FRAMES, MOST_BLOCKS = 25, 40
+"""Steps [s] that are tried in turn, down to the aircraft's own."""
+BLOCK_FRAMES, MAX_BLOCKS = 25, 40
 CRANK_S = 3.0
-SETTLED = 1e-9
-"""Change over a block, as a share of the largest thrust or speed, at which an engine has settled."""
-_BALANCED = 1e-3  # of the power that a propeller takes, at which JSBSim's own way has found its steady state
+STEADY_TOLERANCE = 1e-9
+"""Relative change over a block at which an engine has settled."""
+# Relative difference of engine power and propeller power that counts as balanced.
+_POWER_TOLERANCE = 1e-3
 _ALTERNATES = 0.01  # of the speed: a change from frame to frame that is no rounding
 _FTLBF_PER_S_HP = 550.0
 _WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
 _WATCHED = ("thrust-lbs", "propeller-rpm", "n1", "blade-angle")
 
 
-def settled(fdm: Any) -> bool:
-    """Whether each engine gives its propeller the power that it takes, after JSBSim's own way to the steady state.
+def is_balanced(fdm: Any) -> bool:
+    """Return whether every engine delivers its propeller's power after JSBSim's own method.
 
-    False for a turboprop, whose power is not known in a frame in which time stands still, and for a turbine that turns a propeller,
-    which tells no power.
+    False for a turboprop, whose power is unknown in a frame without integration, and for a turbine
+    with a propeller, which reports no power.
     """
     if has_turboprop(fdm):
         return False
@@ -44,11 +46,13 @@ def settled(fdm: Any) -> bool:
         if exists(f"{name}/propeller-power-ftlbps"):
             if not exists(f"{name}/power-hp"):
                 return False
-            taken, given = (
+            absorbed_power, engine_power = (
                 fdm[f"{name}/propeller-power-ftlbps"],
                 fdm[f"{name}/power-hp"] * _FTLBF_PER_S_HP,
             )
-            if not abs(given - taken) <= _BALANCED * max(abs(taken), _FTLBF_PER_S_HP):
+            if not abs(engine_power - absorbed_power) <= _POWER_TOLERANCE * max(
+                abs(absorbed_power), _FTLBF_PER_S_HP
+            ):
                 return False
             if not fdm[f"{name}/set-running"]:
                 return False
@@ -56,53 +60,57 @@ def settled(fdm: Any) -> bool:
 
 
 def settle(fdm: Any) -> str:
-    """Run frames, the motion frozen, until engines are steady: empty, or what still changes. Clock and fuel stay as they are."""
+    """Run frames with frozen motion until the engines are steady.
+
+    Clock and fuel are unchanged. Returns an empty text, or which engine still changes.
+    """
     manager = fdm.get_property_manager()
-    before = {name: fdm[name] for name in INTEGRATORS}
+    saved = {name: fdm[name] for name in INTEGRATORS}
     time_s, dt_s, trimming = fdm.get_sim_time(), fdm.get_delta_t(), fdm.get_trim_status()
     watched = {
-        (number, what): manager.get_node(f"{name}/{what}").get_double_value
+        (number, reading): manager.get_node(f"{name}/{reading}").get_double_value
         for number, name in enumerate(_engines(fdm), start=1)
-        for what in _WATCHED
-        if manager.hasNode(f"{name}/{what}")
+        for reading in _WATCHED
+        if manager.hasNode(f"{name}/{reading}")
     }
-    moved, number, what = 0.0, 1, ""
+    moved, number, quantity = 0.0, 1, ""
     pistons = manager.hasNode("propulsion/magneto_cmd")
     for name in INTEGRATORS:
         fdm[name] = 0.0
-    # No engine draws fuel while JSBSim takes itself to be trimming.
+    # In trim mode engines draw no fuel.
     fdm.set_trim_status(True)
     try:
-        # No step is shorter than the flight's: what settles only there does not settle in flight.
+        # Never shorter than the flight's step: an engine must settle at that one.
+        # Start with long steps, which settle fastest.
         for step_s in (*(step_s for step_s in STEPS_S if step_s > dt_s), dt_s):
             fdm.set_dt(step_s)
             if pistons:
                 _crank(fdm, time_s)
-            moved, number, what = _runs_out(fdm, watched, time_s)
-            if moved < SETTLED:
+            moved, number, quantity = _run_blocks(fdm, watched, time_s)
+            if moved < STEADY_TOLERANCE:
                 break
-        in_turn = "" if moved < _BALANCED else _in_turn(fdm, number, time_s)
+        in_turn = "" if moved < _POWER_TOLERANCE else _alternation(fdm, number, time_s)
     finally:
         fdm.set_dt(dt_s)
         fdm.set_trim_status(trimming)
         fdm.set_sim_time(time_s)
-        for name, value in before.items():
+        for name, value in saved.items():
             fdm[name] = value
-        # The Earth has turned beneath a place that stood still, and distances count from the initial one. A turboprop would fall
-        # back to idle.
+        # Restore the initial position, because the Earth turned meanwhile. Not for a turboprop,
+        # which initialisation sets to idle.
         if not has_turboprop(fdm):
             wind = {name: fdm[name] for name in _WIND}
             fdm.run_ic()
             for name, value in wind.items():
                 fdm[name] = value
-    if moved < _BALANCED:
+    if moved < _POWER_TOLERANCE:
         return ""
-    changing = f"{what} still changes by {moved:.2g} of its value in {BLOCK_FRAMES} frames"
+    changing = f"{quantity} still changes by {moved:.2g} of its value in {BLOCK_FRAMES} frames"
     return f"engine {number} does not settle at a step of {dt_s:g} s: {in_turn or changing}"
 
 
-def _in_turn(fdm: Any, number: int, time_s: float) -> str:
-    """Say between which speeds a propeller alternates from frame to frame; empty if it does not."""
+def _alternation(fdm: Any, number: int, time_s: float) -> str:
+    """Return the two speeds between which a propeller alternates, as text; empty if it does not."""
     name = f"propulsion/engine[{number - 1}]/propeller-rpm"
     if not fdm.get_property_manager().hasNode(name):
         return ""
@@ -111,9 +119,10 @@ def _in_turn(fdm: Any, number: int, time_s: float) -> str:
         fdm.set_sim_time(time_s)
         fdm.run()
         rpm.append(fdm[name])
+    # Alternating: every change is large and of the opposite sign.
     changes = [after - before for before, after in itertools.pairwise(rpm)]
-    least = _ALTERNATES * max(map(abs, rpm))
-    if all(abs(c) > least for c in changes) and all(
+    min_change = _ALTERNATES * max(map(abs, rpm))
+    if all(abs(c) > min_change for c in changes) and all(
         a * b < 0.0 for a, b in itertools.pairwise(changes)
     ):
         low, high = sorted(rpm[-2:])
@@ -122,13 +131,17 @@ def _in_turn(fdm: Any, number: int, time_s: float) -> str:
 
 
 def _crank(fdm: Any, time_s: float) -> None:
-    """Turn the starters until the engines run, for at most CRANK_S: a propeller that has come to rest stays so in the wind."""
+    """Turn the starters until the engines run, at most CRANK_S.
+
+    A propeller at rest is not started by the wind.
+    """
     running = [
         fdm.get_property_manager().get_node(f"{name}/set-running").get_double_value
         for name in _engines(fdm)
     ]
     if all(get() for get in running):
         return
+    # One command turns the starters of all piston engines.
     fdm["propulsion/starter_cmd"] = 1.0
     for _ in range(round(CRANK_S / fdm.get_delta_t())):
         fdm.set_sim_time(time_s)
@@ -138,34 +151,42 @@ def _crank(fdm: Any, time_s: float) -> None:
     fdm["propulsion/starter_cmd"] = 0.0
 
 
-def _runs_out(
+def _run_blocks(
     fdm: Any, watched: dict[tuple[int, str], Any], time_s: float
 ) -> tuple[float, int, str]:
-    """The greatest change of what is watched over the last block, its engine and name: runs until that is below SETTLED, at most
-    MOST_BLOCKS, and gives up where ten blocks have brought it no nearer."""
-    last = {key: get() for key, get in watched.items()}
-    nearest, since, most = float("inf"), 0, (0.0, 1, "")
-    for _ in range(MOST_BLOCKS):
+    """Run blocks of frames until the largest change is below STEADY_TOLERANCE.
+
+    Gives up after MAX_BLOCKS, or ten blocks that did not halve the change. Returns the largest
+    relative change over the last block, its engine's number and quantity.
+    """
+    previous = {key: get() for key, get in watched.items()}
+    smallest, blocks_without_gain, largest = float("inf"), 0, (0.0, 1, "")
+    for _ in range(MAX_BLOCKS):
         for _ in range(BLOCK_FRAMES):
-            # A script's events must not take these frames for flight.
+            # Events of a script must not see time advance.
             fdm.set_sim_time(time_s)
             fdm.run()
-        now = {key: get() for key, get in watched.items()}
-        most = max(
-            ((abs(now[key] - last[key]) / max(abs(now[key]), 1.0), *key) for key in watched),
-            default=most,
+        current = {key: get() for key, get in watched.items()}
+        largest = max(
+            (
+                (abs(current[key] - previous[key]) / max(abs(current[key]), 1.0), *key)
+                for key in watched
+            ),
+            default=largest,
         )
-        if most[0] < SETTLED:
+        if largest[0] < STEADY_TOLERANCE:
             break
-        last = now
-        nearest, since = (most[0], 0) if most[0] < 0.5 * nearest else (nearest, since + 1)
-        if since == 10:
+        previous = current
+        smallest, blocks_without_gain = (
+            (largest[0], 0) if largest[0] < 0.5 * smallest else (smallest, blocks_without_gain + 1)
+        )
+        if blocks_without_gain == 10:
             break
-    return most
+    return largest
 
 
-def stopped(fdm: Any) -> str:
-    """Which of the piston and turbine engines, all of them started, do not run; empty where all do."""
+def stopped_engines(fdm: Any) -> str:
+    """Return which piston and turbine engines do not run, as text; empty if all do."""
     exists = fdm.get_property_manager().hasNode
     burning = [
         f"{name}/set-running" if exists(f"{name}/map-inhg") or exists(f"{name}/n1") else ""
@@ -175,11 +196,14 @@ def stopped(fdm: Any) -> str:
     if not numbers:
         return ""
     many = len(numbers) > 1
-    return f"engine{'s' * many} {', '.join(numbers)} {'do' if many else 'does'} not keep running once started and left to settle"
+    return (
+        f"engine{'s' * many} {', '.join(numbers)} {'do' if many else 'does'} not keep running once"
+        " started and left to settle"
+    )
 
 
 def spent_rockets(fdm: Any) -> bool:
-    """Whether every engine is a rocket and none gives thrust, as with empty tanks: the aircraft is a glider."""
+    """Return whether all engines are rockets without thrust: the aircraft is a glider."""
     exists = fdm.get_property_manager().hasNode
     turning = ("n1", "propeller-rpm", "power-hp")
     return all(
@@ -189,7 +213,7 @@ def spent_rockets(fdm: Any) -> bool:
 
 
 def has_turboprop(fdm: Any) -> bool:
-    """Whether an engine is a turboprop, whose power is gone after a frame in which time stands still."""
+    """Return whether an engine is a turboprop, which loses power in a frame without integration."""
     exists = fdm.get_property_manager().hasNode
     return any(
         exists(f"{name}/itt-c") and exists(f"{name}/propeller-rpm") for name in _engines(fdm)
@@ -197,4 +221,5 @@ def has_turboprop(fdm: Any) -> bool:
 
 
 def _engines(fdm: Any) -> list[str]:
+    """Return the property folders of the engines."""
     return [f"propulsion/engine[{k}]" for k in range(fdm.get_propulsion().get_num_engines())]

@@ -1,4 +1,10 @@
-"""A private copy of what JSBSim opens of an aircraft: just those files, each through the gate, laid out as JSBSim wants them."""
+"""Gate before JSBSim: a private copy of the files that it opens, each screened.
+
+JSBSim acts on XML as soon as it is loaded: ``<output>`` writes a file of any name, ``<input>``
+listens on the network, ``<child>`` loads another aircraft, and a ``file`` attribute may name any
+file. `screen_file` blanks or refuses such elements. `model_files` collects the files of an
+aircraft, `stage` writes them as a JSBSim root, and `identity` hashes what determines the flight.
+"""
 
 from __future__ import annotations
 
@@ -20,27 +26,20 @@ from sysid.foreign.regular_files import read_regular, require_regular
 from uqharness.errors import BadInputError
 from uqharness.files import Scratch, scratch_folder
 
-# What a foreign XML file may ask of JSBSim: nothing but to be read. The one gate before JSBSim
-# opens a file.
-#
-# JSBSim does what an XML says as soon as it is loaded. ``<output>`` writes a file of any name,
-# ``<input>`` listens on the network, ``<child>`` loads another aircraft, and a ``file``
-# attribute may name any file of the machine. A file's bytes pass through here first: elements
-# of the first two kinds are blanked (line numbers stay), the rest is refused with file and
-# line. Reads and writes nothing.
+# Screening of one file. Blanked elements keep their line ends, so that line numbers are unchanged.
 
-TAKEN_OUT = frozenset({"output", "input"})
-"""Children of a file's root that are blanked: a host records and commands for itself."""
+REMOVED_ELEMENTS = frozenset({"output", "input"})
+"""Children of the root that are blanked; the host records and commands itself."""
 
-_LONGEST_NAME = 250
+_MAX_NAME_BYTES = 250
 _TAG = re.compile(rb"""(?:[^"'>]++|"[^"]*+"|'[^']*+')*+>""")
-DEEPEST = 200
-"""Levels of nesting that are read; aircraft have some fifteen, and JSBSim follows each with a call of its own."""
+MAX_DEPTH = 200
+"""Deepest nesting; aircraft have about 15 levels, and JSBSim recurses for each."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A ``file`` attribute: the element that has it, the file named (``.xml`` added as JSBSim does), and its line."""
+    """A ``file`` attribute: tag, file (``.xml`` added as JSBSim does), and line."""
 
     tag: str
     name: str
@@ -48,18 +47,30 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class Passed:
-    """A file that may be loaded. ``taken_out``: tag and line of each element that ``content`` no longer has."""
+class ScreenedFile:
+    """A file that JSBSim may load.
+
+    Attributes
+    ----------
+    content : bytes
+        Its bytes, removed elements blanked.
+    root : str
+        Tag of its root.
+    references : tuple of Reference
+        Files that it names.
+    removed : tuple of (str, int)
+        Tag and line of each removed element.
+    """
 
     content: bytes
     root: str
     references: tuple[Reference, ...]
-    taken_out: tuple[tuple[str, int], ...]
+    removed: tuple[tuple[str, int], ...]
 
 
 @dataclass
 class _Scan:
-    """One pass over the elements: what stands right below the root, and every ``file`` attribute."""
+    """One pass over the elements: those below the root, and all ``file`` attributes."""
 
     raw: bytes
     where: str
@@ -71,6 +82,7 @@ class _Scan:
     _open: tuple[str, int, int] | None = None
 
     def run(self) -> _Scan:
+        """Parse the file. Raises BadInputError."""
         self.parser.StartElementHandler = self._opened
         self.parser.EndElementHandler = self._closed
         try:
@@ -84,16 +96,18 @@ class _Scan:
         return self
 
     def _opened(self, tag: str, attributes: dict[str, str]) -> None:
+        """Handle a start tag."""
         line = self.parser.CurrentLineNumber
         self.depth += 1
-        if self.depth > DEEPEST:
+        if self.depth > MAX_DEPTH:
             raise BadInputError(
-                f"{self.where}:{line}: elements are nested more than {DEEPEST} deep"
+                f"{self.where}:{line}: elements are nested more than {MAX_DEPTH} deep"
             )
         if self.depth == 1:
             self.root = tag
+        # Only children of the root are sections.
         if self.depth == 2:
-            if tag in TAKEN_OUT:
+            if tag in REMOVED_ELEMENTS:
                 start = self.parser.CurrentByteIndex
                 if self.raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
                     raise BadInputError(
@@ -101,19 +115,23 @@ class _Scan:
                     )
                 if not self.raw.startswith(b"<" + tag.encode(), start):
                     raise BadInputError(
-                        f"{self.where}:{line}: <{tag}> comes from an entity; such a file is not loaded"
+                        f"{self.where}:{line}: <{tag}> comes from an entity; such a file is not"
+                        " loaded"
                     )
                 self._open = (tag, line, start)
             if tag == "child":
                 raise BadInputError(
-                    f"{self.where}:{line}: <child> loads a second aircraft, which is not supported; remove it"
+                    f"{self.where}:{line}: <child> loads a second aircraft, which is not supported;"
+                    " remove it"
                 )
+        # References within a removed element do not count.
         if "file" in attributes and self._open is None:
             self.references.append(
                 Reference(tag, self._inside(tag, attributes["file"].strip(), line), line)
             )
 
     def _closed(self, tag: str) -> None:
+        """Note the bytes of an element that is to be removed."""
         if self.depth == 2 and self._open is not None:
             tag, line, start = self._open
             end = tag_end(self.raw, start)
@@ -124,20 +142,29 @@ class _Scan:
         self.depth -= 1
 
     def _inside(self, tag: str, name: str, line: int) -> str:
+        """Return the name of a file within the aircraft; BadInputError if it leads out."""
         if leads_out(name):
             raise BadInputError(
-                f'{self.where}:{line}: <{tag} file="{name}"> leads out of the aircraft; a file must be named within the '
-                "aircraft's folder or within the folders engine and systems beside it: put it there"
+                f'{self.where}:{line}: <{tag} file="{name}"> leads out of the aircraft; a file must'
+                " be named within the aircraft's folder or within the folders engine and systems"
+                " next to it: move it there"
             )
-        if max(map(len, name.encode(errors="replace").split(b"/"))) > _LONGEST_NAME:
+        if max(map(len, name.encode(errors="replace").split(b"/"))) > _MAX_NAME_BYTES:
             raise BadInputError(
-                f'{self.where}:{line}: <{tag} file="{name[:60]}..."> is longer than a file\'s name may be'
+                f'{self.where}:{line}: <{tag} file="{name[:60]}..."> is longer than a file\'s name'
+                " may be"
             )
         return name if not name or name.endswith(".xml") else f"{name}.xml"
 
 
 def leads_out(name: str) -> bool:
-    """Whether a file's name, read as this or as another system reads it, may lie outside the folder that it is looked for in."""
+    """Return whether a file's name may lie outside its folder, on this or another system.
+
+    Examples
+    --------
+    >>> leads_out("engines/a.xml"), leads_out("../a.xml"), leads_out("C:a.xml")
+    (False, True, True)
+    """
     windows = PureWindowsPath(name)
     parts = {*PurePosixPath(name).parts, *windows.parts}
     return bool(
@@ -150,26 +177,38 @@ def leads_out(name: str) -> bool:
 
 
 @lru_cache(maxsize=128)
-def passed(raw: bytes, where: str) -> Passed:
-    """A file's bytes as JSBSim may load them. ``where`` is the file's name in messages.
+def screen_file(raw: bytes, where: str) -> ScreenedFile:
+    """Return a file's bytes as JSBSim may load them.
 
-    Raises BadInputError with file and line for what is not well formed, for a second aircraft, for a file named outside the
-    aircraft, and for an encoding in which elements cannot be taken out.
+    Parameters
+    ----------
+    raw : bytes
+        Content of the file.
+    where : str
+        Its name in messages.
+
+    Raises
+    ------
+    BadInputError
+        With file and line, for malformed XML, a second aircraft, a file outside the aircraft, and
+        an encoding in which elements cannot be removed.
     """
     scan = _Scan(raw, where).run()
     if not scan.spans:
-        return Passed(raw, scan.root, tuple(scan.references), ())
+        return ScreenedFile(raw, scan.root, tuple(scan.references), ())
     pieces, position = [], 0
     for _, _, start, end in scan.spans:
         pieces += [raw[position:start], bytes(_blank(raw[start:end]))]
         position = end
     content = b"".join([*pieces, raw[position:]])
-    left = _Scan(content, where).run()
-    if left.spans or left.references != scan.references:
+    # A second pass proves that the removed elements are gone.
+    rescanned = _Scan(content, where).run()
+    if rescanned.spans or rescanned.references != scan.references:
         raise BadInputError(
-            f"{where}:{scan.spans[0][1]}: <{scan.spans[0][0]}> cannot be taken out of this file; remove it"
+            f"{where}:{scan.spans[0][1]}: <{scan.spans[0][0]}> cannot be taken out of this file;"
+            " remove it"
         )
-    return Passed(
+    return ScreenedFile(
         content,
         scan.root,
         tuple(scan.references),
@@ -178,39 +217,35 @@ def passed(raw: bytes, where: str) -> Passed:
 
 
 def _blank(text: bytes) -> Iterator[int]:
-    """Spaces for everything but line ends: messages keep their line numbers."""
+    """Return blanks for everything but line ends."""
     return (byte if byte in b"\r\n" else 0x20 for byte in text)
 
 
 def tag_end(raw: bytes, start: int) -> int:
-    """Byte behind the ``>`` of the tag at ``start``; a ``>`` in quotes does not count."""
-    found = _TAG.match(raw, start)
-    return len(raw) if found is None else found.end()
+    """Return the byte behind the ``>`` of the tag at ``start``, ignoring ``>`` in quotes."""
+    match = _TAG.match(raw, start)
+    return len(raw) if match is None else match.end()
 
 
-# Which files an aircraft is made of: its own folder's, and what JSBSim opens beside it. Their
-# identity, and a safe copy.
-#
-# An aircraft's folder may come from anywhere. Only regular files in it are read. A link counts
-# as the file that it leads to if that lies in the folder, or with the other aircraft of a
-# JSBSim root (root/aircraft/NAME); other links and linked folders are refused.
+# Files of an aircraft. Only regular files of its folder are read. A link must lead into the folder,
+# or to another aircraft of the same JSBSim root (root/aircraft/NAME).
 
-MOST_FILE_BYTES = 16_000_000
-"""Of one XML file: the largest that comes with JSBSim has 2 MB."""
-MOST_FILES = 20_000
-"""In an aircraft's folder: FlightGear's largest, with all their pictures and models, have some thousands."""
+MAX_FILE_BYTES = 16_000_000
+"""Largest XML file; JSBSim's largest has 2 MB."""
+MAX_FILES = 20_000
+"""Most files in an aircraft's folder; FlightGear's largest have some thousands."""
 
 INSIDE = {
     "systems": ("", "Systems", "systems"),
     "engine": ("", "Engines", "engines", "Engine", "engine"),
 }
-"""Where JSBSim looks within the aircraft's own folder, in its order (FGFCS and FGPropulsion::FindFullPathName)."""
+"""Subfolders that JSBSim searches, in its order (FGFCS and FGPropulsion::FindFullPathName)."""
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 _SKIPPED = frozenset({".git"})
 
 
 class HasFiles(Protocol):
-    """Where an aircraft's files lie: its folder, its own XML there, and the shared folders of engines and systems."""
+    """Places of an aircraft's files."""
 
     @property
     def folder(self) -> Path:
@@ -224,44 +259,54 @@ class HasFiles(Protocol):
 
     @property
     def engine_path(self) -> Path:
-        """Where engines and propellers are looked for after the aircraft's folder."""
+        """Folder searched for engines and propellers after the aircraft's own."""
         ...
 
     @property
     def systems_path(self) -> Path:
-        """The same for systems."""
+        """Folder searched for systems after the aircraft's own."""
         ...
 
 
 @dataclass(frozen=True)
-class Opened:
-    """Files that JSBSim may open for an aircraft, as the gate passed them.
+class ModelFiles:
+    """Screened files that JSBSim may open for an aircraft.
 
-    own      path within the aircraft's folder -> file: all that its XML refers to, and initial conditions
-    beside   "engine/..." or "systems/..." -> file, of the shared folders
-    looked_at  the shared folders' files that were looked for, there or not
+    Attributes
+    ----------
+    local : dict
+        Path in the aircraft's folder to file: all that its XML names, and initial conditions.
+    shared : dict
+        "engine/..." or "systems/..." to file, from the shared folders.
+    shared_paths : tuple of Path
+        Files that were looked for in the shared folders, existing or not.
     """
 
-    own: dict[str, Passed]
-    beside: dict[str, Passed]
-    looked_at: tuple[Path, ...]
+    local: dict[str, ScreenedFile]
+    shared: dict[str, ScreenedFile]
+    shared_paths: tuple[Path, ...]
 
 
 def walk(folder: Path) -> Iterator[tuple[str, Path]]:
-    """(Path within the folder, file) of every file below ``folder``, sorted.
+    """Yield (path within the folder, file) of every file below ``folder``, sorted.
 
-    Raises BadInputError for a link that leads elsewhere, a linked folder, what is no regular file, and too many files.
+    Raises
+    ------
+    BadInputError
+        For a link that leads elsewhere, a linked folder, a file that is not regular, and too many
+        files.
     """
     home = folder.resolve()
     collection = home.parent
+    # Links between aircraft of one collection are common.
     allowed = (home, collection) if collection.name == "aircraft" else (home,)
-    # By parts, as paths sort: the order is part of the identity.
-    found = sorted(_below(folder, ""), key=lambda item: item[0].split("/"))
-    if len(found) > MOST_FILES:
+    # Sorted by parts, like paths: the order is part of the identity.
+    files = sorted(_below(folder, ""), key=lambda item: item[0].split("/"))
+    if len(files) > MAX_FILES:
         raise BadInputError(
-            f"{folder}: has more than {MOST_FILES} files; an aircraft's folder is needed"
+            f"{folder}: has more than {MAX_FILES} files; an aircraft's folder is needed"
         )
-    for _, path in found:
+    for _, path in files:
         if path.is_symlink():
             _refuse_link(path, allowed)
         try:
@@ -270,10 +315,11 @@ def walk(folder: Path) -> Iterator[tuple[str, Path]]:
             raise BadInputError(
                 f"{path}: {error.strerror or error}; remove it from the aircraft's folder"
             ) from None
-    yield from found
+    yield from files
 
 
 def _below(folder: Path, prefix: str) -> Iterator[tuple[str, Path]]:
+    """Yield the files below a folder, hidden repositories left out."""
     try:
         entries = list(os.scandir(folder))
     except OSError as error:
@@ -282,7 +328,8 @@ def _below(folder: Path, prefix: str) -> Iterator[tuple[str, Path]]:
         path = folder / entry.name
         if entry.is_symlink() and path.is_dir():
             raise BadInputError(
-                f"{path}: is a link to a folder ({_target(path)}); a copy of that folder is needed in an aircraft's folder"
+                f"{path}: is a link to a folder ({_target(path)}); a copy of that folder is needed"
+                " in an aircraft's folder"
             )
         if entry.is_dir(follow_symlinks=False):
             if entry.name not in _SKIPPED:
@@ -292,6 +339,7 @@ def _below(folder: Path, prefix: str) -> Iterator[tuple[str, Path]]:
 
 
 def _refuse_link(path: Path, allowed: tuple[Path, ...]) -> None:
+    """Raise BadInputError for a link to a place outside the allowed folders."""
     try:
         target = path.resolve(strict=True)
     except (OSError, RuntimeError):
@@ -300,11 +348,13 @@ def _refuse_link(path: Path, allowed: tuple[Path, ...]) -> None:
         ) from None
     if not any(target.is_relative_to(place) for place in allowed):
         raise BadInputError(
-            f"{path}: is a link to {target}, outside the aircraft's folder; put a copy of the file there instead"
+            f"{path}: is a link to {target}, outside the aircraft's folder; put a copy of the file"
+            " there instead"
         )
 
 
 def _target(path: Path) -> str:
+    """Return what a link points to, for a message."""
     try:
         return os.readlink(path)
     except OSError:
@@ -312,9 +362,13 @@ def _target(path: Path) -> str:
 
 
 def read_xml(path: Path) -> bytes:
-    """An XML file's bytes. Raises BadInputError for what cannot be read, is no regular file, or is too large."""
+    """Return the bytes of an XML file.
+
+    Raises BadInputError if it cannot be read, is not regular, is too large, or is a Git LFS
+    pointer.
+    """
     try:
-        content = read_regular(path, MOST_FILE_BYTES)
+        content = read_regular(path, MAX_FILE_BYTES)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     if content.startswith(_LFS_POINTER):
@@ -325,46 +379,52 @@ def read_xml(path: Path) -> bytes:
     return content
 
 
-def opened(aircraft: HasFiles) -> Opened:
-    """What JSBSim may open for the aircraft, each file through the gate. Raises BadInputError with file and line.
+def model_files(aircraft: HasFiles) -> ModelFiles:
+    """Return the screened files that JSBSim may open for an aircraft.
 
-    Of a file that is named, every place in which JSBSim looks is taken, so that its own search decides.
+    Of a named file, all places that JSBSim searches are included, so that its own search decides.
+    Raises BadInputError with file and line.
     """
     files = dict(walk(aircraft.folder))
-    own: dict[str, Passed] = {}
-    beside: dict[str, Passed] = {}
-    looked_at: list[Path] = []
-    todo = [aircraft.xml.relative_to(aircraft.folder).as_posix()]
-    named: set[str] = set()
-    while todo:
-        name = todo.pop()
-        if name in files and name not in own:
-            own[name] = passed(read_xml(files[name]), str(files[name]))
-            todo += _named_in(own[name], named, files)
+    local: dict[str, ScreenedFile] = {}
+    shared_files: dict[str, ScreenedFile] = {}
+    shared_paths: list[Path] = []
+    pending = [aircraft.xml.relative_to(aircraft.folder).as_posix()]
+    requested_names: set[str] = set()
+    # Follow references from file to file.
+    while pending:
+        name = pending.pop()
+        if name in files and name not in local:
+            local[name] = screen_file(read_xml(files[name]), str(files[name]))
+            pending += _new_references(local[name], requested_names, files)
+        # A name without a kind may be found in either shared folder.
         for kind in ("engine", "systems"):
             shared = _shared(aircraft, kind)
             path, key = shared / name, f"{kind}/{name}"
-            if name not in named or key in beside:
+            if name not in requested_names or key in shared_files:
                 continue
-            looked_at.append(path)
+            shared_paths.append(path)
             if path.is_file():
-                beside[key] = passed(_read_beside(path, shared), str(path))
-                todo += _named_in(beside[key], named, files)
+                shared_files[key] = screen_file(_read_shared(path, shared), str(path))
+                pending += _new_references(shared_files[key], requested_names, files)
+    # Initial conditions are named by scripts, not by the aircraft.
     for name, path in files.items():
-        if name not in own and name.endswith(".xml"):
+        if name not in local and name.endswith(".xml"):
             content = read_xml(path)
             if b"<initialize" in content:
-                own[name] = passed(content, str(path))
-    return Opened(own, beside, tuple(dict.fromkeys(looked_at)))
+                local[name] = screen_file(content, str(path))
+    return ModelFiles(local, shared_files, tuple(dict.fromkeys(shared_paths)))
 
 
-def _named_in(file: Passed, named: set[str], files: dict[str, Path]) -> Iterator[str]:
-    """Names to look up that ``file`` refers to and no file before it did, and where they are within the aircraft's folder."""
+def _new_references(
+    file: ScreenedFile, requested_names: set[str], files: dict[str, Path]
+) -> Iterator[str]:
+    """Yield names that a file refers to for the first time, and their places in the folder."""
     for reference in file.references:
-        # "./a//b.xml" is "a/b.xml".
+        # Normalised: "./a//b.xml" is "a/b.xml".
         name = Path(reference.name).as_posix()
-        if name not in named:
-            named.add(name)
+        if name not in requested_names:
+            requested_names.add(name)
             yield name
             inside = (
                 f"{folder}/{name}" for folders in INSIDE.values() for folder in folders if folder
@@ -372,56 +432,60 @@ def _named_in(file: Passed, named: set[str], files: dict[str, Path]) -> Iterator
             yield from (place for place in inside if place in files)
 
 
-def _read_beside(path: Path, folder: Path) -> bytes:
+def _read_shared(path: Path, folder: Path) -> bytes:
+    """Read a file of a shared folder; BadInputError for a link that leads out of it."""
     if not path.resolve().is_relative_to(folder.resolve()):
         raise BadInputError(
-            f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there instead"
+            f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there"
+            " instead"
         )
     return read_xml(path)
 
 
 def identity(aircraft: HasFiles) -> str:
-    """SHA-256 over every file that decides how the aircraft flies, names included.
+    """Return the SHA-256 over all files that determine how the aircraft flies, with their names.
 
-    These are the XML and TOML files of its folder, and what its XML takes from the folders of engines and systems beside it. Raises
-    BadInputError.
+    These are the XML and TOML files of its folder, and the engines and systems that its XML takes
+    from the shared folders. Raises BadInputError.
     """
     return sha256_of_parts(_named_contents(aircraft))
 
 
 def _named_contents(aircraft: HasFiles) -> Iterator[bytes]:
+    """Yield names and contents for `identity`."""
     for name, path in walk(aircraft.folder):
         if path.suffix in {".xml", ".toml"}:
             yield name.encode(errors="surrogateescape") + b"\0"
             yield read_xml(path) + b"\0"
-    for name in sorted(opened(aircraft).beside):
-        kind, _, rest = name.partition("/")
+    for name in sorted(model_files(aircraft).shared):
+        kind, _, path_in_kind = name.partition("/")
         yield f"beside/{name}".encode(errors="surrogateescape") + b"\0"
-        yield read_xml(_shared(aircraft, kind) / rest) + b"\0"
+        yield read_xml(_shared(aircraft, kind) / path_in_kind) + b"\0"
 
 
 FileState = tuple[int, int, int] | None
-"""Time of the last change [ns], size and number of a file; None where there is none."""
+"""Modification time [ns], size and inode of a file; None if it does not exist."""
 
 
 def state(path: Path) -> FileState:
-    """What changes when a file is edited, without reading it."""
+    """Return what changes when a file is edited, without reading it."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_size, found.st_ino
+    return status.st_mtime_ns, status.st_size, status.st_ino
 
 
 def signature(folder: Path) -> tuple[tuple[str, FileState], ...]:
-    """The same for all files of a folder. Raises BadInputError as `walk` does."""
+    """Return the states of all files of a folder. Raises BadInputError as `walk`."""
     return tuple((name, state(path)) for name, path in walk(folder))
 
 
 def copy_folder(source: Path, target: Path, keep_links: bool = False) -> None:
-    """Copy an aircraft's folder to ``target``, which must not exist: regular files, and what links in it lead to.
+    """Copy an aircraft's folder to ``target``, which must not exist.
 
-    ``keep_links``: links stay links, for a copy that takes the folder's own place. Raises BadInputError as `walk` does.
+    Links become copies of what they lead to. ``keep_links`` keeps them, for a copy that replaces
+    the folder itself. Raises BadInputError as `walk`.
     """
     target.mkdir(parents=True)
     for name, path in walk(source):
@@ -431,75 +495,85 @@ def copy_folder(source: Path, target: Path, keep_links: bool = False) -> None:
             place.symlink_to(os.readlink(path))
             continue
         shutil.copyfile(path, place)
+        # Copies must be readable and writable for later edits.
         os.chmod(place, stat.S_IMODE(path.stat().st_mode) | stat.S_IRUSR | stat.S_IWUSR)
 
 
-def copy_beside(aircraft: HasFiles, root: Path, stock: Path) -> None:
-    """Copy what the aircraft takes from engines and systems of its own, beside its folder, into ``root``. Raises BadInputError.
+def copy_shared_parts(aircraft: HasFiles, root: Path, stock: Path) -> None:
+    """Copy engines and systems that an aircraft takes from its own root into ``root``.
 
-    stock: JSBSim's root, whose parts need no copy. A folder that is the aircraft's own is made even if nothing of it is used:
-    JSBSim's would be looked at instead.
+    ``stock`` is JSBSim's root, whose parts need no copy. A shared folder of the aircraft's is made
+    even if nothing in it is used: otherwise JSBSim's own would be searched. Raises BadInputError.
     """
-    own = {kind for kind in ("engine", "systems") if _shared(aircraft, kind) != stock / kind}
-    for kind in own:
+    # JSBSim's own folders need no copy.
+    local_kinds = {
+        kind for kind in ("engine", "systems") if _shared(aircraft, kind) != stock / kind
+    }
+    for kind in local_kinds:
         (root / kind).mkdir(parents=True, exist_ok=True)
-    for name in opened(aircraft).beside:
-        kind, _, rest = name.partition("/")
-        if kind in own:
+    for name in model_files(aircraft).shared:
+        kind, _, path_in_kind = name.partition("/")
+        if kind in local_kinds:
             (root / name).parent.mkdir(parents=True, exist_ok=True)
-            (root / name).write_bytes(read_xml(_shared(aircraft, kind) / rest))
+            (root / name).write_bytes(read_xml(_shared(aircraft, kind) / path_in_kind))
 
 
 def _shared(aircraft: HasFiles, kind: str) -> Path:
+    """Return the shared folder of engines or systems."""
     return aircraft.engine_path if kind == "engine" else aircraft.systems_path
 
 
 _LOG = logging.getLogger("uqharness")
-_KEPT = 8
-_said: set[tuple[str, str]] = set()
+_MAX_STAGINGS = 8
+_reported: set[tuple[str, str]] = set()
 
 
-class Named(HasFiles, Protocol):
-    """An aircraft's files and its name, which JSBSim's folder and file must bear."""
+class NamedFiles(HasFiles, Protocol):
+    """Places of an aircraft's files, and its name."""
 
     @property
     def name(self) -> str:
-        """Name of the aircraft's XML file without its suffix."""
+        """Name of the aircraft's XML file without suffix."""
         ...
 
 
 @dataclass(frozen=True)
 class Staging:
-    """A JSBSim root that holds one aircraft: root/aircraft/<name>, root/engine, root/systems. The engine loads nothing else.
+    """A JSBSim root with one aircraft: root/aircraft/<name>, root/engine, root/systems.
 
-    ``shown`` are pairs of a folder in the root and the user's own folder that it stands for, for messages.
+    Attributes
+    ----------
+    root, name
+        Folder, and name of the aircraft.
+    user_folders : tuple of (Path, Path)
+        Folder in the root and the user's folder that it stands for, for messages.
     """
 
     root: Path
     name: str
-    shown: tuple[tuple[Path, Path], ...] = ()
+    user_folders: tuple[tuple[Path, Path], ...] = ()
 
     @property
     def folder(self) -> Path:
-        """The aircraft's folder in the root."""
+        """Return the aircraft's folder in the root."""
         return self.root / "aircraft" / self.name
 
     @property
     def xml(self) -> Path:
-        """The aircraft's XML file in the root."""
+        """Return the aircraft's XML file in the root."""
         return self.folder / f"{self.name}.xml"
 
 
-def stage(aircraft: Named, root: Path) -> Staging:
-    """Write the aircraft's files into ``root``, which is made. Raises BadInputError as `opened` does.
+def stage(aircraft: NamedFiles, root: Path) -> Staging:
+    """Write the aircraft's screened files into ``root``, which is made.
 
-    What was taken out of a file is said once per process, to the logger "uqharness" at level INFO.
+    Removed elements are logged once per process (logger "uqharness", INFO). Raises BadInputError.
     """
-    return write(opened(aircraft), aircraft, root)
+    return write(model_files(aircraft), aircraft, root)
 
 
-def write(files: Opened, aircraft: Named, root: Path) -> Staging:
-    """The same for files that have passed the gate."""
+def write(files: ModelFiles, aircraft: NamedFiles, root: Path) -> Staging:
+    """Write screened files into ``root`` as a staging."""
     staging = Staging(
         root,
         aircraft.name,
@@ -511,61 +585,68 @@ def write(files: Opened, aircraft: Named, root: Path) -> Staging:
     )
     for folder in (staging.folder, root / "engine", root / "systems"):
         folder.mkdir(parents=True, exist_ok=True)
-    for name, file in files.own.items():
-        _put(staging.folder / name, file)
-        _say(str(aircraft.folder / name), file)
-    for name, file in files.beside.items():
-        _put(root / name, file)
+    for name, file in files.local.items():
+        _write_screened(staging.folder / name, file)
+        _report_removed(str(aircraft.folder / name), file)
+    for name, file in files.shared.items():
+        _write_screened(root / name, file)
     return staging
 
 
-def copied(staging: Staging, root: Path) -> Staging:
-    """A second root with the same files, to be edited; messages go on naming the user's own folders."""
+def copy_staging(staging: Staging, root: Path) -> Staging:
+    """Copy a staging to a second root, to be edited; messages keep naming the user's folders."""
     for part in ("aircraft", "engine", "systems"):
         shutil.copytree(staging.root / part, root / part)
     return Staging(
         root,
         staging.name,
-        tuple((root / at.relative_to(staging.root), real) for at, real in staging.shown),
+        tuple((root / at.relative_to(staging.root), real) for at, real in staging.user_folders),
     )
 
 
-def _put(path: Path, file: Passed) -> None:
+def _write_screened(path: Path, file: ScreenedFile) -> None:
+    """Write one screened file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(file.content)
 
 
-def _say(path: str, file: Passed) -> None:
-    if not file.taken_out:
+def _report_removed(path: str, file: ScreenedFile) -> None:
+    """Log the elements removed from a file, once per process."""
+    if not file.removed:
         return
-    counts = Counter(tag for tag, _ in file.taken_out)
-    what = " and ".join(f"{number} <{tag}>" for tag, number in sorted(counts.items()))
-    if (key := (Path(path).name, what)) in _said:
+    counts = Counter(tag for tag, _ in file.removed)
+    elements = " and ".join(f"{number} <{tag}>" for tag, number in sorted(counts.items()))
+    if (key := (Path(path).name, elements)) in _reported:
         return  # also a copy that this process made of an aircraft
-    _said.add(key)
-    lines = ", ".join(dict.fromkeys(str(line) for _, line in file.taken_out))
+    _reported.add(key)
+    lines = ", ".join(dict.fromkeys(str(line) for _, line in file.removed))
     _LOG.info(
-        "%s: %s left out (line %s): a flight writes no file and opens no connection for its aircraft",
+        "%s: %s left out (line %s): a flight writes no file and opens no connection for its"
+        " aircraft",
         path,
-        what,
+        elements,
         lines,
     )
 
 
 @dataclass(frozen=True)
-class _Kept:
-    """A staging, the scratch folder that holds it, and the state that shared files had when it was made."""
+class _CachedStaging:
+    """A staging, its folder, and the states of shared files when it was made."""
 
     staging: Staging
     scratch: Scratch
-    beside: tuple[tuple[Path, FileState], ...]
+    shared_states: tuple[tuple[Path, FileState], ...]
 
 
-_kept: OrderedDict[object, _Kept] = OrderedDict()
+_stagings: OrderedDict[object, _CachedStaging] = OrderedDict()
 
 
-def staged(aircraft: Named) -> Staging:
-    """The aircraft staged in this process's scratch folder; made anew once a file of it has changed. Raises BadInputError."""
+def staged(aircraft: NamedFiles) -> Staging:
+    """Return the aircraft staged in this process's temporary folder.
+
+    It is staged again once a file has changed. Raises BadInputError.
+    """
+    # File states are part of the key: an edit makes a new staging.
     key = (
         aircraft.folder,
         aircraft.name,
@@ -573,19 +654,24 @@ def staged(aircraft: Named) -> Staging:
         aircraft.systems_path,
         signature(aircraft.folder),
     )
-    found = _kept.get(key)
-    if found is None or any(state(path) != then for path, then in found.beside):
-        files = opened(aircraft)
-        beside = tuple((path, state(path)) for path in files.looked_at)
+    cached = _stagings.get(key)
+    if cached is None or any(state(path) != old for path, old in cached.shared_states):
+        files = model_files(aircraft)
+        shared_states = tuple((path, state(path)) for path in files.shared_paths)
         scratch = scratch_folder("aircraft")
-        found = _kept[key] = _Kept(write(files, aircraft, scratch.path), scratch, beside)
-        while len(_kept) > _KEPT:
-            # Whoever flies it has loaded it: JSBSim reads a file once.
-            _kept.popitem(last=False)[1].scratch.close()
-    _kept.move_to_end(key)
-    return found.staging
+        cached = _stagings[key] = _CachedStaging(
+            write(files, aircraft, scratch.path), scratch, shared_states
+        )
+        while len(_stagings) > _MAX_STAGINGS:
+            # Instances have read their files already, so that old stagings can go.
+            _stagings.popitem(last=False)[1].scratch.close()
+    _stagings.move_to_end(key)
+    return cached.staging
 
 
-def fingerprint(aircraft: Named) -> str:
-    """A text that changes when a file of the aircraft does; reads none where nothing has changed. Raises BadInputError."""
+def fingerprint(aircraft: NamedFiles) -> str:
+    """Return a text that changes whenever a file of the aircraft does.
+
+    Files are read only after a change. Raises BadInputError.
+    """
     return staged(aircraft).root.name

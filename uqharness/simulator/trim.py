@@ -1,8 +1,10 @@
-"""Steady flight: find attitude, controls and throttle at which nothing accelerates.
+"""Steady flight: attitude, controls and throttle at which no acceleration remains.
 
-JSBSim's own trim needs a <propulsion> engine for its throttle axis and fails on a thrust map in external_reactions. This one asks
-the model for its accelerations at a forced state, on a fresh instance each time (an instance that has run remembers its actuators),
-so it serves any aircraft whose card names the controls.
+JSBSim's trim needs a <propulsion> engine and fails for a thrust map in external_reactions.
+`find_trim` instead solves for zero accelerations by bounded least squares. Each evaluation uses a
+new instance at the imposed state (`forced_state`), because an instance that has run remembers its
+actuators. It serves any winged aircraft with named controls, gliders included. If there is no trim,
+the result says which control saturates, or how much thrust is missing.
 """
 
 from __future__ import annotations
@@ -22,27 +24,34 @@ from uqharness.simulator.aircraft import Aircraft, open_aircraft
 from uqharness.simulator.forced_state import (
     ACCELERATIONS,
     BodyState,
-    Rest,
-    answers,
+    ControlEquilibrium,
     body_velocity,
     force_state,
-    forced,
-    place,
+    open_forced,
+    read_accelerations,
     set_control,
+    set_initial_state,
 )
 from uqharness.simulator.physical_checks import rotor_place
 
-# Why there is no steady flight where the thrust does not fit: by how much, and the nearest
-# speed at which it does.
+# Explanations of trims without enough, or with too much, thrust.
 
 SPEEDS = (0.9, 0.75, 0.6, 1.1, 1.35, 2.0)
-"""Shares of the speed asked for at which flight is tried, in this order on each side."""
+"""Shares of the requested speed at which flight is tried, in this order on each side."""
 _HALVINGS = 3
 
 
 @dataclass(frozen=True)
 class AtLimit:
-    """Steady flight with the throttle at one end: the path that it then takes [rad] and its thrust [N], NaN where none is told."""
+    """Steady flight with the throttle at one end.
+
+    Attributes
+    ----------
+    climb_rad : float
+        Flight-path angle [rad].
+    thrust_N : float
+        Thrust [N]; NaN if the model does not report it.
+    """
 
     climb_rad: float
     thrust_N: float
@@ -50,54 +59,84 @@ class AtLimit:
 
 def thrust_reason(
     V_mps: float,
-    wanted_rad: float,
+    target_rad: float,
     full: Callable[[float], AtLimit | None],
     idle: Callable[[float], AtLimit | None],
     mass_kg: float,
 ) -> str:
-    """A sentence where full throttle is too little or idle too much for the path ``wanted_rad``; empty where it is neither.
+    """Explain a path that full throttle cannot hold or idle cannot descend to.
 
-    ``full`` and ``idle`` give, of an airspeed [m/s], the steady flight with the throttle at that end, None where there is none.
-    ``mass_kg`` turns the acceleration into the thrust that is missing, or too much.
+    Parameters
+    ----------
+    V_mps, target_rad : float
+        True airspeed [m/s] and flight-path angle [rad].
+    full, idle : callable
+        Return the steady flight at an airspeed with the throttle at that end, or None.
+    mass_kg : float
+        Mass, which turns acceleration into thrust [kg].
+
+    Returns
+    -------
+    str
+        A sentence with the missing or excess thrust and the nearest speed that fits; empty if
+        thrust is not the cause.
     """
-    for throttle, fly, way in (("full", full, -1.0), ("idle", idle, 1.0)):
-        found = fly(V_mps)
-        if found is None or way * (found.climb_rad - wanted_rad) <= 0.0:
+    # direction is -1 for full throttle, which may climb too little, and +1 for idle, which may
+    # descend too little.
+    for throttle, fly_at_end, direction in (("full", full, -1.0), ("idle", idle, 1.0)):
+        limit = fly_at_end(V_mps)
+        if limit is None or direction * (limit.climb_rad - target_rad) <= 0.0:
             continue
-        change = G0_MPS2 * abs(math.sin(found.climb_rad) - math.sin(wanted_rad))
+        # Along the path, thrust must balance drag and the weight's component m g sin(climb).
+        change = G0_MPS2 * abs(math.sin(limit.climb_rad) - math.sin(target_rad))
         thrust = (
-            f"{found.thrust_N:.0f} N of thrust"
-            if math.isfinite(found.thrust_N)
+            f"{limit.thrust_N:.0f} N of thrust"
+            if math.isfinite(limit.thrust_N)
             else "the thrust of that throttle"
         )
-        said = f"{'deceleration' if way < 0.0 else 'acceleration'} {change:.2g} m/s^2 at {throttle} throttle: {thrust}"
-        amount = f"{mass_kg * change:.3g} N too {'little' if way < 0.0 else 'much'}"
-        return f"{said} at {V_mps:g} m/s, {amount}; {_advice(V_mps, wanted_rad, fly, way, found)}"
+        shortfall = (
+            f"{'deceleration' if direction < 0.0 else 'acceleration'} {change:.2g} m/s^2 at"
+            f" {throttle} throttle: {thrust}"
+        )
+        amount = f"{mass_kg * change:.3g} N too {'little' if direction < 0.0 else 'much'}"
+        return (
+            f"{shortfall} at {V_mps:g} m/s, {amount};"
+            f" {_advice(V_mps, target_rad, fly_at_end, direction, limit)}"
+        )
     return ""
 
 
-def dead_throttle(property_name: str, thrust_N: float, unsettled: str) -> str:
-    """A sentence for engines whose thrust [N] is the same at both ends of the throttle; ``unsettled`` says what else is known."""
-    known = f" ({unsettled})" if unsettled else ""
+def dead_throttle_message(property_name: str, thrust_N: float, unsettled: str) -> str:
+    """Return a sentence for engines whose thrust does not depend on the throttle.
+
+    ``thrust_N`` is the thrust [N] at both ends; ``unsettled`` is added as a remark.
+    """
+    remark = f" ({unsettled})" if unsettled else ""
     return (
-        f"{property_name} does not change the thrust, {thrust_N:.0f} N at either end{known}; name the property that does as "
-        "[inputs.throttle] property of a card, or leave [inputs.throttle] out of it to fly with the engines as they are"
+        f"{property_name} does not change the thrust, {thrust_N:.0f} N at either end{remark}; name"
+        " the property that does as [inputs.throttle] property of a card, or leave"
+        " [inputs.throttle] out of it to fly with the engines as they are"
     )
 
 
 def _advice(
     V_mps: float,
-    wanted_rad: float,
-    fly: Callable[[float], AtLimit | None],
-    way: float,
-    found: AtLimit,
+    target_rad: float,
+    fly_at_end: Callable[[float], AtLimit | None],
+    direction: float,
+    limit: AtLimit,
 ) -> str:
-    """The nearest speed that fits, slower first."""
+    """Return the nearest speed that fits, slower ones first, else the nearest path."""
 
     def fits(V: float) -> bool | None:
-        there = fly(V)
-        return None if there is None else way * (there.climb_rad - wanted_rad) <= 0.0
+        limit_at_speed = fly_at_end(V)
+        return (
+            None
+            if limit_at_speed is None
+            else direction * (limit_at_speed.climb_rad - target_rad) <= 0.0
+        )
 
+    # Search outwards on each side for the first speed that fits, then refine by bisection.
     for slower in (True, False):
         outside = V_mps
         for share in SPEEDS:
@@ -106,7 +145,7 @@ def _advice(
             inside = share * V_mps
             fit = fits(inside)
             if fit is None:
-                # No steady flight at all there: beyond a stall or a control's limit there is none.
+                # No steady flight at all: beyond a stall or a control's limit.
                 break
             if not fit:
                 outside = inside
@@ -116,13 +155,19 @@ def _advice(
                 inside, outside = (middle, outside) if fits(middle) else (inside, middle)
             sign = "<=" if slower else ">="
             # Rounded to the side that flies.
-            whole = math.floor(10.0 * inside) if slower else math.ceil(10.0 * inside)
-            return f"try V {sign} {whole / 10.0:g} m/s"
-    tried = f"{min(SPEEDS) * V_mps:.3g} to {max(SPEEDS) * V_mps:.3g} m/s"
+            tenths = math.floor(10.0 * inside) if slower else math.ceil(10.0 * inside)
+            return f"try V {sign} {tenths / 10.0:g} m/s"
+    speed_range = f"{min(SPEEDS) * V_mps:.3g} to {max(SPEEDS) * V_mps:.3g} m/s"
     # Rounded to the side that flies.
-    hundredths = 100.0 * math.degrees(found.climb_rad)
-    path, sign = (math.floor(hundredths), "<=") if way < 0.0 else (math.ceil(hundredths), ">=")
-    return f"no speed from {tried} fits; try a path of {sign} {path / 100.0:g} deg (--climb-deg, climb_deg of [start])"
+    # No speed fits: advise the path that this throttle holds.
+    hundredths = 100.0 * math.degrees(limit.climb_rad)
+    path, sign = (
+        (math.floor(hundredths), "<=") if direction < 0.0 else (math.ceil(hundredths), ">=")
+    )
+    return (
+        f"no speed from {speed_range} fits; try a path of {sign} {path / 100.0:g} deg (--climb-deg,"
+        " climb_deg of [start])"
+    )
 
 
 _ENGINE_THRUSTS = (
@@ -133,7 +178,7 @@ _PROPELLER_RPM = "propulsion/engine/propeller-rpm"
 _BODY_RATES = ("velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec")
 _MASS = "inertia/mass-slugs"
 _SURFACES = ("elevator", "aileron", "rudder", "throttle")
-_LATERAL_FELT = "accelerations/Ny"
+_LATERAL_LOAD_FACTOR = "accelerations/Ny"
 _G_MPS2 = 9.806
 _AXES = (
     "forward acceleration",
@@ -149,12 +194,12 @@ _AT_LIMIT = 0.005  # of a range: a search keeps off its bounds
 _STALLED_STEPS, _STALLED_GAIN = 3, 0.98  # a search ends where that many steps leave that share
 _LATERAL_SHARE = 0.1  # of the largest acceleration, from where bank may help
 _UNSETTLED_SHARE = 0.25  # of a failed search's evaluations, from where it failed for that
-_SHORTER = (0.5, 0.2, 0.1, 0.05)  # of the step, at which an unstable engine is tried again
-_MOVES = 1e-9  # m/s2, rad/s2
-_STEEPEST_RAD = 0.9
-_NEARLY = 1e-3  # m/s2, rad/s2: steady to the digits that a sentence has
-_OPEN = 0.9  # of the throttle's travel, from where a second search begins
-_MOST_BANK_RAD = math.radians(
+_STEP_SHARES = (0.5, 0.2, 0.1, 0.05)  # of the step, at which an unstable engine is tried again
+_MIN_CHANGE = 1e-9  # m/s2, rad/s2
+_MAX_CLIMB_RAD = 0.9
+_NEARLY_STEADY = 1e-3  # m/s2, rad/s2: steady to the digits that a sentence has
+_OPEN_THROTTLE = 0.9  # of the throttle's travel, from where a second search begins
+_MAX_BANK_RAD = math.radians(
     5.0
 )  # of straight flight whose surfaces alone do not balance it (MIL-F-8785C, 3.3.9)
 _OFF_CENTRE = 0.6  # of a command's range: a filter of a command in the centre may rest at zero
@@ -163,11 +208,23 @@ _RATE_TIME_S = 1.0  # weighs an angular acceleration against the rate that it le
 
 @dataclass(frozen=True)
 class SteadyCondition:
-    """What is asked: true airspeed, altitude above sea level, flight-path angle, bank, heading and a steady wind.
+    """A steady flight condition.
 
-    ``wind_ned_mps`` is the velocity of the air (north, east, down); trim is the same in any steady wind, only the velocity over the
-    ground differs. ``bank_rad`` not 0 asks for a coordinated turn (no side force felt); a trim's own condition may have the
-    bank of straight flight, with a turn rate of 0.
+    Attributes
+    ----------
+    V_mps : float
+        True airspeed [m/s].
+    altitude_m : float
+        Altitude above sea level [m].
+    climb_rad, heading_rad : float
+        Flight-path angle and heading [rad].
+    bank_rad : float
+        Bank [rad]. Other than 0 asks for a coordinated turn (no lateral specific force). The
+        condition of a trim may have a bank in straight flight, with a turn rate of 0.
+    wind_ned_mps : tuple of float
+        Velocity of the air (north, east, down) [m/s]; it changes only the ground velocity.
+    properties : mapping
+        Properties set before the trim.
     """
 
     V_mps: float
@@ -181,11 +238,32 @@ class SteadyCondition:
 
 @dataclass(frozen=True)
 class Trim:
-    """What was found. ``converged`` False is a result too: ``reason`` says which control ran out or what kept accelerating.
+    """Result of a trim.
 
-    Angles in rad, rates body axes rad/s, ``controls`` in each control's own unit, ``positions_deg`` of the surfaces that tell,
-    ``thrust_N`` and ``rpm`` NaN where the model names none, ``residual`` (6,) accelerations left (m/s2 and rad/s2).
-    ``rest`` how the control system was brought to rest there, None where it rests from the first frame on.
+    Attributes
+    ----------
+    condition : SteadyCondition
+        With the flight-path angle and bank found, if these were unknowns.
+    converged : bool
+        Whether all accelerations vanish.
+    reason : str
+        Which control is saturated or what keeps accelerating; empty if converged.
+    alpha_rad, beta_rad, theta_rad : float
+        Incidence, sideslip and pitch [rad].
+    turn_rate_radps, p_radps, q_radps, r_radps : float
+        Turn rate and body rates [rad/s].
+    controls : mapping
+        In each control's own unit.
+    positions_deg : mapping
+        Surface positions, where the model reports them.
+    thrust_N, rpm : float
+        NaN if the model does not report them.
+    residual : ndarray
+        Remaining accelerations (6,) [m/s2, rad/s2].
+    velocity_ned_mps : tuple of float
+        Ground velocity [m/s].
+    equilibrium : ControlEquilibrium or None
+        How the control system was brought to rest; None if it is at rest from the first frame.
     """
 
     condition: SteadyCondition
@@ -204,23 +282,32 @@ class Trim:
     rpm: float
     residual: NDArray[np.float64]
     velocity_ned_mps: tuple[float, float, float]
-    rest: Rest | None = None
+    equilibrium: ControlEquilibrium | None = None
 
     @property
     def state(self) -> BodyState:
-        """The state that was found, at its heading."""
+        """Return the trimmed state at its heading."""
         u, v, w = body_velocity(self.condition.V_mps, self.alpha_rad, self.beta_rad)
         condition = self.condition
         rates = self.p_radps, self.q_radps, self.r_radps
         return BodyState(u, v, w, condition.bank_rad, self.theta_rad, condition.heading_rad, *rates)
 
     def __repr__(self) -> str:
-        said = f"alpha {self.alpha_rad:.4g} rad" if self.converged else self.reason
-        return f"Trim({self.condition.V_mps:g} m/s at {self.condition.altitude_m:g} m, {said})"
+        summary = f"alpha {self.alpha_rad:.4g} rad" if self.converged else self.reason
+        return f"Trim({self.condition.V_mps:g} m/s at {self.condition.altitude_m:g} m, {summary})"
 
 
 def pitch_for_climb(alpha: float, beta: float, phi: float, climb: float) -> float:
-    """Pitch angle [rad] that gives the flight-path angle ``climb`` at bank ``phi`` (Stevens & Lewis, rate-of-climb constraint)."""
+    """Return the pitch angle [rad] for a flight-path angle at a bank.
+
+    Source: Stevens and Lewis, Aircraft Control and Simulation, rate-of-climb constraint. NaN if
+    there is none.
+
+    Examples
+    --------
+    >>> round(pitch_for_climb(0.05, 0.0, 0.0, 0.1), 12)
+    0.15
+    """
     a = math.cos(alpha) * math.cos(beta)
     b = math.sin(phi) * math.sin(beta) + math.cos(phi) * math.sin(alpha) * math.cos(beta)
     s = math.sin(climb)
@@ -230,111 +317,156 @@ def pitch_for_climb(alpha: float, beta: float, phi: float, climb: float) -> floa
     return math.atan2(a * b + s * math.sqrt(root), a * a - s * s)
 
 
-def force_beside(
+def force_near_trim(
     aircraft: Aircraft,
     trim: Trim,
     state: BodyState,
     controls: Mapping[str, float],
 ) -> NDArray[np.float64]:
-    """Accelerations (6,) [m/s2, rad/s2] at a state beside a trim whose control system was brought to rest: it stands as it rested
-    there, and what passes it without delay is felt. Raises BadInputError.
+    """Return accelerations (6,) [m/s2, rad/s2] at a state near a trim with settled controls.
+
+    The control system stays as it rested in the trim; only parts without delay respond. Raises
+    BadInputError.
     """
     condition = trim.condition
-    fdm, _ = forced(
-        aircraft, trim.state, trim.controls, condition.altitude_m, condition.properties, trim.rest
+    fdm, _ = open_forced(
+        aircraft,
+        trim.state,
+        trim.controls,
+        condition.altitude_m,
+        condition.properties,
+        trim.equilibrium,
     )
     for name, value in controls.items():
         set_control(fdm, aircraft, name, value)
-    place(fdm, state)
+    set_initial_state(fdm, state)
     engine.run_ic(fdm)
     if fdm.get_propulsion().get_num_engines():
         engine.settle_engines(fdm)
-    return answers(fdm, ())[0]
+    return read_accelerations(fdm, ())[0]
 
 
 def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
-    """Trim by bounded least squares on (alpha, beta, controls[, turn rate]); never raises for a condition that has no trim.
+    """Trim an aircraft by bounded least squares.
 
-    Unknowns: alpha, beta, elevator, aileron, rudder, throttle, and in a turn its rate; equations: the six accelerations and, in a
-    turn, no lateral specific force. Of an aircraft without thrust to set (a glider, or rockets whose tanks are empty) the
-    flight-path angle is unknown in place of the throttle, and stands in the trim's ``condition``. Other engines that the throttle
-    does not move make no glider: that is not converged, with the reason, as are engines that never settle. Where surfaces do not
-    balance straight flight with wings level (a rudder that follows the ailerons alone), bank is unknown in place of the rudder, up
-    to 5 deg, and stands in the trim's ``condition``. Where the control system moves at the state that was found, states are forced
-    with it brought to rest, body rates first held, then free. Raises BadInputError for a model that does not load, and for a
-    rotorcraft.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        An aircraft with wings.
+    condition : SteadyCondition
+        Flight condition.
+
+    Returns
+    -------
+    Trim
+        Not converged, with a reason, if there is no trim.
+
+    Raises
+    ------
+    BadInputError
+        If the model does not load, or is a rotorcraft.
+
+    Notes
+    -----
+    Unknowns are alpha, beta, elevator, aileron, rudder, throttle, and the rate of a turn. Equations
+    are the six accelerations and, in a turn, zero lateral specific force.
+
+    Without thrust to set (a glider, or rockets with empty tanks), the flight-path angle replaces
+    the throttle. Engines that do not respond to the throttle, or never settle, are a failure. If
+    surfaces alone do not balance straight flight (a rudder coupled to the ailerons), bank up to 5
+    deg replaces the rudder. If the control system moves at the trim, states are imposed with it at
+    rest, body rates first held, then free.
     """
     if rotor := rotor_place(aircraft):
         raise BadInputError(f"{rotor}; only aircraft with wings are trimmed")
-    rest = _moving_from_the_start(aircraft, condition)
-    found = _search(aircraft, condition, rest)
-    if rest is None and (rest := _moving(aircraft, found.trim)) is not None:
-        found = _search(aircraft, condition, rest)
-    if rest is not None and not found.trim.converged and found.problem.unsettled:
-        # A control law that integrates rests where the aircraft turns as commanded: body rates are left to it.
-        free = _search(aircraft, condition, replace(rest, free=True))
-        found = free if free.trim.converged else found
-    return found.explained()
+    equilibrium = _moving_from_the_start(aircraft, condition)
+    result = _search(aircraft, condition, equilibrium)
+    # The control system was at rest at the start, but may move at the trim found.
+    if equilibrium is None and (equilibrium := _moving_at_trim(aircraft, result.trim)) is not None:
+        result = _search(aircraft, condition, equilibrium)
+    if equilibrium is not None and not result.trim.converged and result.problem.unsettled:
+        # A control law that integrates a rate error rests only at the commanded rate.
+        free = _search(aircraft, condition, replace(equilibrium, free=True))
+        result = free if free.trim.converged else result
+    return result.explained()
 
 
 @dataclass(frozen=True)
-class _Found:
-    """Where a search ended, ``x`` its unknowns; ``wrong``: what says that it is no trim (empty: nothing)."""
+class _SearchResult:
+    """End of a search.
+
+    Attributes
+    ----------
+    problem, trim, x
+        Problem, resulting trim, and scaled unknowns.
+    failure : str
+        Why it is no trim; empty if the search found none.
+    """
 
     problem: _Problem
     trim: Trim
     x: NDArray[np.float64]
-    wrong: str
+    failure: str
 
     def explained(self) -> Trim:
-        """The trim; where there is none, with its cause."""
+        """Return the trim; without convergence, with its cause."""
         if self.trim.converged:
             return self.trim
-        return replace(self.trim, reason=f"{_asked(self.problem.condition)}: {self._cause()}")
+        return replace(
+            self.trim, reason=f"{_condition_text(self.problem.condition)}: {self._cause()}"
+        )
 
     def _cause(self) -> str:
-        """Why there is no trim: what does not settle, thrust, a saturated control, or nothing of these."""
-        if self.wrong:
-            return self.wrong
-        problem, left = self.problem, self.trim.residual
+        """Return why there is no trim: settling, thrust, a saturated control, or none of these."""
+        if self.failure:
+            return self.failure
+        problem, residual = self.problem, self.trim.residual
+        # Order of suspicion: settling, thrust, a saturated control, a wing that stalls.
         limits = problem.at_limits(self.x)
-        axis = int(np.argmax(np.abs(left)))
+        axis = int(np.argmax(np.abs(residual)))
         throttle_end = dict(limits).get("throttle", "")
         mass_kg = _mass_kg(problem, self.x)
+        # Thrust is suspected if the throttle is saturated or the forward acceleration is largest.
         if "throttle" in problem.names and (throttle_end or axis == 0):
-            end = throttle_end if left[0] == 0.0 else "upper" if left[0] < 0.0 else "lower"
+            end = throttle_end if residual[0] == 0.0 else "upper" if residual[0] < 0.0 else "lower"
             if reason := _thrust_reason(problem, end, mass_kg):
                 return reason
-        remains = f"{_AXES[axis]} of {left[axis]:.3g} {_UNITS[axis]} remains"
+        remaining = f"{_AXES[axis]} of {residual[axis]:.3g} {_UNITS[axis]} remains"
         if throttle_end and axis == 0:
-            amount = f"{mass_kg * abs(left[0]):.3g} N too {'little' if left[0] < 0.0 else 'much'}"
-            remains += f", thrust is {amount}"
+            amount = (
+                f"{mass_kg * abs(residual[0]):.3g} N too"
+                f" {'little' if residual[0] < 0.0 else 'much'}"
+            )
+            remaining += f", thrust is {amount}"
         saturated = [name for name, _ in limits if name != "alpha"]
         where = ", ".join(problem.limit_words(name, end) for name, end in limits)
         if "alpha" in dict(limits):
             return (
-                f"{where}: {remains}; the wing does not carry the aircraft at this speed and "
+                f"{where}: {remaining}; the wing does not carry the aircraft at this speed and "
                 "height, so try a faster or lower flight"
             )
         if saturated:
             return (
-                f"{where}: {remains}; try another speed, or widen limits in [inputs.{saturated[0]}] "
-                "of airframe.toml if the aircraft has more travel"
+                f"{where}: {remaining}; try another speed, or widen limits in"
+                f" [inputs.{saturated[0]}] of airframe.toml if the aircraft has more travel"
             )
-        if axis == 2 and left[2] > 0.0:
+        if axis == 2 and residual[2] > 0.0:
             return (
-                f"{remains} at the alpha of most lift, {math.degrees(self.trim.alpha_rad):.3g} deg: the wing "
-                "does not carry the aircraft at this speed and height, so try a faster or lower flight"
+                f"{remaining} at the alpha of most lift, {math.degrees(self.trim.alpha_rad):.3g}"
+                " deg: the wing does not carry the aircraft at this speed and height, so try a"
+                " faster or lower flight"
             )
         return (
-            f"no equilibrium: {remains} where all accelerations are least (alpha "
+            f"no equilibrium: {remaining} where all accelerations are least (alpha "
             f"{math.degrees(self.trim.alpha_rad):.3g} deg), although no control is at its limit; "
             "try another speed or height"
         )
 
 
-def _search(aircraft: Aircraft, condition: SteadyCondition, rest: Rest | None) -> _Found:
-    """A search with the control system as it is in the first frame, or brought to rest."""
+def _search(
+    aircraft: Aircraft, condition: SteadyCondition, equilibrium: ControlEquilibrium | None
+) -> _SearchResult:
+    """Search with the control system as in the first frame, or brought to rest."""
     cards = aircraft.card.inputs
     exists = open_aircraft(aircraft).get_property_manager().hasNode
     names = [
@@ -342,154 +474,188 @@ def _search(aircraft: Aircraft, condition: SteadyCondition, rest: Rest | None) -
         for name in _SURFACES
         if name in cards and (aircraft.has_card or exists(cards[name].property))
     ]
-    acts, dead = _throttle_acts(aircraft, condition, names, rest)
-    held = {} if acts else {n: cards[n].limits[0] for n in names if n == "throttle"}
-    gliding = bool(held) or "throttle" not in names
+    acts, dead = _throttle_acts(aircraft, condition, names, equilibrium)
+    fixed = {} if acts else {n: cards[n].limits[0] for n in names if n == "throttle"}
+    # Without thrust to set, the path is unknown instead.
+    gliding = bool(fixed) or "throttle" not in names
     problem = _Problem(
         aircraft,
         condition,
-        tuple(n for n in names if n not in held),
-        held,
+        tuple(n for n in names if n not in fixed),
+        fixed,
         free_climb=gliding,
-        rest=rest,
+        equilibrium=equilibrium,
     )
     x = problem.solve()
     trim = _result(problem, x)
-    wrong, unstable = ("", False) if trim.converged else _unsettled(problem, x)
-    if unstable or (rest is not None and not rest.free and problem.never_settles):
-        return _Found(problem, trim, x, dead or wrong)
+    failure, unstable = ("", False) if trim.converged else _unsettled(problem, x)
+    if unstable or (equilibrium is not None and not equilibrium.free and problem.never_settles):
+        return _SearchResult(problem, trim, x, dead or failure)
     if not trim.converged and acts and dict(problem.at_limits(x)).get("throttle") != "upper":
-        # A propeller that the wind drives and one that its engine drives are two steady states; thrust leaps between them.
-        again = problem.solve(_OPEN)
-        other = _result(problem, again)
-        x, trim = (again, other) if other.converged else (x, trim)
+        # Windmilling and powered propellers are two steady states with a jump in thrust between
+        # them: try again from an open throttle.
+        other_x = problem.solve(_OPEN_THROTTLE)
+        other = _result(problem, other_x)
+        x, trim = (other_x, other) if other.converged else (x, trim)
     lateral = np.abs(trim.residual)[[1, 3, 5]]
     if (
         not trim.converged
         and not problem.turning
         and np.max(lateral) > _LATERAL_SHARE * np.max(np.abs(trim.residual))
     ):
+        # Lateral accelerations remain: let straight flight bank.
         banked = problem.banked()
-        other = _result(banked, again := banked.solve())
-        problem, x, trim = (banked, again, other) if other.converged else (problem, x, trim)
-    if trim.converged or not wrong:
-        wrong = _settles_not_at(problem, x) if trim.converged else ""
-    wrong = dead or wrong
-    return _Found(problem, replace(trim, converged=trim.converged and not wrong), x, wrong)
+        other = _result(banked, other_x := banked.solve())
+        problem, x, trim = (banked, other_x, other) if other.converged else (problem, x, trim)
+    if trim.converged or not failure:
+        failure = _unsettled_at(problem, x) if trim.converged else ""
+    failure = dead or failure
+    return _SearchResult(
+        problem, replace(trim, converged=trim.converged and not failure), x, failure
+    )
 
 
-def _moving_from_the_start(aircraft: Aircraft, condition: SteadyCondition) -> Rest | None:
-    """What has to come to rest where the control system moves at this speed, its commands off centre; None where it does not."""
+def _moving_from_the_start(
+    aircraft: Aircraft, condition: SteadyCondition
+) -> ControlEquilibrium | None:
+    """Return the equilibrium needed if the control system moves at this speed; else None.
+
+    Commands are off centre: a filter of a centred command may rest at zero.
+    """
     u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
     cards = aircraft.card.inputs
     exists = open_aircraft(aircraft).get_property_manager().hasNode
+    # Controls that exist, at 60 % of their range.
     ends = {
         name: cards[name].limits
         for name in _SURFACES
         if name in cards and exists(cards[name].property)
     }
     controls = {name: low + _OFF_CENTRE * (high - low) for name, (low, high) in ends.items()}
-    return _moves_at(
+    return _moving_at(
         aircraft, condition, BodyState(u, v, w, 0.0, 0.05, condition.heading_rad), controls
     )
 
 
-def _moving(aircraft: Aircraft, trim: Trim) -> Rest | None:
-    """The same at a trim."""
+def _moving_at_trim(aircraft: Aircraft, trim: Trim) -> ControlEquilibrium | None:
+    """Return the equilibrium needed if the control system moves at a trim; else None."""
     return (
-        _moves_at(aircraft, trim.condition, trim.state, trim.controls)
+        _moving_at(aircraft, trim.condition, trim.state, trim.controls)
         if math.isfinite(trim.theta_rad)
         else None
     )
 
 
-def _moves_at(
+def _moving_at(
     aircraft: Aircraft, condition: SteadyCondition, state: BodyState, controls: Mapping[str, float]
-) -> Rest | None:
-    fdm, _ = forced(aircraft, state, controls, condition.altitude_m, condition.properties)
-    rest = forced_state.rest_of(aircraft, fdm)
-    return rest if forced_state.moving(fdm, rest) else None
+) -> ControlEquilibrium | None:
+    """Return the equilibrium needed if the control system moves at a state; else None."""
+    fdm, _ = open_forced(aircraft, state, controls, condition.altitude_m, condition.properties)
+    equilibrium = forced_state.control_equilibrium(aircraft, fdm)
+    return equilibrium if forced_state.moving_property(fdm, equilibrium) else None
 
 
 def _throttle_acts(
-    aircraft: Aircraft, condition: SteadyCondition, names: list[str], rest: Rest | None
+    aircraft: Aircraft,
+    condition: SteadyCondition,
+    names: list[str],
+    equilibrium: ControlEquilibrium | None,
 ) -> tuple[bool, str]:
-    """Whether the throttle moves a force or a moment at this speed, and what is wrong where engines are there and it does not."""
+    """Return whether the throttle changes a force or moment, and an error if engines ignore it."""
     if "throttle" not in names:
         return False, ""
     card = aircraft.card.inputs["throttle"]
     u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
     state = BodyState(u, v, w, 0.0, 0.05, condition.heading_rad)
-    said, unsettled = [], ""
+    accelerations, unsettled = [], ""
+    # Compare the accelerations at both ends of the throttle.
     for end in card.limits:
-        fdm, why = forced(
-            aircraft, state, {"throttle": end}, condition.altitude_m, condition.properties, rest
+        fdm, end_unsettled = open_forced(
+            aircraft,
+            state,
+            {"throttle": end},
+            condition.altitude_m,
+            condition.properties,
+            equilibrium,
         )
-        said.append(np.array([fdm[name] for name in ACCELERATIONS]))
-        unsettled = unsettled or why
-    if float(np.max(np.abs(said[1] - said[0]))) > _MOVES:
+        accelerations.append(np.array([fdm[name] for name in ACCELERATIONS]))
+        unsettled = unsettled or end_unsettled
+    if float(np.max(np.abs(accelerations[1] - accelerations[0]))) > _MIN_CHANGE:
         return True, ""
     if not fdm.get_propulsion().get_num_engines() or settling.spent_rockets(fdm):
         return False, ""
     exists = fdm.get_property_manager().hasNode
-    return False, dead_throttle(
+    return False, dead_throttle_message(
         card.property, LBF_N * sum(fdm[name] for name in _ENGINE_THRUSTS if exists(name)), unsettled
     )
 
 
 def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> tuple[str, bool]:
-    """What does not settle at these unknowns, and whether the length of the step is the cause.
+    """Return what does not settle at the unknowns, and whether a shorter step would settle.
 
-    Where all settles at ``x`` but not in a good part of the search, what did not settle last.
+    If all settles there but failed in much of the search, the last failure counts.
     """
     condition = problem.condition
 
-    def at(aircraft: Aircraft) -> str:
+    def unsettled_with(aircraft: Aircraft) -> str:
         state, controls, _, _ = problem.unpack(x)
         if not math.isfinite(state.theta):
             return ""
-        return forced(
-            aircraft, state, controls, condition.altitude_m, condition.properties, problem.rest
+        return open_forced(
+            aircraft,
+            state,
+            controls,
+            condition.altitude_m,
+            condition.properties,
+            problem.equilibrium,
         )[1]
 
-    reason = at(problem.aircraft)
+    reason = unsettled_with(problem.aircraft)
     if not reason and len(problem.unsettled) > _UNSETTLED_SHARE * problem.evaluations:
         x = problem.unsettled[-1]
-        reason = at(problem.aircraft)
+        reason = unsettled_with(problem.aircraft)
     if not reason:
         return "", False
-    for share in _SHORTER:
+    for share in _STEP_SHARES:
         dt_s = float(f"{share * problem.aircraft.dt_s:.2g}")
-        if not at(_with_step(problem.aircraft, dt_s)):
+        if not unsettled_with(_with_step(problem.aircraft, dt_s)):
             larger = (
                 f", or a propeller's <ixx> of {1.0 / share:g} times the XML's"
                 if "propeller" in reason
                 else ""
             )
             return (
-                f"{reason}; it is unstable at this step and settles at a shorter one (dt_s = "
-                f"{dt_s:g} in [aircraft] of airframe.toml{larger})"
-            ), True
+                (
+                    f"{reason}; it is unstable at this step and settles at a shorter one (dt_s = "
+                    f"{dt_s:g} in [aircraft] of airframe.toml{larger})"
+                ),
+                True,
+            )
     return reason, False
 
 
-def _settles_not_at(problem: _Problem, x: NDArray[np.float64]) -> str:
-    """What does not settle at these unknowns."""
+def _unsettled_at(problem: _Problem, x: NDArray[np.float64]) -> str:
+    """Return what does not settle at these unknowns."""
     state, controls, _, _ = problem.unpack(x)
     condition = problem.condition
-    return forced(
-        problem.aircraft, state, controls, condition.altitude_m, condition.properties, problem.rest
+    return open_forced(
+        problem.aircraft,
+        state,
+        controls,
+        condition.altitude_m,
+        condition.properties,
+        problem.equilibrium,
     )[1]
 
 
 def _with_step(aircraft: Aircraft, dt_s: float) -> Aircraft:
-    """The aircraft with another integration step [s]."""
+    """Return the aircraft with another integration step [s]."""
     section = aircraft.card.aircraft.model_copy(update={"dt_s": dt_s})
     return replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": section}))
 
 
 def _mass_kg(problem: _Problem, x: NDArray[np.float64]) -> float:
-    """The aircraft's mass."""
+    """Return the aircraft's mass [kg]."""
     state, controls, _, _ = problem.unpack(x)
     condition = problem.condition
     _, out = force_state(
@@ -499,7 +665,7 @@ def _mass_kg(problem: _Problem, x: NDArray[np.float64]) -> float:
 
 
 def _thrust_reason(problem: _Problem, end: str, mass_kg: float) -> str:
-    """What the thrust at that end of the throttle has to do with it."""
+    """Return the explanation of `thrust_reason` for one end of the throttle."""
     aircraft, condition = problem.aircraft, problem.condition
     limits = aircraft.card.inputs["throttle"].limits
     free = tuple(name for name in problem.names if name != "throttle")
@@ -512,13 +678,13 @@ def _thrust_reason(problem: _Problem, end: str, mass_kg: float) -> str:
             replace(condition, V_mps=V),
             free,
             {"throttle": limits[end == "upper"]},
-            True,
-            rest=problem.rest,
+            free_climb=True,
+            equilibrium=problem.equilibrium,
         )
-        unknowns = limited.solve(start=start, tolerance=_NEARLY)
+        unknowns = limited.solve(start=start, tolerance=_NEARLY_STEADY)
         result = _result(limited, unknowns)
-        # A governor hunts within its last digits; what is said of the thrust needs two.
-        if not (result.converged or float(np.max(np.abs(result.residual))) < _NEARLY):
+        # A governor hunts in its last digits; the sentence needs two.
+        if not (result.converged or float(np.max(np.abs(result.residual))) < _NEARLY_STEADY):
             return None
         start = unknowns
         return AtLimit(result.condition.climb_rad, result.thrust_N)
@@ -531,25 +697,39 @@ def _thrust_reason(problem: _Problem, end: str, mass_kg: float) -> str:
 
 
 class _Problem:
-    """Unknowns, bounds and equations of steady flight. Controls of ``held`` stay; with ``free_climb`` the path is unknown, with
-    ``free_bank`` the bank of straight flight; with ``rest`` the control system is brought to rest at each state."""
+    """Unknowns, bounds and equations of steady flight.
+
+    Parameters
+    ----------
+    aircraft, condition
+        What is trimmed.
+    names : tuple of str
+        Controls that are unknown.
+    fixed : mapping
+        Controls that are not.
+    free_climb, free_bank : bool
+        Whether the path, or the bank of straight flight, is unknown.
+    equilibrium : ControlEquilibrium, optional
+        Brings the control system to rest at each state.
+    """
 
     def __init__(
         self,
         aircraft: Aircraft,
         condition: SteadyCondition,
         names: tuple[str, ...],
-        held: Mapping[str, float],
+        fixed: Mapping[str, float],
+        *,
         free_climb: bool,
         free_bank: bool = False,
-        rest: Rest | None = None,
+        equilibrium: ControlEquilibrium | None = None,
     ) -> None:
-        self.aircraft, self.condition, self.names, self.held, self.rest = (
+        self.aircraft, self.condition, self.names, self.fixed, self.equilibrium = (
             aircraft,
             condition,
             names,
-            held,
-            rest,
+            fixed,
+            equilibrium,
         )
         self.free_climb, self.free_bank = free_climb, free_bank
         self.evaluations, self.unsettled = 0, list[NDArray[np.float64]]()
@@ -561,11 +741,12 @@ class _Problem:
         extra = [0.1] * (self.turning + free_climb + free_bank)
         # Unknowns are scaled to order one: 0.1 rad, a tenth of the control's span, 0.1 rad/s.
         self.scale = np.concatenate([[0.1, 0.1], (highs - lows) / 10.0, extra])
-        most = np.array(
-            [3.0] * self.turning + [_STEEPEST_RAD] * free_climb + [_MOST_BANK_RAD] * free_bank
+        extra_limits = np.array(
+            [3.0] * self.turning + [_MAX_CLIMB_RAD] * free_climb + [_MAX_BANK_RAD] * free_bank
         )
-        self.lower = np.concatenate([[-0.35, -0.35], lows, -most]) / self.scale
-        self.upper = np.concatenate([[0.5, 0.35], highs, most]) / self.scale
+        # Incidence from -20 to 29 deg, sideslip up to 20 deg.
+        self.lower = np.concatenate([[-0.35, -0.35], lows, -extra_limits]) / self.scale
+        self.upper = np.concatenate([[0.5, 0.35], highs, extra_limits]) / self.scale
         rate = [_G_MPS2 * math.tan(condition.bank_rad) / condition.V_mps] * self.turning
         climb = [condition.climb_rad] * free_climb
         self.guess = np.concatenate(
@@ -574,11 +755,11 @@ class _Problem:
 
     @property
     def never_settles(self) -> bool:
-        """Whether engines or control system settled in less than a tenth of the evaluations."""
+        """Return whether engines or control system settled in under a tenth of the evaluations."""
         return len(self.unsettled) > 0.9 * self.evaluations
 
     def banked(self) -> _Problem:
-        """The same with the bank unknown and the rudder neutral."""
+        """Return the same problem with unknown bank and neutral rudder."""
         neutral = {
             name: 0.5 * sum(self.aircraft.card.inputs[name].limits)
             for name in self.names
@@ -589,14 +770,14 @@ class _Problem:
             self.aircraft,
             self.condition,
             names,
-            {**self.held, **neutral},
-            self.free_climb,
-            True,
-            self.rest,
+            {**self.fixed, **neutral},
+            free_climb=self.free_climb,
+            free_bank=True,
+            equilibrium=self.equilibrium,
         )
 
     def at_limits(self, x: NDArray[np.float64]) -> list[tuple[str, str]]:
-        """Which of alpha, beta and the controls are at their "lower" or "upper" limit."""
+        """Return which of alpha, beta and the controls are at their "lower" or "upper" limit."""
         out = []
         for name, value, low, high in zip(
             ["alpha", "beta", *self.names], x, self.lower, self.upper, strict=False
@@ -607,7 +788,7 @@ class _Problem:
         return out
 
     def limit_words(self, name: str, end: str) -> str:
-        """Name a saturated unknown with its limit in its own unit."""
+        """Return a saturated unknown and its limit, in its own unit, as text."""
         k = ["alpha", "beta", *self.names].index(name)
         value = float((self.lower if end == "lower" else self.upper)[k] * self.scale[k])
         if k < 2:
@@ -621,27 +802,35 @@ class _Problem:
         start: NDArray[np.float64] | None = None,
         tolerance: float = 0.0,
     ) -> NDArray[np.float64]:
-        """The unknowns that leave the least acceleration.
+        """Return the scaled unknowns with the smallest accelerations.
 
-        From that share of the throttle's travel, or from ``start``, on. Ends where three steps have
-        gained nothing, or where all accelerations are below ``tolerance`` [m/s2, rad/s2].
+        Parameters
+        ----------
+        throttle : float
+            Initial throttle as a share of its range.
+        start : ndarray, optional
+            Initial unknowns instead.
+        tolerance : float
+            Accelerations [m/s2, rad/s2] at which to stop; three steps without progress stop it too.
         """
         if start is None:
             start = self.guess / self.scale
             if "throttle" in self.names:
                 at = 2 + self.names.index("throttle")
                 start[at] = self.lower[at] + throttle * (self.upper[at] - self.lower[at])
+        # least_squares requires an interior point.
         start = np.clip(start, self.lower + 1e-9, self.upper - 1e-9)
         costs: list[float] = []
 
         def callback(intermediate_result: OptimizeResult) -> None:
             cost = float(intermediate_result.cost)
             costs.append(cost)
+            # Ends failing searches early: each evaluation opens an instance.
             stalled = (
                 len(costs) > _STALLED_STEPS and cost > _STALLED_GAIN * costs[-1 - _STALLED_STEPS]
             )
             hopeless = len(costs) > 1 and self.never_settles
-            if (stalled and cost > _NEARLY**2) or 2.0 * cost < tolerance**2 or hopeless:
+            if (stalled and cost > _NEARLY_STEADY**2) or 2.0 * cost < tolerance**2 or hopeless:
                 raise StopIteration
 
         solution = least_squares(
@@ -659,14 +848,15 @@ class _Problem:
         return np.asarray(solution.x)
 
     def unpack(self, x: NDArray[np.float64]) -> tuple[BodyState, dict[str, float], float, float]:
-        """State, controls, turn rate [rad/s] and flight-path angle [rad]."""
+        """Return state, controls, turn rate [rad/s] and flight-path angle [rad] of the unknowns."""
         value = x * self.scale
         alpha, beta = float(value[0]), float(value[1])
         phi = float(value[-1]) if self.free_bank else self.condition.bank_rad
         controls = {
             name: float(v)
             for name, v in zip(self.names, value[2 : 2 + len(self.names)], strict=True)
-        } | dict(self.held)
+        } | dict(self.fixed)
+        # Steady turn: body rates are the turn rate about the vertical, resolved in body axes.
         rate = float(value[2 + len(self.names)]) if self.turning else 0.0
         climb = float(value[-1 - self.free_bank]) if self.free_climb else self.condition.climb_rad
         theta = pitch_for_climb(alpha, beta, phi, climb)
@@ -685,45 +875,48 @@ class _Problem:
         return state, controls, rate, climb
 
     def residual(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Accelerations [m/s2, rad/s2], and in a turn the lateral specific force [m/s2].
+        """Return accelerations [m/s2, rad/s2], and in a turn the lateral specific force [m/s2].
 
-        Rates that are left to the control system count by how far they end from those of the state, too.
+        Free body rates also count by their distance from the state's.
         """
         state, controls, _, _ = self.unpack(x)
+        # No pitch angle gives this path at this bank.
         if not math.isfinite(state.theta):
             return np.full(7 if self.turning else 6, 1e3)
         condition = self.condition
-        fdm, unsettled = forced(
+        fdm, unsettled = open_forced(
             self.aircraft,
             state,
             controls,
             condition.altitude_m,
             condition.properties,
-            self.rest,
+            self.equilibrium,
         )
-        acceleration, out = answers(fdm, (_LATERAL_FELT, *_BODY_RATES))
+        acceleration, out = read_accelerations(fdm, (_LATERAL_LOAD_FACTOR, *_BODY_RATES))
         self.evaluations += 1
         if unsettled:
             self.unsettled.append(x.copy())
-        if self.rest is not None and self.rest.free:
+        if self.equilibrium is not None and self.equilibrium.free:
             ended = np.array([out[name] for name in _BODY_RATES])
             acceleration[3:] += (ended - (state.p, state.q, state.r)) / _RATE_TIME_S
         if self.turning:
-            acceleration = np.append(acceleration, out[_LATERAL_FELT] * _G_MPS2)
+            acceleration = np.append(acceleration, out[_LATERAL_LOAD_FACTOR] * _G_MPS2)
         return np.where(np.isfinite(acceleration), acceleration, 1e3)
 
 
-def _asked(condition: SteadyCondition) -> str:
+def _condition_text(condition: SteadyCondition) -> str:
+    """Return the condition as the start of an error message."""
     return (
-        f"no steady flight at {condition.V_mps:g} m/s, bank {math.degrees(condition.bank_rad):g} deg, climb "
-        f"{math.degrees(condition.climb_rad):g} deg"
+        f"no steady flight at {condition.V_mps:g} m/s, bank {math.degrees(condition.bank_rad):g}"
+        f" deg, climb {math.degrees(condition.climb_rad):g} deg"
     )
 
 
 def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
+    """Return the trim at the unknowns."""
     aircraft, condition, names = problem.aircraft, problem.condition, problem.names
     state, controls, rate, climb = problem.unpack(x)
-    left = problem.residual(x)
+    residual = problem.residual(x)
     keys = {
         key: aircraft.card.outputs[key]
         for key in ("thrust_N", "rpm")
@@ -734,19 +927,26 @@ def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
         for name in names
         if name != "throttle"
     }
-    wanted = (*keys.values(), *surfaces.values(), *_ENGINE_THRUSTS, _PROPELLER_RPM)
+    outputs = (*keys.values(), *surfaces.values(), *_ENGINE_THRUSTS, _PROPELLER_RPM)
     _, out = force_state(
-        aircraft, state, controls, condition.altitude_m, condition.properties, wanted, problem.rest
+        aircraft,
+        state,
+        controls,
+        condition.altitude_m,
+        condition.properties,
+        outputs,
+        equilibrium=problem.equilibrium,
     )
     engines_lbf = [out[name] for name in _ENGINE_THRUSTS if name in out]
+    # The card's thrust, else the sum of the engines.
     thrust_N = out.get(
         keys.get("thrust_N", ""), LBF_N * sum(engines_lbf) if engines_lbf else float("nan")
     )
-    converged = bool(np.max(np.abs(left)) < 1e-6)
+    converged = bool(np.max(np.abs(residual)) < 1e-6)
     return Trim(
         condition=replace(condition, climb_rad=climb, bank_rad=state.phi),
         converged=converged,
-        reason="" if converged else _asked(condition),
+        reason="" if converged else _condition_text(condition),
         alpha_rad=math.atan2(state.w, state.u),
         beta_rad=math.asin(state.v / condition.V_mps),
         theta_rad=state.theta,
@@ -758,13 +958,14 @@ def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
         positions_deg={name: out[source] for name, source in surfaces.items() if source in out},
         thrust_N=thrust_N,
         rpm=out.get(keys.get("rpm", _PROPELLER_RPM), float("nan")),
-        residual=left,
-        velocity_ned_mps=_over_ground(state, condition.wind_ned_mps),
-        rest=problem.rest,
+        residual=residual,
+        velocity_ned_mps=_velocity_ned(state, condition.wind_ned_mps),
+        equilibrium=problem.equilibrium,
     )
 
 
-def _over_ground(state: BodyState, wind: tuple[float, float, float]) -> tuple[float, float, float]:
+def _velocity_ned(state: BodyState, wind: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the ground velocity (north, east, down) [m/s]."""
     from scipy.spatial.transform import Rotation
 
     body_to_ned = Rotation.from_euler("ZYX", [state.psi, state.theta, state.phi])

@@ -23,7 +23,7 @@ from uqharness import checksums
 from uqharness.campaign import read_bounds
 from uqharness.campaign.folder import LOCK, binding_versions, run_lock
 from uqharness.errors import BadInputError
-from uqharness.files import PART, check_folder, write_bytes
+from uqharness.files import PART, check_output_folder, write_bytes
 from uqharness.result_documents import Part, read_document
 from uqharness.simulator import folder_hash
 from uqharness.study.answer import (
@@ -151,7 +151,7 @@ def run_chain(
     A stage that ends with 1, its answer being no, is done, and the study goes on. Raises BadInputError for a folder of something
     else, a second run in the same folder, and a stage that cannot use its input; KeyboardInterrupt passes. What is done is kept.
     """
-    check_folder(out)
+    check_output_folder(out)
     stages = plan(spec, out)
     new = begin(spec, command, uqharness.__version__)
     refuse_foreign(out, read_study(out), new)
@@ -162,7 +162,7 @@ def run_chain(
             f"--out {out}: cannot be made: {error.strerror or error}; choose another"
         ) from None
     with run_lock(out):
-        earlier = checksums.take_away(out)
+        earlier = checksums.remove_sums(out)
         was = read_study(out) or {}
         old = {row["name"]: row for row in (*was.get("former", []), *was.get("stages", []))}
         document = {**new, "stages": [_row(stage, old.pop(stage.name, None)) for stage in stages]}

@@ -16,9 +16,18 @@ from pydantic import BeforeValidator, Field, ValidationError, field_validator, m
 from uqharness.campaign.spec import CampaignSpec, Coefficient, Turbulence, campaign_from
 from uqharness.errors import BadInputError
 from uqharness.flight import DEFAULT_TURBULENCE_SOURCE
-from uqharness.toml import Number, Section, as_toml, explain, line_of, listed, read_toml, tupled
+from uqharness.toml import (
+    Number,
+    Section,
+    as_toml,
+    as_tuple,
+    explain,
+    line_of,
+    list_as_tuple,
+    read_toml,
+)
 
-Names = Annotated[tuple[str, ...], BeforeValidator(listed), Field(min_length=1)]
+Names = Annotated[tuple[str, ...], BeforeValidator(as_tuple), Field(min_length=1)]
 _NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]*"
 CAMPAIGN_SECTIONS = ("campaign", "aleatory", "epistemic", "metrics", "stop", "start")
 
@@ -65,11 +74,11 @@ class IdentifySection(Section):
     """Flights that the parameters are estimated from, and options of `uqharness identify`."""
 
     flights: Names
-    params: Annotated[tuple[str, ...] | None, BeforeValidator(tupled)] = None
+    params: Annotated[tuple[str, ...] | None, BeforeValidator(list_as_tuple)] = None
     start: Literal["initial", "current"] = "current"
     method: Literal["auto", "output-error", "filter-error"] = "auto"
-    biases: Annotated[tuple[str, ...] | None, BeforeValidator(tupled)] = None
-    delays: Annotated[tuple[str, ...] | None, BeforeValidator(tupled)] = None
+    biases: Annotated[tuple[str, ...] | None, BeforeValidator(list_as_tuple)] = None
+    delays: Annotated[tuple[str, ...] | None, BeforeValidator(list_as_tuple)] = None
 
 
 class CompareSection(Section):
@@ -82,7 +91,7 @@ class BoundsSection(Section):
     """Flights that the model-form bounds are made from, flights that they are checked on, and options of `uqharness bounds`."""
 
     flights: Names
-    validate_on: Annotated[tuple[str, ...], BeforeValidator(listed)] = ()
+    validate_on: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
     confidence: Number = Field(default=0.95, gt=0, lt=1)
     states: dict[Coefficient, tuple[str, ...]] = Field(default_factory=dict)
     terms: dict[Coefficient, tuple[str, ...]] = Field(default_factory=dict)
@@ -100,7 +109,7 @@ class BoundsSection(Section):
     @classmethod
     def _lists(cls, value: Any) -> Any:
         return (
-            {name: tupled(item) for name, item in value.items()}
+            {name: list_as_tuple(item) for name, item in value.items()}
             if isinstance(value, dict)
             else value
         )
@@ -116,8 +125,8 @@ class RefineSection(Section):
 
 class _Document(Section):
     study: StudySection
-    fly: Annotated[tuple[FlySection, ...], BeforeValidator(tupled)] = ()
-    logs: Annotated[tuple[LogSection, ...], BeforeValidator(tupled)] = ()
+    fly: Annotated[tuple[FlySection, ...], BeforeValidator(list_as_tuple)] = ()
+    logs: Annotated[tuple[LogSection, ...], BeforeValidator(list_as_tuple)] = ()
     identify: IdentifySection | None = None
     compare: CompareSection | None = None
     bounds: BoundsSection | None = None

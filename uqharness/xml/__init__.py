@@ -1,4 +1,4 @@
-"""JSBSim XML: documents edited as a hand would, expressions, the aerodynamics section."""
+"""JSBSim XML: documents edited like by hand, expressions, aerodynamics, and control chains."""
 
 import lazy_loader
 

@@ -1,8 +1,9 @@
-"""What stands between commands and a property of the control system: the components that make it, and nothing else of the aircraft.
+"""The components between commands and a property of the control system, as an aircraft of their
+own.
 
-Where a surface stands follows from its command by way of filters, servos and selectors. As long as none of these reads anything of
-the aircraft's motion, the same commands move the surface alike in every aircraft that has these components, and they can be flown
-alone.
+A surface follows its command through filters, servos and selectors. If none of these reads the
+aircraft's motion, the same commands move the surface equally in every aircraft with these
+components, and they can be simulated alone and shared.
 """
 
 from __future__ import annotations
@@ -34,14 +35,15 @@ _KINDS = frozenset(
         "actuator",
     }
 )
-"""Components that read what their elements name, and write their name's property and their outputs."""
+"""Components that read what their elements name, and write the property of their name and outputs.
+"""
 _SENSORS = frozenset({"sensor", "gyro", "accelerometer", "magnetometer"})
-"""Components that write no more than that, but read more."""
+"""Components that write the same, but read more."""
 _SILENT = frozenset({"description", "documentation", "limitation", "note", "reference", "property"})
 _DRAWS = frozenset({"random", "urandom"})
 _NAME = re.compile(r"[A-Za-z_][\w.\-]*(\[\d+\])?(/[A-Za-z_][\w.\-]*(\[\d+\])?)*")
 _UNIT = re.compile(r"-pos-(?:rad|deg|norm|mag)$")
-_OWN = (
+_JSBSIM_FOLDERS = (
     "accelerations",
     "aero",
     "atmosphere",
@@ -61,8 +63,9 @@ _OWN = (
     "simulation",
     "velocities",
 )
-"""Where JSBSim keeps what it computes itself, whether an XML declares it or not. Elsewhere nothing moves but by a component, a
-function or somebody's hand, engines' levers apart."""
+"""Property folders that JSBSim computes itself. Elsewhere, properties change only by a component, a
+function, the host, or the levers of engines.
+"""
 _LEVERS = re.compile(r"fcs/(?:throttle|mixture|advance|feather)-(?:cmd|pos)-norm(?:\[\d+\])?")
 _THROTTLE = re.compile(r"fcs/throttle-pos-norm((?:\[\d+\])?)")
 
@@ -71,8 +74,12 @@ _THROTTLE = re.compile(r"fcs/throttle-pos-norm((?:\[\d+\])?)")
 class ControlChain:
     """Components between commands and positions.
 
-    ``xml`` is an aircraft of these components alone, the same text for aircraft that have the same ones; ``reads`` what enters
-    them: commands, constants.
+    Attributes
+    ----------
+    xml : str
+        An aircraft of these components; equal for aircraft with equal components.
+    reads : frozenset of str
+        Its inputs: commands and constants.
     """
 
     xml: str
@@ -81,8 +88,17 @@ class ControlChain:
 
 @dataclass(frozen=True)
 class ControlFiles:
-    """An aircraft's XML: its systems' roots in JSBSim's order of execution, and every document of its. ``engines``: whether
-    <propulsion> has any, whose throttles JSBSim moves with their commands."""
+    """An aircraft's XML.
+
+    Attributes
+    ----------
+    systems : sequence of Node
+        Roots of its systems in JSBSim's order of execution.
+    documents : sequence of Document
+        All its files.
+    engines : bool
+        Whether <propulsion> has engines, whose throttles JSBSim moves with their commands.
+    """
 
     systems: Sequence[Node]
     documents: Sequence[Document]
@@ -91,7 +107,7 @@ class ControlFiles:
 
 @dataclass(frozen=True)
 class _Placed:
-    """A component, the number of its channel and its own in the channel."""
+    """A component, the index of its channel, and its index in the channel."""
 
     channel: int
     number: int
@@ -99,132 +115,164 @@ class _Placed:
 
 
 def control_chain(
-    files: ControlFiles, wanted: Iterable[str], given: Collection[str]
+    files: ControlFiles, targets: Iterable[str], free_inputs: Collection[str]
 ) -> ControlChain | None:
-    """What makes the properties ``wanted``; None where that reads, or may read, more than the properties ``given`` and what nothing
-    in the aircraft changes."""
+    """Return the components that produce the target properties.
+
+    Parameters
+    ----------
+    files : ControlFiles
+        The aircraft.
+    targets : iterable of str
+        Properties to produce.
+    free_inputs : collection of str
+        Properties that may vary.
+
+    Returns
+    -------
+    ControlChain or None
+        None if the components read, or may read, other properties that change.
+    """
+    # Channels in the order of execution.
     channels = [node for system in files.systems for node in system.all("channel")]
     writers, computed = _writers(channels), _computed(files.documents, channels)
+    # Constants that the XML declares; several values of one name are ambiguous.
     values: dict[str, set[str]] = defaultdict(set)
     for document in files.documents:
         for name, node in declarations(document):
-            values[bare(name)].add(attribute(node, "value"))
-    made: dict[tuple[int, int], Node] = {}
-    free, known = {bare(name) for name in given}, writers.keys() | values.keys() | computed
-    ahead, seen, levers = [bare(name) for name in wanted], set[str](), set[str]()
-    while ahead:
-        name = ahead.pop()
-        if name in seen:
+            values[without_index(name)].add(attribute(node, "value"))
+    components: dict[tuple[int, int], Node] = {}
+    free, existing = (
+        {without_index(name) for name in free_inputs},
+        writers.keys() | values.keys() | computed,
+    )
+    pending, visited, levers = [without_index(name) for name in targets], set[str](), set[str]()
+    while pending:
+        # Follow each property back to the components that write it.
+        name = pending.pop()
+        if name in visited:
             continue
-        seen.add(name)
-        found = writers.get(_surface(name), ())
-        if name in computed or len(values.get(name, ())) > 1 or name.split("/")[0] in _OWN:
+        visited.add(name)
+        name_writers = writers.get(_surface(name), ())
+        if (
+            name in computed
+            or len(values.get(name, ())) > 1
+            or name.split("/")[0] in _JSBSIM_FOLDERS
+        ):
             return None
         if files.engines and (lever := _THROTTLE.fullmatch(name)):
             levers.add(name)
-            ahead.append(f"fcs/throttle-cmd-norm{lever.group(1)}")
-        elif files.engines and not found and name not in free and _LEVERS.fullmatch(name):
+            pending.append(f"fcs/throttle-cmd-norm{lever.group(1)}")
+        elif files.engines and not name_writers and name not in free and _LEVERS.fullmatch(name):
             return None
-        for one in found:
-            inputs = _read(one.node, known)
+        for one in name_writers:
+            inputs = _read(one.node, existing)
             gate = attribute(channels[one.channel], "execute")
             if inputs is None or not (not gate or _NAME.fullmatch(gate)):
                 return None
-            made[one.channel, one.number] = one.node
-            ahead += [*inputs, *([bare(gate)] if gate else [])]
+            components[one.channel, one.number] = one.node
+            pending += [*inputs, *([without_index(gate)] if gate else [])]
+    # Inputs: properties that no component writes.
     entering = frozenset(
-        name for name in seen if not writers.get(_surface(name)) and name not in levers
+        name for name in visited if not writers.get(_surface(name)) and name not in levers
     )
-    constants = {name: next(iter(values[name])) for name in sorted(seen - levers) if name in values}
-    # What nothing makes, and a branch that is never taken names, must be there: JSBSim ends the interpreter over it.
+    constants = {
+        name: next(iter(values[name])) for name in sorted(visited - levers) if name in values
+    }
+    # Properties that nothing creates must exist: JSBSim aborts over one in a branch never taken.
     constants |= dict.fromkeys(sorted(entering - values.keys()), "0")
-    return ControlChain(_aircraft(channels, made, constants, sorted(levers)), entering)
+    return ControlChain(_aircraft(channels, components, constants, sorted(levers)), entering)
 
 
-def bare(name: str) -> str:
-    """A property's name as it is looked up: the first of several needs no number."""
+def without_index(name: str) -> str:
+    """Return a property's name without the index of the first of several."""
     return name.strip().removesuffix("[0]")
 
 
 def _surface(name: str) -> str:
-    """A surface's position without its unit: JSBSim keeps it in all of them, whichever is written."""
+    """Return a position's name without its unit: JSBSim keeps a surface's position in all units."""
     return _UNIT.sub("-pos", name)
 
 
 def _writers(channels: Sequence[Node]) -> dict[str, list[_Placed]]:
-    """Components by what they write, positions without their units."""
-    found: dict[str, list[_Placed]] = defaultdict(list)
-    for at, channel in enumerate(channels):
+    """Return property to the components that write it, positions without their units."""
+    writers: dict[str, list[_Placed]] = defaultdict(list)
+    for channel_index, channel in enumerate(channels):
         for number, node in enumerate(channel.children):
             if node.tag not in _SILENT:
-                for name in {_surface(name) for name in _written(node)}:
-                    found[name].append(_Placed(at, number, node))
-    return found
+                for name in {_surface(name) for name in _outputs(node)}:
+                    writers[name].append(_Placed(channel_index, number, node))
+    return writers
 
 
-def _written(node: Node) -> Iterator[str]:
+def _outputs(node: Node) -> Iterator[str]:
+    """Yield the properties that a component writes."""
     if name := attribute(node, "name"):
-        yield bare(name if "/" in name else "fcs/" + re.sub(r"\s", "-", name).lower())
-    yield from (bare(output.text) for output in node.all("output"))
+        yield without_index(name if "/" in name else "fcs/" + re.sub(r"\s", "-", name).lower())
+    yield from (without_index(output.text) for output in node.all("output"))
     yield from (
-        bare(attribute(inner, "name"))
+        without_index(attribute(inner, "name"))
         for inner in node.walk()
         if inner.tag == "function" and attribute(inner, "name")
     )
     if node.tag not in _KINDS | _SENSORS:
-        # What a distributor or another component writes may stand anywhere in it.
-        yield from (bare(token) for token in _tokens(node))
+        # Other components, such as a distributor, may name outputs anywhere.
+        yield from (without_index(token) for token in _tokens(node))
 
 
 def _computed(documents: Sequence[Document], channels: Sequence[Node]) -> set[str]:
-    """Properties that functions outside the channels make, those that functions copy to, and those of tables' names."""
+    """Return the properties that functions outside the channels and tables compute."""
+    # Functions within components write the component's property.
     inside = {id(node) for channel in channels for node in channel.walk()}
-    found = set()
+    names = set()
     for document in documents:
         for node in document.root.walk():
             if node.tag == "function" and id(node) not in inside:
-                found.add(bare(attribute(node, "name")))
+                names.add(without_index(attribute(node, "name")))
             if node.tag == "function":
-                found.add(bare(attribute(node, "copyto")))
+                names.add(without_index(attribute(node, "copyto")))
             if node.tag in ("table", "t"):
-                found.add(bare(attribute(node, "name")))
-    return found - {""}
+                names.add(without_index(attribute(node, "name")))
+    return names - {""}
 
 
-def _read(node: Node, known: Collection[str]) -> list[str] | None:
-    """Properties that a component reads; None for one of which that cannot be told."""
+def _read(node: Node, existing: Collection[str]) -> list[str] | None:
+    """Return the properties that a component reads; None if that is not certain."""
+    # Unknown components, and random numbers, may depend on anything.
     if node.tag not in _KINDS or any(inner.tag in _DRAWS for inner in node.walk()):
         return None
-    own, found = set(_written(node)), []
+    outputs, inputs = set(_outputs(node)), []
     for token in _tokens(node):
         if token.startswith("/"):
             return None
-        name = bare(token.lstrip("+-"))
-        if name not in own and _NAME.fullmatch(name) and ("/" in name or name in known):
-            found.append(name)
-    return found
+        name = without_index(token.lstrip("+-"))
+        if name not in outputs and _NAME.fullmatch(name) and ("/" in name or name in existing):
+            inputs.append(name)
+    return inputs
 
 
 def _tokens(node: Node) -> Iterator[str]:
-    """Words of an element's texts and attributes, numbers among them."""
-    ahead = [node]
-    while ahead:
-        one = ahead.pop()
+    """Yield the words of an element's texts and attributes."""
+    pending = [node]
+    while pending:
+        one = pending.pop()
         if one.tag in _SILENT - {"property"}:
             continue
         yield from one.text.split()
         for name, text in one.attributes.items():
             if name != "name":
                 yield from text.split()
-        ahead.extend(one.children)
+        pending.extend(one.children)
 
 
 def _aircraft(
     channels: Sequence[Node],
-    made: dict[tuple[int, int], Node],
+    components: dict[tuple[int, int], Node],
     constants: dict[str, str],
     levers: Sequence[str],
 ) -> str:
+    """Return the XML of an aircraft with these components only."""
+    # The smallest aircraft that JSBSim loads.
     lines = [
         '<?xml version="1.0"?>',
         '<fdm_config name="controls" version="2.0">',
@@ -244,29 +292,34 @@ def _aircraft(
         lines.append('<channel name="levers">')
         for name in levers:
             lines.append(
-                f'<pure_gain name="{name}"><input>{name.replace("-pos-", "-cmd-")}</input></pure_gain>'
+                "<pure_gain"
+                f' name="{name}"><input>{name.replace("-pos-", "-cmd-")}</input></pure_gain>'
             )
         lines.append("</channel>")
     for at, channel in enumerate(channels):
         inside = [
             node
-            for (place, _), node in sorted(made.items(), key=lambda item: item[0])
+            for (place, _), node in sorted(components.items(), key=lambda item: item[0])
             if place == at
         ]
         if inside:
-            lines += [_opened(channel), *(_text(node) for node in inside), "</channel>"]
+            lines += [_start_tag(channel), *(_text(node) for node in inside), "</channel>"]
     axis = '<aerodynamics><axis name="X"/></aerodynamics>'
     return "\n".join([*lines, "</flight_control>", axis, "</fdm_config>", ""])
 
 
-def _opened(node: Node) -> str:
-    return f"<{node.tag}{''.join(f' {name}={quoteattr(text)}' for name, text in sorted(node.attributes.items()))}>"
+def _start_tag(node: Node) -> str:
+    """Return an element's start tag with sorted attributes."""
+    attributes = "".join(
+        f" {name}={quoteattr(text)}" for name, text in sorted(node.attributes.items())
+    )
+    return f"<{node.tag}{attributes}>"
 
 
 def _text(node: Node) -> str:
-    """An element without remarks and blank lines: conditions and tables stand in lines."""
-    own = "\n".join(line.strip() for line in node.text.splitlines() if line.strip())
+    """Return an element without comments and blank lines; its text keeps its lines."""
+    content = "\n".join(line.strip() for line in node.text.splitlines() if line.strip())
     inside = "".join(
         _text(child) for child in node.children if child.tag not in _SILENT - {"property"}
     )
-    return f"{_opened(node)}{escape(own)}{inside}</{node.tag}>"
+    return f"{_start_tag(node)}{escape(content)}{inside}</{node.tag}>"

@@ -1,7 +1,8 @@
-"""XML files edited as text: where each element stands in the bytes, and insertions that leave every other byte alone.
+"""XML files edited as text: insertions that leave every other byte unchanged.
 
-A parsed and re-serialised tree loses the author's quotes, indentation, line ends and encoding. Here expat says at which byte an
-element begins and ends, and an edit is a piece of text put at a byte.
+Parsing and serialising a tree would lose the author's quotes, indentation, line ends and encoding.
+Here expat reports the bytes at which elements begin and end, and an edit is text put at a byte. The
+module also reads property declarations and writes FlightGear's protocol file.
 """
 
 from __future__ import annotations
@@ -23,11 +24,19 @@ from uqharness.simulator import tag_end
 
 @dataclass(eq=False)
 class Node:
-    """An element of the file.
+    """An element and its place in the bytes of the file.
 
-    ``start`` is the byte of its ``<``, ``open_end`` the byte behind its start tag's ``>``, ``close_start`` the byte of ``</``,
-    ``end`` the byte behind it all. For ``<a/>`` the last three are equal. ``text`` is its own character data, children's left out;
-    lines count from 1.
+    Attributes
+    ----------
+    tag, attributes, text
+        Tag, attributes, and character data without that of children.
+    line : int
+        Line, from 1.
+    start, open_end, close_start, end : int
+        Byte of ``<``, byte behind the start tag, byte of ``</``, and byte behind the element. For
+        ``<a/>`` the last three are equal.
+    parent, children
+        Neighbours in the tree.
     """
 
     tag: str
@@ -43,59 +52,59 @@ class Node:
 
     @property
     def empty_tag(self) -> bool:
-        """Whether it is written ``<a/>``."""
+        """Return whether it is written ``<a/>``."""
         return self.open_end == self.end
 
     def find(self, tag: str) -> Node | None:
-        """First child of that name."""
+        """Return the first child with a tag; None without one."""
         return next((child for child in self.children if child.tag == tag), None)
 
     def all(self, tag: str) -> list[Node]:
-        """Children of that name."""
+        """Return the children with a tag."""
         return [child for child in self.children if child.tag == tag]
 
     def walk(self) -> Iterator[Node]:
-        """The element and all below it, in the order of the text."""
-        ahead = [self]
-        while ahead:
-            node = ahead.pop()
+        """Yield the element and all below it, in the order of the text."""
+        pending = [self]
+        while pending:
+            node = pending.pop()
             yield node
-            ahead.extend(reversed(node.children))
+            pending.extend(reversed(node.children))
 
 
 @dataclass(frozen=True)
 class Document:
-    """A file's bytes and the elements in them."""
+    """A file's bytes and its root element."""
 
     path: Path
     raw: bytes
     root: Node
 
     def where(self, node: Node) -> str:
-        """``file:line`` for an error message."""
+        """Return ``file:line`` of an element."""
         return f"{self.path}:{node.line}"
 
     @property
     def newline(self) -> bytes:
-        """The line end that most lines of the file have."""
+        """Return the line end that most lines have."""
         crlf = self.raw.count(b"\r\n")
         return b"\r\n" if crlf * 2 > self.raw.count(b"\n") else b"\n"
 
     @property
     def encoding(self) -> str:
-        """As the XML declaration has it; UTF-8 without one."""
-        said = re.match(
+        """Return the encoding of the XML declaration; UTF-8 without one."""
+        declared = re.match(
             rb"(?:\xef\xbb\xbf)?<\?xml[^>]*?\bencoding\s*=\s*[\"']([^\"']+)[\"']", self.raw
         )
-        return said.group(1).decode("ascii", errors="replace") if said else "utf-8"
+        return declared.group(1).decode("ascii", errors="replace") if declared else "utf-8"
 
     def encoded(self, text: str) -> bytes:
-        """``text`` as the file would have it; what its encoding does not know becomes a character reference."""
+        """Return text in the file's encoding, with character references where needed."""
         return text.encode(self.encoding, errors="xmlcharrefreplace")
 
     def indent(self, node: Node) -> str:
-        """White space before the element on its line; empty if something else stands there."""
-        # A file may be one line of megabytes: what is looked at is the white space alone.
+        """Return the white space before an element; empty if other text precedes it on the line."""
+        # A file may be one line of megabytes: read back only the white space.
         begin = node.start
         while begin and self.raw[begin - 1] in b" \t":
             begin -= 1
@@ -106,8 +115,9 @@ class Document:
         )
 
     def step(self) -> str:
-        """One level of the author's indentation: the shortest a child of the root has, two spaces if none is indented."""
+        """Return one level of the author's indentation: the shortest of the root's children."""
         steps = [self.indent(child) for child in self.root.children]
+        # Indentation of the children beyond that of the root.
         steps = [
             s.removeprefix(self.indent(self.root)) for s in steps if s != self.indent(self.root)
         ]
@@ -118,7 +128,10 @@ _BEHIND_NAME = frozenset(bytes([byte]) for byte in b" \t\n\r\f\v/>")
 
 
 def read_document(path: Path) -> Document:
-    """Read and parse; BadInputError with file and line if it is not well formed, or in an encoding that is not edited here."""
+    """Read and parse a file.
+
+    Raises BadInputError with file and line if it is malformed, or in UTF-16.
+    """
     try:
         return parse_document(path, read_regular(path))
     except OSError as error:
@@ -126,17 +139,18 @@ def read_document(path: Path) -> Document:
 
 
 def parse_document(path: Path, raw: bytes) -> Document:
-    """The same for bytes at hand; ``path`` is for messages."""
+    """Parse bytes; ``path`` names the file in messages. Raises BadInputError as `read_document`."""
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise BadInputError(
             f"{path}:1: UTF-16 is not edited here; save the file as UTF-8 or ISO-8859-1"
         )
     parser = expat.ParserCreate()
-    # Text comes line by line otherwise, and is copied as often.
+    # Without a buffer, text arrives and is copied line by line.
     parser.buffer_text, parser.buffer_size = True, 1 << 20
     stack: list[Node] = []
     top: list[Node] = []
 
+    # expat reports the byte of "<"; the ends of tags are searched in the text.
     def opened(tag: str, attributes: dict[str, str]) -> None:
         parent = stack[-1] if stack else None
         node = Node(tag, attributes, parser.CurrentLineNumber, parser.CurrentByteIndex, parent)
@@ -166,21 +180,31 @@ def parse_document(path: Path, raw: bytes) -> Document:
             f"{path}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}"
         ) from None
     for node in top[0].walk():
-        # An element that came out of an entity has no place of its own in the bytes.
+        # An element from an entity has no bytes of its own.
         begin = b"<" + node.tag.encode()
         behind = node.start + len(begin)
         if not raw.startswith(begin, node.start) or raw[behind : behind + 1] not in _BEHIND_NAME:
             raise BadInputError(
-                f"{path}:{node.line}: <{node.tag}> comes from an entity; such a file is not edited here"
+                f"{path}:{node.line}: <{node.tag}> comes from an entity; such a file is not edited"
+                " here"
             )
     return Document(path, raw, top[0])
 
 
 @dataclass(frozen=True)
 class Insertion:
-    """``text`` (final line ends) put before byte ``at`` in place of ``removed`` bytes.
+    """Text put before a byte.
 
-    Where ``<a/>`` is opened for a child, ``opening`` and ``closing`` are the tags' new parts around the text.
+    Attributes
+    ----------
+    at : int
+        Byte.
+    text : bytes
+        Text with the file's line ends.
+    removed : bytes
+        Bytes that it replaces.
+    opening, closing : bytes
+        New parts of the tags where ``<a/>`` is opened for a child.
     """
 
     at: int
@@ -191,7 +215,11 @@ class Insertion:
 
 
 def append_child(document: Document, parent: Node, lines: list[str]) -> Insertion:
-    """``lines`` (indented relative to one another) as the last child of ``parent``, in the author's indentation and line ends."""
+    """Return the insertion of lines as the last child of ``parent``.
+
+    ``lines`` are indented relative to one another by two blanks; the author's indentation and line
+    ends are used. An empty element is opened.
+    """
     newline = document.newline.decode()
     outer = document.indent(parent)
     inner = document.indent(parent.children[-1]) if parent.children else ""
@@ -199,6 +227,7 @@ def append_child(document: Document, parent: Node, lines: list[str]) -> Insertio
     step = document.step()
     block = newline.join(_indented(line, inner, step) for line in lines)
     if parent.empty_tag:
+        # Open the empty element: "/>" becomes ">" and a closing tag follows.
         slash = document.raw.rindex(b"/", parent.start, parent.open_end)
         opening, closing = (
             document.encoded(f">{newline}"),
@@ -211,14 +240,15 @@ def append_child(document: Document, parent: Node, lines: list[str]) -> Insertio
             opening,
             closing,
         )
+    # The closing tag is on a line of its own, or shares one with content.
     begin = document.raw.rfind(b"\n", 0, parent.close_start) + 1
     if document.raw[begin : parent.close_start].strip(b" \t"):
         return Insertion(parent.close_start, document.encoded(f"{newline}{block}{newline}{outer}"))
     return Insertion(begin, document.encoded(f"{block}{newline}"))
 
 
-def before(document: Document, node: Node, lines: list[str]) -> Insertion:
-    """``lines`` as siblings before ``node``, on lines of their own."""
+def insert_before(document: Document, node: Node, lines: list[str]) -> Insertion:
+    """Return the insertion of lines as siblings before ``node``."""
     newline, indent, step = document.newline.decode(), document.indent(node), document.step()
     block = newline.join(_indented(line, indent, step) for line in lines)
     begin = document.raw.rfind(b"\n", 0, node.start) + 1
@@ -227,52 +257,66 @@ def before(document: Document, node: Node, lines: list[str]) -> Insertion:
     return Insertion(begin, document.encoded(f"{block}{newline}"))
 
 
-def after(document: Document, node: Node, lines: list[str]) -> Insertion:
-    """``lines`` as siblings after ``node``, below the line that it ends on (a remark there stays with it)."""
+def insert_after(document: Document, node: Node, lines: list[str]) -> Insertion:
+    """Return the insertion of lines as siblings after ``node``, below the line on which it ends.
+
+    A comment on that line stays with the node.
+    """
     newline, indent, step = document.newline.decode(), document.indent(node), document.step()
     block = newline.join(_indented(line, indent, step) for line in lines)
     end_of_line = document.raw.find(b"\n", node.end)
-    rest = document.raw[node.end : end_of_line] if end_of_line >= 0 else b""
-    if end_of_line >= 0 and not re.sub(rb"<!--.*?-->", b"", rest).strip():
+    # A comment behind the element belongs to it.
+    line_end = document.raw[node.end : end_of_line] if end_of_line >= 0 else b""
+    if end_of_line >= 0 and not re.sub(rb"<!--.*?-->", b"", line_end).strip():
         return Insertion(end_of_line + 1, document.encoded(f"{block}{newline}"))
     return Insertion(node.end, document.encoded(f"{newline}{block}"))
 
 
-def with_text(document: Document, node: Node, text: str) -> Insertion:
-    """The element's own words replaced, white space and comments around them left; an empty element gets them."""
+def replace_text(document: Document, node: Node, text: str) -> Insertion:
+    """Return the insertion that replaces an element's text, keeping white space and comments."""
+    # The text is searched in the element's own bytes.
     old = document.encoded(node.text.strip())
     at = document.raw.index(old, node.open_end, node.close_start)
     return Insertion(at, document.encoded(text), old)
 
 
-def with_attribute(document: Document, node: Node, name: str, value: str) -> Insertion:
-    """The value of an attribute that the element has, its quotes left."""
+def replace_attribute(document: Document, node: Node, name: str, value: str) -> Insertion:
+    """Return the insertion that replaces the value of an existing attribute, keeping its quotes."""
     tag = document.raw[node.start : node.open_end]
-    found = re.search(rb"\s" + re.escape(name.encode()) + rb"\s*=\s*([\"'])(.*?)\1", tag, re.DOTALL)
-    assert found is not None
-    return Insertion(node.start + found.start(2), document.encoded(value), found.group(2))
+    match = re.search(rb"\s" + re.escape(name.encode()) + rb"\s*=\s*([\"'])(.*?)\1", tag, re.DOTALL)
+    assert match is not None
+    return Insertion(node.start + match.start(2), document.encoded(value), match.group(2))
 
 
-def remarked(document: Document, node: Node, remark: str) -> Insertion:
-    """A remark behind the element and the remarks that stand behind it on its line."""
-    others = re.compile(rb"(?:[ \t]*<!--(?:(?!-->)[^\n])*-->)*").match(document.raw, node.end)
-    return Insertion(others.end() if others else node.end, document.encoded(f"  {comment(remark)}"))
+def append_remark(document: Document, node: Node, remark: str) -> Insertion:
+    """Return the insertion of a comment behind an element and the comments on its line."""
+    comments = re.compile(rb"(?:[ \t]*<!--(?:(?!-->)[^\n])*-->)*").match(document.raw, node.end)
+    return Insertion(
+        comments.end() if comments else node.end, document.encoded(f"  {comment(remark)}")
+    )
 
 
 def comment(remark: str) -> str:
-    """``<!-- remark -->``."""
+    """Return ``<!-- remark -->``."""
     return f"<!-- {in_comment(remark)} -->"
 
 
 def in_comment(text: str) -> str:
-    """``text`` without double hyphens, which no XML comment may have."""
+    """Return text without double hyphens, which XML comments must not contain.
+
+    Examples
+    --------
+    >>> in_comment("a--b")
+    'a- -b'
+    """
     return re.sub("-(?=-)", "- ", text)
 
 
-def joined(insertions: list[Insertion]) -> list[Insertion]:
-    """In the order of the file, opening and closing made part of the text; children put into the same ``<a/>`` become one."""
-    out: list[Insertion] = []
+def merge_insertions(insertions: list[Insertion]) -> list[Insertion]:
+    """Return insertions in the order of the file; children put into one ``<a/>`` are merged."""
+    merged: list[Insertion] = []
     pending: list[Insertion] = []
+    # None marks the end of the list.
     for insertion in [*sorted(insertions, key=lambda item: item.at), None]:
         if pending and (
             insertion is None or not insertion.opening or insertion.at != pending[0].at
@@ -280,105 +324,109 @@ def joined(insertions: list[Insertion]) -> list[Insertion]:
             text = b"".join(
                 [pending[0].opening, *(item.text for item in pending), pending[0].closing]
             )
-            out.append(Insertion(pending[0].at, text, pending[0].removed))
+            merged.append(Insertion(pending[0].at, text, pending[0].removed))
             pending = []
         if insertion is not None:
-            (pending if insertion.opening else out).append(insertion)
-    return out
+            (pending if insertion.opening else merged).append(insertion)
+    return merged
 
 
 def apply(document: Document, insertions: list[Insertion]) -> bytes:
-    """The file's bytes with the insertions made; two at the same byte keep their order."""
+    """Return the file's bytes with the insertions; two at one byte keep their order.
+
+    Raises ValueError if insertions overlap.
+    """
     pieces, position = [], 0
-    for insertion in joined(insertions):
+    for insertion in merge_insertions(insertions):
         if insertion.at < position:
             raise ValueError("insertions overlap")
+        # Unchanged bytes up to the insertion, then its text.
         pieces += [document.raw[position : insertion.at], insertion.text]
         position = insertion.at + len(insertion.removed)
     return b"".join([*pieces, document.raw[position:]])
 
 
 def _indented(line: str, indent: str, step: str) -> str:
-    """Two leading spaces of ``line`` are one level; they become the author's."""
+    """Return a line with the author's indentation; two leading blanks are one level."""
     body = line.lstrip(" ")
     return indent + step * ((len(line) - len(body)) // 2) + body if body else ""
 
 
 def elements(lines: str) -> list[str]:
-    """Lines of a block of text, common indentation and blank lines at its ends removed."""
+    """Return the lines of a block of text without common indentation and outer blank lines."""
     return textwrap.dedent(lines).strip("\n").splitlines()
 
 
-def number(node: Node, what: str, document: Document) -> float:
-    """The element's text as a number; BadInputError with file and line."""
+def number(node: Node, name: str, document: Document) -> float:
+    """Return an element's text as a number; BadInputError with file and line."""
     try:
         return float(node.text)
     except ValueError:
         raise BadInputError(
-            f"{document.where(node)}: {what} must be a number; received {node.text.strip()!r}"
+            f"{document.where(node)}: {name} must be a number; received {node.text.strip()!r}"
         ) from None
 
 
 def attribute(node: Node, name: str) -> str:
-    """An attribute's value without surrounding white space; empty when it is not there."""
+    """Return an attribute's value without surrounding white space; empty if it is absent."""
     value: Any = node.attributes.get(name, "")
     return str(value).strip()
 
 
-# Properties declared in XML, and which of them an aircraft's files declare, compute or name.
-#
-# What JSBSim makes by itself does not stand there.
+# Properties that an aircraft's files declare, compute or name. JSBSim's own are not among them.
 
 
 def declare(name: str, number: str, remark: str | None = None) -> str:
-    """``<property value="number">name</property>``, with a remark behind it."""
+    """Return ``<property value="number">name</property>`` with an optional comment."""
     return f'<property value="{number}">{escape(name)}</property>' + (
         "" if remark is None else f"  {comment(remark)}"
     )
 
 
 def declarations(document: Document) -> Iterator[tuple[str, Node]]:
-    """Name and element of every ``<property value="...">name</property>``, in the order of the text."""
+    """Yield name and element of every property declared with a value, in the order of the text."""
     for node in document.root.walk():
         if node.tag == "property" and "value" in node.attributes:
             yield node.text.strip(), node
 
 
 def declaration(document: Document, name: str) -> Node | None:
-    """The first element that declares the property; None where none does."""
-    return next((node for found, node in declarations(document) if found == name), None)
+    """Return the first element that declares a property; None without one."""
+    return next((node for declared, node in declarations(document) if declared == name), None)
 
 
-def computes(document: Document, name: str) -> bool:
-    """Whether a ``<function>`` of the file has that name."""
+def has_function(document: Document, name: str) -> bool:
+    """Return whether a ``<function>`` of the file has a name."""
     return any(
         node.tag == "function" and attribute(node, "name") == name for node in document.root.walk()
     )
 
 
 def folder_declares(folder: Path, name: str) -> bool:
-    """Whether a file of the aircraft's folder declares the property."""
+    """Return whether a file of an aircraft's folder declares a property."""
     return any(declaration(document, name) is not None for document in folder_documents(folder))
 
 
-def declared_in(folder: Path, prefix: str) -> tuple[str, ...]:
-    """Properties beginning so that files of the aircraft's folder declare and no function or component computes, sorted."""
+def declared_properties(folder: Path, prefix: str) -> tuple[str, ...]:
+    """Return the properties with a prefix that files declare and nothing computes, sorted."""
     declared: set[str] = set()
     computed: set[str] = set()
     for path in sorted(folder.rglob("*.xml")):
         try:
-            names, made = _declared_and_computed(read_regular(path))
+            names, computed_names = _declared_and_computed(read_regular(path))
         except (BadInputError, OSError):
             continue
         declared |= {name for name in names if name.startswith(prefix)}
-        computed |= made
+        computed |= computed_names
     return tuple(sorted(declared - computed))
 
 
 @lru_cache(maxsize=128)
 def _declared_and_computed(raw: bytes) -> tuple[frozenset[str], frozenset[str]]:
-    """Properties that a file declares, and those that its functions and components compute. Copies of an aircraft are made by the
-    dozen, and hold the same files. Raises BadInputError."""
+    """Return the properties that a file declares, and those that functions and components compute.
+
+    Cached by content: aircraft are copied many times. Raises BadInputError.
+    """
     document = parse_document(Path("file"), raw)
     computed = {attribute(node, "name") for node in document.root.walk() if node.tag == "function"}
     computed |= {node.text.strip() for node in document.root.walk() if node.tag == "output"}
@@ -386,7 +434,7 @@ def _declared_and_computed(raw: bytes) -> tuple[frozenset[str], frozenset[str]]:
 
 
 def folder_names(folder: Path, prefix: str) -> bool:
-    """Whether a file of the aircraft's folder has a property that begins so, as an element's text or as an attribute."""
+    """Return whether a file of an aircraft's folder names a property with a prefix."""
     return any(
         text.strip().startswith(prefix)
         for document in folder_documents(folder)
@@ -396,7 +444,10 @@ def folder_names(folder: Path, prefix: str) -> bool:
 
 
 def folder_documents(folder: Path) -> Iterator[Document]:
-    """The XML files of an aircraft's folder in order of their paths; those that are no XML, or cannot be edited, are left out."""
+    """Yield the XML files of an aircraft's folder in the order of their paths.
+
+    Malformed files and files that cannot be edited are skipped.
+    """
     for path in sorted(folder.rglob("*.xml")):
         try:
             yield read_document(path)
@@ -404,10 +455,8 @@ def folder_documents(folder: Path) -> Iterator[Document]:
             continue
 
 
-# The protocol file by which FlightGear reads a flight from a text file.
-#
-# Format: FlightGear's README.protocol and README.IO (generic protocol, ASCII mode): one line a
-# sample, fields in the chunks' order.
+# FlightGear's protocol file for playing back a flight from text (README.protocol, README.IO:
+# generic protocol, ASCII): one line per sample, fields in the order of the chunks.
 
 FIELDS = (
     ("latitude-deg", "double", "/position/latitude-deg"),
@@ -418,11 +467,11 @@ FIELDS = (
     ("heading-deg", "double", "/orientation/heading-deg"),
     ("airspeed-kt", "double", "/velocities/airspeed-kt"),
 )
-"""Name, type and property of each field of a line. Altitude above sea level, true heading."""
+"""Name, type and property of each field; altitude above sea level, true heading."""
 
 
 def protocol_xml() -> str:
-    """The protocol's text; FlightGear looks for it under Protocol/ of its data folder."""
+    """Return the protocol file; FlightGear looks for it under Protocol/ of its data folder."""
     lines = ['<?xml version="1.0"?>', "<PropertyList>", "  <generic>", "    <input>"]
     lines += [
         "      <line_separator>newline</line_separator>",

@@ -5,17 +5,17 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.differences.elsewhere import How, channels_of, fly_elsewhere
-from uqharness.differences.ranking import Asked, differences, fly_matched
+from uqharness.differences.elsewhere import FlightSettings, channels_of, fly_elsewhere
+from uqharness.differences.ranking import MatchedRequest, differences, fly_matched
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, find_aircraft, open_aircraft
 
-HOW = How(most_s=1.0, dt_s=0.01)
+HOW = FlightSettings(max_s=1.0, dt_s=0.01)
 
 
 def test_the_same_jsbsim_flies_the_same_bits():
     aircraft = find_aircraft("espaaro")
-    asked = Asked(speeds_mps=(22.0,), missions=("steady",), python_b=Path(sys.executable))
+    asked = MatchedRequest(speeds_mps=(22.0,), missions=("steady",), python_b=Path(sys.executable))
     channels, (flight,) = fly_matched(aircraft, aircraft, asked)
     assert flight.jsbsim_b == engine.JSBSIM_VERSION
     assert flight.reason == ""
@@ -26,7 +26,7 @@ def test_the_same_jsbsim_flies_the_same_bits():
 
 def test_another_model_there_is_seen():
     one, two = find_aircraft("espaaro"), find_aircraft("espaaro_truth")
-    asked = Asked(speeds_mps=(22.0,), missions=("doublets",), python_b=Path(sys.executable))
+    asked = MatchedRequest(speeds_mps=(22.0,), missions=("doublets",), python_b=Path(sys.executable))
     channels, (flight,) = fly_matched(one, two, asked)
     assert differences(channels, [flight], []) != []
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uqharness.differences.elsewhere import How, channels_of, flown
+from uqharness.differences.elsewhere import FlightSettings, channels_of, fly_frames
 from uqharness.simulator import find_aircraft, open_aircraft
 
 LOITER = Path("scripts/loiter.xml").resolve()
@@ -16,7 +16,7 @@ LOITER = Path("scripts/loiter.xml").resolve()
 def test_rows_are_frames(dt_s, frames):
     aircraft = find_aircraft("espaaro")
     channels = channels_of(aircraft, open_aircraft(aircraft))
-    found = flown(aircraft, LOITER, channels, How(most_s=1.0, dt_s=dt_s))
+    found = fly_frames(aircraft, LOITER, channels, FlightSettings(max_s=1.0, dt_s=dt_s))
     assert len(found["time_s"]) == frames
     assert np.diff(found["time_s"]) == pytest.approx(dt_s)
     assert {c.name for c in channels} <= found.keys()
@@ -25,9 +25,9 @@ def test_rows_are_frames(dt_s, frames):
 def test_an_ulp_moves_it_and_a_seed_of_the_air_does():
     aircraft = find_aircraft("espaaro")
     channels = channels_of(aircraft, open_aircraft(aircraft))
-    how = How(most_s=1.0, dt_s=0.01)
+    how = FlightSettings(max_s=1.0, dt_s=0.01)
     changed = (how, how, replace(how, one_ulp_off=True), replace(how, turbulence="light"))
-    calm, again, near, gusty = (flown(aircraft, LOITER, channels, each) for each in changed)
+    calm, again, near, gusty = (fly_frames(aircraft, LOITER, channels, each) for each in changed)
     assert all(np.array_equal(calm[k], again[k]) for k in calm)
     assert 0.0 < np.max(np.abs(calm["V"] - near["V"])) < 1e-9
     assert np.max(np.abs(calm["V"] - gusty["V"])) > 1e-6

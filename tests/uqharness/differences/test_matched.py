@@ -9,11 +9,17 @@ import numpy as np
 import pytest
 
 from tests.helpers.places import ROOT
-from uqharness.differences import Asked, by_channel, differences, differing_terms, fly_matched
+from uqharness.differences import (
+    MatchedRequest,
+    by_channel,
+    differences,
+    differing_terms,
+    fly_matched,
+)
 from uqharness.errors import BadInputError
 from uqharness.simulator import find_aircraft
 
-ASKED = Asked((22.0,), missions=("doublets",))
+ASKED = MatchedRequest((22.0,), missions=("doublets",))
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +89,7 @@ def differences_of(flight) -> bool:
 def test_scripts_are_flown_too(given):
     script = ROOT / "scripts" / "doublet-elevator.xml"
     _, (flight,) = fly_matched(
-        given, given, Asked(scripts=(script,), properties=("aero/qbar-psf",))
+        given, given, MatchedRequest(scripts=(script,), properties=("aero/qbar-psf",))
     )
     assert flight.name == "doublet-elevator"
     assert "aero/qbar-psf" in flight.a
@@ -91,10 +97,10 @@ def test_scripts_are_flown_too(given):
 
 def test_nothing_to_fly_is_refused(given):
     with pytest.raises(BadInputError, match="nothing to fly"):
-        fly_matched(given, given, Asked())
+        fly_matched(given, given, MatchedRequest())
 
 
 @pytest.mark.slow
 def test_no_trim_is_refused(given):
     with pytest.raises(BadInputError, match="no steady flight"):
-        fly_matched(given, given, Asked((300.0,)))
+        fly_matched(given, given, MatchedRequest((300.0,)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.differences import Channel, Matched, Term, by_channel, differences, scale_of
+from uqharness.differences import Channel, MatchedFlight, Term, by_channel, differences, scale_of
 from uqharness.simulator import Source
 
 TIME = np.arange(0.0, 2.0, 0.01)
@@ -22,10 +22,10 @@ CHANNELS = (
 )
 
 
-def flight(**changed: np.ndarray) -> Matched:
+def flight(**changed: np.ndarray) -> MatchedFlight:
     a = {c.name: np.sin(TIME * (k + 1)) for k, c in enumerate(CHANNELS)}
     nudged = {name: values * (1.0 + 1e-15) for name, values in a.items()}
-    return Matched(
+    return MatchedFlight(
         "doublets",
         TIME,
         a,
@@ -47,7 +47,7 @@ def test_what_a_nudged_start_does_is_benign():
     a = exact.a["q"]
     assert (
         differences(
-            CHANNELS, [Matched("d", TIME, exact.a, exact.b, {**exact.nudged, "q": a + grown})], ()
+            CHANNELS, [MatchedFlight("d", TIME, exact.a, exact.b, {**exact.nudged, "q": a + grown})], ()
         )
         == []
     )

@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.places import ROOT
 from uqharness.differences import aircraft_at, revisions
-from uqharness.differences.revisions import named_revision
+from uqharness.differences.revisions import split_revision
 from uqharness.errors import BadInputError
 
 pytestmark = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
@@ -60,7 +60,7 @@ def test_what_is_not_there_is_told(repository, tmp_path, text):
     [("HEAD~1:a/b", ("HEAD~1", "a/b")), ("c172p", None), ("C:/x", None), ("HEAD:", None)],
 )
 def test_which_words_name_a_revision(text, found):
-    assert named_revision(text) == found
+    assert split_revision(text) == found
 
 
 def run_git(folder, *words, **options):

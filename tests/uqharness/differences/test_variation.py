@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from uqharness.differences.ranking import Asked, by_channel, differences, fly_matched, spread
+from uqharness.differences.ranking import (
+    MatchedRequest,
+    by_channel,
+    differences,
+    fly_matched,
+    largest_deviation,
+)
 from uqharness.errors import BadInputError
 from uqharness.simulator import find_aircraft
 
@@ -11,7 +17,7 @@ from uqharness.simulator import find_aircraft
 def found(**asked):
     one, two = find_aircraft("espaaro"), find_aircraft("espaaro_truth")
     channels, flights = fly_matched(
-        one, two, Asked(speeds_mps=(22.0,), missions=("doublets",), **asked)
+        one, two, MatchedRequest(speeds_mps=(22.0,), missions=("doublets",), **asked)
     )
     return {d.channel: d for d in by_channel(differences(channels, flights, []))}, flights[0]
 
@@ -19,8 +25,8 @@ def found(**asked):
 def test_the_largest_over_all_others():
     flight = {"q": np.array([0.0, 1.0, 2.0])}
     others = [{"q": np.array([0.0, 1.5, 2.0])}, {"q": np.array([-0.25, 1.0])}]
-    assert spread(flight, others) == {"q": 0.5}
-    assert spread(flight, []) == {"q": 0.0}
+    assert largest_deviation(flight, others) == {"q": 0.5}
+    assert largest_deviation(flight, []) == {"q": 0.0}
 
 
 def test_other_air():
@@ -49,5 +55,5 @@ def test_nothing_to_vary():
     ):
         with pytest.raises(BadInputError, match=said):
             fly_matched(
-                aircraft, aircraft, Asked(speeds_mps=(50.0,), missions=("steady",), **asked)
+                aircraft, aircraft, MatchedRequest(speeds_mps=(50.0,), missions=("steady",), **asked)
             )

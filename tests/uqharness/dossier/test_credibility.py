@@ -3,8 +3,8 @@
 import json
 
 from tests.helpers import report_folders as folders
-from uqharness.dossier.evidence import factors, flown_by_simulation, read_evidence
-from uqharness.dossier.match import Match, prove
+from uqharness.dossier.evidence import factors, read_evidence, simulating_models
+from uqharness.dossier.match import Match, proof_of_match
 
 NAMES = [
     "Data pedigree",
@@ -59,9 +59,9 @@ def test_flights_of_a_simulation_are_called_that(tmp_path):
     real = folders.stage("import", "import", None)
     for stages, expected in (([fly, real], ["plane_truth"]), ([real], [])):
         (tmp_path / "study.json").write_text(json.dumps(folders.study(stages)))
-        assert flown_by_simulation(read_evidence(tmp_path)) == expected
+        assert simulating_models(read_evidence(tmp_path)) == expected
 
 
 def test_the_proof_of_match_counts(tmp_path):
-    found = evidence_of(folders.refined(tmp_path / "r"), prove([], "_after", {}))
+    found = evidence_of(folders.refined(tmp_path / "r"), proof_of_match([], "_after", {}))
     assert not any("proof of match" in line for line in found["Validation"])

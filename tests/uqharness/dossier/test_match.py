@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from uqharness.dossier.match import ABSENT, FAIL, PASS, UNSURE, prove
+from uqharness.dossier.match import ABSENT, FAIL, INCONCLUSIVE, PASS, proof_of_match
 from uqharness.replay import History
 
 DEG = math.pi / 180.0
@@ -31,8 +31,8 @@ def segment(control="elevator", seconds=8.0, start=2.0, length=1.0, also=(), num
 
 
 def answers(*segments, noise=None):
-    match = prove(segments, "_model", noise or {})
-    return {j.test.entry: j.answer for j in match.judged}, match
+    match = proof_of_match(segments, "_model", noise or {})
+    return {j.test.entry: j.answer for j in match.results}, match
 
 
 def pulse(size):
@@ -75,7 +75,7 @@ def test_short_period(columns, expected):
 def test_a_single_sample_outside_fails():
     bump = segment(az_mps2=lambda t: np.where(np.arange(t.size) == 70, 2.0, 0.0))
     _, match = answers(bump)
-    row = next(r for r in match.judged[0].rows if r.quantity == "az_mps2")
+    row = next(r for r in match.results[0].rows if r.quantity == "az_mps2")
     assert (row.answer, row.at_s, row.worst) == (FAIL, pytest.approx(1.4), 2.0)
     assert row.share == pytest.approx(1.0 - 1.0 / 400)
     assert row.ratio == pytest.approx(2.0 / 0.980665)
@@ -95,7 +95,7 @@ def test_rates_by_the_less_restrictive_of_two(control, channel, entry):
 def test_noise_that_is_as_large_as_the_tolerance_decides_nothing():
     noisy = segment(theta_rad=1.6 * DEG, q_radps=2.1 * DEG)
     assert (
-        answers(noisy, noise={"theta_rad": 0.5 * DEG, "q_radps": 0.1 * DEG})[0]["2.c.10"] == UNSURE
+        answers(noisy, noise={"theta_rad": 0.5 * DEG, "q_radps": 0.1 * DEG})[0]["2.c.10"] == INCONCLUSIVE
     )
     assert answers(noisy, noise={"theta_rad": 0.1 * DEG, "q_radps": 0.1 * DEG})[0]["2.c.10"] == FAIL
 
@@ -110,9 +110,9 @@ def test_channels_that_are_not_there():
     lacking = segment()
     del lacking.columns["az_mps2_model"]
     assert answers(lacking)[1].missing["2.c.10"] == "the results have no az_mps2 of log and model"
-    gone = answers(segment(az_mps2=np.nan))[1].judged[0]
-    assert (gone.answer, gone.why) == (UNSURE, "a channel has no samples")
-    assert prove([], "_model", {}).missing["2.c.10"] == "there is no segment of a flight"
+    gone = answers(segment(az_mps2=np.nan))[1].results[0]
+    assert (gone.answer, gone.reason) == (INCONCLUSIVE, "a channel has no samples")
+    assert proof_of_match([], "_model", {}).missing["2.c.10"] == "there is no segment of a flight"
     assert ABSENT == "not in the data"
 
 
@@ -166,11 +166,11 @@ def test_dutch_roll():
 
     assert answers(flown(1.6, 14.0))[0]["2.d.7"] == PASS
     assert answers(flown(2.1, 14.0))[0]["2.d.7"] == FAIL
-    few = next(j for j in answers(flown(1.6, 7.0))[1].judged if j.test.entry == "2.d.7")
-    assert (few.answer, few.why) == (UNSURE, "2.6 of the 6 cycles that the test needs")
+    few = next(j for j in answers(flown(1.6, 7.0))[1].results if j.test.entry == "2.d.7")
+    assert (few.answer, few.reason) == (INCONCLUSIVE, "2.6 of the 6 cycles that the test needs")
     assert few.rows[0].measured == pytest.approx(1.5, rel=1e-3)
     still = segment("rudder", seconds=14.0, r_radps=oscillation(1.5, 0.1, 3.0))
-    assert next(j for j in answers(still)[1].judged if j.test.entry == "2.d.7").answer == FAIL
+    assert next(j for j in answers(still)[1].results if j.test.entry == "2.d.7").answer == FAIL
 
 
 def test_spiral_is_judged_after_the_input():

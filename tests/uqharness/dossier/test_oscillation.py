@@ -65,7 +65,7 @@ def test_gaps_are_left_out():
 def test_noise_alone_is_no_oscillation():
     y = np.random.default_rng(5).standard_normal(T.size)
     found = fit_mode(T, y, 0.5, 20.0)
-    assert found is None or found.amplitude < 3.0 * found.left
+    assert found is None or found.amplitude < 3.0 * found.residual_std
 
 
 def test_too_little_to_tell():

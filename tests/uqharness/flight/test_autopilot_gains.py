@@ -36,7 +36,7 @@ def test_a_parameter_sets_the_property_of_its_name_in_its_unit():
     assert found.properties == {f"ap/{name}": value for name, value in FLOWN.items()}
     # The aircraft's own file was written by hand from the same source: an independent copy of names and units.
     assert {prop: DECLARED[prop] for prop in found.properties} == found.properties
-    assert (found.ignored, found.others) == ({}, 0)
+    assert (found.ignored, found.n_others) == ({}, 0)
 
 
 def test_older_names_have_other_units_and_give_way_to_newer_ones():
@@ -95,7 +95,7 @@ def test_what_is_ignored_is_named_with_the_reason():
     assert found.ignored["RLL_RATE_SMAX"] == "the autopilot has no such term"
     assert found.ignored["YAW2SRV_INT"] == "0: off, as in the autopilot"
     assert "mission" in found.ignored["WP_LOITER_RAD"]
-    assert found.others == 2
+    assert found.n_others == 2
     words = "\n".join(found.lines())
     assert "1 gains taken: RLL_RATE_P 0.2" in words
     assert "2 parameters of other functions" in words

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uqharness.flight.dryden import PAGE_STEPS, DrydenGusts, dryden_parameters
-from uqharness.flight.random_numbers import Normals, Spliced, Split
+from uqharness.flight.random_numbers import Normals, SplicedSource, Split
 from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver
 from uqharness.flight.stepping import Levels
 
@@ -19,14 +19,14 @@ def normals(seed):
 
 @pytest.mark.parametrize("calls", [[100], [30, 20, 50], [40, 60], [39, 61]])
 def test_numbers_change_at_the_step_however_they_are_cut(calls):
-    made = Spliced(normals(1), normals(2), 40)
+    made = SplicedSource(normals(1), normals(2), 40)
     found = np.concatenate([made.take(n) for n in calls])
     np.testing.assert_array_equal(found[:40], normals(1).take(100)[:40])
     np.testing.assert_array_equal(found[40:], normals(2).take(60))
 
 
 def test_rows_of_a_page_change_at_one_step():
-    found = Spliced(normals(1), normals(2), 4, per_step=3).take(30).reshape(3, 10)
+    found = SplicedSource(normals(1), normals(2), 4, per_step=3).take(30).reshape(3, 10)
     before, behind = (
         normals(seed).take(3 * steps).reshape(3, steps) for seed, steps in ((1, 10), (2, 6))
     )

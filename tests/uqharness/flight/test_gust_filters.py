@@ -12,7 +12,7 @@ from uqharness.flight.dryden import (
     GustFilters,
     UnitGusts,
     _Recursion,
-    discretised,
+    discretise,
     first_order,
     lateral,
 )
@@ -24,7 +24,7 @@ B = (0.2, 0.0, 0.0)
 
 @pytest.mark.parametrize("dt", [0.0005, 0.01, 0.3, 3.0])
 def test_discretisation_has_the_exact_noise_covariance(dt: float) -> None:
-    step, factor = (np.array(found) for found in discretised(A, B, dt))
+    step, factor = (np.array(found) for found in discretise(A, B, dt))
     a, b = np.array(A), np.array(B)
     stationary = solve_continuous_lyapunov(a, -np.outer(b, b))
     np.testing.assert_allclose(step, expm(a * dt), rtol=1e-12)
@@ -54,7 +54,7 @@ def test_the_start_has_the_stationary_covariance(T: float, T_span: float) -> Non
 def test_first_order(x: float) -> None:
     made = first_order(x, 1.0)
     assert made.keep == pytest.approx(np.exp(-x), rel=1e-14)
-    assert made.spread == pytest.approx(np.sqrt(-np.expm1(-2.0 * x)), rel=1e-14)
+    assert made.noise_std == pytest.approx(np.sqrt(-np.expm1(-2.0 * x)), rel=1e-14)
 
 
 @pytest.mark.parametrize("x", [1e-7, 1e-3, 0.1, 2.0, 9.0, 12.0, 30.0, 650.0, 800.0])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from uqharness.flight import handling
-from uqharness.flight.handling import point_at, root_locus, usual_speeds
+from uqharness.flight.handling import default_speeds, locus_point, root_locus
 from uqharness.simulator import SteadyCondition, find_aircraft, find_trim, linearise, modes
 
 CONDITION = SteadyCondition(22.0)
@@ -20,7 +20,7 @@ def espaaro():
 
 @pytest.fixture(scope="module")
 def first(espaaro):
-    return point_at(linearise(espaaro, find_trim(espaaro, CONDITION)), "B", "I")
+    return locus_point(linearise(espaaro, find_trim(espaaro, CONDITION)), "B", "I")
 
 
 def test_points_are_the_modes_at_their_speeds(espaaro, first):
@@ -31,8 +31,8 @@ def test_points_are_the_modes_at_their_speeds(espaaro, first):
         (18.0, 26.0),
         "B",
         "I",
-        first,
-        lambda done, total: seen.append((done, total)),
+        first=first,
+        callback=lambda done, total: seen.append((done, total)),
     )
     assert [p.V_mps for p in found.points] == [18.0, 22.0, 26.0]
     assert found.refused == ()
@@ -62,10 +62,10 @@ def test_speeds_beyond_two_without_a_trim_are_not_tried(espaaro, first, monkeypa
     monkeypatch.setattr(handling, "find_trim", trim)
     monkeypatch.setattr(
         handling,
-        "point_at",
+        "locus_point",
         lambda model, category, aircraft_class: replace(first, V_mps=tried[-1]),
     )
-    found = root_locus(espaaro, CONDITION, (10.0, 12.0, 15.0, 19.0, 21.0), "B", "I", first)
+    found = root_locus(espaaro, CONDITION, (10.0, 12.0, 15.0, 19.0, 21.0), "B", "I", first=first)
     assert tried == [21.0, 19.0, 15.0]
     assert [p.V_mps for p in found.points] == [21.0, 22.0]
     reasons = dict(found.refused)
@@ -76,6 +76,6 @@ def test_speeds_beyond_two_without_a_trim_are_not_tried(espaaro, first, monkeypa
 
 
 def test_usual_speeds():
-    assert usual_speeds(20.0)[0] == pytest.approx(14.0)
-    assert usual_speeds(20.0)[-1] == pytest.approx(32.0)
-    assert usual_speeds(20.0, 16.0, 28.0)[1] == pytest.approx(17.0)
+    assert default_speeds(20.0)[0] == pytest.approx(14.0)
+    assert default_speeds(20.0)[-1] == pytest.approx(32.0)
+    assert default_speeds(20.0, 16.0, 28.0)[1] == pytest.approx(17.0)

@@ -9,7 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uqharness.flight.margins import Loop, Mixed, choose_lines, margins_of, measure_loop, multisine
+from uqharness.flight.margins import (
+    CoupledActuator,
+    Loop,
+    choose_lines,
+    margins_of,
+    measure_loop,
+    multisine,
+)
 
 DT = 0.01
 POLE, GAIN, DELAY = (
@@ -177,7 +184,7 @@ class MixedToy(ToyLoop):
         return True
 
 
-MIXED = replace(LOOP, mixed=(Mixed("inject-second", "mix", 1.0),))
+MIXED = replace(LOOP, mixed=(CoupledActuator("inject-second", "mix", 1.0),))
 
 
 def test_twice_the_gain_of_a_mixed_loop_halves_its_gain_margin():

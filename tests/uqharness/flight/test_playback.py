@@ -8,7 +8,7 @@ import pytest
 from sysid.logs import channels
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
-from uqharness.flight.recorded import NEEDED, playback_rows
+from uqharness.flight.recorded import PLAYBACK_COLUMNS, playback_rows
 
 START = {"lat_deg": 37.2, "lon_deg": -80.4, "alt_m": 630.0}
 
@@ -66,7 +66,7 @@ def test_dropouts_hold_the_last_value_and_the_first_known_one_before_it():
 def test_a_record_that_cannot_be_shown_is_refused():
     columns = dict(record().columns)
     del columns["north_m"], columns["east_m"]
-    with pytest.raises(BadInputError, match=f"needs north_m, east_m, which.*{NEEDED[0]}"):
+    with pytest.raises(BadInputError, match=f"needs north_m, east_m, which.*{PLAYBACK_COLUMNS[0]}"):
         playback_rows(FlightRecord(columns), START, 30.0)
     with pytest.raises(BadInputError, match="no value of it"):
         playback_rows(record(h_m=np.full(501, np.nan)), START, 30.0)

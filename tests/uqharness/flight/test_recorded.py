@@ -10,8 +10,13 @@ import numpy as np
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.flight.fly import Recorded
-from uqharness.flight.recorded import as_asked, start_of, to_record, two_seeds
+from uqharness.flight.fly import RecordedFlight
+from uqharness.flight.recorded import (
+    seeded_spec,
+    start_position,
+    to_record,
+    turbulence_and_noise_seeds,
+)
 from uqharness.flight.spec import FlightSpec
 
 SPEC = FlightSpec(Path("plane"), Path("loiter.xml"), 60.0, seed_noise=5)
@@ -31,7 +36,7 @@ def recorded(*more):
             *(values for _, values in more),
         ]
     )
-    return Recorded([*NAMES, *(name for name, _ in more)], rows, "ok", "", 80.0)
+    return RecordedFlight([*NAMES, *(name for name, _ in more)], rows, "ok", "", 80.0)
 
 
 def aircraft(**noise_std):
@@ -50,18 +55,18 @@ def aircraft(**noise_std):
     ],
 )
 def test_what_cannot_be_flown_is_refused(change, said):
-    assert as_asked(SPEC, 0).duration_s == 60.0
+    assert seeded_spec(SPEC, 0).duration_s == 60.0
     with pytest.raises(BadInputError, match=said):
-        as_asked(replace(SPEC, **change), 0)
+        seeded_spec(replace(SPEC, **change), 0)
 
 
 def test_one_seed_makes_two_streams():
     with pytest.raises(BadInputError, match="seed = -1"):
-        as_asked(SPEC, -1)
-    found = as_asked(replace(SPEC, properties={"a/b": 1.0}), 7)
-    assert (found.seed_turbulence, found.seed_noise) == two_seeds(7)
+        seeded_spec(SPEC, -1)
+    found = seeded_spec(replace(SPEC, properties={"a/b": 1.0}), 7)
+    assert (found.seed_turbulence, found.seed_noise) == turbulence_and_noise_seeds(7)
     assert found.properties["a/b"] == 1.0
-    assert len({seed for k in range(50) for seed in two_seeds(k)}) == 100
+    assert len({seed for k in range(50) for seed in turbulence_and_noise_seeds(k)}) == 100
 
 
 def test_heights_begin_at_zero_and_headings_stay_in_the_circle():
@@ -71,7 +76,7 @@ def test_heights_begin_at_zero_and_headings_stay_in_the_circle():
     assert frame["psi_rad"].between(0.0, 2.0 * np.pi, inclusive="left").all()
     assert np.sin(frame["psi_rad"].to_numpy()) == pytest.approx(np.sin(0.002 * np.arange(N) - 1.0))
     assert set(frame["manoeuvre"]) == {"loiter"}
-    assert start_of(flown)["alt_m"] == 300.0
+    assert start_position(flown)["alt_m"] == 300.0
 
 
 def test_noise_is_the_cards_and_a_channels_own():

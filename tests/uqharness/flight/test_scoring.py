@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from uqharness.flight.fly import (
-    Recorded,
+    RecordedFlight,
     commanded_signals,
     from_start_signals,
     score_commanded,
@@ -40,7 +40,7 @@ def test_deviations_by_hand():
             [98.0, 52.0, 6.1, 0.7, 0.1, 0.0],
         ]
     )
-    result = score_from_start(SPEC, Recorded(names, rows, "ok", "", 3.0))
+    result = score_from_start(SPEC, RecordedFlight(names, rows, "ok", "", 3.0))
     assert isinstance(result, FlightResult)
     assert [result.metrics[f"altitude_{kind}_m"] for kind in ("median", "mean", "max")] == [
         2.0,
@@ -59,19 +59,19 @@ def test_deviations_by_hand():
         [rows, [0.0, 10.0, 20.0], [0.0, 10.0, 52.0], [5.0, 0.0, 0.0], [5.0, 9.0, 9.0]]
     )
     onwards = score_from_start(
-        SPEC, Recorded([*names, "north_m", "east_m", "vn_mps", "ve_mps"], straight, "ok", "", 3.0)
+        SPEC, RecordedFlight([*names, "north_m", "east_m", "vn_mps", "ve_mps"], straight, "ok", "", 3.0)
     )
     # Began towards the north-east; 52 m east and 20 m north lies 32/sqrt(2) m to the right of that line.
     assert onwards.metrics["cross_track_max_m"] == pytest.approx(32.0 / np.sqrt(2.0))
     assert (onwards.metrics["excursions_15m"], onwards.metrics["excursions_25m"]) == (1.0, 0.0)
-    broken = score_from_start(SPEC, Recorded(names, rows, "crashed", "hit the ground", 3.0))
+    broken = score_from_start(SPEC, RecordedFlight(names, rows, "crashed", "hit the ground", 3.0))
     assert np.isnan(broken.metrics["altitude_max_m"])
     assert broken.undefined["altitude"] == "hit the ground"
     assert broken.metrics["loss_of_control"] == 1.0
 
 
 def test_errors_from_a_path_by_hand():
-    found = score_commanded(SPEC, Recorded(NAMES, ROWS, "ok", "", 3.0))
+    found = score_commanded(SPEC, RecordedFlight(NAMES, ROWS, "ok", "", 3.0))
     assert [found.metrics[f"cross_track_{kind}_m"] for kind in ("median", "mean", "max")] == [
         15.0,
         16.25,
@@ -91,7 +91,7 @@ def test_errors_from_a_path_by_hand():
 
 
 def test_a_flight_that_ended_badly_keeps_what_it_counted():
-    found = score_commanded(SPEC, Recorded(NAMES, ROWS, "crashed", "hit the ground", 3.0))
+    found = score_commanded(SPEC, RecordedFlight(NAMES, ROWS, "crashed", "hit the ground", 3.0))
     assert math.isnan(found.metrics["cross_track_max_m"])
     assert found.undefined["cross_track_max_m"] == "hit the ground"
     assert found.metrics["excursions_15m"] == 2.0
@@ -106,7 +106,7 @@ def test_control_is_lost_beyond_a_limit(column, value):
     rows = ROWS.copy()
     rows[2, NAMES.index(column)] = value
     assert (
-        score_commanded(SPEC, Recorded(NAMES, rows, "ok", "", 3.0)).metrics["loss_of_control"]
+        score_commanded(SPEC, RecordedFlight(NAMES, rows, "ok", "", 3.0)).metrics["loss_of_control"]
         == 1.0
     )
 
@@ -114,7 +114,7 @@ def test_control_is_lost_beyond_a_limit(column, value):
 def test_the_rearming_distance_counts():
     near = ROWS.copy()
     near[1, 0] = -14.0
-    flight = Recorded(NAMES, near, "ok", "", 3.0)
+    flight = RecordedFlight(NAMES, near, "ok", "", 3.0)
     assert score_commanded(SPEC, flight).metrics["excursions_15m"] == 1.0
     assert score_commanded(replace(SPEC, rearm_m=0.5), flight).metrics["excursions_15m"] == 2.0
 

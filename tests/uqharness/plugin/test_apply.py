@@ -68,7 +68,7 @@ def test_an_aircraft_that_does_not_fly_is_refused_or_noted(
     def ask(folder: Path) -> aircraft_facts.AircraftFacts:
         raise BadInputError("it dives")
 
-    monkeypatch.setattr(aircraft_facts, "ask_in_child", ask)
+    monkeypatch.setattr(aircraft_facts, "measure_facts_in_child", ask)
     with pytest.raises(BadInputError, match="it dives; --no-check"):
         instrument_aircraft(find_aircraft("c172x"), BOUNDS, tmp_path / "c172x")
     assert not (tmp_path / "c172x").exists()
@@ -82,10 +82,10 @@ def test_a_control_that_cannot_be_measured_is_noted_and_the_command_answers_no(
     hunting = aircraft_facts.ControlFacts(1, unmeasured="engine 1 does not settle")
 
     def facts(folder: Path) -> aircraft_facts.AircraftFacts:
-        assumed = aircraft_facts.assumed(16.2, 10.9, 1.5)
+        assumed = aircraft_facts.assumed_facts(16.2, 10.9, 1.5)
         return replace(assumed, controls={**assumed.controls, "throttle": hunting})
 
-    monkeypatch.setattr(aircraft_facts, "ask_in_child", facts)
+    monkeypatch.setattr(aircraft_facts, "measure_facts_in_child", facts)
     words = ["instrument", "c172x", "--no-check", "--out", str(tmp_path / "a")]
     assert main(words) == 1
     note = "throttle could not be measured, so its sense and throw in airframe.toml are assumed: engine 1 does not settle"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from sysid.foreign.regular_files import parse_toml
-from uqharness.plugin.card import ERRORS_XML, Scaled, card_text
+from uqharness.plugin.card import ERRORS_XML, ScaledFunction, card_text
 from uqharness.simulator.facts import AircraftFacts, ControlFacts
 
 CONTROLS = {
@@ -17,7 +17,7 @@ CONTROLS = {
     "throttle": ControlFacts(1),
 }
 FACTS = AircraftFacts(1.97, 3.66, 0.53, 1, CONTROLS)
-SCALED = Scaled(
+SCALED = ScaledFunction(
     "LIFT", "aero/coefficient/CLalpha", "a.xml", 12, "uq/scale/CLalpha", "uq/bias/CLalpha"
 )
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from uqharness.plugin.apply import carried_files
 from uqharness.simulator.aircraft import find_aircraft
-from uqharness.simulator.staging import copy_beside, copy_folder
+from uqharness.simulator.staging import copy_folder, copy_shared_parts
 
 
 def root_of(tmp_path):
     """A JSBSim root with one aircraft and its engines and systems."""
     folder = tmp_path / "root" / "aircraft" / "c172x"
     copy_folder(find_aircraft("c172x").folder, folder)
-    copy_beside(find_aircraft("c172x"), tmp_path / "root", stock=tmp_path / "elsewhere")
+    copy_shared_parts(find_aircraft("c172x"), tmp_path / "root", stock=tmp_path / "elsewhere")
     return find_aircraft(folder)
 
 

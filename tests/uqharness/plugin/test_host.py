@@ -8,7 +8,7 @@ from uqharness.plugin.apply import with_card
 from uqharness.plugin.card import HOST_SYSTEM, SWITCH, host_xml
 from uqharness.simulator import SteadyCondition, find_aircraft, find_trim
 from uqharness.simulator import facts as aircraft_facts
-from uqharness.simulator.forced_state import BodyState, body_velocity, forced
+from uqharness.simulator.forced_state import BodyState, body_velocity, open_forced
 from uqharness.xml import folder_names
 
 THRUST = "propulsion/engine/thrust-lbs"
@@ -21,16 +21,16 @@ def p51d():
 
 def thrust_lbf(aircraft, throttle, switch=1.0):
     state = BodyState(*body_velocity(90.0, 0.05, 0.0), 0.0, 0.05, 0.0)
-    fdm, _ = forced(aircraft, state, {"throttle": throttle}, 200.0, {SWITCH: switch})
+    fdm, _ = open_forced(aircraft, state, {"throttle": throttle}, 200.0, {SWITCH: switch})
     return fdm[THRUST]
 
 
 def test_what_an_aircraft_reads_of_flightgear_is_found_and_nothing_that_it_writes_itself():
-    found = dict(aircraft_facts.ask_in_child(find_aircraft("p51d").folder).host)
+    found = dict(aircraft_facts.measure_facts_in_child(find_aircraft("p51d").folder).host)
     assert found["/controls/engines/engine/throttle"] == "fcs/throttle-cmd-norm"
     assert found["/engines/engine/mp-inhg"] == "propulsion/engine/map-inhg"
     assert "/controls/engines/engine/feed_tank" not in found
-    facts = aircraft_facts.ask_in_child(find_aircraft("c172p").folder)
+    facts = aircraft_facts.measure_facts_in_child(find_aircraft("c172p").folder)
     assert facts.host == ()
     assert facts.controls["throttle"].sense == 1
 
@@ -47,7 +47,7 @@ def test_the_throttle_moves_the_thrust_and_not_without_the_host(p51d):
 def test_it_trims_and_flies_on_at_that_speed(p51d):
     trim = find_trim(p51d, SteadyCondition(90.0, 200.0))
     assert trim.converged, trim.reason
-    fdm, _ = forced(p51d, trim.state, trim.controls, 200.0, None, trim.rest)
+    fdm, _ = open_forced(p51d, trim.state, trim.controls, 200.0, None, trim.equilibrium)
     speed, thrust = fdm["velocities/vt-fps"], fdm[THRUST]
     while fdm.get_sim_time() < 2.0:
         fdm.run()

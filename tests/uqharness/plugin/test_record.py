@@ -8,7 +8,7 @@ import pytest
 
 from sysid.digests import sha256_hex
 from uqharness.errors import BadInputError
-from uqharness.plugin.instrument import FILE_NAME, changed, read_record, restored, to_json
+from uqharness.plugin.instrument import FILE_NAME, make_change, read_record, restore, to_json
 from uqharness.xml.document import Insertion
 
 BEFORE = b"<a>\n <b/>\n <c/>\n</a>\n"
@@ -24,9 +24,9 @@ def edited() -> bytes:
 
 def test_a_record_comes_back(tmp_path):
     changes = {
-        "plane.xml": changed(BEFORE, edited(), INSERTIONS),
-        "Systems/new.xml": changed(None, b"new"),
-        "old.xml": changed(b"\xff", b"x"),
+        "plane.xml": make_change(BEFORE, edited(), INSERTIONS),
+        "Systems/new.xml": make_change(None, b"new"),
+        "old.xml": make_change(b"\xff", b"x"),
     }
     (tmp_path / FILE_NAME).write_bytes(to_json(changes))
     assert read_record(tmp_path) == changes
@@ -36,27 +36,27 @@ def test_a_record_comes_back(tmp_path):
 
 
 def test_undoing_gives_every_byte_back(tmp_path):
-    change = changed(BEFORE, edited(), INSERTIONS)
+    change = make_change(BEFORE, edited(), INSERTIONS)
     assert edited() != BEFORE
-    assert restored(tmp_path / "a.xml", change, edited()) == BEFORE
-    assert restored(tmp_path / "new.xml", changed(None, b"new"), b"new") is None
-    assert restored(tmp_path / "old.xml", changed(b"old", b"x"), b"whatever") == b"old"
+    assert restore(tmp_path / "a.xml", change, edited()) == BEFORE
+    assert restore(tmp_path / "new.xml", make_change(None, b"new"), b"new") is None
+    assert restore(tmp_path / "old.xml", make_change(b"old", b"x"), b"whatever") == b"old"
 
 
 def test_an_authors_later_change_elsewhere_stays(tmp_path):
-    change = changed(BEFORE, edited(), INSERTIONS)
+    change = make_change(BEFORE, edited(), INSERTIONS)
     now = edited().replace(b"</a>", b" <mine/>\n</a>")
-    assert restored(tmp_path / "a.xml", change, now) == BEFORE.replace(b"</a>", b" <mine/>\n</a>")
+    assert restore(tmp_path / "a.xml", change, now) == BEFORE.replace(b"</a>", b" <mine/>\n</a>")
     for touched in (now.replace(b"<uq/one>", b"<uq/ONE>"), now + b" <uq/two/>\n"):
         with pytest.raises(BadInputError, match="changed since it was instrumented"):
-            restored(tmp_path / "a.xml", change, touched)
+            restore(tmp_path / "a.xml", change, touched)
 
 
 def test_a_record_of_another_file_does_not_fit(tmp_path):
-    change = changed(BEFORE.replace(b"<c/>", b"<d/>"), edited(), INSERTIONS)
+    change = make_change(BEFORE.replace(b"<c/>", b"<d/>"), edited(), INSERTIONS)
     assert change.after == sha256_hex(edited())
     with pytest.raises(BadInputError, match="does not fit this file"):
-        restored(tmp_path / "a.xml", change, edited())
+        restore(tmp_path / "a.xml", change, edited())
 
 
 @pytest.mark.parametrize(

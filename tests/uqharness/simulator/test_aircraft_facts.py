@@ -11,7 +11,13 @@ from sysid.units import FT_M, LBF_N, RAD_DEG
 from uqharness.plugin import Bounds, instrument_aircraft
 from uqharness.simulator import engine, find_aircraft
 from uqharness.simulator import facts as aircraft_facts
-from uqharness.simulator.facts import ALTITUDE_M, ControlFacts, _facts, _Held, _throttle_facts
+from uqharness.simulator.facts import (
+    ALTITUDE_M,
+    ControlFacts,
+    _control_facts,
+    _HeldState,
+    _throttle_facts,
+)
 from uqharness.simulator.staging import staged
 
 PLANE = """<?xml version="1.0"?>
@@ -115,7 +121,7 @@ def electric(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_an_electric_aircraft_is_measured_with_its_engine_settled(electric: Path, tmp_path: Path):
-    facts = aircraft_facts.ask_in_child(electric)
+    facts = aircraft_facts.measure_facts_in_child(electric)
     found = {name: (c.sense, c.throw_deg) for name, c in facts.controls.items()}
     assert found["elevator"] == (1, pytest.approx(0.3 * RAD_DEG, rel=1e-3))
     assert found["aileron"] == (-1, pytest.approx(0.25 * RAD_DEG, rel=1e-3))
@@ -130,9 +136,9 @@ def test_an_electric_aircraft_is_measured_with_its_engine_settled(electric: Path
 
 def held(
     answers: list[float], positions: list[float] | None = None, again: float | None = None
-) -> list[_Held]:
+) -> list[_HeldState]:
     return [
-        _Held(
+        _HeldState(
             {"accelerations/qdot-rad_sec2": q},
             {} if positions is None else {"fcs/elevator-pos-deg": positions[k]},
         )
@@ -164,26 +170,26 @@ def test_sense_and_throw_are_read_from_the_answer(
     answers: list[float], positions: list[float] | None, expected: ControlFacts
 ):
     rows = held(answers, positions)
-    assert _facts("elevator", rows, lambda: rows) == expected
+    assert _control_facts("elevator", rows, lambda: rows) == expected
 
 
 def test_a_drift_is_no_answer():
     rows = held([0.0, 0.1, 0.2, 0.3, 0.4], None, again=0.5)
-    assert _facts("elevator", rows, list) == ControlFacts(0)
+    assert _control_facts("elevator", rows, list) == ControlFacts(0)
 
 
 def test_a_surface_at_a_control_laws_limit_has_no_throw():
     rows = held(DOWN, [-25.0, -25.0, 3.0, 25.0, 25.0])
     turning = held(DOWN, [-25.0, -25.0, 9.0, 25.0, 25.0])
-    assert _facts("elevator", rows, lambda: turning) == ControlFacts(1)
+    assert _control_facts("elevator", rows, lambda: turning) == ControlFacts(1)
 
 
 def test_what_is_not_finite_is_not_written_as_a_fact():
-    facts = _facts("elevator", held([math.nan, 0.0, 0.0, 0.0, 0.0]), list)
+    facts = _control_facts("elevator", held([math.nan, 0.0, 0.0, 0.0, 0.0]), list)
     assert "not finite" in facts.unmeasured
-    closed, opened = (_Held({"thrust-lbs": x}, engines=1) for x in (0.0, math.inf))
+    closed, opened = (_HeldState({"thrust-lbs": x}, engines=1) for x in (0.0, math.inf))
     assert "not finite" in _throttle_facts(closed, opened).unmeasured
-    hunting = _Held({"thrust-lbs": 9.0}, engines=1, unsettled="engine 1 does not settle")
+    hunting = _HeldState({"thrust-lbs": 9.0}, engines=1, unsettled="engine 1 does not settle")
     facts = _throttle_facts(closed, hunting)
     assert (facts.thrust_N, facts.unmeasured) == (
         None,
@@ -257,7 +263,7 @@ def response(name: str, V_mps: float, control: str, value: float, frames: int) -
 
 @pytest.mark.parametrize("name", STOCK)
 def test_the_cards_throws_signs_and_thrust_are_those_of_jsbsims_response(name: str):
-    facts = aircraft_facts.ask_in_child(find_aircraft(name).folder)
+    facts = aircraft_facts.measure_facts_in_child(find_aircraft(name).folder)
     for control, (acceleration, sign) in ACCELERATIONS.items():
         low, high = (response(name, facts.V_mps, control, end, 300) for end in (-1.0, 1.0))
         found = facts.controls[control]

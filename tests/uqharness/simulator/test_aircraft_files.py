@@ -9,7 +9,7 @@ import pytest
 
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
-from uqharness.simulator.staging import copy_folder, identity, opened, signature, walk
+from uqharness.simulator.staging import copy_folder, identity, model_files, signature, walk
 
 
 def test_the_identity_of_a_self_contained_aircraft_is_that_of_its_folder() -> None:
@@ -57,7 +57,7 @@ def test_a_copy_has_the_same_identity_and_a_changed_byte_another(
 
 
 def test_what_jsbsim_may_open_is_what_the_xml_refers_to(folder: Path) -> None:
-    before = set(opened(find_aircraft(folder)).own)
+    before = set(model_files(find_aircraft(folder)).local)
     assert "espaaro.xml" in before
     (folder / "unused.xml").write_text("<system name='x'/>")
     text = (folder / "espaaro.xml").read_text()
@@ -66,7 +66,7 @@ def test_what_jsbsim_may_open_is_what_the_xml_refers_to(folder: Path) -> None:
     )
     (folder / "Systems").mkdir(exist_ok=True)
     (folder / "Systems" / "used.xml").write_text("<system name='x'/>")
-    assert set(opened(find_aircraft(folder)).own) - before == {"Systems/used.xml"}
+    assert set(model_files(find_aircraft(folder)).local) - before == {"Systems/used.xml"}
 
 
 def test_a_linked_folder_is_refused(folder: Path, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from sysid.record import FlightRecord, Metadata
 from uqharness.errors import BadInputError
-from uqharness.files import check_folder, write_bytes
+from uqharness.files import check_output_folder, write_bytes
 from uqharness.simulator.altitude import with_start_altitude
 
 TIME = {"time_s": np.arange(5) * 0.02, "V_mps": np.full(5, 20.0)}
@@ -42,8 +42,8 @@ def test_what_the_record_knows_is_left_alone(tmp_path):
 def test_folders_on_the_way_are_made_and_a_file_in_the_way_is_refused_early(tmp_path):
     write_bytes(tmp_path / "a" / "b" / "c.txt", b"x")
     assert (tmp_path / "a" / "b" / "c.txt").read_bytes() == b"x"
-    check_folder(tmp_path / "new" / "deep")
+    check_output_folder(tmp_path / "new" / "deep")
     assert not (tmp_path / "new").exists()
     for path in (tmp_path / "a" / "b" / "c.txt", tmp_path / "a" / "b" / "c.txt" / "d"):
         with pytest.raises(BadInputError, match="is no folder"):
-            check_folder(path)
+            check_output_folder(path)

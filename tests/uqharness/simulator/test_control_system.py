@@ -14,10 +14,10 @@ from uqharness.simulator.forced_state import (
     RATES_FREE,
     RATES_HELD,
     BodyState,
-    Rest,
+    ControlEquilibrium,
     apply_controls,
     body_velocity,
-    forced,
+    open_forced,
 )
 
 ACCELERATIONS = (
@@ -31,17 +31,17 @@ F22_ALPHA = 0.08
 def placed(name, V_mps, alpha_rad, **controls):
     u, v, w = body_velocity(V_mps, alpha_rad, 0.0)
     aircraft = find_aircraft(name)
-    fdm, _ = forced(aircraft, BodyState(u, v, w, 0.0, alpha_rad, 0.0), controls, 200.0, None)
+    fdm, _ = open_forced(aircraft, BodyState(u, v, w, 0.0, alpha_rad, 0.0), controls, 200.0, None)
     return aircraft, fdm
 
 
 def test_what_forces_feel_of_the_control_system():
-    assert set(forced_state.felt(find_aircraft("c172p"))) >= {
+    assert set(forced_state.control_outputs(find_aircraft("c172p"))) >= {
         "fcs/elevator-pos-rad",
         "fcs/rudder-pos-rad",
         "fcs/flap-pos-deg",
     }
-    f22 = set(forced_state.felt(find_aircraft("f22")))
+    f22 = set(forced_state.control_outputs(find_aircraft("f22")))
     assert {
         "fcs/throttle-pos-norm",
         "fcs/throttle-pos-norm[1]",
@@ -56,13 +56,13 @@ def test_what_forces_feel_of_the_control_system():
 @pytest.mark.parametrize(("name", "V_mps"), [("c172p", 45.0), ("T37", 90.0)])
 def test_a_control_system_without_filters_rests_from_the_first_frame_on(name, V_mps):
     aircraft, fdm = placed(name, V_mps, 0.05, elevator=-0.1, throttle=0.6)
-    assert forced_state.moving(fdm, forced_state.rest_of(aircraft, fdm)) == ""
+    assert forced_state.moving_property(fdm, forced_state.control_equilibrium(aircraft, fdm)) == ""
 
 
 def test_filters_come_to_rest_where_jsbsim_in_flight_brings_them():
     aircraft, fdm = placed("f22", 129.2, F22_ALPHA, elevator=0.0, throttle=0.5)
-    rest = forced_state.rest_of(aircraft, fdm, free=True)
-    moving = forced_state.moving(fdm, rest)
+    rest = forced_state.control_equilibrium(aircraft, fdm, free=True)
+    moving = forced_state.moving_property(fdm, rest)
     assert moving in rest.watched
     names = (
         "velocities/u-fps",
@@ -73,7 +73,7 @@ def test_filters_come_to_rest_where_jsbsim_in_flight_brings_them():
     )
     first, state = fdm["fcs/throttle-pos-norm"], [fdm[n] for n in names]
     assert forced_state.bring_to_rest(fdm, rest) == ""
-    assert forced_state.moving(fdm, rest) == ""
+    assert forced_state.moving_property(fdm, rest) == ""
     assert [fdm[n] for n in names] == pytest.approx(state, rel=1e-9)
     assert fdm.get_sim_time() == 0.0
     rested, thrust = fdm["fcs/throttle-pos-norm"], fdm["propulsion/engine/thrust-lbs"]
@@ -105,7 +105,7 @@ def test_a_control_law_that_integrates_rests_with_the_rates_free_and_not_with_th
     aircraft, fdm = placed(
         "f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.0, throttle=0.5
     )
-    rest = forced_state.rest_of(aircraft, fdm, free=True)
+    rest = forced_state.control_equilibrium(aircraft, fdm, free=True)
     assert abs(fdm["accelerations/qdot-rad_sec2"]) > 0.5
     assert forced_state.bring_to_rest(fdm, rest) == ""
     assert abs(fdm["velocities/q-rad_sec"]) < 1e-8
@@ -116,7 +116,7 @@ def test_a_control_law_that_integrates_rests_with_the_rates_free_and_not_with_th
     assert fdm["velocities/q-rad_sec"] == pytest.approx(0.02595, abs=1e-4)
     # With the rates held nothing tells the integrator that the aircraft does not turn: the surface stays, the moment too.
     _, fdm = placed("f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.0, throttle=0.5)
-    forced_state.bring_to_rest(fdm, Rest(rest.watched))
+    forced_state.bring_to_rest(fdm, ControlEquilibrium(rest.watched))
     assert abs(fdm["accelerations/qdot-rad_sec2"]) > 0.5
 
 
@@ -124,22 +124,22 @@ def test_a_ramp_is_told():
     aircraft, fdm = placed(
         "f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.002, throttle=0.5
     )
-    said = forced_state.bring_to_rest(fdm, forced_state.rest_of(aircraft, fdm))
+    said = forced_state.bring_to_rest(fdm, forced_state.control_equilibrium(aircraft, fdm))
     assert "does not come to rest: fcs/rudder-pos-rad still changes by" in said
 
 
 def test_marks_of_a_mission():
     aircraft, fdm = placed("x24b", 196.0, 0.08)
-    assert forced_state.marked((), aircraft, fdm) is None
+    assert forced_state.marked_equilibrium((), aircraft, fdm) is None
     for mark, free in ((RATES_HELD, False), (RATES_FREE, True)):
-        rest = forced_state.marked(("flight/steady-start", mark), aircraft, fdm)
+        rest = forced_state.marked_equilibrium(("flight/steady-start", mark), aircraft, fdm)
         assert rest.free is free
         assert rest.mark == mark
 
 
 def test_what_ends_jsbsim_meanwhile_is_a_sentence():
     aircraft, fdm = placed("x24b", 196.0, 0.08)
-    rest = forced_state.rest_of(aircraft, fdm)
+    rest = forced_state.control_equilibrium(aircraft, fdm)
 
     class Ends:
         def __getattr__(self, name):

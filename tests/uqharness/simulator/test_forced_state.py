@@ -15,14 +15,14 @@ from uqharness.simulator.forced_state import (
     BodyState,
     body_velocity,
     force_state,
-    forced,
+    open_forced,
 )
 
 STATE = BodyState(*body_velocity(50.0, 0.06, 0.02), 0.1, 0.08, 0.5, 0.02, -0.01, 0.03)
 
 
 def test_the_model_stands_where_it_was_put():
-    fdm, unsettled = forced(
+    fdm, unsettled = open_forced(
         find_aircraft("c172p"), STATE, {"elevator": -0.1, "throttle": 0.7}, 300.0, None
     )
     assert unsettled == ""
@@ -40,7 +40,7 @@ def test_accelerations_are_those_with_which_jsbsim_flies_on():
     aircraft = find_aircraft("c172p")
     state = BodyState(*body_velocity(50.0, 0.06, 0.0), 0.0, 0.06, 0.0)
     asked, _ = force_state(aircraft, state, {"elevator": -0.1}, 300.0)
-    fdm, _ = forced(aircraft, state, {"elevator": -0.1}, 300.0, None)
+    fdm, _ = open_forced(aircraft, state, {"elevator": -0.1}, 300.0, None)
     for _ in range(3):
         fdm.run()
     assert fdm["velocities/q-rad_sec"] / (3 * fdm.get_delta_t()) == pytest.approx(
@@ -56,9 +56,9 @@ def test_with_the_control_system_at_rest_the_thrust_is_that_of_the_throttle_and_
         BodyState(*body_velocity(129.2, 0.08, 0.0), 0.0, 0.08, 0.0),
         "propulsion/engine/thrust-lbs",
     )
-    fdm, _ = forced(aircraft, state, {"throttle": 0.5}, 300.0, None)
-    rest = forced_state.rest_of(aircraft, fdm)
-    rested = force_state(aircraft, state, {"throttle": 0.5}, 300.0, None, (thrust,), rest)
+    fdm, _ = open_forced(aircraft, state, {"throttle": 0.5}, 300.0, None)
+    rest = forced_state.control_equilibrium(aircraft, fdm)
+    rested = force_state(aircraft, state, {"throttle": 0.5}, 300.0, None, (thrust,), equilibrium=rest)
     first = force_state(aircraft, state, {"throttle": 0.5}, 300.0, None, (thrust,))
     assert rested[1][thrust] > 10.0 * first[1][thrust]
     # Both engines; the flaps that go down meanwhile brake a little.

@@ -8,12 +8,12 @@ import pytest
 
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
-from uqharness.simulator.staging import DEEPEST, leads_out, passed, tag_end
+from uqharness.simulator.staging import MAX_DEPTH, leads_out, screen_file, tag_end
 
 
 def test_what_is_taken_out_leaves_every_other_byte_and_line() -> None:
     raw = b'<a>\r\n<output name="x>y"/>\n<b><output>kept</output></b>\n<output>\n<c file="/etc"/></output><input/><c/>\n</a>\n'
-    found = passed(raw, "a.xml")
+    found = screen_file(raw, "a.xml")
     assert [(tag, line) for tag, line in found.taken_out] == [
         ("output", 2),
         ("output", 4),
@@ -24,30 +24,30 @@ def test_what_is_taken_out_leaves_every_other_byte_and_line() -> None:
     assert b"<b><output>kept</output></b>" in found.content
     assert found.content.rstrip().endswith(b"<c/>\n</a>")
     assert found.references == ()
-    assert passed(b"<a><b/></a>", "b.xml").content == b"<a><b/></a>"
+    assert screen_file(b"<a><b/></a>", "b.xml").content == b"<a><b/></a>"
 
 
 def test_an_element_made_by_an_entity_is_refused() -> None:
     sly = b"<!DOCTYPE a [<!ENTITY o \"<output name='/tmp/x' type='CSV'/>\">]><a>&o;</a>"
     with pytest.raises(BadInputError, match="comes from an entity"):
-        passed(sly, "a.xml")
+        screen_file(sly, "a.xml")
     path = b'<!DOCTYPE a [<!ENTITY p "/etc/passwd">]><a><system file="&p;"/></a>'
     with pytest.raises(BadInputError, match="leads out"):
-        passed(path, "a.xml")
+        screen_file(path, "a.xml")
     # Text from an entity is what stock systems have.
-    assert passed(b'<!DOCTYPE a [<!ENTITY on "1">]><a><v>&on;</v></a>', "a.xml").taken_out == ()
+    assert screen_file(b'<!DOCTYPE a [<!ENTITY on "1">]><a><v>&on;</v></a>', "a.xml").taken_out == ()
 
 
 def test_entities_do_not_multiply() -> None:
     lines = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10}">' for k in range(1, 12))
     bomb = f'<!DOCTYPE a [<!ENTITY e0 "0123456789">{lines}]><a>&e11;</a>'.encode()
     with pytest.raises(BadInputError, match="not well-formed"):
-        passed(bomb, "bomb.xml")
+        screen_file(bomb, "bomb.xml")
 
 
 def test_every_stock_file_passes() -> None:
     stock = engine.default_root()
-    roots = {passed(path.read_bytes(), path.name).root for path in stock.rglob("*.xml")}
+    roots = {screen_file(path.read_bytes(), path.name).root for path in stock.rglob("*.xml")}
     assert {
         "fdm_config",
         "system",
@@ -115,7 +115,7 @@ def test_a_quote_that_never_ends_is_looked_through_once():
 
 
 def test_references_are_named_as_jsbsim_opens_them():
-    found = passed(
+    found = screen_file(
         b'<fdm_config>\n<system file="mine"/>\n<engine file=" b.xml "/></fdm_config>', "a.xml"
     )
     assert [(r.tag, r.name, r.line) for r in found.references] == [
@@ -124,12 +124,12 @@ def test_references_are_named_as_jsbsim_opens_them():
     ]
     assert found.root == "fdm_config"
     with pytest.raises(BadInputError, match=r"a\.xml:1: .*longer than a file's name may be"):
-        passed(b'<a><system file="' + b"x" * 300 + b'"/></a>', "a.xml")
+        screen_file(b'<a><system file="' + b"x" * 300 + b'"/></a>', "a.xml")
     with pytest.raises(BadInputError, match="nested more than"):
-        passed(b"<a>" * (DEEPEST + 1) + b"</a>" * (DEEPEST + 1), "a.xml")
+        screen_file(b"<a>" * (MAX_DEPTH + 1) + b"</a>" * (MAX_DEPTH + 1), "a.xml")
 
 
 def test_an_encoding_in_which_nothing_can_be_taken_out():
     with pytest.raises(BadInputError, match="UTF-16"):
-        passed("<a><output/></a>".encode("utf-16"), "a.xml")
-    assert passed("<a><b/></a>".encode("utf-16"), "a.xml").taken_out == ()
+        screen_file("<a><output/></a>".encode("utf-16"), "a.xml")
+    assert screen_file("<a><b/></a>".encode("utf-16"), "a.xml").taken_out == ()

@@ -16,7 +16,7 @@ from uqharness.simulator import (
     own_mission,
     write_own_mission,
 )
-from uqharness.simulator.forced_state import Rest
+from uqharness.simulator.forced_state import ControlEquilibrium
 from uqharness.simulator.own_mission import EXCURSION_DEG
 
 
@@ -81,7 +81,7 @@ def test_an_aircraft_whose_commands_are_rates_is_refused_in_words(tmp_path, monk
     monkeypatch.setattr(
         own_mission,
         "write_steady_start",
-        lambda *asked: replace(trimmed(*asked), rest=Rest((), free=True)),
+        lambda *asked: replace(trimmed(*asked), equilibrium=ControlEquilibrium((), free=True)),
     )
     with pytest.raises(BadInputError, match="answer a command with a body rate"):
         write_own_mission(aircraft, start, "doublets")

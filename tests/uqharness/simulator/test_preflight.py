@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.child_process import Ended
+from uqharness.child_process import ProcessResult
 from uqharness.errors import BadInputError
 from uqharness.simulator import physical_checks
 from uqharness.simulator.aircraft import check_loadable, find_aircraft, open_aircraft
@@ -22,10 +22,10 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "uqharness" / "loadable"
 
 
-def ends(monkeypatch: pytest.MonkeyPatch, ended: Ended) -> list[tuple[object, ...]]:
+def ends(monkeypatch: pytest.MonkeyPatch, ended: ProcessResult) -> list[tuple[object, ...]]:
     asked: list[tuple[object, ...]] = []
 
-    def run_module(module: str, *arguments: object, timeout_s: float) -> Ended:
+    def run_module(module: str, *arguments: object, timeout_s: float) -> ProcessResult:
         asked.append(arguments)
         assert module == "uqharness.simulator.physical_checks"
         return ended
@@ -37,7 +37,7 @@ def ends(monkeypatch: pytest.MonkeyPatch, ended: Ended) -> list[tuple[object, ..
 def test_a_model_that_loads_is_loaded_once_and_remembered(
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    asked = ends(monkeypatch, Ended(0, {}, "", ""))
+    asked = ends(monkeypatch, ProcessResult(0, {}, "", ""))
     physical_checks.ensure_loadable(AIRCRAFT, "content")
     physical_checks.ensure_loadable(AIRCRAFT, "content")
     monkeypatch.setattr(physical_checks, "_checked", {})  # another process
@@ -51,17 +51,17 @@ def test_a_model_that_loads_is_loaded_once_and_remembered(
 @pytest.mark.parametrize(
     ("ended", "said"),
     [
-        (Ended(None, {}, "", ""), "JSBSim did not finish loading it within 20 s"),
+        (ProcessResult(None, {}, "", ""), "JSBSim did not finish loading it within 20 s"),
         (
-            Ended(-11, {}, "Unknown function", ""),
+            ProcessResult(-11, {}, "Unknown function", ""),
             r"ends JSBSim's process \(signal 11 \(SIGSEGV\)\); its last words: Unknown function;",
         ),
-        (Ended(-6, {}, "", ""), "its last words: no message;"),
-        (Ended(0, {"refused": "no <mass_balance>"}, "", ""), "espaaro: no <mass_balance>"),
+        (ProcessResult(-6, {}, "", ""), "its last words: no message;"),
+        (ProcessResult(0, {"refused": "no <mass_balance>"}, "", ""), "espaaro: no <mass_balance>"),
     ],
 )
 def test_one_that_does_not_is_named_and_not_remembered(
-    cache: Path, monkeypatch: pytest.MonkeyPatch, ended: Ended, said: str
+    cache: Path, monkeypatch: pytest.MonkeyPatch, ended: ProcessResult, said: str
 ):
     asked = ends(monkeypatch, ended)
     for _ in range(2):
@@ -76,7 +76,7 @@ def test_the_child_loads_the_real_thing_and_refuses_what_is_none(cache: Path, tm
     folder = tmp_path / "empty"
     folder.mkdir()
     (folder / "empty.xml").write_text("<fdm_config name='empty' version='2.0'/>")
-    empty = physical_checks._Unread(
+    empty = physical_checks._AircraftPaths(
         folder, folder / "empty.xml", AIRCRAFT.engine_path, AIRCRAFT.systems_path
     )
     with pytest.raises(BadInputError, match="empty"):

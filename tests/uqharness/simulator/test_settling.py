@@ -29,7 +29,7 @@ def test_a_piston_engine_that_jsbsim_stops_is_started_and_stays_steady_in_flight
     fdm = opened(name)
     fdm.get_propulsion().get_steady_state()
     engine.renew_forces(fdm)
-    assert not settling.settled(fdm)
+    assert not settling.is_balanced(fdm)
     assert fdm["propulsion/engine/thrust-lbs"] <= 0.0  # what JSBSim's own way leaves
     state = [
         fdm[n]
@@ -41,7 +41,7 @@ def test_a_piston_engine_that_jsbsim_stops_is_started_and_stays_steady_in_flight
         )
     ]
     engine.settle_engines(fdm)
-    assert settling.settled(fdm)
+    assert settling.is_balanced(fdm)
     assert fdm.get_sim_time() == 0.0
     kept = [
         fdm[n]
@@ -144,4 +144,4 @@ def test_a_turboprop_keeps_its_power_in_the_first_frames():
 def test_an_engine_that_jsbsim_settles_is_left_to_it():
     fdm = opened("c172p", 0.7)
     assert engine.settle_engines(fdm) == ""
-    assert settling.settled(fdm)
+    assert settling.is_balanced(fdm)

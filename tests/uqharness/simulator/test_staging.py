@@ -8,7 +8,14 @@ from pathlib import Path
 import pytest
 
 from uqharness.simulator.aircraft import find_aircraft
-from uqharness.simulator.staging import copied, copy_folder, fingerprint, opened, stage, staged
+from uqharness.simulator.staging import (
+    copy_folder,
+    copy_staging,
+    fingerprint,
+    model_files,
+    stage,
+    staged,
+)
 
 
 @pytest.fixture
@@ -21,16 +28,16 @@ def test_only_what_is_opened_is_laid_out_and_as_it_passed(folder: Path, tmp_path
     (folder / "unused.xml").write_text("<system name='x'/>")
     aircraft = find_aircraft(folder)
     made = stage(aircraft, tmp_path / "root")
-    files = opened(aircraft)
+    files = model_files(aircraft)
     there = {
         p.relative_to(made.folder).as_posix(): p.read_bytes()
         for p in made.folder.rglob("*")
         if p.is_file()
     }
-    assert there == {name: file.content for name, file in files.own.items()}
+    assert there == {name: file.content for name, file in files.local.items()}
     assert made.xml.is_file()
     assert "unused.xml" not in there
-    assert dict(made.shown)[made.folder] == folder
+    assert dict(made.user_folders)[made.folder] == folder
 
 
 def test_a_staging_is_kept_until_a_file_changes(folder: Path) -> None:
@@ -45,11 +52,11 @@ def test_a_staging_is_kept_until_a_file_changes(folder: Path) -> None:
 
 def test_a_second_root_may_be_edited(folder: Path, tmp_path: Path) -> None:
     first = staged(find_aircraft(folder))
-    second = copied(first, tmp_path / "second")
+    second = copy_staging(first, tmp_path / "second")
     second.xml.write_text("<gone/>")
     assert first.xml.read_bytes() != second.xml.read_bytes()
-    assert [real for _, real in second.shown] == [real for _, real in first.shown]
-    assert all(at.is_relative_to(tmp_path / "second") for at, _ in second.shown)
+    assert [real for _, real in second.user_folders] == [real for _, real in first.shown]
+    assert all(at.is_relative_to(tmp_path / "second") for at, _ in second.user_folders)
 
 
 def test_what_was_taken_out_is_said_once(

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from uqharness.simulator.aircraft import find_aircraft
-from uqharness.simulator.forced_state import BodyState, body_velocity, forced
+from uqharness.simulator.forced_state import BodyState, body_velocity, open_forced
 from uqharness.simulator.trim import AtLimit, SteadyCondition, find_trim, thrust_reason
 
 G = 9.80665
@@ -95,7 +95,7 @@ def test_a_first_frame_in_which_nothing_accelerates_is_no_trim_where_the_surface
     assert not find_trim(aircraft, condition).converged
     controls = {"elevator": -0.39681, "aileron": -0.00048, "rudder": 0.00164}
     state = BodyState(*body_velocity(160.0, 0.07759, 0.0), 0.0, -0.29151, 0.0)
-    fdm, _ = forced(aircraft, state, controls, 1000.0, None)
+    fdm, _ = open_forced(aircraft, state, controls, 1000.0, None)
     assert abs(fdm["accelerations/qdot-rad_sec2"]) < 1e-3
     for _ in range(20):
         fdm.run()

@@ -13,7 +13,7 @@ from tests.helpers import sixdof
 from tests.helpers.few import few
 from uqharness.cli.main import main
 from uqharness.simulator.aircraft import find_aircraft
-from uqharness.simulator.forced_state import force_state, forced
+from uqharness.simulator.forced_state import force_state, open_forced
 from uqharness.simulator.linear import linearise, modes
 from uqharness.simulator.trim import SteadyCondition, find_trim, pitch_for_climb
 
@@ -244,15 +244,15 @@ def test_a_trim_is_steady_with_its_filters_at_rest_and_not_in_their_first_frame(
     aircraft = find_aircraft(name)
     trim = find_trim(aircraft, SteadyCondition(V_mps, 200.0))
     assert trim.converged, trim.reason
-    assert trim.rest is not None
+    assert trim.equilibrium is not None
     rested, first = (
-        np.max(np.abs(force_state(aircraft, trim.state, trim.controls, 200.0, rest=r)[0]))
-        for r in (trim.rest, None)
+        np.max(np.abs(force_state(aircraft, trim.state, trim.controls, 200.0, equilibrium=r)[0]))
+        for r in (trim.equilibrium, None)
     )
     assert rested < 1e-6
     assert first > 1e-4
     # What flies on from there pitches with less than this in the first tenth of a second.
-    fdm, _ = forced(aircraft, trim.state, trim.controls, 200.0, None, trim.rest)
+    fdm, _ = open_forced(aircraft, trim.state, trim.controls, 200.0, None, trim.equilibrium)
     while fdm.get_sim_time() < 0.1:
         fdm.run()
     assert abs(fdm["velocities/q-rad_sec"]) < 1e-4
@@ -269,11 +269,11 @@ def test_modes_of_an_aircraft_whose_control_system_was_brought_to_rest():
 
     def moment(rest):
         return (
-            force_state(aircraft, trim.state, u, 200.0, rest=rest)[0][4]
+            force_state(aircraft, trim.state, u, 200.0, equilibrium=rest)[0][4]
             for u in (more, trim.controls)
         )
 
-    ended, first = ((a - b) / 0.01 for a, b in (moment(trim.rest), moment(None)))
+    ended, first = ((a - b) / 0.01 for a, b in (moment(trim.equilibrium), moment(None)))
     assert model.B[4, column] == pytest.approx(ended, rel=0.02)
     assert abs(first / ended - 1.0) > 0.05
 
@@ -283,12 +283,12 @@ def test_an_aircraft_whose_control_laws_integrate_trims():
     aircraft = find_aircraft("f22")
     trim = find_trim(aircraft, SteadyCondition(129.2, 200.0))
     assert trim.converged, trim.reason
-    assert trim.rest.free
+    assert trim.equilibrium.free
     # A rate command of zero on each axis: the law finds the surfaces.
     assert [trim.controls[name] for name in ("elevator", "aileron", "rudder")] == pytest.approx(
         [0.0, 0.0, 0.0], abs=1e-6
     )
-    fdm, _ = forced(aircraft, trim.state, trim.controls, 200.0, None, trim.rest)
+    fdm, _ = open_forced(aircraft, trim.state, trim.controls, 200.0, None, trim.equilibrium)
     assert abs(fdm["fcs/elevator-pos-norm"]) > 0.05
     start = [fdm[n] for n in ("velocities/vt-fps", "aero/alpha-rad", "attitude/phi-rad")]
     while fdm.get_sim_time() < 1.0:

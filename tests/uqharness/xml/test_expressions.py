@@ -6,11 +6,18 @@ from xml.etree import ElementTree
 
 import pytest
 
-from uqharness.xml.aerodynamics import Expression, call, function_lines, horner, prop, value
+from uqharness.xml.aerodynamics import (
+    Expression,
+    call,
+    function_lines,
+    horner,
+    property_value,
+    value,
+)
 
 
 def test_an_operation_stands_on_one_line_with_its_arguments():
-    sum_of = call("sum", prop("aero/alpha-rad"), value(0.1), value(2, "g"))
+    sum_of = call("sum", property_value("aero/alpha-rad"), value(0.1), value(2, "g"))
     assert (
         sum_of.line()
         == "<sum> <property>aero/alpha-rad</property> <value>0.1</value> <value>2</value> </sum>"
@@ -19,7 +26,7 @@ def test_an_operation_stands_on_one_line_with_its_arguments():
 
 
 def test_a_long_one_has_its_arguments_on_lines_of_their_own():
-    long = call("product", *(prop(f"aero/property-{k}") for k in range(6)))
+    long = call("product", *(property_value(f"aero/property-{k}") for k in range(6)))
     assert long.lines() == [
         "<product>",
         *(f"  <property>aero/property-{k}</property>" for k in range(6)),
@@ -37,13 +44,13 @@ def test_the_digits_of_a_number(number, form, text):
 
 @pytest.mark.parametrize("tag", ["sum", "product", "min", "max"])
 def test_an_operation_on_one_argument_is_the_argument(tag):
-    assert call(tag, prop("a")) == prop("a")
-    assert Expression(tag, "", (prop("a"),)).line() == f"<{tag}> <property>a</property> </{tag}>"
-    assert call("sqrt", prop("a")) != prop("a")
+    assert call(tag, property_value("a")) == property_value("a")
+    assert Expression(tag, "", (property_value("a"),)).line() == f"<{tag}> <property>a</property> </{tag}>"
+    assert call("sqrt", property_value("a")) != property_value("a")
 
 
 def test_a_name_with_signs_of_xml_is_read_back_as_it_was():
-    assert ElementTree.fromstring(prop("aero/a<b&c").line()).text == "aero/a<b&c"
+    assert ElementTree.fromstring(property_value("aero/a<b&c").line()).text == "aero/a<b&c"
 
 
 def test_a_polynomial_without_terms_is_zero():
@@ -55,7 +62,7 @@ def test_a_polynomial_without_terms_is_zero():
 
 def test_a_function_of_one_operation():
     lines = function_lines(
-        "uq/a", "product", [prop("a").line(), value(2, "g").line()], at_cg=True, remark="of -- two"
+        "uq/a", "product", [property_value("a").line(), value(2, "g").line()], at_cg=True, remark="of -- two"
     )
     assert lines == [
         '<function name="uq/a" apply_at_cg="true">',
@@ -71,6 +78,6 @@ def test_a_function_of_one_operation():
 
 def test_blanks_between_tags_are_left_out_where_that_is_asked_for():
     assert (
-        Expression("cos", "", (prop("a"),), tight=True).line()
+        Expression("cos", "", (property_value("a"),), tight=True).line()
         == "<cos><property>a</property></cos>"
     )

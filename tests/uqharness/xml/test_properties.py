@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from uqharness.xml.document import (
-    computes,
     declaration,
     declarations,
     declare,
-    declared_in,
+    declared_properties,
     folder_declares,
     folder_names,
+    has_function,
     parse_document,
 )
 
@@ -39,8 +39,8 @@ def test_what_is_declared_has_a_value_and_is_no_remark():
 
 
 def test_what_is_computed_is_a_function_of_that_name():
-    assert computes(DOCUMENT, "aero/sum")
-    assert not computes(DOCUMENT, "aero/first")
+    assert has_function(DOCUMENT, "aero/sum")
+    assert not has_function(DOCUMENT, "aero/first")
 
 
 @pytest.fixture
@@ -85,14 +85,14 @@ def test_what_is_computed_is_no_declared_coefficient(tmp_path: Path):
         b'<property value="0">aero/sum</property><property value="0">aero/filtered</property><function name="aero/sum"/><function/>'
         b"<lag_filter><output>aero/filtered</output></lag_filter></fdm_config>"
     )
-    assert declared_in(tmp_path, "aero/") == ("aero/a", "aero/b")
-    assert declared_in(tmp_path, "nav/") == ()
+    assert declared_properties(tmp_path, "aero/") == ("aero/a", "aero/b")
+    assert declared_properties(tmp_path, "nav/") == ()
     # Asked again: of another folder's copy, of a file that has changed, and beside one that is no XML.
     (tmp_path / "copy").mkdir()
     (tmp_path / "copy" / "a.xml").write_bytes((tmp_path / "a.xml").read_bytes())
     (tmp_path / "copy" / "b.xml").write_bytes(b"<a><b></a>")
-    assert declared_in(tmp_path / "copy", "aero/") == ("aero/a", "aero/b")
+    assert declared_properties(tmp_path / "copy", "aero/") == ("aero/a", "aero/b")
     (tmp_path / "copy" / "a.xml").write_bytes(b'<a><property value="1">aero/d</property></a>')
-    assert declared_in(tmp_path / "copy", "aero/") == ("aero/d",)
+    assert declared_properties(tmp_path / "copy", "aero/") == ("aero/d",)
     # Computed in one file, declared in the other.
-    assert declared_in(tmp_path, "aero/") == ("aero/a", "aero/b", "aero/d")
+    assert declared_properties(tmp_path, "aero/") == ("aero/a", "aero/b", "aero/d")

@@ -60,18 +60,18 @@ from uqharness.flight import (
     FlightResult,
     FlightSpec,
     LevelDriver,
-    Recorded,
+    RecordedFlight,
     Split,
     TransientDriver,
     dryden_parameters,
     first_levels,
-    in_signals,
     record_stride,
     refuse_above_ceiling,
     row_counts,
     score,
     scored_signals,
     staged_mission,
+    to_signals,
 )
 from uqharness.simulator import CHANGEABLE, Source, StagedMission
 
@@ -684,7 +684,7 @@ class Course:
             for k in wanted
         ]
 
-    def recorded(self) -> list[Recorded]:
+    def recorded(self) -> list[RecordedFlight]:
         """What was recorded of each flight so far, to be scored."""
         found = zip(self._ends, self._parts, strict=True)
         return [_recorded(self._made, end, np.concatenate(parts, axis=1)) for end, parts in found]
@@ -734,17 +734,17 @@ def _first_row(made: Ready, values: dict[str, FloatArray], lanes: int) -> FloatA
     )
 
 
-def _recorded(made: Ready, end: End, records: FloatArray) -> Recorded:
+def _recorded(made: Ready, end: End, records: FloatArray) -> RecordedFlight:
     index = {name: k for k, name in enumerate(made.lanes.program.records)}
     properties = [s.property for s in made.table.values()] + [
         s.over for s in made.table.values() if s.over is not None
     ]
-    rows = in_signals(
+    rows = to_signals(
         np.ascontiguousarray(records[[index[name] for name in properties]].T), made.table
     )
     if np.any(records[index[BEYOND]] != 0.0):
-        return Recorded(list(made.table), rows, "crashed", _BEYOND_REASON, end.flown_s)
-    return Recorded(list(made.table), rows, end.status, end.reason, end.flown_s)
+        return RecordedFlight(list(made.table), rows, "crashed", _BEYOND_REASON, end.flown_s)
+    return RecordedFlight(list(made.table), rows, end.status, end.reason, end.flown_s)
 
 
 # Many flights of one mission flown at once, each in its lane: what ``flight.fly`` gives for
@@ -776,9 +776,9 @@ def fly_many(specs: Sequence[FlightSpec]) -> list[FlightResult]:
     ]
 
 
-def record_many(specs: Sequence[FlightSpec]) -> list[Recorded]:
+def record_many(specs: Sequence[FlightSpec]) -> list[RecordedFlight]:
     """Fly without scoring: what was recorded of each flight, in the order given. Raises BadInputError as ``fly_many`` does."""
-    results: dict[int, Recorded] = {}
+    results: dict[int, RecordedFlight] = {}
     groups: dict[Hashable, list[int]] = {}
     for k, spec in enumerate(specs):
         groups.setdefault(
@@ -837,7 +837,7 @@ def ready(spec: FlightSpec) -> Ready:
     return found
 
 
-def _fly_alike(specs: Sequence[FlightSpec]) -> list[Recorded]:
+def _fly_alike(specs: Sequence[FlightSpec]) -> list[RecordedFlight]:
     course = Course.begun(ready(specs[0]), specs)
     course.fly()
     return course.recorded()

@@ -29,12 +29,12 @@ from uqharness.errors import BadInputError
 from uqharness.flight import (
     ContactPoint,
     FlightSpec,
-    as_model_has,
     contact_points,
-    has_air,
+    has_air_system,
     record_stride,
     set_conditions,
     set_wind_without_air,
+    without_missing_switches,
 )
 from uqharness.simulator import CHANGEABLE, MARK, RATES_FREE, RATES_HELD, StagedMission, engine
 from uqharness.xml import Document, read_document
@@ -179,7 +179,7 @@ def make_mission(
         return fdm
 
     fdm = opened()
-    air = has_air(fdm)
+    air = has_air_system(fdm)
     values = Values(initial_values(opened, fdm), constant_properties(sources))
     values.setdefault(BEYOND)
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
@@ -298,7 +298,7 @@ def load_start(mission: LaneMission, spec: FlightSpec) -> Loaded:
     changed = {name: value for name, value in spec.properties.items() if name in CHANGEABLE}
     fdm = mission.mission.open(changed=changed)
     set_conditions(fdm, mission.mission, spec)
-    settings = as_model_has(fdm, spec.properties)
+    settings = without_missing_switches(fdm, spec.properties)
     conditions = {name: float(fdm[name]) for name in CONDITIONS}
     wind = tuple(float(fdm[f"ic/vw-{axis}-fps"]) for axis in ("north", "east", "down"))
     static = {name: rounded(float(fdm[name])) for name in mission.inputs if _START.fullmatch(name)}

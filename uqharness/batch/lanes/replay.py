@@ -51,7 +51,7 @@ from uqharness.batch.translate.channels import Sources
 from uqharness.batch.translate.frame import STEP, Values, canonical
 from uqharness.batch.translate.whole import Asked, Flight, trace_flight
 from uqharness.errors import BadInputError
-from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS
+from uqharness.simulator import MAX_FRAMES, SETTLED_RADPS
 
 TERRAIN = "position/terrain-elevation-asl-ft"
 _RECORD_BYTES = 8_000_000
@@ -376,7 +376,7 @@ def _settle(program: StateProgram, renewer: Flyer, state: FloatArray, out: Float
         carried(state, program.flyer.program, renewer.program),
         np.ones(count, dtype=bool),
     )
-    for _ in range(MOST_FRAMES):
+    for _ in range(MAX_FRAMES):
         renewer.fly(state, 1, 1)
         now, last = _read(renewer, state, RATES, count), moved
         moved = np.abs(now - before).sum(axis=1)

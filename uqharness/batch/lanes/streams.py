@@ -114,7 +114,7 @@ def polar_normals(drawn: Sequence[Any], m: random_numbers.Operations) -> tuple[A
 
 def _uniform(first: Any, second: Any, m: random_numbers.Operations) -> Any:
     """Numbers in [0, 1) of two of the generator's each."""
-    return m.least((first + second * _RANGE) / (_RANGE * _RANGE), _BELOW_ONE)
+    return m.minimum((first + second * _RANGE) / (_RANGE * _RANGE), _BELOW_ONE)
 
 
 def _folded(x: NDArray[np.int64]) -> NDArray[np.int64]:

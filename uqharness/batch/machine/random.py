@@ -39,7 +39,7 @@ class Traced:
         """The square root."""
         return self._builder.op("sqrt", x)
 
-    def least(self, a: Any, b: Any) -> Any:
+    def minimum(self, a: Any, b: Any) -> Any:
         """The smaller of two doubles."""
         return self._builder.op("min", a, b)
 

@@ -27,7 +27,7 @@ from uqharness.batch.translate.frame import (
 )
 from uqharness.batch.translate.functions import function_value
 from uqharness.errors import BadInputError
-from uqharness.simulator import INSIDE, Aircraft, opened, read_xml
+from uqharness.simulator import INSIDE, Aircraft, model_files, read_xml
 from uqharness.xml import Document, Node, parse_document
 
 # The components by their tags: what each may have in it, and how it is traced.
@@ -411,10 +411,10 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
 
     Raises BadInputError with file and line for an element that is not understood.
     """
-    files = opened(aircraft)
+    files = model_files(aircraft)
     # The gate has blanked what JSBSim never sees; lines are the author's.
     document = parse_document(
-        aircraft.xml, files.own[aircraft.xml.relative_to(aircraft.folder).as_posix()].content
+        aircraft.xml, files.local[aircraft.xml.relative_to(aircraft.folder).as_posix()].content
     )
     found: dict[str, Part] = {}
     systems: list[System] = []

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
-from uqharness.arguments import whole
+from uqharness.arguments import integer
 from uqharness.campaign.execution.worker import (
     CaseOutcome,
     FlightFunction,
@@ -26,7 +26,7 @@ from uqharness.campaign.execution.worker import (
     attempt_group,
     work,
 )
-from uqharness.child_process import child_settings, ending, main_not_imported
+from uqharness.child_process import child_settings, describe_exit, main_not_imported
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec
 
@@ -139,7 +139,7 @@ class ProcessExecutor:
         if start_method not in multiprocessing.get_all_start_methods():
             known = ", ".join(multiprocessing.get_all_start_methods())
             raise BadInputError(f"start method '{start_method}': this system has {known}")
-        self.workers = whole("workers", workers, 1)
+        self.workers = integer("workers", workers, 1)
         self._context: Any = multiprocessing.get_context(start_method)
         self._timeout_s = timeout_s
         self._retries = retries
@@ -265,13 +265,13 @@ class ProcessExecutor:
             ):
                 advice = _GUARD if self._scripted else ""
                 raise BadInputError(
-                    f"worker processes end before they start ({ending(code)}); see their message above{advice}"
+                    f"worker processes end before they start ({describe_exit(code)}); see their message above{advice}"
                 )
             again.extendleft(reversed(worker.tasks))
             return []
         outside = code in _OUTSIDE_SIGNALS
         return self._second_chance(
-            worker, again, outside, "crashed", f"the worker process ended: {ending(code)}"
+            worker, again, outside, "crashed", f"the worker process ended: {describe_exit(code)}"
         )
 
     def _give_up(self, worker: _Worker, again: deque[_Task], limit_s: float) -> list[CaseOutcome]:

@@ -157,12 +157,12 @@ def sealed(
     return {**manifest, **ending, "sums": checksums.SUMS}
 
 
-def seal_files(folder: Path, earlier: checksums.Earlier | None = None) -> None:
+def seal_files(folder: Path, earlier: checksums.DamageRecord | None = None) -> None:
     """Write SHA256SUMS of a complete campaign's folder, the last file that a run writes. Raises BadInputError."""
     damaged = {} if earlier is None else dict(earlier.damaged)
     for name in (MANIFEST, JOURNAL, *TABLE_NAMES):
         damaged.pop(name, None)  # they have just been held against digests of their own, or written
-    checksums.write_sums(folder, checksums.Earlier(damaged))
+    checksums.write_sums(folder, checksums.DamageRecord(damaged))
 
 
 def refuse_if_not_whole(folder: Path, store: Store, manifest: Mapping[str, Any]) -> None:
@@ -299,7 +299,7 @@ def merge(folder: Path) -> Merged:
         manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
         for part in (*folders, *([folder] if old is not None else [])):
             _refuse_damage(part, read_manifest(part))
-        earlier = checksums.take_away(folder)
+        earlier = checksums.remove_sums(folder)
         write_manifest(folder, manifest | {"state": INTERRUPTED})
         with Store(folder) as store:
             for part in folders:

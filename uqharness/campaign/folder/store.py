@@ -35,7 +35,7 @@ from uqharness.campaign.folder.manifest import (
 )
 from uqharness.checksums import LOCK as LOCK
 from uqharness.errors import BadInputError
-from uqharness.files import lock_at_once, open_no_link
+from uqharness.files import open_without_links, try_lock
 from uqharness.flight import STATUSES
 
 JOURNAL = "journal.sqlite"
@@ -373,7 +373,7 @@ def run_lock(folder: Path) -> Iterator[None]:
         # Not even opened: closing a second handle would drop the lock of the first.
         raise _in_use(folder, f"process {os.getpid()}, this one")
     try:
-        handle = os.fdopen(open_no_link(path), "r+", encoding="utf-8")
+        handle = os.fdopen(open_without_links(path), "r+", encoding="utf-8")
     except OSError as error:
         raise BadInputError(
             f"{path}: cannot be written: {error.strerror or error}; remove it or choose another --out"
@@ -404,7 +404,7 @@ def is_running(folder: Path) -> bool:
     if str(path.resolve()) in _held:
         return True
     try:
-        with os.fdopen(open_no_link(path, make=False), "r+b") as handle:
+        with os.fdopen(open_without_links(path, make=False), "r+b") as handle:
             # Closing the handle gives the lock back at once.
             return not _try_lock(handle.fileno())
     except OSError:
@@ -425,7 +425,7 @@ def _try_lock(descriptor: int, attempts: int = 1) -> bool:
     for attempt in range(attempts):
         if attempt:
             time.sleep(0.05)
-        if lock_at_once(descriptor):
+        if try_lock(descriptor):
             return True
     return False
 

@@ -55,7 +55,7 @@ from uqharness.campaign.folder.store import (
 from uqharness.campaign.folder.tables import ENGINE_CHECK, TABLE_NAMES, is_sealed, table_digests
 from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.checksums import SUMS, SumsError, enter, faults, read_sums, through_a_link
+from uqharness.checksums import SUMS, SumsError, faults, is_behind_link, read_sums, update_sums
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 
@@ -129,14 +129,14 @@ def _sealed_within(folder: Path) -> list[Path]:
     with contextlib.suppress(SumsError, OSError):
         sums = read_sums(folder)
         names = () if sums is None else sums.folders
-        return [folder / name for name in names if not through_a_link(folder, name)]
+        return [folder / name for name in names if not is_behind_link(folder, name)]
     return []
 
 
 def _file_items(folder: Path, items: Sequence[Item]) -> Iterator[Item]:
     """Files that are not as SHA256SUMS lists them, then the others, counted in one item."""
     known = {item.name: item for item in items}
-    found = faults(folder, within=False)
+    found = faults(folder, include_inner=False)
     for fault in found:
         if fault.name not in known or known[fault.name].state == WHOLE:
             yield Item(fault.name, MISSING if fault.missing else DAMAGED, fault.problem)
@@ -334,7 +334,7 @@ def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
         raise DamageError(folder / JOURNAL, "it is gone", folder)
     if is_sealed(manifest):
         # Its flights may be sound where its free pages are not.
-        for fault in faults(folder, within=False):
+        for fault in faults(folder, include_inner=False):
             if fault.name == JOURNAL:
                 raise DamageError(folder / JOURNAL, fault.problem, folder)
     with _work_folder(folder) as work:
@@ -585,7 +585,7 @@ def _put_tables_aside(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
 def _put_aside(path: Path) -> str:
     aside = _free_name(path)
     os.replace(path, aside)
-    enter(path)
+    update_sums(path)
     return aside.name
 
 

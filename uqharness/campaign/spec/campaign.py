@@ -27,7 +27,7 @@ from uqharness.flight import (
     random_numbers,
 )
 from uqharness.simulator import STEADY, StartSection
-from uqharness.toml import Number, Section, as_toml, is_number, listed, tupled
+from uqharness.toml import Number, Section, as_toml, as_tuple, is_number, list_as_tuple
 
 if TYPE_CHECKING:
     from sysid.model_form import ModelForm
@@ -70,7 +70,7 @@ class ParametersSection(Section):
     """
 
     fit: str = Field(min_length=1)
-    parameters: Annotated[tuple[str, ...] | None, BeforeValidator(tupled)] = None
+    parameters: Annotated[tuple[str, ...] | None, BeforeValidator(list_as_tuple)] = None
     distribution: Literal["normal", "box"] = "normal"
     confidence: Annotated[float, Field(gt=0, lt=1)] | None = None
 
@@ -101,7 +101,7 @@ class EpistemicSection(Section):
     """
 
     method: Literal["none", "corners", "levels", "lhs", "white", "walk"]
-    coefficients: Annotated[tuple[Coefficient, ...], BeforeValidator(tupled)] = COEFFICIENTS  # type: ignore[assignment]
+    coefficients: Annotated[tuple[Coefficient, ...], BeforeValidator(list_as_tuple)] = COEFFICIENTS  # type: ignore[assignment]
     bounds: dict[Coefficient, tuple[Number, Number]] | str | None = None
     levels: tuple[Number, ...] | None = None
     samples: int | None = Field(default=None, ge=1, le=MOST_SAMPLES)
@@ -133,7 +133,7 @@ class EpistemicSection(Section):
     @field_validator("levels", mode="before")
     @classmethod
     def _levels(cls, value: Any) -> Any:
-        value = tupled(value)
+        value = list_as_tuple(value)
         if isinstance(value, tuple) and not all(
             is_number(item) and 0 <= item <= 1 for item in value
         ):
@@ -286,7 +286,7 @@ class StopSection(Section):
     indifference_per_h: (
         Annotated[
             tuple[Annotated[Number, Field(gt=0)], Annotated[Number, Field(gt=0)]],
-            BeforeValidator(tupled),
+            BeforeValidator(list_as_tuple),
         ]
         | None
     ) = None
@@ -334,7 +334,7 @@ class VariableSection(Section):
     """
 
     distribution: Literal["normal", "uniform"]
-    mean: Annotated[Number | Pair | None, BeforeValidator(tupled)] = None
+    mean: Annotated[Number | Pair | None, BeforeValidator(list_as_tuple)] = None
     std: Annotated[Number, Field(gt=0)] | None = None
     low: Number | None = None
     high: Number | None = None
@@ -590,10 +590,10 @@ class AleatorySection(Section):
     duration_s: Number = Field(gt=0, le=86_400)
     burn_in_s: Number = Field(default=120.0, ge=0, le=86_400)
     wind_mps: Annotated[
-        tuple[Annotated[Number, Field(ge=0, le=60)], ...], BeforeValidator(listed)
+        tuple[Annotated[Number, Field(ge=0, le=60)], ...], BeforeValidator(as_tuple)
     ] = (0.0,)
     wind_from_deg: Number = Field(default=270.0, ge=0, le=360)
-    turbulence: Annotated[tuple[Turbulence, ...], BeforeValidator(listed)] = ("none",)
+    turbulence: Annotated[tuple[Turbulence, ...], BeforeValidator(as_tuple)] = ("none",)
     turbulence_source: Literal["jsbsim", "spec"] = DEFAULT_TURBULENCE_SOURCE
     sensor_noise: bool | None = None
     variables: dict[str, VariableSection] = Field(default_factory=dict)
@@ -615,14 +615,14 @@ class MetricsSection(Section):
     """
 
     excursion_radius_m: Annotated[
-        tuple[Annotated[Number, Field(gt=0)], ...], BeforeValidator(listed)
+        tuple[Annotated[Number, Field(gt=0)], ...], BeforeValidator(as_tuple)
     ] = (15.0, 25.0)
     rearm_m: Number = Field(default=2.0, ge=0)
     acceptable_per_h: Number = Field(default=0.1, gt=0)
     acceptable_loss_per_h: Number | None = Field(default=None, gt=0)
     dispersion: Number = Field(default=2.0, ge=1, le=1000)
     dispersion_radius_m: Annotated[
-        tuple[Annotated[Number, Field(gt=0)], ...] | None, BeforeValidator(listed)
+        tuple[Annotated[Number, Field(gt=0)], ...] | None, BeforeValidator(as_tuple)
     ] = None
 
     @model_validator(mode="after")

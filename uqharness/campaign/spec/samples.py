@@ -289,7 +289,7 @@ def parameter_draws(
     """Draws of the parameters, (samples, n): from N(values, covariance), or filling the simultaneous confidence box."""
     if section.distribution == "normal":
         rows = [
-            random_numbers.drawn(numbered_stream(root_seed, "parameters", n), len(estimates.names))
+            random_numbers.draw_normals(numbered_stream(root_seed, "parameters", n), len(estimates.names))
             for n in range(samples)
         ]
         found = np.tile(estimates.values, (samples, 1))

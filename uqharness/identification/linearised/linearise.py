@@ -48,7 +48,7 @@ from uqharness.replay import (
     surface_positions,
     terrain_m,
 )
-from uqharness.simulator import MOST_FRAMES, TRIM_LATITUDE_DEG, Actuator, body_velocity, engine
+from uqharness.simulator import MAX_FRAMES, TRIM_LATITUDE_DEG, Actuator, body_velocity, engine
 
 EVERY = 4
 """Slopes are read at every fourth sample: they move with the state, and the state takes longer than that."""
@@ -363,7 +363,7 @@ def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> FloatArray:
     """Run frames with integration suspended until the loads (6,) that ``get`` reads stand still; return them."""
     fdm.run()
     loads, moved = np.array([g() for g in get]), np.inf
-    for _ in range(MOST_FRAMES):
+    for _ in range(MAX_FRAMES):
         fdm.run()
         before, last = loads, moved
         loads = np.array([g() for g in get])

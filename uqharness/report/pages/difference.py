@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from uqharness.differences import Channel, Difference, Matched, Term, scale_of
+from uqharness.differences import Channel, Difference, MatchedFlight, Term, scale_of
 from uqharness.report.parts import (
     Bullets,
     Figure,
@@ -28,7 +28,7 @@ _LEGEND = (("first", "A"), ("second", "B"))
 def difference_page(
     names: tuple[str, str],
     channels: Sequence[Channel],
-    flights: Sequence[Matched],
+    flights: Sequence[MatchedFlight],
     found: Sequence[Difference],
     terms: Sequence[Term],
     command: str,
@@ -47,7 +47,7 @@ def difference_page(
 
 
 def _verdict(
-    flights: Sequence[Matched], found: Sequence[Difference], terms: Sequence[Term]
+    flights: Sequence[MatchedFlight], found: Sequence[Difference], terms: Sequence[Term]
 ) -> tuple[Say, ...]:
     said = [Say(f"{f.name}: {f.reason}.", "bad") for f in flights if f.reason]
     for f in flights:
@@ -111,7 +111,7 @@ def _channels(found: Sequence[Difference]) -> Section:
     )
 
 
-def _histories(flights: Sequence[Matched], found: Sequence[Difference]) -> list[Section]:
+def _histories(flights: Sequence[MatchedFlight], found: Sequence[Difference]) -> list[Section]:
     by_name = {f.name: f for f in flights}
     figures = [_history(by_name[d.flight], d, number) for number, d in enumerate(found[:DRAWN])]
     return (
@@ -119,7 +119,7 @@ def _histories(flights: Sequence[Matched], found: Sequence[Difference]) -> list[
     )
 
 
-def _history(flight: Matched, d: Difference, number: int) -> Figure:
+def _history(flight: MatchedFlight, d: Difference, number: int) -> Figure:
     a, b = flight.a[d.channel], flight.b[d.channel]
     label = f"{d.channel} [{d.unit}] against time [s], {flight.name}: A and B."
     time = Scale("time [s]", float(flight.time_s[0]), float(flight.time_s[-1]))
@@ -155,14 +155,14 @@ def _elements(terms: Sequence[Term], found: Sequence[Difference]) -> Section:
     )
 
 
-def _flown(flights: Sequence[Matched], channels: Sequence[Channel]) -> Section:
+def _flown(flights: Sequence[MatchedFlight], channels: Sequence[Channel]) -> Section:
     told = tuple(f"{f.name}: {len(f.time_s)} frames" for f in flights)
     compared = tuple(f"{c.name} [{c.unit}]" + _range(c, flights) for c in channels)
     parts = (Section("Channels compared", (Bullets(compared),)),)
     return Section("What was flown", (Bullets(told),), parts)
 
 
-def _range(channel: Channel, flights: Sequence[Matched]) -> str:
+def _range(channel: Channel, flights: Sequence[MatchedFlight]) -> str:
     reach = [scale_of(channel, f.a[channel.name]) for f in flights if channel.name in f.a]
     return f", range {max(reach):.3g}" if reach else ""
 

@@ -15,21 +15,21 @@ from uqharness import __version__
 from uqharness.dossier import (
     ABSENT,
     FAIL,
+    INCONCLUSIVE,
     NOT_ASSESSED,
     PASS,
     REGULATION,
     STANDARD,
     TESTS,
-    UNSURE,
     Evidence,
-    Judged,
     Match,
     Row,
+    SegmentResult,
     Step,
     factors,
-    flown_by_simulation,
     limits,
-    prove,
+    proof_of_match,
+    simulating_models,
 )
 from uqharness.dossier import Band as Tolerance
 from uqharness.errors import BadInputError
@@ -57,7 +57,7 @@ from uqharness.simulator import folder_hash
 # The proof of match in a dossier: tests, tolerances, segments, and the worst of each test drawn
 # with its band.
 
-_LEVELS: dict[str, Level] = {PASS: "good", FAIL: "bad", UNSURE: "warn", ABSENT: ""}
+_LEVELS: dict[str, Level] = {PASS: "good", FAIL: "bad", INCONCLUSIVE: "warn", ABSENT: ""}
 _MOST_ROWS = 60
 _MOST_DOTS = 250
 
@@ -94,7 +94,7 @@ def compared(found: Evidence) -> Compared | None:
             ]
             if segments:
                 return Compared(
-                    step, segments, suffix, model, prove(segments, suffix, _noise(step))
+                    step, segments, suffix, model, proof_of_match(segments, suffix, _noise(step))
                 )
     return None
 
@@ -141,8 +141,8 @@ def _summary(match: Match) -> Table:
     for test in TESTS:
         found = match.of(test.entry)
         answers = [j.answer for j in found]
-        answer = next((a for a in (FAIL, UNSURE, PASS) if a in answers), ABSENT)
-        words = ", ".join(f"{answers.count(a)} {a}" for a in (PASS, FAIL, UNSURE) if a in answers)
+        answer = next((a for a in (FAIL, INCONCLUSIVE, PASS) if a in answers), ABSENT)
+        words = ", ".join(f"{answers.count(a)} {a}" for a in (PASS, FAIL, INCONCLUSIVE) if a in answers)
         small = words if found else match.missing.get(test.entry, "")
         rows.append(
             (
@@ -161,21 +161,21 @@ def _summary(match: Match) -> Table:
 
 
 def _details(match: Match) -> list[Block]:
-    judged = sorted(match.judged, key=lambda j: (j.test.entry, -_worst(j)))
+    judged = sorted(match.results, key=lambda j: (j.test.entry, -_worst(j)))
     if not judged:
         return []
     rows = []
     for j in judged[:_MOST_ROWS]:
         said = "; ".join(_row_words(r) for r in j.rows)
         segment = f"{j.segment.flight}, {j.segment.manoeuvre}, {j.segment.time_s[0]:.1f} s"
-        rows.append((j.test.entry, segment, said, Cell(j.answer, _LEVELS[j.answer], small=j.why)))
+        rows.append((j.test.entry, segment, said, Cell(j.answer, _LEVELS[j.answer], small=j.reason)))
     caption = "Segments by test, the largest difference over its tolerance first: greatest difference / tolerance at that time."
     if len(judged) > _MOST_ROWS:
         caption += f" {_MOST_ROWS} of {len(judged)} segments; dossier --json has all."
     return [Table(caption, ("Test", "Segment", "Greatest difference", "Answer"), tuple(rows))]
 
 
-def _worst(judged: Judged) -> float:
+def _worst(judged: SegmentResult) -> float:
     known = [r.ratio for r in judged.rows if math.isfinite(r.ratio)]
     return max(known, default=math.inf)
 
@@ -210,7 +210,7 @@ def _figures(source: Compared) -> tuple[Figure, ...]:
 
 
 def _drawn(
-    judged: Judged, channel: str, band: Tolerance | None, suffix: str, of: int
+    judged: SegmentResult, channel: str, band: Tolerance | None, suffix: str, of: int
 ) -> list[Figure]:
     """Measured and model with the tolerance; beside it their difference, on which the tolerance is large enough to be seen."""
     segment = judged.segment
@@ -381,7 +381,7 @@ def _verdict(match: Match, missing: Sequence[str], found: Evidence) -> tuple[Say
         said.append(
             Say(f"The folder is incomplete or damaged: {len(missing)} points, listed below.", "bad")
         )
-    for aircraft in flown_by_simulation(found):
+    for aircraft in simulating_models(found):
         said.append(
             Say(
                 f"The flights are simulated, by the model {aircraft}. No real aircraft was flown.",
@@ -391,12 +391,12 @@ def _verdict(match: Match, missing: Sequence[str], found: Evidence) -> tuple[Say
     tests: dict[str, str] = {}
     for test in TESTS:
         answers = [j.answer for j in match.of(test.entry)]
-        tests[test.entry] = next((a for a in (FAIL, UNSURE, PASS) if a in answers), "")
+        tests[test.entry] = next((a for a in (FAIL, INCONCLUSIVE, PASS) if a in answers), "")
     counts = {
         a: [e for e, found_answer in tests.items() if found_answer == a]
-        for a in (PASS, FAIL, UNSURE, "")
+        for a in (PASS, FAIL, INCONCLUSIVE, "")
     }
-    if match.judged:
+    if match.results:
         said.append(
             Say(
                 f"Within tolerance in every segment: {_list(counts[PASS])}.",
@@ -405,8 +405,8 @@ def _verdict(match: Match, missing: Sequence[str], found: Evidence) -> tuple[Say
         )
         if counts[FAIL]:
             said.append(Say(f"Outside tolerance: {_list(counts[FAIL])}.", "bad"))
-        if counts[UNSURE]:
-            said.append(Say(f"Inconclusive: {_list(counts[UNSURE])}.", "warn"))
+        if counts[INCONCLUSIVE]:
+            said.append(Say(f"Inconclusive: {_list(counts[INCONCLUSIVE])}.", "warn"))
     said.append(
         Say(
             f"Not in the data: {_list(counts[''])}, of {len(TESTS)} tests that flights may contain."
@@ -591,7 +591,7 @@ def _campaigns(found: Evidence) -> list[tuple[Step, CampaignFound]]:
         try:
             out.append((step, read_found(step.folder)))
         except BadInputError as error:
-            found.say_error(error)
+            found.add_error(error)
     return out
 
 
@@ -779,7 +779,7 @@ def _not_done(title: str, found: Evidence, source: Compared | None) -> Section:
         for f in factors(found, Match((), {}) if source is None else source.match)
         if not f.evidence
     ]
-    if flown_by_simulation(found):
+    if simulating_models(found):
         said.append("No flight of a real aircraft.")
     return Section(title, (Bullets(tuple(said)),))
 

@@ -10,7 +10,7 @@ import pytest
 from sysid.effects.catalogue import catalogue
 from uqharness.refinement.document import NOTHING, Series, no_place, where_loudest, would_tell
 from uqharness.report.pages.refinement import place_says
-from uqharness.result_documents import Place
+from uqharness.result_documents import ResidualLocation
 
 RATE = 50.0
 TIME = np.arange(1500) / RATE
@@ -123,12 +123,12 @@ def test_a_place_is_told_in_three_lines():
     )
     assert "pitching moment due to alpha squared 1.05 (|t| 12.0)" in second
     assert third.endswith("repeat climb")
-    Place.model_validate(whole())
+    ResidualLocation.model_validate(whole())
 
 
 def test_nothing_left_says_nothing():
     assert place_says(no_place(NOTHING) | {"channel": None}) == []
-    Place.model_validate(no_place(NOTHING))
+    ResidualLocation.model_validate(no_place(NOTHING))
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_nothing_left_says_nothing():
 )
 def test_a_place_that_lacks_a_field_without_a_reason_is_refused(lost):
     with pytest.raises(ValueError, match="needs"):
-        Place.model_validate(whole(**lost))
+        ResidualLocation.model_validate(whole(**lost))
 
 
 def test_the_flight_that_would_tell_excites_the_state_and_tells_the_nearest_apart():

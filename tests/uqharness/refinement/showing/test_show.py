@@ -40,7 +40,7 @@ from uqharness.refinement.run import Refinement, Request, _put, refine
 from uqharness.replay.flights import prepare, read_flights
 from uqharness.report.pages.refinement import left_over, nowhere
 from uqharness.report.write import write_report, write_results
-from uqharness.result_documents import Place
+from uqharness.result_documents import ResidualLocation
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.statistics.pbox import Sample
 
@@ -395,7 +395,7 @@ def test_what_is_left_has_a_place_where_the_force_acts(judged_flights):
     assert place["channel"] is not None
     assert place["would_tell"]
     assert len(place["candidates"]) == 3
-    assert Place.model_validate(place).channel == place["channel"]
+    assert ResidualLocation.model_validate(place).channel == place["channel"]
 
 
 @pytest.fixture(scope="module")

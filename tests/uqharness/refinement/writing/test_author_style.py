@@ -87,7 +87,7 @@ def test_scales_are_baked_into_the_authors_numbers(glider, tmp_path):
     result = bake_scales(folder)
     # Cmde is a table over Mach number: no number to change.
     assert result.changed == {"uq/scale/Cmq": (-9.0, pytest.approx(-12.6))}
-    assert result.kept == ("uq/scale/Cmde",)
+    assert result.remaining == ("uq/scale/Cmde",)
     text = (folder / "sgs126.xml").read_text(encoding="utf-8")
     assert "<value>-12.6</value>" in text
     assert "was -9.0000, times uq/scale/Cmq = 1.4 (by a fit)" in text

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from uqharness.differences import Channel, Matched, Term, by_channel, differences
+from uqharness.differences import Channel, MatchedFlight, Term, by_channel, differences
 from uqharness.report.pages import difference_page
 from uqharness.report.parts import render
 from uqharness.simulator import Source
@@ -25,7 +25,7 @@ TERM = Term(
 )
 
 
-def page_of(flight: Matched, terms=(TERM,)) -> str:
+def page_of(flight: MatchedFlight, terms=(TERM,)) -> str:
     found = by_channel(differences(CHANNELS, [flight], terms))
     return render(
         difference_page(("old", "new"), CHANNELS, [flight], found, terms, "uqharness diff old new")
@@ -34,7 +34,7 @@ def page_of(flight: Matched, terms=(TERM,)) -> str:
 
 def test_a_difference_has_its_history_and_its_line():
     html = page_of(
-        Matched("doublets", TIME, A, {"Cm": A["Cm"] + np.where(TIME >= 0.5, 0.1, 0.0)}, A)
+        MatchedFlight("doublets", TIME, A, {"Cm": A["Cm"] + np.where(TIME >= 0.5, 0.1, 0.0)}, A)
     )
     assert "The models differ in 1 channels, first in Cm at 0.5 s of doublets." in html
     assert "Likeliest cause: B y.xml:11" in html
@@ -43,13 +43,13 @@ def test_a_difference_has_its_history_and_its_line():
 
 
 def test_nothing_differs():
-    same = Matched("doublets", TIME, A, A, A)
+    same = MatchedFlight("doublets", TIME, A, A, A)
     assert "No output differs beyond rounding." in page_of(same, ())
     assert "1 elements of the XML differ; these flights do not show them." in page_of(same)
     assert 'class="chart"' not in page_of(same)
 
 
 def test_a_flight_that_b_cannot_fly_is_said():
-    html = page_of(replace(Matched("doublets", TIME, A, {}, A), reason="no aerodynamics"))
+    html = page_of(replace(MatchedFlight("doublets", TIME, A, {}, A), reason="no aerodynamics"))
     assert "doublets: no aerodynamics." in html
     assert "No output differs" not in html

@@ -7,7 +7,7 @@ import pytest
 
 from uqharness.report.pages.refinement import smooth_lines, smooth_sections
 from uqharness.report.parts import Figures, Table, Words
-from uqharness.result_documents import Smooth
+from uqharness.result_documents import SmoothTerm
 
 AT = np.linspace(-0.05, 0.1, 41)
 
@@ -84,6 +84,6 @@ def test_none_is_offered_none_is_shown():
 
 def test_a_curve_of_uneven_columns_is_refused():
     smooth = done()["remaining"]["smooth"]
-    Smooth.model_validate(smooth)
+    SmoothTerm.model_validate(smooth)
     with pytest.raises(ValueError, match="of one length"):
-        Smooth.model_validate(smooth | {"curve": smooth["curve"] | {"low": [0.0]}})
+        SmoothTerm.model_validate(smooth | {"curve": smooth["curve"] | {"low": [0.0]}})
