@@ -21,7 +21,9 @@ def as_array(value: ArrayLike, what: str) -> FloatArray:
 
 
 def is_many(value: Any) -> bool:
-    """Is this a list of segments (of arrays, or of nested lists two deep), not one array written as a list?"""
+    """Is this a list of segments (of arrays, or of nested lists two deep), not one array written as
+    a list?
+    """
     if not isinstance(value, list | tuple) or len(value) == 0:
         return False
     first = value[0]
@@ -44,14 +46,16 @@ def as_segments(value: Any, what: str, *, dropouts: bool) -> list[FloatArray]:
             )
         if part.shape[1] != parts[0].shape[1]:
             raise ValueError(
-                f"{where} has {part.shape[1]} columns, segment 0 has {parts[0].shape[1]}; give all the same"
+                f"{where} has {part.shape[1]} columns, segment 0 has {parts[0].shape[1]}; give all"
+                " the same"
             )
         bad = np.isinf(part) if dropouts else ~np.isfinite(part)
         if bad.any():
             row, column = np.argwhere(bad)[0]
             cure = "mark dropouts as NaN" if dropouts else "repair or cut these samples"
             raise ValueError(
-                f"{where} holds {int(bad.sum())} value(s) that are not finite, first at row {row}, column {column}; {cure}"
+                f"{where} holds {int(bad.sum())} value(s) that are not finite, first at row {row},"
+                f" column {column}; {cure}"
             )
     return parts
 
@@ -63,7 +67,8 @@ def as_parameters(theta0: ArrayLike, what: str = "theta0") -> FloatArray:
         raise ValueError(f"{what} has shape {theta.shape}; give a vector of at least one parameter")
     if not np.isfinite(theta).all():
         raise ValueError(
-            f"{what} holds values that are not finite at {np.flatnonzero(~np.isfinite(theta)).tolist()}"
+            f"{what} holds values that are not finite at"
+            f" {np.flatnonzero(~np.isfinite(theta)).tolist()}"
         )
     return theta
 
@@ -71,7 +76,10 @@ def as_parameters(theta0: ArrayLike, what: str = "theta0") -> FloatArray:
 def as_names(
     names: Sequence[str] | None, count: int, prefix: str, what: str = "names"
 ) -> tuple[str, ...]:
-    """`count` unique names, `prefix`0.. when none are given. Raises ValueError: wrong length, repeated."""
+    """`count` unique names, `prefix`0.. when none are given.
+
+    Raises ValueError: wrong length, repeated.
+    """
     if names is None:
         return tuple(f"{prefix}{index}" for index in range(count))
     if isinstance(names, str):
@@ -90,7 +98,8 @@ def as_names(
 def as_bounds(
     bounds: Any, theta0: FloatArray, names: tuple[str, ...]
 ) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper (k,) from None, k pairs (None = open end), two (k,) vectors or {name: (lo, hi)}.
+    """Lower and upper (k,) from None, k pairs (None = open end), two (k,) vectors or {name: (lo,
+    hi)}.
 
     With k = 2 the form is read as pairs, one a parameter.
     Raises ValueError: wrong form, lower >= upper, theta0 outside.
@@ -117,7 +126,8 @@ def as_bounds(
                 )
         if len(pairs) != count or any(pair is not None and len(pair) != 2 for pair in pairs):
             raise ValueError(
-                f"bounds has {len(pairs)} entries for {count} parameters; give one (lower, upper) for each"
+                f"bounds has {len(pairs)} entries for {count} parameters; give one (lower, upper)"
+                " for each"
             )
         for index, pair in enumerate(pairs):
             low, high = pair if pair is not None else (None, None)
@@ -127,17 +137,22 @@ def as_bounds(
         low, high, start = lower[index], upper[index], theta0[index]
         if not low < high:
             raise ValueError(
-                f"bounds of {name} are ({low}, {high}); the lower must be below the upper (use free= to fix)"
+                f"bounds of {name} are ({low}, {high}); the lower must be below the upper (use"
+                " free= to fix)"
             )
         if not low <= start <= high:
             raise ValueError(
-                f"theta0 of {name} is {start}, outside its bounds ({low}, {high}); move the start or the bounds"
+                f"theta0 of {name} is {start}, outside its bounds ({low}, {high}); move the start"
+                " or the bounds"
             )
     return lower, upper
 
 
 def as_free(free: Any, names: tuple[str, ...]) -> NDArray[np.bool_]:
-    """(k,) mask of estimated parameters from None, names, indices or a boolean mask. Raises ValueError."""
+    """(k,) mask of estimated parameters from None, names, indices or a boolean mask.
+
+    Raises ValueError.
+    """
     count = len(names)
     if free is None:
         return np.ones(count, dtype=bool)

@@ -23,9 +23,10 @@ def sha256_of_parts(parts: Iterable[bytes | memoryview]) -> str:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a regular file's content as 64 hexadecimal digits; a file of any size, read piece by piece.
+    """SHA-256 of a regular file's content as 64 hexadecimal digits; a file of any size, read piece
+    by piece.
 
-    Raises OSError for what is not there or not a regular file, as `sysid.foreign.regular_files.require_regular`.
-    """
+    Raises OSError for what is not there or not a regular file, as
+    `sysid.foreign.regular_files.require_regular`."""
     with open_regular(path) as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()

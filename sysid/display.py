@@ -1,8 +1,8 @@
 """What a terminal is sent: text in which nothing of a log, a file's name or a model can steer it.
 
-A log may hold escape sequences that rename a window, hide lines or paste commands, and a name may hold characters that turn the
-order of what follows. On standard output and standard error they show as what they are: ``\x1b``, ``\u202e``.
-"""
+A log may hold escape sequences that rename a window, hide lines or paste commands, and a name may
+hold characters that turn the order of what follows. On standard output and standard error they show
+as what they are: ``\x1b``, ``\u202e``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 if TYPE_CHECKING:
     import pandas as pd
 
-# Control characters but tab and line feed, lone surrogates, line and paragraph separators, marks that turn the order of text.
+# Control characters but tab and line feed, lone surrogates, line and paragraph separators, marks
+# that turn the order of text.
 _UNSEEN = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
 )
@@ -64,7 +65,9 @@ class _Visible:
 
 
 def _encodable(text: str, stream: TextIO) -> str:
-    """The text with what the stream's encoding lacks written out: output to a pipe in Latin-1 or ASCII is no reason to fail."""
+    """The text with what the stream's encoding lacks written out: output to a pipe in Latin-1 or
+    ASCII is no reason to fail.
+    """
     encoding = getattr(stream, "encoding", None) or "utf-8"
     with contextlib.suppress(LookupError):
         return text.encode(encoding, "backslashreplace").decode(encoding)
@@ -72,7 +75,10 @@ def _encodable(text: str, stream: TextIO) -> str:
 
 
 def clean_streams() -> None:
-    """From now on, standard output and standard error of this process write only what may be seen. May be called again."""
+    """From now on, standard output and standard error of this process write only what may be seen.
+
+    May be called again.
+    """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is not None and not isinstance(stream, _Visible):
@@ -91,7 +97,9 @@ def clean_terminal() -> Iterator[None]:
 
 
 def drawing(stream: TextIO) -> TextIO:
-    """The stream as it was before: for what moves the cursor itself, with texts that went through `visible`."""
+    """The stream as it was before: for what moves the cursor itself, with texts that went through
+    `visible`.
+    """
     return stream.underneath if isinstance(stream, _Visible) else stream
 
 

@@ -1,4 +1,5 @@
-"""Quantiles and tails of the usual distributions: the functions of scipy.special that scipy.stats calls.
+"""Quantiles and tails of the usual distributions: the functions of scipy.special that scipy.stats
+calls.
 
 scipy.stats itself takes over a second to load, and some 0.1 ms a number.
 """
@@ -22,7 +23,9 @@ def normal_tail(x: Any) -> Any:
 
 
 def student_quantile(p: Any, dof: Any) -> Any:
-    """Where Student's t of so many degrees of freedom has the probability p below it; NaN where they are not above 0."""
+    """Where Student's t of so many degrees of freedom has the probability p below it; NaN where
+    they are not above 0.
+    """
     dof = np.asarray(dof, dtype=np.float64)
     finite = special.stdtrit(np.where(np.isinf(dof), 1.0, dof), p)
     return np.where(np.isposinf(dof), special.ndtri(p), np.where(dof > 0.0, finite, np.nan))[()]

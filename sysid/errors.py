@@ -1,4 +1,6 @@
-"""What goes wrong with a log, said once: the error that ends a command and the finding that does not."""
+"""What goes wrong with a log, said once: the error that ends a command and the finding that does
+not.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ MOST_LINES = 40
 
 
 def shortened(text: str) -> str:
-    """The text with the middle of every line of more than MOST_CHARACTERS left out, and what comes after MOST_LINES counted."""
+    """The text with the middle of every line of more than MOST_CHARACTERS left out, and what comes
+    after MOST_LINES counted.
+    """
     if len(text) <= MOST_CHARACTERS:
         return text
     head, tail = MOST_CHARACTERS * 3 // 4, MOST_CHARACTERS // 5
@@ -35,7 +39,10 @@ def in_a_line(error: BaseException) -> str:
 
 
 class LogError(ValueError):
-    """A log, map or card that cannot be used. Says what was received, what is allowed, what to do next."""
+    """A log, map or card that cannot be used.
+
+    Says what was received, what is allowed, what to do next.
+    """
 
     def __init__(
         self, message: str, path: Path | str | None = None, where: str | None = None

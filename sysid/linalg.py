@@ -1,7 +1,8 @@
-"""Sensitivities that are empty in most of their rows: a segment's start states move that segment alone.
+"""Sensitivities that are empty in most of their rows: a segment's start states move that segment
+alone.
 
-With a few dozen segments nearly all of such a matrix is zero: what is kept of it, and products that know it, cost a tenth.
-"""
+With a few dozen segments nearly all of such a matrix is zero: what is kept of it, and products that
+know it, cost a tenth."""
 
 from __future__ import annotations
 
@@ -23,8 +24,8 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Blocks:
-    """A matrix (N, m, k) by segments of its rows: of each the ``columns`` (c,) that are not zero throughout, and ``parts``
-    (n, m, c)."""
+    """A matrix (N, m, k) by segments of its rows: of each the ``columns`` (c,) that are not zero
+    throughout, and ``parts`` (n, m, c)."""
 
     parts: tuple[FloatArray, ...]
     columns: tuple[Index, ...]
@@ -142,9 +143,9 @@ Loop = Callable[..., Any]
 def compiled(loop: Loop) -> Loop:
     """The loop, compiled when it is first called with such arguments.
 
-    A division by zero gives what numpy's gives. The machine code is kept for the next process in the source's ``__pycache__``, or
-    in the user's cache where that cannot be written; where neither can, every process compiles anew.
-    """
+    A division by zero gives what numpy's gives. The machine code is kept for the next process in
+    the source's ``__pycache__``, or in the user's cache where that cannot be written; where neither
+    can, every process compiles anew."""
     try:
         kept: Loop = njit(cache=True, nogil=True, error_model="numpy")(loop)
     except RuntimeError:
@@ -153,7 +154,7 @@ def compiled(loop: Loop) -> Loop:
 
 
 def within(part: Loop) -> Loop:
-    """The part, which compiled loops of the same file may call and Python as well: for other files' the code that is kept would not
-    be renewed when they change."""
+    """The part, which compiled loops of the same file may call and Python as well: for other files'
+    the code that is kept would not be renewed when they change."""
     known: Loop = register_jitable(part)
     return known

@@ -1,4 +1,6 @@
-"""Work that several processes may share: what a computation asks of them, and the one process that is always there."""
+"""Work that several processes may share: what a computation asks of them, and the one process that
+is always there.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ from typing import Any, Protocol
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
-"""Environment of a process that works beside others: its linear algebra would start a thread a core, and they would fight."""
+"""Environment of a process that works beside others: its linear algebra would start a thread a
+core, and they would fight.
+"""
 
 
 class Shared(Protocol):

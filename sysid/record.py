@@ -1,7 +1,8 @@
-"""FlightRecord: the waist between logs and everything that works on flights. Columns as in the vocabulary, SI.
+"""FlightRecord: the waist between logs and everything that works on flights. Columns as in the
+vocabulary, SI.
 
-Parquet keeps the metadata in the file's schema; CSV keeps it in a comment line in front of the header.
-"""
+Parquet keeps the metadata in the file's schema; CSV keeps it in a comment line in front of the
+header."""
 
 from __future__ import annotations
 
@@ -29,8 +30,8 @@ _CSV_ROWS = 200_000
 class Loiter:
     """A circle that the autopilot was told to fly, from ``start_s`` to ``end_s``.
 
-    north_m, east_m  centre, from the start point as the record's columns      radius_m  positive      source  what says so
-    """
+    north_m, east_m  centre, from the start point as the record's columns      radius_m  positive
+    source  what says so"""
 
     start_s: float
     end_s: float
@@ -43,7 +44,9 @@ class Loiter:
 
 @dataclass(frozen=True)
 class Boot:
-    """One of several boots of the autopilot in a log, on its own clock; ``free_flight_s`` is None where it holds no flight."""
+    """One of several boots of the autopilot in a log, on its own clock; ``free_flight_s`` is None
+    where it holds no flight.
+    """
 
     number: int
     start_s: float
@@ -65,14 +68,15 @@ class Metadata:
     dialect      dataflash | dataflash-text | tlog | ulog | record | jsbsim-csv | simulation
     vehicle      what the log says it is, e.g. "ArduPlane V4.7.0"
     start        {"lat_deg", "lon_deg", "alt_m", "unix_s"} of the start point where known
-    native_hz    rate at which each channel was logged; a value below the grid's rate means it was filled in between
+    native_hz    rate at which each channel was logged; a value below the grid's rate means it was
+    filled in between
     channels     what each channel was made from, e.g. "IMU[0].GyrY"
-    estimates    channels that an estimator computed and no sensor measured (alpha, beta without vanes)
-    free_flight_s  stretches [start, end] of free flight
+    estimates    channels that an estimator computed and no sensor measured (alpha, beta without
+    vanes) free_flight_s  stretches [start, end] of free flight
     loiters      circles that the autopilot was told to fly
     findings     everything the checks had to say
-    flights      the boots of a log that holds several; empty for one      flight_number  the one that the record is of
-    """
+    flights      the boots of a log that holds several; empty for one      flight_number  the one
+    that the record is of"""
 
     source: str = ""
     sha256: str = ""
@@ -159,13 +163,12 @@ def _loiter_from_dict(d: Mapping[str, Any]) -> Loiter:
 class FlightRecord:
     """One flight on one time grid.
 
-    columns   name -> (n,) float array, (n,) object array of str for labels; `time_s` always present and increasing
-    metadata  provenance and findings
+    columns   name -> (n,) float array, (n,) object array of str for labels; `time_s` always present
+    and increasing metadata  provenance and findings
 
-    Absent channels are absent. NaN marks dropouts and gaps: nothing may be integrated or interpolated across one
-    (`segments` gives the stretches without). Raises LogError for unknown names, unequal lengths or time that does not
-    increase.
-    """
+    Absent channels are absent. NaN marks dropouts and gaps: nothing may be integrated or
+    interpolated across one (`segments` gives the stretches without). Raises LogError for unknown
+    names, unequal lengths or time that does not increase."""
 
     columns: Mapping[str, NDArray[Any]]
     metadata: Metadata = field(default_factory=Metadata)
@@ -187,7 +190,8 @@ class FlightRecord:
             if values.shape != (n,):
                 raise LogError(f"column {name} has shape {values.shape}, time_s has ({n},)")
             if values.flags.writeable:
-                # A caller keeps its array; one that is read-only already is shared, which big logs need.
+                # A caller keeps its array; one that is read-only already is shared, which big logs
+                # need.
                 values = values.copy()
                 values.setflags(write=False)
             frozen[name] = values
@@ -240,7 +244,8 @@ class FlightRecord:
         return FlightRecord({**self.columns, **columns}, metadata or self.metadata)
 
     def segments(self, names: tuple[str, ...], min_s: float = 0.0) -> list[slice]:
-        """Maximal stretches in which every channel of `names` is finite and time has no gap (step > 1.5 dt).
+        """Maximal stretches in which every channel of `names` is finite and time has no gap (step >
+        1.5 dt).
 
         Returns slices of rows in order; stretches shorter than `min_s` seconds are left out.
         """
@@ -288,7 +293,8 @@ class FlightRecord:
 
     @classmethod
     def read(cls, path: Path) -> FlightRecord:
-        """Read what `write` wrote (or a plain table with the vocabulary's names), recognised by content.
+        """Read what `write` wrote (or a plain table with the vocabulary's names), recognised by
+        content.
 
         Raises LogError naming file and column for anything else.
         """

@@ -1,8 +1,8 @@
 """What a unit outside the SI is in it: FT_M metres make a foot, RAD_DEG degrees a radian.
 
-A slug is a lbf s2/ft, a psf a lbf/ft2. Five values stand with fewer digits than a float holds, and the exact one beside them:
-flight records, fits and tables have been made with the short ones, and the exact ones would move their last digits.
-"""
+A slug is a lbf s2/ft, a psf a lbf/ft2. Five values stand with fewer digits than a float holds, and
+the exact one beside them: flight records, fits and tables have been made with the short ones, and
+the exact ones would move their last digits."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """The one vocabulary: every signal a flight record may hold, its unit, sign and plausible range.
 
-Where a signal comes from in each log dialect stands in `signal_maps/*.toml`; `sysid.logs.signal_map`
-makes both the table of docs/log-reference.md.
-"""
+Where a signal comes from in each log dialect stands in `signal_maps/*.toml`;
+`sysid.logs.signal_map` makes both the table of docs/log-reference.md."""
 
 from __future__ import annotations
 
@@ -13,10 +12,10 @@ from dataclasses import dataclass
 class Signal:
     """One column of a flight record.
 
-    kind  "state" (interpolated), "heading" (interpolated on the circle), "command" (held) or "label" (text, held)
-    low, high  range outside which the value is taken for a wrong unit or a broken sensor, in the signal's own unit
-    core  True for the columns of the contract that every complete record has
-    """
+    kind  "state" (interpolated), "heading" (interpolated on the circle), "command" (held) or
+    "label" (text, held) low, high  range outside which the value is taken for a wrong unit or a
+    broken sensor, in the signal's own unit core  True for the columns of the contract that every
+    complete record has"""
 
     name: str
     unit: str

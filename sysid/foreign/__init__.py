@@ -1,1 +1,3 @@
-"""Files that anybody may have written: opened, limited in time and memory, read as data and never as code."""
+"""Files that anybody may have written: opened, limited in time and memory, read as data and never
+as code.
+"""

@@ -1,9 +1,9 @@
-"""Foreign formats read in a child process with a time and a memory limit: pyulog, pymavlink, pandas and pyarrow meet a file there.
+"""Foreign formats read in a child process with a time and a memory limit: pyulog, pymavlink, pandas
+and pyarrow meet a file there.
 
-What they make of it comes back as data, never as code, so that a file that leads one of them astray can end the child and
-nothing else. The child is kept for the files that follow. Where the system has no limit of address space (Windows, macOS) the
-time limit holds alone.
-"""
+What they make of it comes back as data, never as code, so that a file that leads one of them astray
+can end the child and nothing else. The child is kept for the files that follow. Where the system
+has no limit of address space (Windows, macOS) the time limit holds alone."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ from sysid.parallel import ONE_THREAD
 # log is read and a bomb is not.
 
 MOST_COLUMNS = 5_000
-"""Columns of a table. JSBSim's fullest output has about a thousand; a header of a million is no flight."""
+"""Columns of a table. JSBSim's fullest output has about a thousand; a header of a million is no
+flight.
+"""
 MOST_LINE = 1_000_000
 """Bytes of a table's header and first rows, each."""
 MOST_COMMENT = 50_000_000
@@ -41,7 +43,9 @@ MOST_COMMENT = 50_000_000
 
 @dataclass(frozen=True)
 class Limit:
-    """base_s, bytes_per_s: time allowed; base_bytes, per_byte: memory above what the reader itself takes."""
+    """base_s, bytes_per_s: time allowed; base_bytes, per_byte: memory above what the reader itself
+    takes.
+    """
 
     base_s: float
     bytes_per_s: float
@@ -58,11 +62,13 @@ class Limit:
 
 
 LIMITS = {
-    # pyulog reads 10 to 40 MB/s and holds each topic twice while it decodes; a damaged length held it for minutes.
+    # pyulog reads 10 to 40 MB/s and holds each topic twice while it decodes; a damaged length held
+    # it for minutes.
     "ulog": Limit(10.0, 1e6, 400_000_000, 8.0),
     # pymavlink decodes 2 to 4 MB/s; a packet of 25 bytes becomes up to ten numbers of 8.
     "tlog": Limit(10.0, 0.25e6, 300_000_000, 8.0),
-    # pandas reads 20 to 100 MB/s; a cell of two characters becomes a number of 8 bytes, and is held twice on the way.
+    # pandas reads 20 to 100 MB/s; a cell of two characters becomes a number of 8 bytes, and is held
+    # twice on the way.
     "csv": Limit(10.0, 2e6, 400_000_000, 16.0),
     # Parquet packs: ten times is usual for a flight, thousands of times is a bomb.
     "parquet": Limit(10.0, 1e6, 600_000_000, 40.0),
@@ -72,14 +78,16 @@ LIMITS = {
 def too_much(what: str, needed: float, allowed: float) -> str:
     """The sentence for a file that asks for more memory than one of its size should."""
     return (
-        f"{what} would take {in_words(needed)} of memory; a file of its size may take {in_words(allowed)}: "
-        "it is damaged or made to fill the memory; keep fewer rows and columns, or export it again"
+        f"{what} would take {in_words(needed)} of memory; a file of its size may take"
+        f" {in_words(allowed)}: it is damaged or made to fill the memory; keep fewer rows and"
+        " columns, or export it again"
     )
 
 
 _START_S = 120.0  # nothing of a stranger's is read yet: only a busy disk makes this long
 _HOME = Path(__file__).parents[2]
-# The package is found where this one is, and its folder is on the path for no longer than that takes.
+# The package is found where this one is, and its folder is on the path for no longer than that
+# takes.
 _BEGIN = (
     "import sys; sys.path.insert(0, sys.argv[1]); import sysid; del sys.path[0]; "
     "from sysid.logs.importers.limited_child import main; main()"
@@ -93,10 +101,11 @@ def read_raw(
     progress: Progress | None = None,
     time: TimeColumn | None = None,
 ) -> RawLog:
-    """A log of dialect ulog, tlog, csv, jsbsim-csv or parquet; `wanted` and `time` as in the importers.
+    """A log of dialect ulog, tlog, csv, jsbsim-csv or parquet; `wanted` and `time` as in the
+    importers.
 
-    Raises LogError for what cannot be read, and for what takes more time or memory than a file of its size should.
-    """
+    Raises LogError for what cannot be read, and for what takes more time or memory than a file of
+    its size should."""
     names = (
         None if wanted is None else {message: sorted(fields) for message, fields in wanted.items()}
     )
@@ -133,7 +142,10 @@ def read_raw(
 
 
 def read_record(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
-    """Columns and metadata (JSON, "" where there is none) of a flight record's file. Raises LogError as `read_raw`."""
+    """Columns and metadata (JSON, "" where there is none) of a flight record's file.
+
+    Raises LogError as `read_raw`.
+    """
     columns: dict[str, NDArray[Any]] = {}
     metadata = ""
     for kind, *content in _ask(path, "record", {}):
@@ -252,7 +264,10 @@ class _Ended(Exception):
 
 
 def _begin(child: _Child, order: Mapping[str, Any], path: Path) -> None:
-    """Give an order and wait until the reader has loaded what it needs. Raises LogError where it has not."""
+    """Give an order and wait until the reader has loaded what it needs.
+
+    Raises LogError where it has not.
+    """
     with contextlib.suppress(OSError, _Ended), _Deadline(child, _START_S):
         child.orders.write(json.dumps(order).encode() + b"\n")
         child.orders.flush()
@@ -298,12 +313,21 @@ def _answers(
 def _why_ended(ended: _Ended, child: _Child, deadline: _Deadline, limit: Limit, size: int) -> str:
     again = "it is damaged or made to do so; copy the log again"
     if deadline.passed:
-        return f"reading took longer than the {limit.seconds(size):.0f} s that a file of {in_words(size)} may take: {again}"
+        return (
+            f"reading took longer than the {limit.seconds(size):.0f} s that a file of"
+            f" {in_words(size)} may take: {again}"
+        )
     if ended.reason == "memory":
         allowed = in_words(limit.bytes(size))
-        return f"reading took more than the {allowed} of memory that a file of {in_words(size)} may take: {again}"
+        return (
+            f"reading took more than the {allowed} of memory that a file of {in_words(size)} may"
+            f" take: {again}"
+        )
     why = ended.reason or f"code {child.process.returncode}"
-    return f"the reader of this format ended without an answer ({why}): the file is damaged; copy the log again"
+    return (
+        f"the reader of this format ended without an answer ({why}): the file is damaged; copy the"
+        " log again"
+    )
 
 
 def _limit_name(kind: str, path: Path) -> str:
@@ -346,7 +370,9 @@ atexit.register(_end_children)
 
 
 class MemoryLimit:
-    """Lets this process take so many bytes of address space more than it has, where the system can hold it to that."""
+    """Lets this process take so many bytes of address space more than it has, where the system can
+    hold it to that.
+    """
 
     def __init__(self, more: int) -> None:
         self._more = more

@@ -1,4 +1,7 @@
-"""RawLog: what an importer hands over, before any unit, sign or grid is chosen. Pure data, no IO."""
+"""RawLog: what an importer hands over, before any unit, sign or grid is chosen.
+
+Pure data, no IO.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,10 @@ Progress = Callable[[float], None]  # called with the share done, 0..1
 class MessageTable:
     """All records of one message type and instance.
 
-    time_s  (n,) log time of each record, s, as logged (it may repeat or run backwards: `time_base.clean` deals with it)
-    fields  name -> (n,) array, in the log's own units with the format's own multipliers applied
-    place   (n,) position of each record in the file, in any unit that orders all records of the log; None where it is not known
-    """
+    time_s  (n,) log time of each record, s, as logged (it may repeat or run backwards:
+    `time_base.clean` deals with it) fields  name -> (n,) array, in the log's own units with the
+    format's own multipliers applied place   (n,) position of each record in the file, in any unit
+    that orders all records of the log; None where it is not known"""
 
     time_s: NDArray[np.float64]
     fields: Mapping[str, NDArray[Any]]
@@ -41,7 +44,8 @@ class RawLog:
     facts       anything else the checks need (e.g. "mav_type")
     findings    damage met while reading
     headers     places at which the header of a log stands again: several logs in one file
-    parameter_log  (place, name, value) of every parameter logged, and `text_places` the place of each of `texts`, by which
+    parameter_log  (place, name, value) of every parameter logged, and `text_places` the place of
+    each of `texts`, by which
                 boots are told apart; empty where the dialect does not know them
     """
 
@@ -60,7 +64,9 @@ class RawLog:
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """The column of a table that holds its times, and its unit: s, ms, us, ns, min or h; "iso" for text."""
+    """The column of a table that holds its times, and its unit: s, ms, us, ns, min or h; "iso" for
+    text.
+    """
 
     field: str
     unit: str = "s"

@@ -1,8 +1,9 @@
-"""Files that others hand in, opened so that none of them can hold the program up or fill its memory.
+"""Files that others hand in, opened so that none of them can hold the program up or fill its
+memory.
 
-A pipe waits for a writer, a device never ends, and a file of a hundred gigabytes is a small one on paper. Each is refused here
-before a byte of it is read, with an OSError whose ``strerror`` ends a sentence ("cannot be read: is a pipe, not a regular file").
-"""
+A pipe waits for a writer, a device never ends, and a file of a hundred gigabytes is a small one on
+paper. Each is refused here before a byte of it is read, with an OSError whose ``strerror`` ends a
+sentence ("cannot be read: is a pipe, not a regular file")."""
 
 from __future__ import annotations
 
@@ -17,7 +18,9 @@ from pathlib import Path
 from typing import Any
 
 MOST_BYTES = 64_000_000
-"""What a text file (map, card, TOML, JSON) may hold: far above any that is written by hand or by this program."""
+"""What a text file (map, card, TOML, JSON) may hold: far above any that is written by hand or by
+this program.
+"""
 
 _KINDS = (
     (stat.S_ISDIR, errno.EISDIR, "a folder"),
@@ -34,7 +37,8 @@ def require_regular(path: Path) -> os.stat_result:
     Raises
     ------
     OSError
-        For a pipe, folder, socket or device, or when there is no such file; ``strerror`` says which, ``filename`` is the path.
+        For a pipe, folder, socket or device, or when there is no such file; ``strerror`` says
+        which, ``filename`` is the path.
     """
     try:
         found = os.stat(path)
@@ -45,9 +49,13 @@ def require_regular(path: Path) -> os.stat_result:
 
 
 def open_regular(path: Path) -> io.BufferedReader:
-    """A regular file opened for reading bytes; never waits for a pipe's other end. Raises OSError as `require_regular`."""
+    """A regular file opened for reading bytes; never waits for a pipe's other end.
+
+    Raises OSError as `require_regular`.
+    """
     require_regular(path)
-    # What stands there may change between the look and the opening: without waiting it is opened, then looked at again.
+    # What stands there may change between the look and the opening: without waiting it is opened,
+    # then looked at again.
     flags = (
         os.O_RDONLY
         | getattr(os, "O_NONBLOCK", 0)
@@ -64,7 +72,10 @@ def open_regular(path: Path) -> io.BufferedReader:
 
 
 def read_regular(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
-    """The whole content of a regular file of at most ``most_bytes`` bytes. Raises OSError as `require_regular`, and for size."""
+    """The whole content of a regular file of at most ``most_bytes`` bytes.
+
+    Raises OSError as `require_regular`, and for size.
+    """
     with open_regular(path) as handle:
         size = os.fstat(handle.fileno()).st_size
         if size > most_bytes:
@@ -77,7 +88,10 @@ def read_regular(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 def read_regular_text(path: Path, most_bytes: int = MOST_BYTES) -> str:
-    """The same as text in UTF-8 with every end of line as ``\\n``. Raises OSError, and UnicodeDecodeError for other bytes."""
+    """The same as text in UTF-8 with every end of line as ``\\n``.
+
+    Raises OSError, and UnicodeDecodeError for other bytes.
+    """
     text = read_regular(path, most_bytes).decode("utf-8")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -124,7 +138,10 @@ _TOO_LONG = "it holds an integer of thousands of digits"
 
 
 class ParseError(ValueError):
-    """Text that is not what it should be. ``str`` completes a sentence; ``line`` counts from 1, None where it is not known."""
+    """Text that is not what it should be.
+
+    ``str`` completes a sentence; ``line`` counts from 1, None where it is not known.
+    """
 
     def __init__(self, message: str, line: int | None = None) -> None:
         super().__init__(message)

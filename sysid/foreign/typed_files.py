@@ -33,7 +33,8 @@ _MAPPINGS = (dict, Mapping, types.MappingProxyType)
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Whether the value is what the annotation says, items and all; an int serves as a float, a list as a tuple.
+    """Whether the value is what the annotation says, items and all; an int serves as a float, a
+    list as a tuple.
 
     Values of other classes count by their class alone. A callable is no data and fits nothing.
     """
@@ -110,7 +111,10 @@ class OwnClass:
             return f"{self.name} has {len(self.fields)} fields, not {len(values)}"
         for name, value, hint in zip(self.fields, values, self.hints, strict=True):
             if not fits(value, hint):
-                return f"{name} of {self.name} holds a {type(value).__name__} that its annotation does not allow"
+                return (
+                    f"{name} of {self.name} holds a {type(value).__name__} that its annotation does"
+                    " not allow"
+                )
         return ""
 
     def made(self, values: Sequence[Any]) -> Any:
@@ -125,7 +129,10 @@ class OwnClass:
 
 
 def find_class(name: Any, fields: Any) -> OwnClass:
-    """The class of that name with exactly these fields. Only modules of this project are imported. Raises ValueError."""
+    """The class of that name with exactly these fields.
+
+    Only modules of this project are imported. Raises ValueError.
+    """
     parts = _NAME.fullmatch(name) if isinstance(name, str) else None
     if parts is None:
         raise ValueError(f"no class of this program: {str(name)[:80]!r}")
@@ -154,7 +161,9 @@ def _is_package(name: str) -> bool:
 
 @cache
 def own_class(kind: type) -> OwnClass | None:
-    """What is to be known of a class to store its values; None for any but a dataclass or named tuple of this project."""
+    """What is to be known of a class to store its values; None for any but a dataclass or named
+    tuple of this project.
+    """
     name = f"{kind.__module__}:{kind.__qualname__}"
     if not _NAME.fullmatch(name):
         return None
@@ -190,7 +199,10 @@ _DEEPEST = 8
 
 
 def described(dtype: np.dtype[Any]) -> Any:
-    """A dtype as text or, if it has fields, lists of text. Raises ValueError for what has no such description."""
+    """A dtype as text or, if it has fields, lists of text.
+
+    Raises ValueError for what has no such description.
+    """
     if dtype.kind not in "biufcmMSUV" or dtype.metadata is not None:
         raise ValueError(f"items of the type {dtype}")
     found = _listed(np.lib.format.dtype_to_descr(dtype))
@@ -220,7 +232,9 @@ def _listed(description: Any) -> Any:
 
 
 def _checked(description: Any, depth: int) -> Any:
-    """The same with tuples where numpy wants them; only texts that name one plain type ever reach numpy."""
+    """The same with tuples where numpy wants them; only texts that name one plain type ever reach
+    numpy.
+    """
     if isinstance(description, str):
         if not _PLAIN.fullmatch(description):
             raise ValueError(f"no type of items: {description[:40]!r}")
@@ -242,7 +256,8 @@ def _checked(description: Any, depth: int) -> Any:
 
 DEEPEST = 100
 """Levels of values inside values."""
-# Values may be shared; this many, each counted as often as it is met, is more than any result holds.
+# Values may be shared; this many, each counted as often as it is met, is more than any result
+# holds.
 _MOST_VALUES = 50_000_000
 # A key's hash is computed by every part of it, recursively.
 _KEY_PARTS = 1000
@@ -310,7 +325,9 @@ _ALIKE_HASHES = 64
 
 
 class Reader:
-    """Values by the numbers of their nodes; ``buffers`` are the bytes behind the header, each of one node."""
+    """Values by the numbers of their nodes; ``buffers`` are the bytes behind the header, each of
+    one node.
+    """
 
     def __init__(self, classes: Any, buffers: list[memoryview]) -> None:
         self._classes = [find_class(name, fields) for name, fields in classes]
@@ -416,7 +433,8 @@ class Reader:
         if _count(shape) * kind.itemsize != len(content) or (kind.itemsize == 0 and _count(shape)):
             raise ValueError("an array's bytes are not those of its shape and type")
         flat = np.frombuffer(content, np.uint8).view(kind) if len(content) else np.empty(0, kind)
-        # Copied, as it lies in the file at any address: sums of unaligned numbers are slower and may differ in the last digit.
+        # Copied, as it lies in the file at any address: sums of unaligned numbers are slower and
+        # may differ in the last digit.
         return _shaped(flat.copy(), shape, order, writeable), ()
 
     def _texts(
@@ -551,10 +569,10 @@ _ALIGNMENT = 64
 def dump(value: Any) -> bytes:
     """The value as bytes.
 
-    None, bool, int, float (every bit of it), str, bytes, list, tuple, dict, set, frozenset, slice, mapping proxy, Path, numpy
-    scalars and arrays, and dataclasses of ``sysid`` and ``uqharness``. What is met twice is written once. Raises
-    DataFileError for anything else, for a value inside itself, and for one of more than HEADER_MOST bytes beside its arrays.
-    """
+    None, bool, int, float (every bit of it), str, bytes, list, tuple, dict, set, frozenset, slice,
+    mapping proxy, Path, numpy scalars and arrays, and dataclasses of ``sysid`` and ``uqharness``.
+    What is met twice is written once. Raises DataFileError for anything else, for a value inside
+    itself, and for one of more than HEADER_MOST bytes beside its arrays."""
     return b"".join(dump_parts(value))
 
 
@@ -566,12 +584,13 @@ def dump_parts(value: Any) -> list[bytes | memoryview]:
 
 
 def load(data: bytes, kind: Any = Any) -> Any:
-    """The value that `dump` wrote, equal to it bit for bit, with the same parts shared; an array is read-only if it was.
+    """The value that `dump` wrote, equal to it bit for bit, with the same parts shared; an array is
+    read-only if it was.
 
-    A read-only array is a view of ``data``. Dataclasses are restored without their ``__init__`` and ``__post_init__``: the fields
-    are what those had left, and no code runs on values that nobody looked at yet. The type of every field is held against its
-    annotation, and the whole against ``kind``. Raises DataFileError.
-    """
+    A read-only array is a view of ``data``. Dataclasses are restored without their ``__init__`` and
+    ``__post_init__``: the fields are what those had left, and no code runs on values that nobody
+    looked at yet. The type of every field is held against its annotation, and the whole against
+    ``kind``. Raises DataFileError."""
     begin = len(MAGIC) + _DIGEST
     if len(data) < begin + 8 or data[: len(MAGIC)] != MAGIC:
         raise DataFileError("not a data file of this version of the program")
@@ -625,11 +644,13 @@ class _Writer:
     def parts(self) -> list[bytes | memoryview]:
         lengths = [len(buffer) for buffer in self._buffers]
         header = (
-            f'{{"classes":{_json(self._class_nodes)},"buffers":{_json(lengths)},"nodes":[{",".join(self._nodes)}]}}'
+            f'{{"classes":{_json(self._class_nodes)},"buffers":{_json(lengths)},'
+            f'"nodes":[{",".join(self._nodes)}]}}'
         ).encode()
         if len(header) > HEADER_MOST:
             raise DataFileError(
-                f"the value takes {len(header)} bytes beside its arrays; a data file allows {HEADER_MOST}"
+                f"the value takes {len(header)} bytes beside its arrays; a data file allows"
+                f" {HEADER_MOST}"
             )
         parts = [len(header).to_bytes(8, "little"), header]
         for buffer in self._buffers:
@@ -749,7 +770,9 @@ def _json(value: Any) -> str:
 
 
 def _identity(value: Any) -> Any:
-    """Equal for what may be one node: the same object, or plain values that nothing can tell apart."""
+    """Equal for what may be one node: the same object, or plain values that nothing can
+    tell apart.
+    """
     # NaN is not equal to itself: two of them may be keys of one dictionary.
     if type(value) is float and value == value:
         return float, struct.pack("<d", value)

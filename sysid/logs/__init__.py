@@ -1,4 +1,6 @@
-"""Flight logs: readers of each dialect, the map to the vocabulary, faults, phases, manoeuvres, flight records."""
+"""Flight logs: readers of each dialect, the map to the vocabulary, faults, phases, manoeuvres,
+flight records.
+"""
 
 import lazy_loader
 

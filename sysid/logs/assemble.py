@@ -1,8 +1,8 @@
 """RawLog + signal map + airframe card -> FlightRecord on one grid. Pure: no files are touched here.
 
-The grid is uniform at the usual rate of the fastest of the rate and acceleration channels (for tables: their own
-times). Commands are held onto it, everything else is interpolated, nothing across a gap.
-"""
+The grid is uniform at the usual rate of the fastest of the rate and acceleration channels (for
+tables: their own times). Commands are held onto it, everything else is interpolated, nothing across
+a gap."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ def assemble(
     mode_changes = np.array([])
     last_use = _last_use(signal_map)
     for name in SIGNALS:
-        # One channel at a time, and what no later one needs is dropped: a big log must not be in memory as messages,
-        # channels and columns all at once.
+        # One channel at a time, and what no later one needs is dropped: a big log must not be in
+        # memory as messages, channels and columns all at once.
         channel = sources[name]() if name in sources else None
         _drop(raw, last_use.get(name, ()))  # the channel holds its own copy
         if channel is None:
@@ -139,7 +139,9 @@ def with_checks(record: FlightRecord) -> FlightRecord:
 
 
 def _in_flight(finding: Finding, free_s: tuple[float, float] | None) -> bool:
-    """Whether what the finding is about lasted in free flight; on the ground a sensor may stand still."""
+    """Whether what the finding is about lasted in free flight; on the ground a sensor may stand
+    still.
+    """
     return (
         free_s is not None
         and finding.numbers["start_s"] < free_s[1]
@@ -156,7 +158,9 @@ def _first_of(
 
 
 def _last_use(signal_map: SignalMap) -> dict[str, list[str]]:
-    """signal -> messages that no later signal of the vocabulary's order may need (servo outputs stay)."""
+    """signal -> messages that no later signal of the vocabulary's order may need (servo outputs
+    stay).
+    """
     last: dict[str, str] = {}
     for name in SIGNALS:
         for entry in signal_map.entries.get(name, ()):
@@ -200,13 +204,16 @@ def _grid(
     if not np.isfinite(step) or step <= 0:
         raise LogError("no channel has two samples; the log is too short to use")
     span = best.time_s[-1] - best.time_s[0]
-    # Gaps become rows: a few stamps a microsecond apart and far from the others would ask for any amount of memory.
+    # Gaps become rows: a few stamps a microsecond apart and far from the others would ask for any
+    # amount of memory.
     most = min(_MAX_ROWS, _FEW_ROWS + _ROWS_PER_SAMPLE * len(best.time_s))
     if span / step > most:
         raise LogError(
-            f"{span:.0f} s at {1 / step:.0f} Hz would be more than {most} rows; cut the log into parts or correct its times"
+            f"{span:.0f} s at {1 / step:.0f} Hz would be more than {most} rows; cut the log into"
+            " parts or correct its times"
         )
-    # Stamps jitter by microseconds: a step of a round number of microseconds keeps the grid on the samples.
+    # Stamps jitter by microseconds: a step of a round number of microseconds keeps the grid on the
+    # samples.
     step = round(step, 6) or step
     return np.round(best.time_s[0] + step * np.arange(int(np.floor(span / step + 0.25)) + 1), 9)
 
@@ -272,7 +279,10 @@ def _servo_channels(
         return {}, {}, []
     wanted, findings = controls(card, raw.parameters)
     if card is None:
-        text = "servo outputs are logged but no card says what angles they mean: give --aircraft, or tables in --map"
+        text = (
+            "servo outputs are logged but no card says what angles they mean: give --aircraft, or"
+            " tables in --map"
+        )
         findings.append(Finding("no-card", outputs.message, "warning", text, {}))
     return (
         {
@@ -285,7 +295,9 @@ def _servo_channels(
 
 
 def _servo_tables(wanted: Mapping[str, Control], labels: Mapping[str, str]) -> list[Finding]:
-    """Which tables were used and where they are from, of the columns that were made from servo outputs."""
+    """Which tables were used and where they are from, of the columns that were made from servo
+    outputs.
+    """
     used = [c for n, c in wanted.items() if labels.get(n, "").endswith(c.label)]
     told, against = (
         "; ".join(filter(None, parts))
@@ -327,7 +339,9 @@ def _servo_channel(
 
 
 def servo_field(outputs: ServoOutputs, raw: RawLog, channel: int) -> str | None:
-    """Field of servo output `channel` (counted from 1; PX4 counts from 0) in this log; None where it has none."""
+    """Field of servo output `channel` (counted from 1; PX4 counts from 0) in this log; None where
+    it has none.
+    """
     names = outputs.fields_of(channel - 1 if raw.dialect == "ulog" else channel)
     return next(
         (
@@ -383,7 +397,9 @@ def _mode_names(numbers: FloatArray, raw: RawLog) -> NDArray[Any]:
 
 
 def _manoeuvres(raw: RawLog, grid: FloatArray) -> NDArray[Any] | None:
-    """Labels from texts such as "manoeuvre pitch-doublet" ... "manoeuvre end", which our own logs carry."""
+    """Labels from texts such as "manoeuvre pitch-doublet" ... "manoeuvre end", which our own logs
+    carry.
+    """
     marks = [
         (t, text.removeprefix(MANOEUVRE_TEXT))
         for t, text in raw.texts
@@ -422,7 +438,10 @@ def _start(raw: RawLog, sensors: Sensors) -> dict[str, float]:
 
 LONGEST_S = 0.1
 MOST = 0.2
-"""Share of a channel's samples that may be bridged. Each counts as a measurement: standard errors 10 % too small at worst."""
+"""Share of a channel's samples that may be bridged.
+
+Each counts as a measurement: standard errors 10 % too small at worst.
+"""
 
 
 def bridge(
@@ -433,10 +452,10 @@ def bridge(
 ) -> tuple[FlightRecord, list[str]]:
     """The record without its short dropouts, and sentences with numbers.
 
-    Rows lost over at most ``longest_s`` seconds are put back, evenly spaced in time; then NaN over at most that long, between two
-    samples, in the channels ``names`` become straight lines, or the value before in those of ``held`` (commands hold). A channel
-    that would be bridged in more than a fifth stays as it is, and so does every longer gap: nothing is integrated across one.
-    """
+    Rows lost over at most ``longest_s`` seconds are put back, evenly spaced in time; then NaN over
+    at most that long, between two samples, in the channels ``names`` become straight lines, or the
+    value before in those of ``held`` (commands hold). A channel that would be bridged in more than
+    a fifth stays as it is, and so does every longer gap: nothing is integrated across one."""
     record, lost = _rows_put_back(record, longest_s)
     notes = (
         [f"{lost} lost row(s) were put back, each gap at most {longest_s:g} s long"] if lost else []
@@ -467,13 +486,16 @@ def bridge(
         if inside.size > lost:
             how = "held" if name in held else "bridged in straight lines"
             notes.append(
-                f"{inside.size} of {good.size + inside.size} samples of {name} are missing and were {how}"
+                f"{inside.size} of {good.size + inside.size} samples of {name} are missing and were"
+                f" {how}"
             )
     return (record.with_columns(columns) if columns else record), notes
 
 
 def _rows_put_back(record: FlightRecord, longest_s: float) -> tuple[FlightRecord, int]:
-    """Rows of NaN where time jumps by more than 1.5 and at most longest_s + one step; labels as those before."""
+    """Rows of NaN where time jumps by more than 1.5 and at most longest_s + one step; labels as
+    those before.
+    """
     time, dt = record["time_s"], record.dt_s
     steps = np.diff(time)
     at = np.flatnonzero((steps > 1.5 * dt) & (steps <= longest_s + dt))

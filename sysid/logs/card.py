@@ -1,7 +1,7 @@
 """airframe.toml, the card of an aircraft: what its XML cannot say. The one reader of it.
 
-Logs need servo tables and mixing. Sections that are the simulator's alone stay as they are in ``document``.
-"""
+Logs need servo tables and mixing. Sections that are the simulator's alone stay as they are in
+``document``."""
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ class Servo:
 
 @dataclass(frozen=True)
 class Throw:
-    """Deflection [deg] at the low and the high end of a surface's travel, and the key of the card that says so."""
+    """Deflection [deg] at the low and the high end of a surface's travel, and the key of the card
+    that says so.
+    """
 
     low: float
     high: float
@@ -58,11 +60,11 @@ class Throw:
 
 @dataclass(frozen=True)
 class Mix:
-    """A v-tail or elevons: two panels, each with its own servo; deflection + trailing edge down on both.
+    """A v-tail or elevons: two panels, each with its own servo; deflection + trailing edge down on
+    both.
 
-    first = (left + right)/2 is the elevator; second = (left - right)/2 is the rudder (v-tail, + nose left) or the
-    aileron (elevons, + rolls right).
-    """
+    first = (left + right)/2 is the elevator; second = (left - right)/2 is the rudder (v-tail, +
+    nose left) or the aileron (elevons, + rolls right)."""
 
     kind: str
     left: Servo
@@ -76,7 +78,9 @@ class Mix:
 
 @dataclass(frozen=True)
 class Reference:
-    """Wing area [m2], span and mean chord [m] that coefficients are made dimensionless with; None: the metrics of the XML."""
+    """Wing area [m2], span and mean chord [m] that coefficients are made dimensionless with; None:
+    the metrics of the XML.
+    """
 
     S_m2: float | None = None
     b_m: float | None = None
@@ -85,7 +89,9 @@ class Reference:
 
 @dataclass(frozen=True)
 class Sensors:
-    """position_m: places from the centre of gravity, body axes [m]; noise_std: one standard deviation by channel."""
+    """position_m: places from the centre of gravity, body axes [m]; noise_std: one standard
+    deviation by channel.
+    """
 
     position_m: Mapping[str, Position] = field(default_factory=dict)
     noise_std: Mapping[str, float] = field(default_factory=dict)
@@ -93,7 +99,9 @@ class Sensors:
 
 @dataclass(frozen=True)
 class AirframeCard:
-    """A card. document: every table of the file as it was read, and nothing of it is in a card's text or equality."""
+    """A card. document: every table of the file as it was read, and nothing of it is in a card's
+    text or equality.
+    """
 
     name: str
     path: str = ""
@@ -153,7 +161,9 @@ def parse_card(text: str, file: Path) -> AirframeCard:
 
 
 def _refuse_slips(row: dict[str, Any], name: str, where: str) -> None:
-    """Other programs may keep keys of their own here; one that is nearly ours is a slip of the pen."""
+    """Other programs may keep keys of their own here; one that is nearly ours is a slip of
+    the pen.
+    """
     for key in row:
         near = difflib.get_close_matches(key, sorted(_INPUT_KEYS - set(row)), n=1, cutoff=0.75)
         if key not in _INPUT_KEYS and near:
@@ -211,7 +221,9 @@ def _number(value: Any, key: str, name: str, where: str) -> float:
 
 
 def _throw(row: dict[str, Any], where: str, name: str) -> Throw | None:
-    """The deflections at both ends of a surface's travel: throw_deg, else limits in degrees; None where the card has neither."""
+    """The deflections at both ends of a surface's travel: throw_deg, else limits in degrees; None
+    where the card has neither.
+    """
     if "throw_deg" in row:
         size = abs(_number(row["throw_deg"], "throw_deg", name, where))
         return Throw(-size, size, "throw_deg")
@@ -253,7 +265,8 @@ def _servo_table(pwm: Any, where: str, name: str) -> Table:
     # Linear form: { neutral = 1500, per_us = 0.05 }.
     if set(pwm) != {"neutral", "per_us"} or not pwm["per_us"]:
         raise LogError(
-            f"the linear form is {{ neutral = 1500, per_us = 0.05 }} with per_us not 0; received {pwm!r}",
+            "the linear form is { neutral = 1500, per_us = 0.05 } with per_us not 0; received"
+            f" {pwm!r}",
             name,
             where,
         )

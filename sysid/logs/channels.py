@@ -1,4 +1,6 @@
-"""One signal from a raw log by its map entry: fields, function, scale and table applied, on the message's own times."""
+"""One signal from a raw log by its map entry: fields, function, scale and table applied, on the
+message's own times.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ def components_of(
 
 
 def with_air_data(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Columns of a table with V, alpha and beta made of u, v, w where it has no such columns of its own; u, v, w are left out."""
+    """Columns of a table with V, alpha and beta made of u, v, w where it has no such columns of its
+    own; u, v, w are left out.
+    """
     out = {name: values for name, values in columns.items() if name not in COMPONENTS}
     if not all(name in columns for name in COMPONENTS):
         return out
@@ -70,8 +74,8 @@ def with_air_data(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]
 class Channel:
     """A signal on its own time stamps (increasing), before it is put onto the record's grid.
 
-    raw  (n,) values as logged, for the checks of wrapping integers; None where several fields are combined
-    """
+    raw  (n,) values as logged, for the checks of wrapping integers; None where several fields are
+    combined"""
 
     name: str
     label: str
@@ -104,7 +108,9 @@ class Times:
 def resolve(
     raw: RawLog, name: str, candidates: tuple[Entry, ...], times: Times, sensors: Sensors
 ) -> Channel | None:
-    """The first candidate that the log carries with two or more usable samples, None when there is none."""
+    """The first candidate that the log carries with two or more usable samples, None when there is
+    none.
+    """
     for candidate in candidates:
         entry = sensors.resolve(candidate)
         key = (entry.message, entry.instance or 0)
@@ -198,11 +204,12 @@ _IN_DEGREES = 8.0  # slope between angle and rate, the geometric mean of 1 and 5
 
 
 def wrap_angles(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
-    """Heading and roll angle on the turn that the vocabulary asks for, where they are radians on another one.
+    """Heading and roll angle on the turn that the vocabulary asks for, where they are radians on
+    another one.
 
-    Angles beyond one turn are radians that count turns, or degrees. Where they leap it is by a turn, which has 6.28 rad or 360
-    degrees; where they do not, the slope of their derivative on the angular rate tells.
-    """
+    Angles beyond one turn are radians that count turns, or degrees. Where they leap it is by a
+    turn, which has 6.28 rad or 360 degrees; where they do not, the slope of their derivative on the
+    angular rate tells."""
     wrapped = {}
     for name, start in CIRCLE_FROM.items():
         if name not in columns:
@@ -238,7 +245,9 @@ def _in_radians(name: str, angle: FloatArray, columns: Mapping[str, NDArray[Any]
 
 
 def local(lat_deg: FloatArray, lon_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """North and east of the first fix on the WGS 84 ellipsoid's local plane, m; NaN where there is no fix (0, 0)."""
+    """North and east of the first fix on the WGS 84 ellipsoid's local plane, m; NaN where there is
+    no fix (0, 0).
+    """
     fix = (
         np.isfinite(lat_deg)
         & np.isfinite(lon_deg)

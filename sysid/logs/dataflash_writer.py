@@ -1,9 +1,9 @@
 """A FlightRecord as a genuine DataFlash .bin, with ArduPlane's message names, columns and units.
 
-Quantisation: servo outputs are whole microseconds (0.5 us is 0.025 deg at 20 deg per 400 us), positions 1e-7 degrees
-(1.1 cm), times whole microseconds, everything else 32-bit floats. A record whose alpha and beta were measured also gets
-a message VANE (Alpha, Beta in degrees), since AOA means an estimate.
-"""
+Quantisation: servo outputs are whole microseconds (0.5 us is 0.025 deg at 20 deg per 400 us),
+positions 1e-7 degrees (1.1 cm), times whole microseconds, everything else 32-bit floats. A record
+whose alpha and beta were measured also gets a message VANE (Alpha, Beta in degrees), since AOA
+means an estimate."""
 
 from __future__ import annotations
 
@@ -56,7 +56,9 @@ def _format(name: str) -> Format:
 
 @dataclass
 class _Message:
-    """Rows of one message type, collected as columns: values in the field's unit, scalars for all rows alike."""
+    """Rows of one message type, collected as columns: values in the field's unit, scalars for all
+    rows alike.
+    """
 
     name: str
     time_us: NDArray[np.int64]
@@ -83,7 +85,8 @@ def _stored(values: NDArray[Any], kind: str, multiplier: float) -> NDArray[Any]:
     if kind[1] == "f":
         return values.astype(kind)
     info = np.iinfo(kind)
-    # A NaN has no integer; 0 is what the autopilot writes for an output or position it does not have.
+    # A NaN has no integer; 0 is what the autopilot writes for an output or position it does not
+    # have.
     whole = np.rint(np.nan_to_num(values.astype(np.float64) / multiplier, nan=0.0))
     return np.clip(whole, info.min, info.max).astype(kind)
 
@@ -96,17 +99,19 @@ def write_dataflash(
     vehicle: str = "ArduPlane (written by uqharness)",
     surfaces: bool = False,
 ) -> tuple[str, ...]:
-    """Write `record` to `path`; returns the columns that DataFlash has no message for and that were left out.
+    """Write `record` to `path`; returns the columns that DataFlash has no message for and that were
+    left out.
 
     card        turns surfaces into PWM by its servo tables (needed when the record has surfaces)
     parameters  further PARM records
-    surfaces    write the commands as they were too (message SURF), for a simulated flight, whose surfaces saw no PWM
-    Raises LogError for a record whose time is negative, surfaces without a card, or a card without their tables.
-    """
+    surfaces    write the commands as they were too (message SURF), for a simulated flight, whose
+    surfaces saw no PWM Raises LogError for a record whose time is negative, surfaces without a
+    card, or a card without their tables."""
     time = record["time_s"]
     if len(time) and time[0] < 0:
         raise LogError(
-            f"the record begins at {time[0]:.3f} s; DataFlash times cannot be negative: shift time_s",
+            f"the record begins at {time[0]:.3f} s; DataFlash times cannot be negative: shift"
+            " time_s",
             path,
         )
     time_us = np.rint(time * 1e6).astype(np.int64)
@@ -266,7 +271,9 @@ def _servo_outputs(
 
 
 def _surfaces(record: FlightRecord, time_us: NDArray[np.int64]) -> _Message:
-    """Commands as they were. A servo output holds whole microseconds, a twentieth of a degree, which no simulated surface saw."""
+    """Commands as they were. A servo output holds whole microseconds, a twentieth of a degree,
+    which no simulated surface saw.
+    """
     columns = {
         "Elev": "elevator_deg",
         "Ail": "aileron_deg",
@@ -298,7 +305,8 @@ def _panels(
 def _describe(channel: int, function: int, servo: Servo, parameters: dict[str, float]) -> None:
     pwm = [p for p, _ in servo.table]
     middle = float(pwm_of(np.zeros(1), servo)[0]) if function != _FUNCTION["throttle"] else pwm[0]
-    # The autopilot's positive elevator is nose up and its rudder nose right, a record's the other way round.
+    # The autopilot's positive elevator is nose up and its rudder nose right, a record's the other
+    # way round.
     rising = servo.table[-1][1] > servo.table[0][1]
     reversed_ = rising if function in (_FUNCTION["elevator"], _FUNCTION["rudder"]) else not rising
     named = {
@@ -312,7 +320,10 @@ def _describe(channel: int, function: int, servo: Servo, parameters: dict[str, f
 
 
 def pwm_of(deflection: FloatArray, servo: Servo) -> FloatArray:
-    """(n,) deflection to PWM: the table inverted, its end slopes continued; NaN stays NaN. Within 800 to 2200 us."""
+    """(n,) deflection to PWM: the table inverted, its end slopes continued; NaN stays NaN.
+
+    Within 800 to 2200 us.
+    """
     pwm, angle = (np.array(v) for v in zip(*servo.table, strict=True))
     if angle[-1] < angle[0]:
         pwm, angle = pwm[::-1], angle[::-1]

@@ -29,7 +29,9 @@ _NOT_AEROPLANES = re.compile(
 
 @dataclass(frozen=True)
 class Purpose:
-    """name  loiter-metrics | replay | identification; serves  the verdict; reason  why (not), in a sentence."""
+    """name  loiter-metrics | replay | identification; serves  the verdict; reason  why (not), in a
+    sentence.
+    """
 
     name: str
     serves: bool
@@ -38,7 +40,9 @@ class Purpose:
 
 @dataclass(frozen=True)
 class LogInfo:
-    """The report of `log info`: times in seconds, rates in Hz by channel, manoeuvres as found in the commands."""
+    """The report of `log info`: times in seconds, rates in Hz by channel, manoeuvres as found in
+    the commands.
+    """
 
     source: str
     dialect: str
@@ -120,7 +124,9 @@ def log_info(record: FlightRecord) -> LogInfo:
 
 
 def no_aeroplane(record: FlightRecord) -> str:
-    """The sentence that refuses a log which is no aeroplane's, by what the log says of its vehicle; "" where it may be one."""
+    """The sentence that refuses a log which is no aeroplane's, by what the log says of its vehicle;
+    "" where it may be one.
+    """
     vehicle = record.metadata.vehicle
     return f"no aeroplane: the log is of '{vehicle}'" if _NOT_AEROPLANES.search(vehicle) else ""
 
@@ -150,7 +156,9 @@ def _missing(record: FlightRecord, names: tuple[str, ...]) -> list[str]:
 
 
 def _rate(record: FlightRecord, names: tuple[str, ...]) -> float:
-    """Slowest native rate among `names` that are there; the grid's own rate where the log does not say."""
+    """Slowest native rate among `names` that are there; the grid's own rate where the log does not
+    say.
+    """
     native = record.metadata.native_hz
     return min(
         (native.get(n, 1.0 / record.dt_s) for n in names if n in record), default=float("nan")
@@ -168,22 +176,33 @@ def _loiter(record: FlightRecord) -> tuple[bool, str]:
     if rate < 0.9 * LOITER_MIN_HZ:
         return (
             False,
-            f"the slowest of path, height and speed is logged at {rate:.2g} Hz; at least {LOITER_MIN_HZ:g} Hz",
+            (
+                f"the slowest of path, height and speed is logged at {rate:.2g} Hz; at least"
+                f" {LOITER_MIN_HZ:g} Hz"
+            ),
         )
     loiter_s = _loiter_seconds(record)
     if loiter_s < LOITER_MIN_S:
         return (
             False,
-            f"only {loiter_s:.0f} s of circling flight; at least {LOITER_MIN_S:.0f} s give stable medians",
+            (
+                f"only {loiter_s:.0f} s of circling flight; at least {LOITER_MIN_S:.0f} s give"
+                " stable medians"
+            ),
         )
     return (
         True,
-        f"{loiter_s / 60:.1f} min of circling flight with {', '.join(path)}, height and speed at {rate:.1f} Hz",
+        (
+            f"{loiter_s / 60:.1f} min of circling flight with {', '.join(path)}, height and speed"
+            f" at {rate:.1f} Hz"
+        ),
     )
 
 
 def _loiter_seconds(record: FlightRecord) -> float:
-    """Time in the mode LOITER (or CIRCLE), else time on turns of one sense that go round at least three times."""
+    """Time in the mode LOITER (or CIRCLE), else time on turns of one sense that go round at least
+    three times.
+    """
     if "mode" in record:
         inside = (record["mode"] == "LOITER") | (record["mode"] == "CIRCLE")
         if inside.any():
@@ -228,7 +247,9 @@ def _surfaces(record: FlightRecord) -> str:
 
 
 def _used_surfaces(record: FlightRecord) -> list[str]:
-    """Surfaces as a replay takes them: the measured position where there is one, else the command."""
+    """Surfaces as a replay takes them: the measured position where there is one, else the
+    command.
+    """
     positions = {n: n.replace("_deg", "_pos_deg") for n in SURFACES}
     return [n if _missing(record, (positions[n],)) else positions[n] for n in SURFACES]
 
@@ -262,7 +283,10 @@ def _replay(record: FlightRecord) -> tuple[bool, str]:
     if rate < 0.75 * REPLAY_MIN_HZ:
         return (
             False,
-            f"commands and rates come at {rate:.1f} Hz; a replay needs at least {REPLAY_MIN_HZ:g} Hz",
+            (
+                f"commands and rates come at {rate:.1f} Hz; a replay needs at least"
+                f" {REPLAY_MIN_HZ:g} Hz"
+            ),
         )
     note = "" if rate >= 20 else "; at this rate fast manoeuvres are blurred"
     return (
@@ -280,7 +304,10 @@ def _identification(record: FlightRecord) -> tuple[bool, str]:
     if rate < 0.95 * IDENTIFICATION_MIN_HZ:
         return (
             False,
-            f"rates, accelerations or surfaces come at {rate:.1f} Hz; at least {IDENTIFICATION_MIN_HZ:g} Hz",
+            (
+                f"rates, accelerations or surfaces come at {rate:.1f} Hz; at least"
+                f" {IDENTIFICATION_MIN_HZ:g} Hz"
+            ),
         )
     angles = ("phi_rad", "theta_rad", "alpha_rad", "beta_rad")
     if spoilt := _spoilt(record, (*rates, *_used_surfaces(record), "V_mps", *angles)):

@@ -1,4 +1,7 @@
-"""A log file to a FlightRecord: detect, read, assemble, keep in the cache. The only place that joins IO and computing."""
+"""A log file to a FlightRecord: detect, read, assemble, keep in the cache.
+
+The only place that joins IO and computing.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,9 @@ _FORMAT = "5"  # raise it when importing the same log gives another record
 
 
 def default_cache() -> Path:
-    """The user's cache folder for records: UQ_CACHE, XDG_CACHE_HOME or ~/.cache (Library/Caches on macOS)."""
+    """The user's cache folder for records: UQ_CACHE, XDG_CACHE_HOME or ~/.cache (Library/Caches on
+    macOS).
+    """
     if named := os.environ.get("UQ_CACHE"):
         return Path(named)
     if xdg := os.environ.get("XDG_CACHE_HOME"):
@@ -50,7 +55,9 @@ def cached_file(
     card: AirframeCard | None,
     flight_number: int | None = None,
 ) -> Path:
-    """The file in ``cache`` for the record of a log with SHA-256 ``digest``, read with that map and card. Raises OSError."""
+    """The file in ``cache`` for the record of a log with SHA-256 ``digest``, read with that map and
+    card. Raises OSError.
+    """
     parts = [_FORMAT, digest, "" if map_path is None else read_regular_text(map_path), repr(card)]
     parts += [] if flight_number is None else [str(flight_number)]
     name = sha256_hex("\0".join(parts).encode())[:32]
@@ -58,7 +65,9 @@ def cached_file(
 
 
 def keep(record: FlightRecord, file: Path) -> None:
-    """Write under a temporary name so that a reader never meets half a file; a full disk only costs the cache."""
+    """Write under a temporary name so that a reader never meets half a file; a full disk only costs
+    the cache.
+    """
     temporary = file.with_name(f"{file.stem}.{os.getpid()}.parquet")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -80,16 +89,16 @@ def import_log(
 ) -> FlightRecord:
     """Read any supported log into a record of its whole length.
 
-    A log may hold several boots of the autopilot, whose clocks each begin anew. One of them is read: `flight_number`,
-    counted from 1, or the one with the longest free flight.
+    A log may hold several boots of the autopilot, whose clocks each begin anew. One of them is
+    read: `flight_number`, counted from 1, or the one with the longest free flight.
 
     map_path   a user's signal map, laid over the dialect's own
     card_path  airframe.toml or the folder that holds it; turns PWM into angles
     cache      folder for the cached record; None reads without a cache
     progress   called with the share read, 0..1
 
-    `FlightRecord.metadata.free_flight_s` says which part is free flight. Raises LogError for anything unusable.
-    """
+    `FlightRecord.metadata.free_flight_s` says which part is free flight. Raises LogError for
+    anything unusable."""
     dialect = detect(path)
     user_map = None if map_path is None else read_map(map_path)
     card = None if card_path is None else read_card(card_path)
@@ -150,7 +159,10 @@ def _with_findings(record: FlightRecord, findings: list[Finding]) -> FlightRecor
 def _not_in_log(signal: str, candidates: tuple[Entry, ...]) -> Finding:
     labels = " or ".join(entry.label for entry in candidates)
     text = f"the map makes {signal} of {labels}, which this log does not have"
-    mend = f"in the map, [signals.{signal}]: the name of a field that the log has (`uqharness log map` lists them)"
+    mend = (
+        f"in the map, [signals.{signal}]: the name of a field that the log has (`uqharness log map`"
+        " lists them)"
+    )
     return Finding("not-in-log", signal, "warning", text, {}, "", mend)
 
 
@@ -177,7 +189,8 @@ def _chosen(
     count = len(boots)
     if flight_number is not None and not 1 <= flight_number <= count:
         raise LogError(
-            f"--flight-number {flight_number}: the file holds flights 1 to {count}; choose one of them"
+            f"--flight-number {flight_number}: the file holds flights 1 to {count}; choose one of"
+            " them"
         )
     listed: list[Boot] = []
     best: FlightRecord | None = None
@@ -226,8 +239,9 @@ def _restart_finding(listed: list[Boot], chosen: Boot, flight_number: int | None
         for boot in listed
     )
     text = (
-        f"the clock begins again {'once' if len(listed) == 2 else f'{len(listed) - 1} times'}: the file holds flights {flights};"
-        f" flight {chosen.number} is read ({how}), --flight-number reads another"
+        f"the clock begins again {'once' if len(listed) == 2 else f'{len(listed) - 1} times'}: the"
+        f" file holds flights {flights}; flight {chosen.number} is read ({how}), --flight-number"
+        " reads another"
     )
     numbers = {"flights": float(len(listed)), "flight_number": float(chosen.number)}
     return Finding("clock-restart", "", "info" if flight_number else "warning", text, numbers)
@@ -266,14 +280,17 @@ def _record_file(path: Path) -> FlightRecord:
     record = record.with_columns(wrap_angles(record.columns))
     if not set(record.columns) & (set(SIGNALS) - {"time_s", "manoeuvre", "mode"}):
         raise LogError(
-            "the table holds a time and no signal; name the columns as the vocabulary does or give a --map",
+            "the table holds a time and no signal; name the columns as the vocabulary does or give"
+            " a --map",
             path,
         )
     return _as_known_today(record)
 
 
 def _as_known_today(record: FlightRecord) -> FlightRecord:
-    """The record with what today's checks find in it: it may have been imported before a fault was known."""
+    """The record with what today's checks find in it: it may have been imported before a fault was
+    known.
+    """
     findings = check_again(record)
     estimates = estimated_channels(record.metadata.estimates, findings)
     meta = replace(record.metadata, findings=tuple(findings), estimates=estimates)

@@ -22,11 +22,12 @@ _MOST_ROWS = 10_000
 
 
 def label_manoeuvres(record: FlightRecord, path: Path, flight: str) -> FlightRecord:
-    """The record with a column `manoeuvre` from a CSV table with the columns manoeuvre, start_s, end_s.
+    """The record with a column `manoeuvre` from a CSV table with the columns manoeuvre, start_s,
+    end_s.
 
-    flight  name of the log without its suffix; where the table has a column `flight`, only its rows count.
-    Raises LogError for a table without these columns, or without a row that lies in the record.
-    """
+    flight  name of the log without its suffix; where the table has a column `flight`, only its rows
+    count. Raises LogError for a table without these columns, or without a row that lies in the
+    record."""
     table = read_table(path)
     missing = {"manoeuvre", "start_s", "end_s"} - set(table)
     if missing:
@@ -82,9 +83,11 @@ _LEAST = {"elevator_deg": 0.8, "aileron_deg": 0.8, "rudder_deg": 0.8, "throttle_
 _BASE_S = 14.0  # the median over so long is the command without the manoeuvre
 _LONGEST_S, _SHORTEST_S = 12.0, 0.12  # of a manoeuvre, of a pulse
 _PAUSE_S = 0.35  # between pulses that follow one another at once
-_LEAST_HZ = 15.0  # of a command: logged more slowly it shows no edges, and corrections in gusts pass for pulses
+# of a command: logged more slowly it shows no edges, and corrections in gusts pass for pulses
+_LEAST_HZ = 15.0
 _SINGLE_S = 0.3  # shortest single pulse: less is a spike of a mode's change
-_FLAT = 0.8  # mean of a pulse over its largest value; of what dies out exponentially 0.4, of half a sine 0.64
+# mean of a pulse over its largest value; of what dies out exponentially 0.4, of half a sine 0.64
+_FLAT = 0.8
 _EDGE = 0.5  # of a pulse's largest value, where it begins and ends
 _REST_S, _REST = (
     0.5,
@@ -104,7 +107,8 @@ class Manoeuvre:
     """A manoeuvre of one control.
 
     kind     doublet | 3-2-1-1 | pulse | pulses          axis   pitch | roll | yaw | throttle
-    start_s  when the command left its place              end_s  when it was back; the aircraft's answer goes on
+    start_s  when the command left its place              end_s  when it was back; the aircraft's
+    answer goes on
     size     largest deviation of the command, with the sign of the first pulse, in ``unit``
     """
 
@@ -140,7 +144,10 @@ class _Pulse:
 
 
 def found_manoeuvres(record: FlightRecord) -> tuple[Manoeuvre, ...]:
-    """Manoeuvres in order of time, of each control that is logged. A control that never rests shows none."""
+    """Manoeuvres in order of time, of each control that is logged.
+
+    A control that never rests shows none.
+    """
     out = []
     for name in AXES:
         native = record.metadata.native_hz.get(name, 1.0 / record.dt_s)
@@ -161,7 +168,8 @@ def label_found(record: FlightRecord) -> FlightRecord:
     time = record["time_s"]
     if not found:
         raise LogError(
-            "no manoeuvre was found in the commands; give a table of times with --manoeuvres FILE.csv"
+            "no manoeuvre was found in the commands; give a table of times with --manoeuvres"
+            " FILE.csv"
         )
     labels = np.full(len(record), "", dtype=object)
     for k, m in enumerate(found):
@@ -173,7 +181,10 @@ def label_found(record: FlightRecord) -> FlightRecord:
 
 
 def labelled(record: FlightRecord, manoeuvres: Path, flight: str) -> FlightRecord:
-    """The record with the column ``manoeuvre`` of a table, or for FOUND of its own commands. Raises LogError."""
+    """The record with the column ``manoeuvre`` of a table, or for FOUND of its own commands.
+
+    Raises LogError.
+    """
     if str(manoeuvres) == FOUND:
         return label_found(record)
     return label_manoeuvres(record, manoeuvres, flight)
@@ -227,7 +238,9 @@ def _base(values: FloatArray, dt_s: float) -> FloatArray:
 
 
 def _pulses(away: FloatArray, least: float, dt_s: float) -> list[_Pulse]:
-    """Stretches of one sign that keep a place, each from half of its largest value to half of it."""
+    """Stretches of one sign that keep a place, each from half of its largest value to half
+    of it.
+    """
     sign = np.where(np.abs(away) > 0.5 * least, np.sign(away), 0.0)
     edges = np.flatnonzero(np.diff(sign)) + 1
     out = []
@@ -263,7 +276,9 @@ def _rested(values: FloatArray, first: int, size: float, dt_s: float) -> bool:
 
 
 def _alone(record: FlightRecord, name: str, first: int, last: int) -> bool:
-    """Whether a single pulse is the only command that moves: an autopilot's corrections move several at once, or are short."""
+    """Whether a single pulse is the only command that moves: an autopilot's corrections move
+    several at once, or are short.
+    """
     rest = round(_REST_S / record.dt_s)
     span = slice(max(0, first - rest), last + 1 + rest)
     others = [record[n][span] for n in AXES if n != name and n in record]
@@ -303,12 +318,14 @@ _LOITER_COMMANDS = (17.0, 18.0, 19.0)  # MAV_CMD_NAV_LOITER_UNLIM, _TURNS, _TIME
 _LEAST_S = 10.0
 _MOVES_M = 1.0  # a target that moves by more is another one
 _LEAST_ROWS = 50
-_AGREES = 0.1  # of the radius, by which the distances may miss the circle that they are to be measured from
+# of the radius, by which the distances may miss the circle that they are to be measured from
+_AGREES = 0.1
 
 
 @dataclass(frozen=True)
 class Commands:
-    """What a log says of loiters: targets and loiter commands, each (n,) times with places north and east [m] of the start.
+    """What a log says of loiters: targets and loiter commands, each (n,) times with places north
+    and east [m] of the start.
 
     command_radius_m  signed, 0 where the command has none
     radius_m          WP_LOITER_RAD, signed; NaN where the log has no such parameter
@@ -324,7 +341,9 @@ class Commands:
 
 
 def loiter_commands(raw: RawLog, start: Mapping[str, float]) -> Commands | None:
-    """Targets and commands of a DataFlash log; None where it says no radius, or nothing of where it began."""
+    """Targets and commands of a DataFlash log; None where it says no radius, or nothing of where it
+    began.
+    """
     radius = float(raw.parameters.get("WP_LOITER_RAD", np.nan))
     if not np.isfinite(radius) or "lat_deg" not in start:
         return None
@@ -332,9 +351,11 @@ def loiter_commands(raw: RawLog, start: Mapping[str, float]) -> Commands | None:
     command = raw.messages.get(("CMD", 0))
     command_s, command_m, kept = _places(command, "Lat", "Lng", start)
     number, own = (
-        np.zeros(kept.size)
-        if command is None or field not in command.fields
-        else command.fields[field][kept].astype(np.float64)
+        (
+            np.zeros(kept.size)
+            if command is None or field not in command.fields
+            else command.fields[field][kept].astype(np.float64)
+        )
         for field in ("CId", "Prm3")
     )
     return Commands(target_s, target_m, command_s, command_m, number, own, radius)
@@ -378,7 +399,10 @@ def found_loiters(
 
 
 def _about_targets(commands: Commands, span_s: tuple[float, float]) -> list[Loiter]:
-    """A loiter for each place that the target kept. At the change of mode the target may still be the one before."""
+    """A loiter for each place that the target kept.
+
+    At the change of mode the target may still be the one before.
+    """
     inside = np.flatnonzero((commands.target_s >= span_s[0]) & (commands.target_s <= span_s[1]))
     if not inside.size:
         return []
@@ -410,15 +434,17 @@ def _about_commands(commands: Commands, span_s: tuple[float, float]) -> Iterator
 def _about_distances(
     columns: Mapping[str, NDArray[Any]], rows: slice, radius_m: float
 ) -> list[Loiter]:
-    """The centre from positions and signed distances d from a circle of known radius R, by least squares.
+    """The centre from positions and signed distances d from a circle of known radius R, by least
+    squares.
 
-    n^2 + e^2 - (R + d)^2 = 2 c.(n, e) - c^2 is linear in the centre c and in c^2; nothing where the rest is large.
-    """
+    n^2 + e^2 - (R + d)^2 = 2 c.(n, e) - c^2 is linear in the centre c and in c^2; nothing where the
+    rest is large."""
     names = ("north_m", "east_m", "cross_track_m")
     if not all(n in columns for n in names):
         return []
     north, east, distance = (np.asarray(columns[n][rows], dtype=np.float64) for n in names)
-    # The distance is positive outside the circle whichever way round; while the aircraft flies there it is large.
+    # The distance is positive outside the circle whichever way round; while the aircraft flies
+    # there it is large.
     known = np.isfinite(north) & np.isfinite(east) & (np.abs(distance) < 0.5 * abs(radius_m))
     n, e, d = north[known], east[known], distance[known]
     if n.size < _LEAST_ROWS:
@@ -459,8 +485,9 @@ _TOW_MIN_S = 3.0
 
 @dataclass(frozen=True)
 class FlightPhase:
-    """free_s  (start, end) of free flight, None when the log holds none; why  the reason in a sentence
-    airborne_s  (start, end) off the ground, tow included; tow_s  stretch in which the surfaces had no effect."""
+    """free_s  (start, end) of free flight, None when the log holds none; why  the reason in a
+    sentence airborne_s  (start, end) off the ground, tow included; tow_s  stretch in which the
+    surfaces had no effect."""
 
     free_s: tuple[float, float] | None
     airborne_s: tuple[float, float] | None
@@ -484,9 +511,9 @@ def find(
     elevator       (n,) command in any unit (PWM, degrees, per unit), or None
     mode_changes_s times at which the autopilot's mode changed
 
-    Airborne: faster than half the usual flying speed and, when the log begins at rest, higher than 5 m. A tow shows
-    as an elevator at its stop for seconds on end while the pitch rate stays nil: the surfaces move and do nothing.
-    """
+    Airborne: faster than half the usual flying speed and, when the log begins at rest, higher than
+    5 m. A tow shows as an elevator at its stop for seconds on end while the pitch rate stays nil:
+    the surfaces move and do nothing."""
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
     smooth = moving_mean(speed, max(1, round(2.0 / step)))
     known = smooth[np.isfinite(smooth)]
@@ -496,7 +523,10 @@ def find(
         )
     usual = float(np.quantile(known, 0.9))
     if usual < MIN_SPEED_MPS:
-        text = f"it never flew: the speed stays below {usual:.1f} m/s for 90 % of the time (at least {MIN_SPEED_MPS:.0f})"
+        text = (
+            f"it never flew: the speed stays below {usual:.1f} m/s for 90 % of the time (at least"
+            f" {MIN_SPEED_MPS:.0f})"
+        )
         return FlightPhase(None, None, None, text)
     flying = smooth > max(0.5 * usual, 5.0)
     first = int(np.argmax(np.isfinite(smooth)))  # the speed may come later than the first row
@@ -518,12 +548,14 @@ def find(
         return FlightPhase(
             airborne, airborne, None, f"airborne from {airborne[0]:.1f} to {airborne[1]:.1f} s"
         )
-    # Release is followed by a change of mode as a rule; without one leave two seconds for the aircraft to settle.
+    # Release is followed by a change of mode as a rule; without one leave two seconds for the
+    # aircraft to settle.
     later = mode_changes_s[(mode_changes_s >= tow[1]) & (mode_changes_s <= tow[1] + 10.0)]
     release = float(later[0]) if len(later) else tow[1] + 2.0
     text = (
-        f"carried by a tow until about {tow[1]:.1f} s (elevator at its stop for {tow[1] - tow[0]:.0f} s without"
-        f" a pitch rate); free flight taken from {release:.1f} s to {airborne[1]:.1f} s"
+        f"carried by a tow until about {tow[1]:.1f} s (elevator at its stop for"
+        f" {tow[1] - tow[0]:.0f} s without a pitch rate); free flight taken from {release:.1f} s to"
+        f" {airborne[1]:.1f} s"
     )
     return FlightPhase((release, airborne[1]), airborne, tow, text)
 
@@ -564,7 +596,9 @@ def moving_mean(x: FloatArray, window: int) -> FloatArray:
 
 
 def _longest(mask: NDArray[np.bool_], bridge: int) -> tuple[int, int]:
-    """(start, end) of the longest run of True, runs nearer than `bridge` samples joined; (0, 0) without any."""
+    """(start, end) of the longest run of True, runs nearer than `bridge` samples joined; (0, 0)
+    without any.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     runs = edges.reshape(-1, 2)
     if not len(runs):

@@ -1,9 +1,10 @@
-"""A signal map proposed for a log: which field is which signal, in which unit and with which sign, and the evidence for it.
+"""A signal map proposed for a log: which field is which signal, in which unit and with which sign,
+and the evidence for it.
 
-Fields are matched to signals by name. A unit comes from the name, from a line of units or from the size of the values; units and
-signs are then tested by the relations that hold between the channels of any aircraft (`sysid.logs.checking.physics`), and what
-these contradict is changed. The result is text to be read and edited, one line of evidence for each signal.
-"""
+Fields are matched to signals by name. A unit comes from the name, from a line of units or from the
+size of the values; units and signs are then tested by the relations that hold between the channels
+of any aircraft (`sysid.logs.checking.physics`), and what these contradict is changed. The result is
+text to be read and edited, one line of evidence for each signal."""
 
 from __future__ import annotations
 
@@ -90,21 +91,30 @@ _FORCE = (
     " body_accel_AXIS specific_force_AXIS load_factor_AXIS"
 )
 _NAMES: Mapping[str, str] = {
-    "V_mps": "tas|true_?air_?speed|v_?tas|v_?true|v_?t|v_?total|air_?speed|air_?spd|arspd|v|va|v_?a"
-    "|eas|cas|ias|v_?ias|v_?cas|indicated_air_?speed|speed|velocity",
+    "V_mps": (
+        "tas|true_?air_?speed|v_?tas|v_?true|v_?t|v_?total|air_?speed|air_?spd|arspd|v|va|v_?a"
+        "|eas|cas|ias|v_?ias|v_?cas|indicated_air_?speed|speed|velocity"
+    ),
     "alpha_rad": "alpha|alfa|aoa|angle_of_attack|vane_alpha",
     "beta_rad": "beta|aos|ssa|side_?slip|side_?slip_angle|angle_of_side_?slip|slip|vane_beta",
     "phi_rad": "phi|roll|roll_angle|bank|bank_angle|euler_(?:roll|phi)|att(?:itude)?_roll",
     "theta_rad": "theta|pitch|pitch_angle|euler_(?:pitch|theta)|att(?:itude)?_pitch",
-    "psi_rad": "psi|heading|hdg|true_heading|heading_true|yaw|yaw_angle|euler_(?:yaw|psi)|att(?:itude)?_yaw|mag_?heading",
+    "psi_rad": (
+        "psi|heading|hdg|true_heading|heading_true|yaw|yaw_angle|euler_(?:yaw|psi)"
+        "|att(?:itude)?_yaw|mag_?heading"
+    ),
     **{
         s: f"{a}|{a}_body|{p}"
         for (s, p), a in zip(_axes(tuple(_LETTERS), _RATE, _BODY).items(), "pqr", strict=True)
     },
     **_axes(("ax_mps2", "ay_mps2", "az_mps2"), _FORCE, _XYZ),
-    "h_m": "h|alt|altitude|height|(?:baro|pressure|msl|asl|gps)_alt(?:itude)?"
-    "|alt(?:itude)?_(?:baro|msl|asl|agl|gps|ind|b)|h_(?:msl|asl|baro)",
-    "throttle_pct": "throttle|thr|thrtl|throttle_(?:cmd|command|position|pos|lever)|d_?thr|d_?t|power|pwr|pla",
+    "h_m": (
+        "h|alt|altitude|height|(?:baro|pressure|msl|asl|gps)_alt(?:itude)?"
+        "|alt(?:itude)?_(?:baro|msl|asl|agl|gps|ind|b)|h_(?:msl|asl|baro)"
+    ),
+    "throttle_pct": (
+        "throttle|thr|thrtl|throttle_(?:cmd|command|position|pos|lever)|d_?thr|d_?t|power|pwr|pla"
+    ),
     "north_m": "north|p_?n|pos_?n(?:orth)?|north_position|x_?n(?:ed)?|n_pos",
     "east_m": "east|p_?e|pos_?e(?:ast)?|east_position|y_?n?e(?:d)?|e_pos",
     "vn_mps": "v_?n|v_?north|vel_?n(?:orth)?|velocity_north|north_vel(?:ocity)?|gps_v_?n",
@@ -125,14 +135,17 @@ _LATITUDE, _LONGITUDE = (
     r"lon|lng|long|longitude|gps_lon(?:gitude)?",
 )
 _PAIR_FIELDS = frozenset({"north_m", "east_m"})
-# Before a capital that begins a word: RollRate, accX, GPSAlt; in AoA, AoS and RoC it belongs to the same word.
+# Before a capital that begins a word: RollRate, accX, GPSAlt; in AoA, AoS and RoC it belongs to the
+# same word.
 _CAMEL = re.compile(r"(?<=[a-z])(?<![A-Z][a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})")
 _INDICATED = re.compile(r"ias|cas|eas|indicated")
 _FOREIGN_SIGNALS = ("V_mps", "alpha_rad", "beta_rad", "rpm", "thrust_N")
 _NO_SENSORS = re.compile(
     r"innov|test|ratio|setpoint|status|estimator|variance|PID|TUNE|^X?[NX]K", re.IGNORECASE
 )
-"""Messages of logs whose fields have the names of signals and hold errors, demands or ratios of them."""
+"""Messages of logs whose fields have the names of signals and hold errors, demands or ratios of
+them.
+"""
 _ROUNDS = 4
 _STANDARD = 1e-3  # relative, by which a scale may miss one that is a unit's
 
@@ -176,9 +189,14 @@ class MapProposal:
     from_servos: tuple[str, ...] = ()
 
     def to_toml(self) -> str:
-        """The map as text: each signal with a comment on the evidence and, marked by "unsure", on what to look at."""
+        """The map as text: each signal with a comment on the evidence and, marked by "unsure", on
+        what to look at.
+        """
         lines = [
-            f"# Signal map proposed for {self.source} ({self.dialect}). Check each line, above all those",
+            (
+                f"# Signal map proposed for {self.source} ({self.dialect}). Check each line, above"
+                " all those"
+            ),
             "# marked 'unsure', then: uqharness log info FILE --map THIS-FILE",
         ]
         if self.time is not None:
@@ -271,7 +289,10 @@ def _by_dialect(raw: RawLog, base: SignalMap) -> dict[str, Proposal]:
 
 
 def _by_name(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal]:
-    """Fields whose name is a signal's. In a log with messages of its own short names mean anything and are left alone."""
+    """Fields whose name is a signal's.
+
+    In a log with messages of its own short names mean anything and are left alone.
+    """
     table = any(message == "csv" for message, _ in raw.messages)
     taken = {(p.entry.message, f) for p in present.values() for f in p.entry.fields}
     matches: dict[str, list[tuple[int, str, str]]] = {}
@@ -315,7 +336,9 @@ def _split(field: str) -> tuple[str, str | None]:
 
 
 def _signals_of(base: str, field: str) -> Iterable[tuple[str, int]]:
-    """Signals that a name may mean, each with the rank of the pattern that it meets (the lower the likelier)."""
+    """Signals that a name may mean, each with the rank of the pattern that it meets (the lower the
+    likelier).
+    """
     if field in SIGNALS and field not in LABELS:
         yield field, -1  # the record's own name
         return
@@ -364,7 +387,9 @@ def _values(raw: RawLog, message: str, field: str) -> FloatArray:
 def _sized(
     signal: str, message: str, field: str, raw: RawLog, others: Sequence[str], table: bool
 ) -> Proposal:
-    """The signal of one field, with the scale that its name, the line of units or its size suggests."""
+    """The signal of one field, with the scale that its name, the line of units or its size
+    suggests.
+    """
     base, unit = _split(field)
     unit = str(raw.facts.get(f"unit {field}", unit or "")).strip("[]() ").lower() or None
     values = _values(raw, message, field)
@@ -375,7 +400,8 @@ def _sized(
     if unit is not None and unit in _UNITS.get(due, {}):
         scale = _UNITS[due][unit]
         evidence.append(
-            f"unit {unit} {'by the line of units' if f'unit {field}' in raw.facts else 'by its name'}"
+            f"unit {unit}"
+            f" {'by the line of units' if f'unit {field}' in raw.facts else 'by its name'}"
         )
     elif raw.dialect == "jsbsim-csv":
         evidence.append("lengths, speeds and forces of JSBSim's names are read in SI")
@@ -397,7 +423,8 @@ def _sized(
         unsure = ["pulse widths in us: put the surface's own angles into the table"]
     elif signal.endswith("_deg") and "_pos_" not in signal and not re.search("cmd|command", base):
         unsure.append(
-            f"if it was measured at the surface, write [signals.{signal.replace('_deg', '_pos_deg')}]"
+            "if it was measured at the surface, write"
+            f" [signals.{signal.replace('_deg', '_pos_deg')}]"
         )
     if others:
         unsure.append(f"other fields with such a name: {', '.join(others[:5])}")
@@ -430,7 +457,10 @@ def _scale_by_size(due: str, signal: str, values: FloatArray) -> tuple[float, st
     if due == "deg" and size <= 1.0:
         return (
             1.0 / _RAD,
-            f"no unit in the name; values up to {size:.3g} are taken for rad, and may be -1 to 1 of the throw",
+            (
+                f"no unit in the name; values up to {size:.3g} are taken for rad, and may be -1 to"
+                " 1 of the throw"
+            ),
         )
     return 1.0, f"no unit in the name; {due} is assumed"
 
@@ -529,7 +559,9 @@ def _by_kinematics(
 
 
 def _without_undone(evidence: tuple[str, ...], factor: float, message: str) -> tuple[str, ...]:
-    """The evidence with one more change of scale, or without the change that this one takes back."""
+    """The evidence with one more change of scale, or without the change that this one takes
+    back.
+    """
     opposite = f"scale changed by {1.0 / factor:.6g}: "
     if evidence and evidence[-1].startswith(opposite):
         return evidence[:-1]
@@ -545,7 +577,10 @@ def _confirmed(proposals: dict[str, Proposal], record: FlightRecord) -> dict[str
         p = out.get(h.law.subject)
         if p is None or not h.agrees:
             continue
-        text = f"{h.relation.scale:.2f} times {h.law.says} ({h.relation.low:.2f} to {h.relation.high:.2f})"
+        text = (
+            f"{h.relation.scale:.2f} times {h.law.says} ({h.relation.low:.2f} to"
+            f" {h.relation.high:.2f})"
+        )
         sure = tuple(x for x in p.unsure if "no unit" in x)
         unsure = tuple(x for x in p.unsure if "no unit" not in x)
         out[h.law.subject] = replace(p, evidence=(*p.evidence, *sure, text), unsure=unsure)

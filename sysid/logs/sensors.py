@@ -1,9 +1,9 @@
 """Which instance of a sensor is read, row by row, and which of its rows are data.
 
-A `SensorRule` of the signal map says by which fields a log marks the sensor in use and a valid row. Of the instances with a
-valid row at a time the one in use is read, then the one that is valid most of the time, then the lowest number. Where none is
-valid the row is NaN: an autopilot logs zeros or the last value then, and neither was measured.
-"""
+A `SensorRule` of the signal map says by which fields a log marks the sensor in use and a valid row.
+Of the instances with a valid row at a time the one in use is read, then the one that is valid most
+of the time, then the lowest number. Where none is valid the row is NaN: an autopilot logs zeros or
+the last value then, and neither was measured."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _HEALTH = ("present", "enabled", "health")
 class _Instance:
     """One instance's usable rows in order of time.
 
-    in_use   (n,) True where the row itself says that the instance is used; None where rows do not say so
-    primary  times and numbers of the instance in use, as any message says it; the instance's own is ``primary_number``
-    """
+    in_use   (n,) True where the row itself says that the instance is used; None where rows do not
+    say so primary  times and numbers of the instance in use, as any message says it; the instance's
+    own is ``primary_number``"""
 
     number: int
     key: tuple[str, int]
@@ -66,18 +66,23 @@ class _Instance:
 
 
 class Sensors:
-    """Selects instances for the entries of a map; makes the table of a selection once and keeps what it decided."""
+    """Selects instances for the entries of a map; makes the table of a selection once and keeps
+    what it decided.
+    """
 
     def __init__(self, raw: RawLog, rules: Sequence[SensorRule]) -> None:
         self._raw = raw
         self._rules = tuple(rules)
-        # Rule, binding instance and carriers -> table to read, its name in labels, what there is to say.
+        # Rule, binding instance and carriers -> table to read, its name in labels, what there is to
+        # say.
         self._entries: dict[tuple[object, ...], tuple[tuple[str, int], str, Finding | None]] = {}
         self._carriers: dict[tuple[int, tuple[str, ...]], tuple[tuple[str, int], ...]] = {}
         self._used: dict[tuple[str, int], Finding] = {}
 
     def resolve(self, entry: Entry) -> Entry:
-        """The entry with the table to read: its message, the instance or the key of a composed table, and its label."""
+        """The entry with the table to read: its message, the instance or the key of a composed
+        table, and its label.
+        """
         number = next((k for k, rule in enumerate(self._rules) if rule.covers(entry)), None)
         if number is None:
             if entry.instance is None and (entry.message, 0) not in self._raw.messages:
@@ -100,7 +105,9 @@ class Sensors:
             self._used[source, number] = finding
 
     def _cache_key(self, number: int, entry: Entry) -> tuple[object, ...]:
-        """What a selection depends on: the rule, a binding instance, and the instances that have the fields."""
+        """What a selection depends on: the rule, a binding instance, and the instances that have
+        the fields.
+        """
         messages = (self._rules[number].message, *self._rules[number].also)
         if self._carriers.get((number, entry.fields)) is None:
             self._carriers[number, entry.fields] = tuple(
@@ -128,7 +135,8 @@ class Sensors:
         instances = self._instances(rule, entry)
         if not instances:
             return (entry.message, entry.instance or 0), "", None
-        # Most often there is one instance and nothing is wrong with it: its table is read as it stands.
+        # Most often there is one instance and nothing is wrong with it: its table is read as it
+        # stands.
         first = instances[0]
         if len(instances) == 1 and first.valid.all():
             return first.key, first.name, None
@@ -155,7 +163,9 @@ class Sensors:
         return key, f"{rule.message}[{numbers}]", finding
 
     def _instances(self, rule: SensorRule, entry: Entry) -> list[_Instance]:
-        """Instances that were logged with the entry's fields; the one that is valid most of the time first."""
+        """Instances that were logged with the entry's fields; the one that is valid most of the
+        time first.
+        """
         names = (rule.message, *rule.also)
         keys = {i: (rule.message, i) for m, i in self._raw.messages if m == rule.message and i >= 0}
         for k, name in enumerate(names[1:], start=1):
@@ -232,7 +242,9 @@ class Sensors:
         return replace(instance, valid=valid, reason=", ".join(reasons))
 
     def _primary(self, rule: SensorRule) -> tuple[FloatArray, FloatArray] | None:
-        """Times and numbers of the instance in use, by the first of the rule's fields that the log has."""
+        """Times and numbers of the instance in use, by the first of the rule's fields that the log
+        has.
+        """
         for message, name in rule.primary:
             names = (message, *rule.also) if message == rule.message else (message,)
             own = message == rule.message
@@ -264,7 +276,9 @@ class Sensors:
         return None
 
     def _held(self, message: str, name: str, at_s: FloatArray) -> FloatArray | None:
-        """A state that another message logs, held from row to row; NaN before its first row, None where it is not logged."""
+        """A state that another message logs, held from row to row; NaN before its first row, None
+        where it is not logged.
+        """
         table = self._raw.messages.get((message, 0))
         values = None if table is None else _numbers(table, name)
         if table is None or values is None:
@@ -278,7 +292,9 @@ class Sensors:
     def _composed(
         self, instances: Sequence[_Instance], chosen: Sequence[BoolArray], read: list[_Instance]
     ) -> MessageTable:
-        """One table of the chosen rows; where none is valid, rows of NaN at the times of the instance read most."""
+        """One table of the chosen rows; where none is valid, rows of NaN at the times of the
+        instance read most.
+        """
         counts = [int(rows.sum()) for rows in chosen]
         filler = int(np.argmax(counts))
         names = set.intersection(*(set(self._raw.messages[i.key].fields) for i in read))
@@ -414,7 +430,9 @@ def _where(instance: _Instance) -> str:
 def _spans(
     instances: Sequence[_Instance], chosen: Sequence[BoolArray]
 ) -> list[tuple[int, float, float]]:
-    """(index of the instance, first, last time) of each stretch that is read from one instance, in order of time."""
+    """(index of the instance, first, last time) of each stretch that is read from one instance, in
+    order of time.
+    """
     times = np.concatenate([i.time_s[rows] for i, rows in zip(instances, chosen, strict=True)])
     which = np.concatenate([np.full(int(rows.sum()), k) for k, rows in enumerate(chosen)])
     if not len(times):

@@ -1,8 +1,9 @@
-"""Servo PWM to surface deflection: by the card's tables, with v-tails and elevons taken apart. Pure numerics.
+"""Servo PWM to surface deflection: by the card's tables, with v-tails and elevons taken apart. Pure
+numerics.
 
-Channel, neutral and sense come from the autopilot's parameters (`sysid.logs.servo`) where the log has them, else
-from the card, else channels from the usual order (1 aileron, 2 elevator, 3 throttle, 4 rudder). Degrees come from the card.
-"""
+Channel, neutral and sense come from the autopilot's parameters (`sysid.logs.servo`) where the log
+has them, else from the card, else channels from the usual order (1 aileron, 2 elevator, 3 throttle,
+4 rudder). Degrees come from the card."""
 
 from __future__ import annotations
 
@@ -30,7 +31,9 @@ USUAL = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
 FUNCTIONS = {4: "aileron", 19: "elevator", 21: "rudder", 70: "throttle"}
 """SERVOn_FUNCTION numbers as ArduPilot documents them."""
 _SENSE = {"aileron": 1.0, "elevator": -1.0, "rudder": -1.0, "throttle": 1.0}
-"""Of a flight record's sign over the autopilot's: + elevator is nose down there, + rudder nose left."""
+"""Of a flight record's sign over the autopilot's: + elevator is nose down there, + rudder nose
+left.
+"""
 _PX4_SURFACES = {
     1: ("aileron", "R", -1.0),
     2: ("aileron", "R", 1.0),
@@ -45,10 +48,10 @@ _PX4_MOTOR, _PX4_SERVO = 101, 201
 class Output:
     """A servo output.
 
-    channel  counted from 1          low, neutral, high  PWM, us; NaN where the parameters do not say
-    sense    +1 where more PWM is + in a flight record, -1 where it is -, 0 where the parameters do not say
-    source   the parameters' names, for messages
-    """
+    channel  counted from 1          low, neutral, high  PWM, us; NaN where the parameters do not
+    say
+    sense    +1 where more PWM is + in a flight record, -1 where it is -, 0 where the parameters do
+    not say source   the parameters' names, for messages"""
 
     channel: int
     low: float
@@ -70,7 +73,9 @@ def functions(parameters: Mapping[str, float]) -> dict[int, int]:
 
 
 def outputs(parameters: Mapping[str, float]) -> dict[str, tuple[Output, ...]]:
-    """aileron, elevator, rudder, throttle -> the outputs that move it, in equal parts; without a name where none is described."""
+    """aileron, elevator, rudder, throttle -> the outputs that move it, in equal parts; without a
+    name where none is described.
+    """
     found: dict[str, list[Output]] = {}
     # A damaged log may hold any number, also none.
     parameters = {key: value for key, value in parameters.items() if math.isfinite(value)}
@@ -104,7 +109,8 @@ def _ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
 
 def _old_ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
     if any(key == "SYS_AUTOSTART" or key.startswith("RC_MAP_") for key in parameters):
-        return  # PX4: its RCn_MIN and the like calibrate the receiver's inputs and say nothing of servos
+        # PX4: its RCn_MIN and the like calibrate the receiver's inputs and say nothing of servos
+        return
     for name, usual in USUAL.items():
         n = int(
             parameters.get(
@@ -175,18 +181,20 @@ def _px4(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
 
 
 def _number(word: str) -> float:
-    """Read a number as ArduPilot does: Python's underscores and digits of other scripts are none."""
+    """Read a number as ArduPilot does: Python's underscores and digits of other scripts are
+    none.
+    """
     if "_" in word or not word.isascii():
         raise ValueError(word)
     return float(word)
 
 
 def parse_parameters(text: str) -> dict[str, float]:
-    """Parameters of a `.parm` or `.param` file: a name and a value a line, with blanks, a comma or tabs between; # comments.
+    """Parameters of a `.parm` or `.param` file: a name and a value a line, with blanks, a comma or
+    tabs between; # comments.
 
-    QGroundControl's lines have vehicle and component in front of the name and a type behind the value. Raises ValueError with the
-    line's number and text for a line that is neither.
-    """
+    QGroundControl's lines have vehicle and component in front of the name and a type behind the
+    value. Raises ValueError with the line's number and text for a line that is neither."""
     found: dict[str, float] = {}
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split("#")[0].replace(",", " ").split()
@@ -198,12 +206,14 @@ def parse_parameters(text: str) -> dict[str, float]:
             name, value = words[0], _number(words[1])
         except (IndexError, ValueError):
             raise ValueError(
-                f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a number"
+                f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a"
+                " number"
             ) from None
         plain = name.isascii() and name.replace("_", "").isalnum()
         if not plain or not math.isfinite(value):
             raise ValueError(
-                f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a number"
+                f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a"
+                " number"
             )
         found[name] = value
     if not found:
@@ -226,9 +236,10 @@ COLUMNS = {
 class Control:
     """How one command column is made: weights times the deflection of servo channels.
 
-    parts    ((channel, servo, weight), ...)       basis  where the channel is from, in a word or two
-    told     channel, table and where each is from, in a sentence       against  what the card says otherwise
-    """
+    parts    ((channel, servo, weight), ...)       basis  where the channel is from, in a word or
+    two
+    told     channel, table and where each is from, in a sentence       against  what the card says
+    otherwise"""
 
     parts: tuple[tuple[int, Servo, float], ...]
     basis: str
@@ -245,14 +256,18 @@ class Control:
 
 
 def deflection(pwm: FloatArray, servo: Servo) -> FloatArray:
-    """(n,) PWM in us to deflection, end slopes continued to the stops; NaN where the output was off (<= 500)."""
+    """(n,) PWM in us to deflection, end slopes continued to the stops; NaN where the output was off
+    (<= 500).
+    """
     out = extrapolating_table(pwm, servo.table)
     out = np.clip(out, *servo.limits)
     return np.where(np.isfinite(pwm) & (pwm > 500.0), out, np.nan)
 
 
 def extrapolating_table(x: FloatArray, table: Table) -> FloatArray:
-    """Piecewise linear function through `table`, its first and last slope continued beyond the ends."""
+    """Piecewise linear function through `table`, its first and last slope continued beyond the
+    ends.
+    """
     xs, ys = (np.array(v, dtype=np.float64) for v in zip(*table, strict=True))
     out = np.interp(x, xs, ys)
     first = (ys[1] - ys[0]) / (xs[1] - xs[0])
@@ -317,8 +332,9 @@ def _assumed_mixes(
         panels = [Servo(servo.table, servo.limits, channel) for channel in channels]
         _mixed(Mix(kind, panels[0], panels[1]), "SERVOn_FUNCTION", out)
         text = (
-            f"outputs {channels[0]} and {channels[1]} are {kind} panels by SERVOn_FUNCTION; the card has no"
-            f" [mixing.{kind}], so the elevator's table was used for both, + trailing edge down: check the signs"
+            f"outputs {channels[0]} and {channels[1]} are {kind} panels by SERVOn_FUNCTION; the"
+            f" card has no [mixing.{kind}], so the elevator's table was used for both, + trailing"
+            " edge down: check the signs"
         )
         findings.append(Finding("mixing-assumed", f"{kind}", "warning", text, {}))
     return findings
@@ -357,8 +373,8 @@ def _described(card: AirframeCard, name: str, members: tuple[Output, ...]) -> Co
 def _table(card: AirframeCard, name: str, output: Output) -> tuple[Servo, str] | None:
     """PWM to deflection, and where the degrees are from.
 
-    The card's own table keeps its slope, since an autopilot's MIN and MAX may leave some of the throw unused.
-    """
+    The card's own table keeps its slope, since an autopilot's MIN and MAX may leave some of the
+    throw unused."""
     own, throw = card.servos.get(name), card.throws.get(name)
     limits = own.limits if own is not None else (-math.inf, math.inf)
     if name == "throttle":
@@ -373,9 +389,10 @@ def _table(card: AirframeCard, name: str, output: Output) -> tuple[Servo, str] |
     if throw is not None and output.spans and (throw.key == "throw_deg" or own is None):
         ends = (throw.low, throw.high) if sense > 0.0 else (throw.high, throw.low)
         table: Table = ((output.low, ends[0]), (output.neutral, 0.0), (output.high, ends[1]))
-        return Servo(
-            table, limits, output.channel
-        ), f"degrees assumed: the card's {throw.key} at the ends of travel"
+        return (
+            Servo(table, limits, output.channel),
+            f"degrees assumed: the card's {throw.key} at the ends of travel",
+        )
     if own is None:
         return None
     neutral = _neutral(own)
@@ -411,7 +428,8 @@ def _conflicts(own: Servo | None, used: Servo, output: Output) -> list[str]:
         and used.table[0][1] * used.table[-1][1] < 0.0
     ):
         found.append(
-            f"the neutral of servo {output.channel} is {_neutral(used):g} us in the log, {_neutral(own):g} us in the card"
+            f"the neutral of servo {output.channel} is {_neutral(used):g} us in the log,"
+            f" {_neutral(own):g} us in the card"
         )
     return found
 
@@ -434,7 +452,9 @@ def _mixed(mix: Mix, basis: str, out: dict[str, Control]) -> None:
 
 
 def elevator_channel(parameters: Mapping[str, float]) -> int:
-    """Servo output that pitches the aircraft, for checks that need its activity and not its angle."""
+    """Servo output that pitches the aircraft, for checks that need its activity and not its
+    angle.
+    """
     for n, function in functions(parameters).items():
         if function in (19, 77, 79):
             return n
@@ -456,7 +476,8 @@ LATEST_S = 0.05
 """By how much the gyro's kinks may come after the steps: its filter, and a servo that lags."""
 _AROUND_S = 0.08  # on either side that the kink is fitted to
 _FEWEST = 4  # rows on either side
-_CLEAR = 4.0  # noise variances within which two times by which the gyro may be late are as good as each other
+# noise variances within which two times by which the gyro may be late are as good as each other
+_CLEAR = 4.0
 _FINE_S = 0.001
 _SHAPE = 4  # numbers that a rate with a kink is fitted by
 _SURE = 0.9  # share of likelihood at which a step counts as placed
@@ -464,7 +485,9 @@ _SURE = 0.9  # share of likelihood at which a step counts as placed
 
 @dataclass(frozen=True)
 class Placed:
-    """command (n,) deg; steps that are placed for sure; late_s: by which the rate turns after them, NaN without a step."""
+    """command (n,) deg; steps that are placed for sure; late_s: by which the rate turns after them,
+    NaN without a step.
+    """
 
     command: FloatArray
     steps: int
@@ -473,7 +496,9 @@ class Placed:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step first logged at ``row``. misfit (places, offsets): sum of squares left by a kink an offset after a place."""
+    """A step first logged at ``row``. misfit (places, offsets): sum of squares left by a kink an
+    offset after a place.
+    """
 
     row: int
     places: Sequence[int]
@@ -485,11 +510,12 @@ def place_steps(
 ) -> Placed:
     """The command between its logged rows, what is known of its steps.
 
-    logged (n,): rows whose command was logged; between them it stands held. noise: standard deviation of the rate, rad/s.
-    A step alone happened at one of the rows since the logged sample before it, each as likely as a kink of the rate (n,) rad/s
-    fits there, late by the one time that suits all steps best; rows between have what is expected of them. All else goes straight
-    from one logged sample to the next: a command that moves all the time does so in the mean, and held it would come late.
-    """
+    logged (n,): rows whose command was logged; between them it stands held. noise: standard
+    deviation of the rate, rad/s. A step alone happened at one of the rows since the logged sample
+    before it, each as likely as a kink of the rate (n,) rad/s fits there, late by the one time that
+    suits all steps best; rows between have what is expected of them. All else goes straight from
+    one logged sample to the next: a command that moves all the time does so in the mean, and held
+    it would come late."""
     rows = np.flatnonzero(logged)
     out = (
         np.interp(np.arange(len(command)), rows, command[rows])
@@ -516,8 +542,9 @@ def place_steps(
 
 
 def logged_rows(command: FloatArray, stride: int) -> NDArray[np.bool_]:
-    """(n,) rows at which a command, held and logged about every ``stride`` rows, was logged: those at which it changes, and those
-    ``stride`` before, at which it had not. Where it stands still nothing hangs on it, and no clock has to be regular."""
+    """(n,) rows at which a command, held and logged about every ``stride`` rows, was logged: those
+    at which it changes, and those ``stride`` before, at which it had not. Where it stands still
+    nothing hangs on it, and no clock has to be regular."""
     changes = np.flatnonzero(np.diff(command) != 0.0) + 1
     last = np.concatenate([[0], changes[:-1]])
     out = np.zeros(len(command), dtype=bool)
@@ -550,7 +577,9 @@ def _steps(
 
 
 def _misfit(at: FloatArray, seen: FloatArray, kink: float) -> float:
-    """Sum of squares left by a straight line and, from ``kink`` on, a parabola: a rate that has begun to turn is soon damped."""
+    """Sum of squares left by a straight line and, from ``kink`` on, a parabola: a rate that has
+    begun to turn is soon damped.
+    """
     after = np.maximum(at - kink, 0.0)
     design = np.column_stack([np.ones_like(at), at - kink, after, after**2])
     return float(np.sum((seen - design @ np.linalg.lstsq(design, seen, rcond=None)[0]) ** 2))

@@ -1,4 +1,7 @@
-"""Signal maps: which message and field of a log dialect becomes which signal. Data in TOML, read and checked here."""
+"""Signal maps: which message and field of a log dialect becomes which signal.
+
+Data in TOML, read and checked here.
+"""
 
 from __future__ import annotations
 
@@ -52,12 +55,13 @@ _KEYS = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One way to obtain one signal: y = table or offset + scale * function(fields), times another message's field.
+    """One way to obtain one signal: y = table or offset + scale * function(fields), times another
+    message's field.
 
-    instance  None lets the log decide by the map's sensor rules; a number is binding
-    table  pairs (x, y), linear between and beyond its ends held; takes the place of scale and offset
-    times  (message, field) that multiplies the result, interpolated; the factor is 1 where that message is absent
-    """
+    instance  None lets the log decide by the map's sensor rules; a number is binding table  pairs
+    (x, y), linear between and beyond its ends held; takes the place of scale and offset times
+    (message, field) that multiplies the result, interpolated; the factor is 1 where that message is
+    absent"""
 
     message: str
     instance: int | None
@@ -72,7 +76,9 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """Short name, e.g. "IMU.GyrY", "RCOU.C2", "GPS.Spd+GCrs", "ARSP[0,1].Airspeed" where the sensor changes."""
+        """Short name, e.g. "IMU.GyrY", "RCOU.C2", "GPS.Spd+GCrs", "ARSP[0,1].Airspeed" where the
+        sensor changes.
+        """
         instance = f"[{self.instance}]" if self.instance else ""
         extra = f" x {self.times[0]}.{self.times[1]}" if self.times else ""
         return f"{self.source or self.message + instance}.{'+'.join(self.fields)}{extra}"
@@ -84,13 +90,14 @@ class SensorRule:
 
     also      names that further instances have as messages of their own: IMU2 is instance 1 of IMU
     fields    the measurements that the rule is about; empty for all of the message
-    valid     field of the message -> (least, most) of a valid row; a field that is not logged demands nothing
+    valid     field of the message -> (least, most) of a valid row; a field that is not logged
+    demands nothing
     needs     (message, field, least, most): one of these states must hold
-    health    (message, prefix of its fields present, enabled, health), with one of `bits` an instance
-    in_use    flag of the message: this instance is used
-    primary   (message, field) that numbers the instance in use, `primary_first` for the first; the first pair logged counts
-    selected  (field, message, field): the instance whose field equals the other message's is in use
-    """
+    health    (message, prefix of its fields present, enabled, health), with one of `bits` an
+    instance
+    in_use    flag of the message: this instance is used primary   (message, field) that numbers the
+    instance in use, `primary_first` for the first; the first pair logged counts selected  (field,
+    message, field): the instance whose field equals the other message's is in use"""
 
     message: str
     also: tuple[str, ...] = ()
@@ -130,20 +137,26 @@ class SensorRule:
 
 @dataclass(frozen=True)
 class ServoOutputs:
-    """Where a dialect logs the servo outputs: message, instance and field patterns with {n} for the channel number."""
+    """Where a dialect logs the servo outputs: message, instance and field patterns with {n} for the
+    channel number.
+    """
 
     message: str
     instance: int
     patterns: tuple[str, ...]
 
     def fields_of(self, number: int) -> tuple[str, ...]:
-        """Names that a channel may have, by the number that the log gives it; the first that a log carries is used."""
+        """Names that a channel may have, by the number that the log gives it; the first that a log
+        carries is used.
+        """
         return tuple(pattern.replace("{n}", str(number)) for pattern in self.patterns)
 
 
 @dataclass(frozen=True)
 class SignalMap:
-    """entries: signal -> candidates, the first that the log carries wins; time: the column of a table's times."""
+    """entries: signal -> candidates, the first that the log carries wins; time: the column of a
+    table's times.
+    """
 
     name: str
     entries: Mapping[str, tuple[Entry, ...]]
@@ -258,7 +271,9 @@ def parse_map(source: str, name: str) -> SignalMap:
 
 
 def _time(row: Any, name: str) -> TimeColumn:
-    """`[signals.time_s]`: the column of a table's times and its unit, or the scale that makes them seconds."""
+    """`[signals.time_s]`: the column of a table's times and its unit, or the scale that makes them
+    seconds.
+    """
     where = "[signals.time_s]"
     if not isinstance(row, dict):
         raise LogError('must be a table such as field = "TIME", unit = "us"', name, where)

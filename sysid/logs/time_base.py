@@ -1,4 +1,7 @@
-"""Time stamps as they are and as they can be used: spikes, steps back, underflow, repeats and gaps. Pure numerics."""
+"""Time stamps as they are and as they can be used: spikes, steps back, underflow, repeats and gaps.
+
+Pure numerics.
+"""
 
 from __future__ import annotations
 
@@ -47,9 +50,9 @@ class CleanTime:
 def clean(time_s: FloatArray) -> CleanTime:
     """Decide which records of a message can be placed in time.
 
-    Where time runs backwards the longest set of records in increasing order is kept, so that one spike costs one
-    record and a second recording appended to the first costs the shorter of the two.
-    """
+    Where time runs backwards the longest set of records in increasing order is kept, so that one
+    spike costs one record and a second recording appended to the first costs the shorter of the
+    two."""
     keep = np.isfinite(time_s) & (np.abs(time_s) < 1e11)
     total = len(time_s)
     index = np.flatnonzero(keep)
@@ -134,10 +137,13 @@ def _longest_increasing(values: FloatArray) -> NDArray[np.int64]:
 def interpolate(
     time_s: FloatArray, values: FloatArray, gaps: FloatArray, grid_s: FloatArray
 ) -> FloatArray:
-    """Linear interpolation of (n,) samples onto (m,) grid times; NaN outside the samples and inside every gap."""
+    """Linear interpolation of (n,) samples onto (m,) grid times; NaN outside the samples and inside
+    every gap.
+    """
     out = np.interp(grid_s, time_s, values, left=np.nan, right=np.nan)
     out[inside(gaps, grid_s)] = np.nan
-    # A grid time on a sample takes the sample: rounding in the last digit must not spread a neighbour's NaN.
+    # A grid time on a sample takes the sample: rounding in the last digit must not spread a
+    # neighbour's NaN.
     near = np.clip(np.searchsorted(time_s, grid_s - SAME_S), 0, len(time_s) - 1)
     same = np.abs(time_s[near] - grid_s) <= SAME_S
     out[same] = values[near[same]]
@@ -147,9 +153,9 @@ def interpolate(
 def hold(
     time_s: FloatArray, values: NDArray, gaps: FloatArray, grid_s: FloatArray, step_s: float
 ) -> NDArray:
-    """Zero-order hold onto the grid: the newest sample not later than the grid time (a quarter of a grid step of
-    tolerance, so that stamps of one loop count as one). NaN before the first sample, inside gaps after one usual step,
-    and more than GAP_STEPS steps after the last sample."""
+    """Zero-order hold onto the grid: the newest sample not later than the grid time (a quarter of a
+    grid step of tolerance, so that stamps of one loop count as one). NaN before the first sample,
+    inside gaps after one usual step, and more than GAP_STEPS steps after the last sample."""
     tolerance = 0.25 * float(np.median(np.diff(grid_s))) if len(grid_s) > 1 else 0.0
     at = np.searchsorted(time_s, grid_s + tolerance, side="right") - 1
     out = values[np.maximum(at, 0)].copy()
@@ -185,7 +191,9 @@ _HALF_WINDOW = 25  # records on each side; fewer in a row count as damage
 
 
 def split(raw: RawLog) -> list[RawLog]:
-    """The boots of a log in the order of the file, each a log of its own; the log itself where there is one boot."""
+    """The boots of a log in the order of the file, each a log of its own; the log itself where
+    there is one boot.
+    """
     placed = {key: t for key, t in raw.messages.items() if t.place is not None}
     if not raw.headers and not any(_steps_back(t.time_s) for t in placed.values()):
         return [_without_places(raw)]
@@ -203,8 +211,8 @@ def boundaries(place: IntArray, time_s: FloatArray, headers: tuple[int, ...] = (
     """Places in the file at which the clock begins again.
 
     place    (n,) position in the file of each record, in any order      time_s  (n,) its stamp
-    headers  places at which the log's header stands again: a boundary, unless the clock goes on there
-    """
+    headers  places at which the log's header stands again: a boundary, unless the clock goes on
+    there"""
     good = np.isfinite(time_s)
     order = np.argsort(place[good], kind="stable")
     place, time_s = place[good][order], time_s[good][order]
@@ -266,7 +274,9 @@ def _restarts(time_s: FloatArray) -> list[int]:
 
 
 def _exact(time_s: FloatArray, row: int, before: float, after: float) -> int:
-    """The row near ``row`` that parts the stamps near ``before`` from those near ``after`` with the fewest exceptions."""
+    """The row near ``row`` that parts the stamps near ``before`` from those near ``after`` with the
+    fewest exceptions.
+    """
     low, high = max(0, row - _HALF_WINDOW), min(len(time_s), row + _HALF_WINDOW)
     new = np.abs(time_s[low:high] - after) < np.abs(time_s[low:high] - before)
     exceptions = np.concatenate([[0], np.cumsum(new)]) + np.concatenate(
@@ -281,7 +291,9 @@ def _steps_back(time_s: FloatArray) -> bool:
 
 
 def _part(raw: RawLog, low: int, high: int) -> RawLog:
-    """Records from place ``low`` to in front of ``high``, with the parameters as they were last set until then."""
+    """Records from place ``low`` to in front of ``high``, with the parameters as they were last set
+    until then.
+    """
     messages: dict[tuple[str, int], MessageTable] = {}
     for key, table in raw.messages.items():
         if table.place is None:

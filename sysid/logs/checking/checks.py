@@ -1,4 +1,7 @@
-"""What real logs get wrong, found and reported with numbers. Pure numerics on channels and records."""
+"""What real logs get wrong, found and reported with numbers.
+
+Pure numerics on channels and records.
+"""
 
 from __future__ import annotations
 
@@ -42,8 +45,9 @@ def check_channel(c: Channel, grid_step_s: float, seen: set[str]) -> list[Findin
     )
     if c.estimate:
         text = (
-            f"{c.name} ({c.label}) is computed by the autopilot's estimator, no vane measured it. In gusts it misses"
-            " the gust angle: do not identify force or moment derivatives from it in turbulence"
+            f"{c.name} ({c.label}) is computed by the autopilot's estimator, no vane measured it."
+            " In gusts it misses the gust angle: do not identify force or moment derivatives from"
+            " it in turbulence"
         )
         out.append(Finding("estimate", c.name, "warning", text, {}))
     return out
@@ -52,7 +56,10 @@ def check_channel(c: Channel, grid_step_s: float, seen: set[str]) -> list[Findin
 def _times(message: str, c: Channel) -> list[Finding]:
     out = []
     if c.clean.backwards:
-        text = f"{c.clean.backwards} records of {message} have times that run backwards, underflow or jump; left out"
+        text = (
+            f"{c.clean.backwards} records of {message} have times that run backwards, underflow or"
+            " jump; left out"
+        )
         numbers = {"records": float(c.clean.backwards), "dropped_s": c.clean.dropped_s}
         out.append(Finding("time-backwards", message, "warning", text, numbers))
     if c.clean.repeats:
@@ -70,8 +77,9 @@ def _gaps(message: str, c: Channel, severity: str) -> list[Finding]:
     spans = gaps[:, 1] - gaps[:, 0]
     worst = int(np.argmax(spans))
     text = (
-        f"{len(gaps)} gaps in {message} (usual step {c.clean.step_s * 1e3:.0f} ms), {spans.sum():.2f} s in all, longest"
-        f" {spans[worst]:.2f} s at {gaps[worst, 0]:.2f} s; NaN in the record, nothing is interpolated across them"
+        f"{len(gaps)} gaps in {message} (usual step {c.clean.step_s * 1e3:.0f} ms),"
+        f" {spans.sum():.2f} s in all, longest {spans[worst]:.2f} s at {gaps[worst, 0]:.2f} s; NaN"
+        " in the record, nothing is interpolated across them"
     )
     numbers = {
         "gaps": float(len(gaps)),
@@ -83,7 +91,9 @@ def _gaps(message: str, c: Channel, severity: str) -> list[Finding]:
 
 
 def _hold(name: str, c: Channel, grid_step_s: float) -> list[Finding]:
-    """A channel slower than the grid: either logged slower, or logged fast while its values are held."""
+    """A channel slower than the grid: either logged slower, or logged fast while its values are
+    held.
+    """
     if name == "mode" or name in _GUIDANCE:
         return []
     ratio = c.clean.step_s / grid_step_s
@@ -110,8 +120,9 @@ def _kept(name: str, c: Channel) -> list[Finding]:
     if found is not None and found.held:
         rate = c.rate_hz / found.run
         text = (
-            f"{name} is logged at {c.rate_hz:.1f} Hz but its value changes at {rate:.1f} Hz only (sample and hold, mean"
-            f" run {found.run:.1f} samples): it lags by {0.5 * (found.run - 1) * c.clean.step_s * 1e3:.0f} ms on average"
+            f"{name} is logged at {c.rate_hz:.1f} Hz but its value changes at {rate:.1f} Hz only"
+            f" (sample and hold, mean run {found.run:.1f} samples): it lags by"
+            f" {0.5 * (found.run - 1) * c.clean.step_s * 1e3:.0f} ms on average"
         )
         numbers = {"logged_hz": c.rate_hz, "native_hz": rate, "mean_run": found.run}
         return [
@@ -120,14 +131,18 @@ def _kept(name: str, c: Channel) -> list[Finding]:
             )
         ]
     if found is not None:
-        text = f"{name} moves in steps of {found.quantum:.3g}: its noise is at least {found.quantum / 12**0.5:.2g} (step / sqrt 12)"
+        text = (
+            f"{name} moves in steps of {found.quantum:.3g}: its noise is at least"
+            f" {found.quantum / 12**0.5:.2g} (step / sqrt 12)"
+        )
         return [Finding("quantised", name, "info", text, {"quantum": found.quantum})]
     between = interpolated(c.values)
     if between is not None:
         rate = c.rate_hz / between
         text = (
-            f"{name} is logged at {c.rate_hz:.1f} Hz but lies on straight lines between values at {rate:.1f} Hz: somebody has"
-            " interpolated it; its noise looks smaller than it is, and its samples are not independent"
+            f"{name} is logged at {c.rate_hz:.1f} Hz but lies on straight lines between values at"
+            f" {rate:.1f} Hz: somebody has interpolated it; its noise looks smaller than it is, and"
+            " its samples are not independent"
         )
         numbers = {"logged_hz": c.rate_hz, "native_hz": rate}
         return [
@@ -176,7 +191,10 @@ def _stuck_beneath(c: Channel) -> list[Finding]:
 
 def _stood(name: str, value: float, span_s: tuple[float, float]) -> Finding:
     begin, end = (float(t) for t in span_s)
-    text = f"{name} stands at {value:.4g} from {begin:.2f} to {end:.2f} s, among samples that all differ"
+    text = (
+        f"{name} stands at {value:.4g} from {begin:.2f} to {end:.2f} s, among samples that all"
+        " differ"
+    )
     return Finding("stuck", name, "error", text, {"start_s": begin, "end_s": end}, spoils(name))
 
 
@@ -202,7 +220,9 @@ def _stuck(record: FlightRecord) -> list[Finding]:
 
 
 def _components_interpolated(flight: FlightRecord) -> list[Finding]:
-    """Airspeed and angles of flow of which somebody has interpolated u, v and w: they themselves lie on no straight lines."""
+    """Airspeed and angles of flow of which somebody has interpolated u, v and w: they themselves
+    lie on no straight lines.
+    """
     if not all(n in flight for n in AIR):
         return []
     rates = {flight.metadata.native_hz.get(n, 1.0 / flight.dt_s) for n in AIR}
@@ -219,8 +239,9 @@ def _components_interpolated(flight: FlightRecord) -> list[Finding]:
     logged = 1.0 / flight.dt_s
     native = logged / max(between)
     text = (
-        f"airspeed, alpha and beta come at {logged:.1f} Hz but their components u, v, w lie on straight lines between values at"
-        f" {native:.1f} Hz: somebody has interpolated them; their noise looks smaller than it is"
+        f"airspeed, alpha and beta come at {logged:.1f} Hz but their components u, v, w lie on"
+        f" straight lines between values at {native:.1f} Hz: somebody has interpolated them; their"
+        " noise looks smaller than it is"
     )
     numbers = {"logged_hz": logged, "native_hz": native}
     spoilt = "standard errors, and what is faster than its own rate"
@@ -228,13 +249,18 @@ def _components_interpolated(flight: FlightRecord) -> list[Finding]:
 
 
 def _wrap(name: str, c: Channel) -> list[Finding]:
-    """Steps of a whole integer range in the logged number: a counter or scaled integer that wrapped."""
+    """Steps of a whole integer range in the logged number: a counter or scaled integer that
+    wrapped.
+    """
     if c.raw is None or name in LABELS or SIGNALS[name].kind == "heading":
         return []
     found = wraps(c.raw)
     if found is None:
         return []
-    text = f"{name} ({c.label}) jumps by {found[1]:g} {found[0]} times from one end of its range to the other: a {found[2]} wrap"
+    text = (
+        f"{name} ({c.label}) jumps by {found[1]:g} {found[0]} times from one end of its range to"
+        f" the other: a {found[2]} wrap"
+    )
     numbers = {
         "jumps": float(found[0]),
         "span": found[1],
@@ -260,15 +286,17 @@ def _range(
         hint = "; it looks like degrees where radians are due (scale 0.0174533 in the map)"
         mended = mend(name, np.pi / 180.0, meta or Metadata(channels={name: label}))
     text = (
-        f"{name} ({label}) leaves [{signal.low:g}, {signal.high:g}] {signal.unit} in {percent(share)} of the log"
-        f" (from {numbers['low']:.4g} to {numbers['high']:.4g}){hint}"
+        f"{name} ({label}) leaves [{signal.low:g}, {signal.high:g}] {signal.unit} in"
+        f" {percent(share)} of the log (from {numbers['low']:.4g} to {numbers['high']:.4g}){hint}"
     )
     severity = "error" if share > 0.01 else "warning"
     return [Finding("out-of-range", name, severity, text, numbers, spoils(name), mended)]
 
 
 def estimated_channels(mapped: tuple[str, ...], findings: Sequence[Finding]) -> tuple[str, ...]:
-    """Channels that no sensor measured: those that the map says, and angles of flow that were computed from other channels."""
+    """Channels that no sensor measured: those that the map says, and angles of flow that were
+    computed from other channels.
+    """
     computed = (f.channel for f in findings if f.code == "estimate" and f.channel in AIR[1:])
     return tuple(dict.fromkeys((*mapped, *computed)))
 
@@ -276,9 +304,9 @@ def estimated_channels(mapped: tuple[str, ...], findings: Sequence[Finding]) -> 
 def one_per_cause(findings: Sequence[Finding]) -> list[Finding]:
     """The findings without those that another one explains.
 
-    A wrong unit or sign takes a channel out of its range and makes an airspeed negative; a channel in degrees, or one that
-    stands still, fails every relation that it has a part in, and its sign cannot be judged.
-    """
+    A wrong unit or sign takes a channel out of its range and makes an airspeed negative; a channel
+    in degrees, or one that stands still, fails every relation that it has a part in, and its sign
+    cannot be judged."""
     slips = {f.channel for f in findings if f.code in ("unit", "sign")}
     still = {f.channel for f in findings if f.code == "frozen" and f.severity == "error"}
     by_size = {f.channel for f in findings if f.code == "out-of-range" and f.mend}
@@ -295,7 +323,9 @@ def one_per_cause(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> list[Finding]:
-    """Dropouts, speeds below zero, frozen channels and kinematic consistency, over free flight where there is one."""
+    """Dropouts, speeds below zero, frozen channels and kinematic consistency, over free flight
+    where there is one.
+    """
     flight = record if free_s is None else record.between(*free_s)
     out: list[Finding] = []
     for name, values in flight.columns.items():
@@ -313,7 +343,10 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
         speed = flight["V_mps"][np.isfinite(flight["V_mps"])]
         below = float(np.mean(speed < 0)) if len(speed) else 0.0
         if below > 0.5:
-            text = f"airspeed is negative in {100 * below:.0f} % of the samples (median {np.median(speed):.2f} m/s)"
+            text = (
+                f"airspeed is negative in {100 * below:.0f} % of the samples (median"
+                f" {np.median(speed):.2f} m/s)"
+            )
             out.append(
                 Finding(
                     "negative-airspeed",
@@ -329,7 +362,9 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
 
 
 def check_motion(flight: FlightRecord) -> list[Finding]:
-    """Channels of free flight against one another: units, signs, lateness, the surfaces' effects, the accelerometers' place."""
+    """Channels of free flight against one another: units, signs, lateness, the surfaces' effects,
+    the accelerometers' place.
+    """
     if len(flight) < 3:
         return []
     absurd = {
@@ -349,7 +384,8 @@ def check_motion(flight: FlightRecord) -> list[Finding]:
     }
     mended = flight.with_columns(slips)
     found += [*check_surfaces(mended), *check_estimates(mended)]
-    # With a unit or a sign wrong, or angles that were not measured, what is left over would pass for a lever arm.
+    # With a unit or a sign wrong, or angles that were not measured, what is left over would pass
+    # for a lever arm.
     spoilt = any(
         f.severity == "error" or (f.code == "estimate" and f.channel in AIR) for f in found
     )
@@ -383,10 +419,16 @@ def _frozen(flight: FlightRecord) -> list[Finding]:
             n for group in _TOGETHER if name in group for n in group if spans.get(n, 0.0) > _STILL
         ]
         if moving:
-            text = f"{name} stands at {value:g} throughout while {moving[0]} moves: sensor absent or not logged"
+            text = (
+                f"{name} stands at {value:g} throughout while {moving[0]} moves: sensor absent or"
+                " not logged"
+            )
             out.append(Finding("frozen", name, "error", text, {"value": value}, spoils(name)))
         elif name != "rho_kgpm3":
-            text = f"{name} stands at {value:g} throughout; nothing in the flight says that it should have moved"
+            text = (
+                f"{name} stands at {value:g} throughout; nothing in the flight says that it should"
+                " have moved"
+            )
             out.append(Finding("frozen", name, "info", text, {"value": value}))
     return out
 
@@ -431,7 +473,9 @@ _AT_RECORD = frozenset(
 
 
 def check_again(record: FlightRecord) -> list[Finding]:
-    """The findings of a record as they are known today: those of its log stay, all that it shows itself is new."""
+    """The findings of a record as they are known today: those of its log stay, all that it shows
+    itself is new.
+    """
     if len(record) < 3:
         return list(record.metadata.findings)
     own = record.metadata.estimates
@@ -452,7 +496,9 @@ def check_again(record: FlightRecord) -> list[Finding]:
 
 
 def _samples(record: FlightRecord) -> list[Finding]:
-    """Held, coarse and interpolated channels of a record, those left out that its maker filled in himself."""
+    """Held, coarse and interpolated channels of a record, those left out that its maker filled in
+    himself.
+    """
     out = []
     rate = 1.0 / record.dt_s if len(record) > 1 else float("nan")
     for name, values in record.columns.items():

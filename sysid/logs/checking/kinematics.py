@@ -1,9 +1,9 @@
-"""What the channels of a flight must have to do with one another, whatever the aircraft: relations that hold for any rigid body.
+"""What the channels of a flight must have to do with one another, whatever the aircraft: relations
+that hold for any rigid body.
 
-Each relation says that one channel, or what is made of it, equals something made of others. `sysid.logs.checking.kinematics`
-estimates scale, sign and lateness of it. Equations of motion of the centre of gravity: Etkin and Reid, "Dynamics of Flight",
-3rd ed. 1996, 4.3, 4.7.
-"""
+Each relation says that one channel, or what is made of it, equals something made of others.
+`sysid.logs.checking.kinematics` estimates scale, sign and lateness of it. Equations of motion of
+the centre of gravity: Etkin and Reid, "Dynamics of Flight", 3rd ed. 1996, 4.3, 4.7."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ ComplexArray = NDArray[np.complexfloating]
 SURE = 3.0
 """Standard errors on either side of what counts as possible."""
 _BANDS, _LEAST_BINS = 12, 6
-_CHANCE = 1e-5  # that a band of mere noise counts, all bands together; lateness and sign are looked for, which helps chance
+# that a band of mere noise counts, all bands together; lateness and sign are looked for, which
+# helps chance
+_CHANCE = 1e-5
 _FLOOR = 0.01  # relative: no two sensors agree better
 _MOST_LATE_S, _LATE_STEP_S = 0.5, 0.005
 _TAPER = 0.2  # share of a stretch at either end
@@ -43,15 +45,17 @@ TAPERED = 1.26
 """By which the taper raises the variance of sums over frequencies: mean w^4 / (mean w^2)^2."""
 LEAK = 5e-3
 """Of the strongest band's power: what leaks from it has its phase and not its own."""
-_SIGN_MARGIN = 1.15  # by how much the reversed sign has to explain more, since lateness can look like it in a narrow band
+# by how much the reversed sign has to explain more, since lateness can look like it in a narrow
+# band
+_SIGN_MARGIN = 1.15
 
 
 @dataclass(frozen=True)
 class Relation:
     """y = scale * x(t - late_s).
 
-    low, high   the scale lies between, SURE standard errors and the noise of both signals counted; negative for a reversed sign
-    late_std_s  standard error of ``late_s``
+    low, high   the scale lies between, SURE standard errors and the noise of both signals counted;
+    negative for a reversed sign late_std_s  standard error of ``late_s``
     coherence   of the bands that count, mean      bands   number of them, 0: no evidence
     """
 
@@ -89,7 +93,9 @@ NOTHING = Relation(float("nan"), float("nan"), float("nan"), float("inf"), 0.0, 
 def relate(
     x: Sequence[FloatArray], y: Sequence[FloatArray], dt_s: float, low_hz: float, high_hz: float
 ) -> Relation:
-    """The relation of y to x, from stretches (n,) without gaps, ``dt_s`` apart, in a band of frequencies."""
+    """The relation of y to x, from stretches (n,) without gaps, ``dt_s`` apart, in a band of
+    frequencies.
+    """
     parts = [spectrum(a, b, dt_s, low_hz, high_hz) for a, b in zip(x, y, strict=True)]
     if not parts:
         return NOTHING
@@ -155,7 +161,8 @@ def relate(
 
 
 def relate_means(x: FloatArray, y: FloatArray) -> Relation:
-    """The relation of means (n,) over blocks of time, their own mean included: for what is steady rather than moving.
+    """The relation of means (n,) over blocks of time, their own mean included: for what is steady
+    rather than moving.
 
     Blocks count as independent. No lateness can be told.
     """
@@ -184,7 +191,9 @@ def relate_means(x: FloatArray, y: FloatArray) -> Relation:
 def spectrum(
     x: FloatArray, y: FloatArray, dt_s: float, low_hz: float, high_hz: float
 ) -> tuple[FloatArray, ComplexArray, ComplexArray]:
-    """Frequencies inside the band and the Fourier transforms there, tapered at the ends, straight lines taken out."""
+    """Frequencies inside the band and the Fourier transforms there, tapered at the ends, straight
+    lines taken out.
+    """
     n = x.size
     at = np.linspace(-1.0, 1.0, n)
     edge = np.clip(
@@ -202,10 +211,11 @@ def spectrum(
 
 
 def band_passed(x: FloatArray, dt_s: float, low_hz: float, high_hz: float) -> FloatArray:
-    """(..., n) without what lies below and above the band, nothing moved in time; mirrored beyond its ends.
+    """(..., n) without what lies below and above the band, nothing moved in time; mirrored beyond
+    its ends.
 
-    The gain is that of Butterworth's high-pass and low-pass of the second order, each run forwards and backwards.
-    """
+    The gain is that of Butterworth's high-pass and low-pass of the second order, each run forwards
+    and backwards."""
     n = x.shape[-1]
     frequency = np.arange(1, n) / (2.0 * n * dt_s)
     gain = 1.0 / ((1.0 + (low_hz / frequency) ** 4) * (1.0 + (frequency / high_hz) ** 4))
@@ -232,10 +242,13 @@ def groups_of(frequency: FloatArray, low_hz: float, high_hz: float) -> list[NDAr
 def _coarse(
     frequency: FloatArray, fx: ComplexArray, fy: ComplexArray, groups: Sequence[NDArray[np.bool_]]
 ) -> tuple[float, float]:
-    """Lateness to _LATE_STEP_S and sign that bring the bands together, each band counting by its own correlation."""
+    """Lateness to _LATE_STEP_S and sign that bring the bands together, each band counting by its
+    own correlation.
+    """
     late = np.arange(-_MOST_LATE_S, _MOST_LATE_S + 0.5 * _LATE_STEP_S, _LATE_STEP_S)
     total = np.zeros(late.size)
-    # Powers of one turn per step: a hundred times cheaper than an exponential each, and right to 1e-13.
+    # Powers of one turn per step: a hundred times cheaper than an exponential each, and right to
+    # 1e-13.
     turns = np.broadcast_to(
         np.exp(2j * np.pi * _LATE_STEP_S * frequency), (late.size, frequency.size)
     ).copy()
@@ -263,7 +276,8 @@ Columns = Mapping[str, FloatArray]
 Pair = tuple[FloatArray, FloatArray]
 BAND_HZ = (0.08, 2.5)
 _SLOW_HZ = 0.15  # below it an aircraft's angle of attack hardly changes
-_OF_NATIVE = 0.15  # of a channel's own rate: up to there straight lines between its samples lose less than 8 %
+# of a channel's own rate: up to there straight lines between its samples lose less than 8 %
+_OF_NATIVE = 0.15
 _MIN_S, _MOST_S = 8.0, 200.0
 _BLOCK_S = 2.0
 ATTITUDE = ("phi_rad", "theta_rad", "psi_rad")
@@ -277,9 +291,9 @@ AIR = ("V_mps", "alpha_rad", "beta_rad")
 class Law:
     """One relation that physics demands. It says of ``subject`` what ``says`` tells in words.
 
-    uses   every channel that has a part in it        sides  channels and step [s] -> (x, y), y of the subject
-    means  of blocks of time are compared, not motion  high_hz  above which it holds no longer
-    """
+    uses   every channel that has a part in it        sides  channels and step [s] -> (x, y), y of
+    the subject means  of blocks of time are compared, not motion  high_hz  above which it holds no
+    longer"""
 
     subject: str
     says: str
@@ -291,7 +305,9 @@ class Law:
 
 @dataclass(frozen=True)
 class Stretches:
-    """Parts of a record without gaps in any channel of a law, and the rate [Hz] of the slowest of them."""
+    """Parts of a record without gaps in any channel of a law, and the rate [Hz] of the slowest of
+    them.
+    """
 
     parts: tuple[Columns, ...]
     dt_s: float
@@ -383,7 +399,9 @@ def _felt_in_air(axis: int) -> Callable[[Columns, float], Pair]:
 
 
 def speed_change(c: Columns, dt_s: float) -> Pair:
-    """What the accelerometers say of the airspeed's derivative [m/s2], and the derivative itself, each (n,)."""
+    """What the accelerometers say of the airspeed's derivative [m/s2], and the derivative itself,
+    each (n,).
+    """
     force = np.stack([c[n] for n in ACCELERATIONS]) + gravity(c)
     alpha, beta = c["alpha_rad"], c["beta_rad"]
     along = np.stack([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
@@ -411,7 +429,9 @@ def _beta_change(c: Columns, dt: float) -> Pair:
 
 
 def _weight(c: Columns, dt: float) -> Pair:
-    """Specific force downwards of flight that neither climbs ever faster nor sinks ever faster: minus gravity."""
+    """Specific force downwards of flight that neither climbs ever faster nor sinks ever faster:
+    minus gravity.
+    """
     down = to_earth(
         {**c, "psi_rad": np.zeros(c["phi_rad"].size)}, np.stack([c[n] for n in ACCELERATIONS])
     )[2]
@@ -521,7 +541,9 @@ WIND_LAW = Law(
 
 
 def stretches(record: FlightRecord, law: Law, most_s: float = _MOST_S) -> Stretches | None:
-    """The longest parts of a record that have all channels of a law, ``most_s`` seconds together; None without any."""
+    """The longest parts of a record that have all channels of a law, ``most_s`` seconds together;
+    None without any.
+    """
     if any(n not in record for n in law.uses) or len(record) < 3:
         return None
     left, parts = round(most_s / record.dt_s), []
@@ -569,10 +591,11 @@ _WIND_MPS, _WIND_SHARE = (
 
 
 def against_wind(found: Stretches) -> Relation:
-    """Airspeed as a multiple of the speed over ground less a steady wind, from block means; scale and wind are estimated together.
+    """Airspeed as a multiple of the speed over ground less a steady wind, from block means; scale
+    and wind are estimated together.
 
-    A flight that never turns tells little of either: a prior on the wind stands for what is then unknown.
-    """
+    A flight that never turns tells little of either: a prior on the wind stands for what is then
+    unknown."""
     v, n, e = (
         np.concatenate([_means(c[name], found.dt_s) for c in found.parts]) for name in WIND_LAW.uses
     )
@@ -647,9 +670,11 @@ _SURE = 4.5  # standard errors: three axes in every log, a few dozen blocks behi
 
 @dataclass(frozen=True)
 class LeverArm:
-    """Place of the accelerometer from the CG, body axes, m: value, standard error and effect of timing per axis.
+    """Place of the accelerometer from the CG, body axes, m: value, standard error and effect of
+    timing per axis.
 
-    timing_m  what rates half a row before or after the accelerations would add: in omega x v a time offset t of omega is
+    timing_m  what rates half a row before or after the accelerations would add: in omega x v a time
+    offset t of omega is
               omega_dot x (t v), which is a lever arm of t v
     """
 
@@ -659,11 +684,12 @@ class LeverArm:
 
 
 def lever_arm(record: FlightRecord) -> LeverArm | None:
-    """Place of the accelerometer relative to the point whose motion V, alpha and beta describe (the CG).
+    """Place of the accelerometer relative to the point whose motion V, alpha and beta describe (the
+    CG).
 
-    From a = dv/dt + omega x v - g + (omega_dot x) r + omega x (omega x r), all terms band-passed alike; least squares
-    over the longest stretch without gaps. None without measured V, alpha, beta, attitude, rates and accelerations.
-    """
+    From a = dv/dt + omega x v - g + (omega_dot x) r + omega x (omega x r), all terms band-passed
+    alike; least squares over the longest stretch without gaps. None without measured V, alpha,
+    beta, attitude, rates and accelerations."""
     names = ("V_mps", "alpha_rad", "beta_rad", *_ATTITUDE, *_RATES, *_ACCELERATIONS)
     if any(n in record.metadata.estimates for n in ("alpha_rad", "beta_rad")):
         return None
@@ -704,12 +730,13 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
             return None
         position = np.linalg.solve(information, a.T @ (weight * b))
         residual = b - a @ position
-        # The axes are not equally good: beta's noise times the airspeed is on one, the airspeed's own on another.
+        # The axes are not equally good: beta's noise times the airspeed is on one, the airspeed's
+        # own on another.
         weight = np.repeat(
             1.0 / np.maximum(np.mean(residual.reshape(3, -1) ** 2, axis=1), 1e-300), speed.size
         )
-    # Residuals are correlated in time and larger in manoeuvres: what counts is how the sums over some seconds scatter
-    # (cluster-robust covariance; Liang and Zeger, Biometrika 73, 1986).
+    # Residuals are correlated in time and larger in manoeuvres: what counts is how the sums over
+    # some seconds scatter (cluster-robust covariance; Liang and Zeger, Biometrika 73, 1986).
     block = np.tile(np.arange(speed.size) * dt // _LEVER_ARM_BLOCK_S, 3).astype(int)
     sums = np.zeros((block.max() + 1, 3))
     information = (a * weight[:, None]).T @ a
@@ -726,7 +753,9 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
 
 
 def lever_arm_finding(record: FlightRecord) -> list[Finding]:
-    """A finding when the accelerometer sits off the CG by more than _SURE standard errors, timing's effect and 3 cm."""
+    """A finding when the accelerometer sits off the CG by more than _SURE standard errors, timing's
+    effect and 3 cm.
+    """
     found = lever_arm(record)
     if found is None:
         return []

@@ -1,8 +1,9 @@
-"""Wrong units, signs and late channels, by the laws that a flight's channels must obey whatever the aircraft.
+"""Wrong units, signs and late channels, by the laws that a flight's channels must obey whatever the
+aircraft.
 
-A law that does not hold says that one of its channels is wrong, not which. The explanation is looked for among all slips that
-are made with a channel's unit or sign: the one with which most laws hold that did not, and that breaks none.
-"""
+A law that does not hold says that one of its channels is wrong, not which. The explanation is
+looked for among all slips that are made with a channel's unit or sign: the one with which most laws
+hold that did not, and that breaks none."""
 
 from __future__ import annotations
 
@@ -39,13 +40,18 @@ from sysid.vocabulary import LABELS, SIGNALS, SURFACES
 # that mend it.
 
 _SPOILS = {
-    "V_mps": "dynamic pressure goes with its square: every coefficient and derivative, trim, thrust, dimensionless rates",
+    "V_mps": (
+        "dynamic pressure goes with its square: every coefficient and derivative, trim, thrust,"
+        " dimensionless rates"
+    ),
     "alpha_rad": "every derivative by alpha, lift and drag slopes, static stability",
     "beta_rad": "every derivative by beta: side force, weathercock and dihedral effects",
     "h_m": "air density, energy, the height errors of a loiter",
     "a": "every force coefficient, the path reconstruction, the lever arm",
     "attitude": "gravity's part in every force, the replay's start state, the path reconstruction",
-    "rates": "damping and control derivatives, angular accelerations, thus every moment coefficient",
+    "rates": (
+        "damping and control derivatives, angular accelerations, thus every moment coefficient"
+    ),
     "ground": "wind, the path reconstruction, checks of the accelerometers",
     "surface": "the surface's derivatives change sign or size with it, and a replay departs",
 }
@@ -73,7 +79,8 @@ def mend(channel: str, factor: float, meta: Metadata) -> str:
         else None
     )
     entries = () if shipped is None else shipped.entries.get(channel, ())
-    # A label such as "ARSP[1].Airspeed" names the instance that was read, "ARSP[0,1]" those read in turn.
+    # A label such as "ARSP[1].Airspeed" names the instance that was read, "ARSP[0,1]" those read in
+    # turn.
     name = re.match(r"(\w+)\[([\d,]+)\](\..*)", label)
     shipped_label = label if name is None else name[1] + name[3]
     instance = name[2] if name is not None and "," not in name[2] else ""
@@ -87,12 +94,21 @@ def mend(channel: str, factor: float, meta: Metadata) -> str:
             extra = "" if entry.function == "value" else f'\nfunction = "{entry.function}"'
             extra += "" if entry.times is None else f"\ntimes = {_listed(entry.times)}"
             extra += f"\ninstance = {instance}" if instance else ""
-            return f'[signals.{channel}]\nmessage = "{entry.message}"\n{fields}\nscale = {factor * entry.scale:.6g}{extra}'
+            return (
+                f'[signals.{channel}]\nmessage = "{entry.message}"\n{fields}\nscale ='
+                f" {factor * entry.scale:.6g}{extra}"
+            )
     if not label or label == "column":
         return f'[signals.{channel}]\nmessage = "csv"\nfield = "{channel}"\nscale = {factor:.6g}'
     if "servo" in label:
-        return f"in the card, [inputs.{channel.split('_')[0]}] servo_pwm: every angle times {factor:.6g}"
-    return f"[signals.{channel}] ({label}): multiply its scale, or every value of its table, by {factor:.6g}"
+        return (
+            f"in the card, [inputs.{channel.split('_')[0]}] servo_pwm: every angle times"
+            f" {factor:.6g}"
+        )
+    return (
+        f"[signals.{channel}] ({label}): multiply its scale, or every value of its table, by"
+        f" {factor:.6g}"
+    )
 
 
 def _listed(names: tuple[str, ...]) -> str:
@@ -100,7 +116,9 @@ def _listed(names: tuple[str, ...]) -> str:
 
 
 SAME = 1.33
-"""Factor within which a scale passes for right: sensors that are out by less are a matter of calibration, not of units."""
+"""Factor within which a scale passes for right: sensors that are out by less are a matter of
+calibration, not of units.
+"""
 _SHARP = 2.0  # high over low of a relation that tells anything
 _MOST_SLIPS = 4
 _MOST_HZ = 40.0
@@ -134,16 +152,22 @@ _FAMILIES: tuple[tuple[tuple[str, ...], Mapping[float, str], str], ...] = (
 
 
 _LEAST_LATE_S, _LATE_SURE = 0.01, 4.0
-_COHERENT = 0.7  # of a relation that is reported without an explanation: side forces of gusts pass for turns below it
+# of a relation that is reported without an explanation: side forces of gusts pass for turns below
+# it
+_COHERENT = 0.7
 _LATE_COHERENCE = 0.7  # of a relation whose motion alone tells lateness
 _LATEST_S = 0.45
 _GUST_S = 0.1
-"""Lateness of a law that takes the air for still, beyond which it shows gusts; vanes and filters are late by 0.04 s at most."""
+"""Lateness of a law that takes the air for still, beyond which it shows gusts; vanes and filters
+are late by 0.04 s at most.
+"""
 
 
 @dataclass(frozen=True)
 class Slip:
-    """Channels that are ``factor`` times what they should be, and what they hold in words. rank: the likelier, the lower."""
+    """Channels that are ``factor`` times what they should be, and what they hold in words. rank:
+    the likelier, the lower.
+    """
 
     channels: tuple[str, ...]
     factor: float
@@ -166,12 +190,17 @@ class Heard:
 
     @property
     def in_air(self) -> bool:
-        """The law takes the air for still: in gusts the air's own acceleration, which the aircraft answers, passes for a scale."""
+        """The law takes the air for still: in gusts the air's own acceleration, which the aircraft
+        answers, passes for a scale.
+        """
         return {"alpha_rad", "beta_rad"} <= set(self.law.uses)
 
     @property
     def tells(self) -> bool:
-        """Whether the law has evidence. One band alone, in which the air is taken for still, may be one gust's."""
+        """Whether the law has evidence.
+
+        One band alone, in which the air is taken for still, may be one gust's.
+        """
         return self.relation.bands > (1 if self.in_air else 0)
 
     @property
@@ -182,13 +211,18 @@ class Heard:
 
     @property
     def differs(self) -> bool:
-        """The scale cannot be 1. A gust turns the air before the aircraft answers; no unit and no sign makes a channel late."""
+        """The scale cannot be 1. A gust turns the air before the aircraft answers; no unit and no
+        sign makes a channel late.
+        """
         gust = self.in_air and abs(self.relation.late_s) > _GUST_S
         return self.tells and not gust and not self.relation.allows(1.0, SAME - 1.0)
 
 
 def check_physics(record: FlightRecord) -> list[Finding]:
-    """Units, signs and lateness of the channels of a flight. Noise, however much of it, is no finding."""
+    """Units, signs and lateness of the channels of a flight.
+
+    Noise, however much of it, is no finding.
+    """
     mended, late_s = _ground_in_time(_in_radians(_thinned(record)))
     out: list[Finding] = []
     for _ in range(_MOST_SLIPS):
@@ -231,7 +265,9 @@ def _heard_anew(record: FlightRecord, before: Sequence[Heard], slip: Slip) -> li
 
 
 def _thinned(record: FlightRecord) -> FlightRecord:
-    """At most _MOST_HZ rows a second, each the mean of some: the laws are about motion far below that."""
+    """At most _MOST_HZ rows a second, each the mean of some: the laws are about motion far below
+    that.
+    """
     n = math.floor(1.0 / (record.dt_s * _MOST_HZ) + 1e-6)
     if n < 2:
         return record
@@ -253,8 +289,8 @@ def _thinned(record: FlightRecord) -> FlightRecord:
 def _ground_in_time(record: FlightRecord) -> tuple[FlightRecord, float]:
     """The ground velocity moved to when it was true, and by how much it was late, s.
 
-    In a turn the path's change and gravity nearly cancel along the wings: a tenth of a second between them would pass for a scale.
-    Along the lift it is the path's change alone that varies.
+    In a turn the path's change and gravity nearly cancel along the wings: a tenth of a second
+    between them would pass for a scale. Along the lift it is the path's change alone that varies.
     """
     law = next(x for x in all_laws() if x.subject == "az_mps2" and set(GROUND) <= set(x.uses))
     found = stretches(record, law)
@@ -270,7 +306,9 @@ def _ground_in_time(record: FlightRecord) -> tuple[FlightRecord, float]:
 
 
 def _in_radians(record: FlightRecord) -> FlightRecord:
-    """Angles that leave their range by far are degrees, which the check of ranges says; the laws are about radians."""
+    """Angles that leave their range by far are degrees, which the check of ranges says; the laws
+    are about radians.
+    """
     wrong = {
         name: record[name] / _DEG
         for name in MOST_RAD
@@ -293,10 +331,11 @@ MOST_RAD = {
 
 
 def degrees_by_size(name: str, values: FloatArray) -> bool:
-    """Whether a channel's size says that it is in degrees: it goes beyond what radians can be, and gets there by moving.
+    """Whether a channel's size says that it is in degrees: it goes beyond what radians can be, and
+    gets there by moving.
 
-    Damaged samples leap there; a channel in degrees passes the limit in steps as small as its others.
-    """
+    Damaged samples leap there; a channel in degrees passes the limit in steps as small as its
+    others."""
     good = values[np.isfinite(values)]
     limit = MOST_RAD[name]
     if good.size < 3 or float(np.quantile(np.abs(good), 0.99)) <= limit:
@@ -312,7 +351,10 @@ def degrees_by_size(name: str, values: FloatArray) -> bool:
 
 
 def _slips(record: FlightRecord, wrong: Sequence[Heard]) -> Iterator[Slip]:
-    """Every slip that would touch a law which does not hold. Sensors of one kind share a unit if they share their noise."""
+    """Every slip that would touch a law which does not hold.
+
+    Sensors of one kind share a unit if they share their noise.
+    """
     touched = {n for h in wrong for n in h.law.uses}
     for family, units, due in _FAMILIES:
         together = len(family) > 1 and _alike(record, family)
@@ -339,7 +381,9 @@ def _slips(record: FlightRecord, wrong: Sequence[Heard]) -> Iterator[Slip]:
 
 
 def _alike(record: FlightRecord, channels: tuple[str, ...]) -> bool:
-    """Whether the channels' noise is of one size, as far as they show any (third differences, which motion hardly enters)."""
+    """Whether the channels' noise is of one size, as far as they show any (third differences, which
+    motion hardly enters).
+    """
     if not all(n in record for n in channels):
         return False
     steps = [np.abs(np.diff(record[n][np.isfinite(record[n])], 3)) for n in channels]
@@ -408,8 +452,9 @@ def _named(
     either = "".join(f"; or {' '.join(r.channels)}: {r.words}" for r in rivals)
     for channel in slip.channels:
         text = (
-            f"{channel} is {size} times {best.law.says} (between {low:.3g} and {high:.3g}, coherence {relation.coherence:.2f}):"
-            f" {slip.words}; without it {len(repaired)} of the {len(broke)} relations that do not hold do{either}"
+            f"{channel} is {size} times {best.law.says} (between {low:.3g} and {high:.3g},"
+            f" coherence {relation.coherence:.2f}): {slip.words}; without it {len(repaired)} of the"
+            f" {len(broke)} relations that do not hold do{either}"
         )
         numbers = {
             "slope": slip.factor,
@@ -434,8 +479,9 @@ def _named(
 def _unexplained(h: Heard) -> Finding:
     r = h.relation
     text = (
-        f"{h.law.subject} is {r.scale:.3g} times {h.law.says} (between {r.low:.3g} and {r.high:.3g}, coherence {r.coherence:.2f}),"
-        f" and no unit or sign of one channel explains it: look at {', '.join(h.law.uses)}"
+        f"{h.law.subject} is {r.scale:.3g} times {h.law.says} (between {r.low:.3g} and"
+        f" {r.high:.3g}, coherence {r.coherence:.2f}), and no unit or sign of one channel explains"
+        f" it: look at {', '.join(h.law.uses)}"
     )
     numbers = {
         "slope": r.scale,
@@ -449,7 +495,9 @@ def _unexplained(h: Heard) -> Finding:
 
 
 def _delays(record: FlightRecord, laws: Sequence[Heard], ground_late_s: float) -> list[Finding]:
-    """Channels that come late: the attitude against the rates, the ground velocity and the air data against the accelerations."""
+    """Channels that come late: the attitude against the rates, the ground velocity and the air data
+    against the accelerations.
+    """
     path = [h for h in laws if h.law.subject in ACCELERATIONS and set(GROUND) <= set(h.law.uses)]
     out = [
         *_together("attitude", "the body rates", [h for h in laws if h.law.subject in RATES], 0.0),
@@ -477,7 +525,9 @@ def _delays(record: FlightRecord, laws: Sequence[Heard], ground_late_s: float) -
 def _together(
     channel: str, reference: str, members: Sequence[Heard], known_s: float
 ) -> Iterator[Finding]:
-    """Delay that several laws have in common, into none of which gusts enter; ``known_s``: the part already corrected."""
+    """Delay that several laws have in common, into none of which gusts enter; ``known_s``: the part
+    already corrected.
+    """
     good = [h.relation for h in members if h.agrees and h.relation.coherence > _LATE_COHERENCE]
     if good:
         weight = np.array([r.late_std_s**-2 for r in good])
@@ -488,12 +538,14 @@ def _together(
 
 
 def surely_late(late_s: float, std_s: float) -> bool:
-    """Whether an estimated lateness counts as one: more than 10 ms and more than four standard errors, less than 0.45 s.
+    """Whether an estimated lateness counts as one: more than 10 ms and more than four standard
+    errors, less than 0.45 s.
 
     Parameters
     ----------
     late_s, std_s : float
-        The lateness and its standard error [s], as a finding ``delay`` gives them. NaN is no lateness.
+        The lateness and its standard error [s], as a finding ``delay`` gives them. NaN is no
+        lateness.
 
     Returns
     -------
@@ -515,7 +567,10 @@ def _delay(
 ) -> Finding:
     how = "in what the controls moved" if by == "controls" else f"coherence {coherence:.2f}"
     side = "after" if late_s > 0 else "before"
-    text = f"{channel} comes {abs(late_s) * 1e3:.0f} +- {std_s * 1e3:.1f} ms {side} {reference} ({how})"
+    text = (
+        f"{channel} comes {abs(late_s) * 1e3:.0f} +- {std_s * 1e3:.1f} ms {side} {reference}"
+        f" ({how})"
+    )
     numbers = {"delay_s": late_s, "std_s": std_s, "correlation": math.sqrt(max(coherence, 0.0))}
     severity = "info" if abs(late_s) < 0.05 else "warning"
     return Finding(

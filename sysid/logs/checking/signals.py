@@ -1,4 +1,7 @@
-"""What was done to a channel's samples: held, interpolated, quantised, stuck, wrapped. Pure numerics."""
+"""What was done to a channel's samples: held, interpolated, quantised, stuck, wrapped.
+
+Pure numerics.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +49,9 @@ _WRAPS = tuple(
 
 @dataclass(frozen=True)
 class Held:
-    """run: samples from one change to the next; quantum: size of the smallest step; held: the value was kept, not merely coarse."""
+    """run: samples from one change to the next; quantum: size of the smallest step; held: the value
+    was kept, not merely coarse.
+    """
 
     run: float
     quantum: float
@@ -56,9 +61,8 @@ class Held:
 def held(values: FloatArray) -> Held | None:
     """How a channel repeats its values; None where it changes with most samples, or hardly moves.
 
-    A coarse channel repeats its value while it moves by less than a step, and then moves by one step. A held channel moves by what
-    has gathered, or all its changes fall on one beat.
-    """
+    A coarse channel repeats its value while it moves by less than a step, and then moves by one
+    step. A held channel moves by what has gathered, or all its changes fall on one beat."""
     good = values[np.isfinite(values)]
     if len(good) < _LEAST:
         return None
@@ -71,7 +75,8 @@ def held(values: FloatArray) -> Held | None:
         return None
     sizes = steps[changes]
     quantum = float(np.quantile(sizes, 0.01))
-    # A coarse channel comes back to the values that it has; one that is held meets new ones, however its steps differ.
+    # A coarse channel comes back to the values that it has; one that is held meets new ones,
+    # however its steps differ.
     levels = len(np.unique(np.round(good / max(0.1 * quantum, np.finfo(np.float64).tiny))))
     gathered = float(np.mean(sizes > 1.5 * quantum)) > 0.3 and levels > 0.5 * len(changes)
     beat = int(np.median(moving))
@@ -80,7 +85,9 @@ def held(values: FloatArray) -> Held | None:
 
 
 def interpolated(values: FloatArray) -> float | None:
-    """Samples from one measured value to the next where the ones between lie on straight lines; None where they do not."""
+    """Samples from one measured value to the next where the ones between lie on straight lines;
+    None where they do not.
+    """
     good = values[np.isfinite(values)]
     if len(good) < _LEAST:
         return None
@@ -109,7 +116,8 @@ def interpolated(values: FloatArray) -> float | None:
 
 
 def stuck(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, int] | None:
-    """First and last sample of the longest stand-still of a channel that moves with nearly every sample else.
+    """First and last sample of the longest stand-still of a channel that moves with nearly every
+    sample else.
 
     noisy  its noise has to move it: for channels that may stand still in flight
     """
@@ -139,7 +147,8 @@ def stuck(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, i
     if noisy:
         lively = lively and all(_noisy(side) for side in sides)
     if len(sides) == 1:
-        # It stood still to an end of the log. A simulation without noise does so too, in its steady flight.
+        # It stood still to an end of the log. A simulation without noise does so too, in its steady
+        # flight.
         lively = lively and _noise(sides[0]) > _LEAST_NOISE * _median(np.abs(np.diff(sides[0])))
     others = np.delete(ends - begins, longest)
     alone = not len(others) or int(others.max()) < _ALONE * (last - first)
@@ -147,7 +156,9 @@ def stuck(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, i
 
 
 def _noise(values: FloatArray) -> float:
-    """Standard deviation of the channel's noise, from sixth differences, which motion hardly enters."""
+    """Standard deviation of the channel's noise, from sixth differences, which motion hardly
+    enters.
+    """
     return _median(np.abs(np.diff(values[np.isfinite(values)], 6))) / (0.6745 * _SIXTH)
 
 
@@ -160,7 +171,8 @@ def _step_of_lattice(steps: FloatArray) -> float:
     if not len(steps):
         return 0.0
     smallest = float(steps.min())
-    # The smallest step may be some units; the median of what the small ones say is free of their rounding.
+    # The smallest step may be some units; the median of what the small ones say is free of their
+    # rounding.
     for units in range(1, 11):
         unit = smallest / units
         small = steps[steps < 20.0 * smallest]
@@ -172,7 +184,9 @@ def _step_of_lattice(steps: FloatArray) -> float:
 
 
 def _noisy(values: FloatArray) -> bool:
-    """Whether noise rather than motion makes the steps from sample to sample: of white noise each undoes half of the one before."""
+    """Whether noise rather than motion makes the steps from sample to sample: of white noise each
+    undoes half of the one before.
+    """
     steps = np.diff(values)
     steps = steps[np.isfinite(steps)]
     steps = steps - steps.mean() if len(steps) else steps
@@ -180,7 +194,9 @@ def _noisy(values: FloatArray) -> bool:
 
 
 def _lattice(steps: FloatArray) -> list[tuple[float, str]]:
-    """Ranges of a number of 8 or 16 bits in the unit of the smallest step, where all steps are whole multiples of it."""
+    """Ranges of a number of 8 or 16 bits in the unit of the smallest step, where all steps are
+    whole multiples of it.
+    """
     if not len(steps):
         return []
     unit = float(steps.min())
@@ -195,8 +211,8 @@ def _lattice(steps: FloatArray) -> list[tuple[float, str]]:
 def wraps(raw: FloatArray) -> tuple[int, float, str] | None:
     """Jumps of a whole integer range, their number, the range and what it is; None without any.
 
-    A number that wraps leaves its range at one end and comes back at the other, and put together again it moves as it usually does.
-    """
+    A number that wraps leaves its range at one end and comes back at the other, and put together
+    again it moves as it usually does."""
     values = raw[np.isfinite(raw)]
     if len(values) < 20:
         return None
@@ -236,16 +252,23 @@ _STEPS_BACK = -0.25  # correlation of neighbouring steps: -0.5 for white noise, 
 _NOISE = -0.55  # the same of third differences, which motion hardly enters: -0.75 for white noise
 _THIRD = 20.0**0.5  # third differences over white noise, 1 + 9 + 9 + 1 in variance
 _EXPLAINED = 10.0
-"""Steps of an airspeed over those that accelerometer noise makes: 1 to 3 of estimates, 37 or more of ArduPlane's sensor."""
+"""Steps of an airspeed over those that accelerometer noise makes: 1 to 3 of estimates, 37 or more
+of ArduPlane's sensor.
+"""
 _LEAST_NOISE_MPS2 = 1e-4
-"""Below any accelerometer's noise (a hundredth of a milligravity), and ten times what a simulation's integrators leave."""
+"""Below any accelerometer's noise (a hundredth of a milligravity), and ten times what a
+simulation's integrators leave.
+"""
 _MOST_SAMPLES, _ON_ROW = 4, 0.01  # of a channel until one falls on a row of the grid, and how near
 _ESTIMATES_LEAST = 100
 _SPOILS = "standard errors; in gusts an estimate misses the gust, and derivatives from it are wrong"
 
 
 def check_estimates(flight: FlightRecord) -> list[Finding]:
-    """Rates, airspeed and angles of flow that no sensor measured. Nothing is said where no channel shows noise (a simulation)."""
+    """Rates, airspeed and angles of flow that no sensor measured.
+
+    Nothing is said where no channel shows noise (a simulation).
+    """
     told = set(flight.metadata.estimates)
     if len(flight) < _ESTIMATES_LEAST or not any(
         _estimates_noisy(flight, n) for n in ACCELERATIONS
@@ -260,7 +283,10 @@ def check_estimates(flight: FlightRecord) -> list[Finding]:
         found.append(
             (
                 "V_mps",
-                "changes as the accelerometers say from sample to sample: no airspeed sensor's noise is in it",
+                (
+                    "changes as the accelerometers say from sample to sample: no airspeed sensor's"
+                    " noise is in it"
+                ),
             )
         )
     for name in _computed_angles(flight):
@@ -268,7 +294,10 @@ def check_estimates(flight: FlightRecord) -> list[Finding]:
             found.append(
                 (
                     name,
-                    "has the attitude's noise and none of its own: it was computed from attitude and ground velocity",
+                    (
+                        "has the attitude's noise and none of its own: it was computed from"
+                        " attitude and ground velocity"
+                    ),
                 )
             )
     return [
@@ -356,7 +385,8 @@ def _smooth_speed(flight: FlightRecord) -> bool:
     left = (flight["V_mps"] - felt)[::rows]
     if not _steps_back(left) > _STEPS_BACK:
         return False
-    # A sensor whose noise is filtered takes no steps back either, but it has more of it than the accelerometers explain.
+    # A sensor whose noise is filtered takes no steps back either, but it has more of it than the
+    # accelerometers explain.
     means = change[: change.size // rows * rows].reshape(-1, rows).mean(axis=1)
     explained = _fast(means) / _THIRD * rows * flight.dt_s
     return _typical(np.diff(left)) < _EXPLAINED * explained

@@ -1,10 +1,10 @@
 """The sign of each surface, by the angular acceleration that it makes.
 
-+ elevator pitches the nose down, + aileron rolls right, + rudder yaws the nose left. The angular acceleration about the surface's
-axis is regressed on the surface, the other surface of the plane, the rates and the angles of flow: what an autopilot does against
-a gust goes with the motion, what a surface does comes beside it. A surface moves as it was told to, and the aircraft a little
-later: the lag is the one that explains most.
-"""
++ elevator pitches the nose down, + aileron rolls right, + rudder yaws the nose left. The angular
+acceleration about the surface's axis is regressed on the surface, the other surface of the plane,
+the rates and the angles of flow: what an autopilot does against a gust goes with the motion, what a
+surface does comes beside it. A surface moves as it was told to, and the aircraft a little later:
+the lag is the one that explains most."""
 
 from __future__ import annotations
 
@@ -27,14 +27,18 @@ _MIN_S, _MOST_S = 8.0, 300.0
 _LEAST_HZ = 18.0
 _SURE = 6.0  # standard errors of a sign
 _SHARE = 0.15  # of what is left of the angular acceleration that the surface must explain
-_AGAINST = 0.3  # of that share, explained before with the other sign: a quick aircraft swings back within the lags tried
+# of that share, explained before with the other sign: a quick aircraft swings back within the lags
+# tried
+_AGAINST = 0.3
 _MOVING_DEG = 0.3  # rms in the band
 _TURNING = "angular acceleration"
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A surface, the rate [rad/s] that it drives, the sign of its effect, and what else drives that rate."""
+    """A surface, the rate [rad/s] that it drives, the sign of its effect, and what else drives that
+    rate.
+    """
 
     surface: str
     rate: str
@@ -51,7 +55,8 @@ AXES = (
 
 @dataclass(frozen=True)
 class Effect:
-    """Angular acceleration a degree, 1/s2, its standard error, the surface's lag and the share of variance that it explains.
+    """Angular acceleration a degree, 1/s2, its standard error, the surface's lag and the share of
+    variance that it explains.
 
     against  the largest share that an earlier lag explains, at which the effect has the other sign
     """
@@ -82,11 +87,14 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
         (record.metadata.native_hz.get(n, 1.0 / dt) for n in (column, axis.rate)), default=1.0 / dt
     )
     if native < _LEAST_HZ:
-        return None  # an autopilot answers a gust within a sample: what it does and what that does cannot be told apart
+        # an autopilot answers a gust within a sample: what it does and what that does cannot be
+        # told apart
+        return None
     high = min(_BAND_HZ[1], 0.2 * native)
     others = tuple(n for n in axis.others if n in record and np.isfinite(record[n]).mean() > 0.5)
     if "alpha_rad" in others and "alpha_rad" not in record.metadata.estimates:
-        # Lift is that of alpha and of the elevator: beside a measured alpha it would stand for the elevator itself.
+        # Lift is that of alpha and of the elevator: beside a measured alpha it would stand for the
+        # elevator itself.
         others = tuple(n for n in others if n != "az_mps2")
     parts = _parts(record, (column, axis.rate, *others), dt)
     if not parts or high < 2.0 * _BAND_HZ[0]:
@@ -123,8 +131,9 @@ def check_surfaces(record: FlightRecord) -> list[Finding]:
             "rudder_deg": "yaws the nose right",
         }
         text = (
-            f"+ {column} {does[axis.surface]}: {axis.rate} changes by {found.slope:+.3g} +- {found.std:.2g} rad/s2 a degree,"
-            f" {found.late_s * 1e3:.0f} ms later ({100 * found.share:.0f} % of what else is left): its sign is reversed"
+            f"+ {column} {does[axis.surface]}: {axis.rate} changes by {found.slope:+.3g} +-"
+            f" {found.std:.2g} rad/s2 a degree, {found.late_s * 1e3:.0f} ms later"
+            f" ({100 * found.share:.0f} % of what else is left): its sign is reversed"
         )
         numbers = {
             "slope": -1.0,
@@ -170,7 +179,9 @@ def _parts(record: FlightRecord, names: tuple[str, ...], dt: float) -> list[dict
 def _regressed(
     rows: list[dict[str, FloatArray]], column: str, others: tuple[str, ...], lag: int, dt: float
 ) -> Effect | None:
-    """Regression with the surface ``lag`` samples earlier; errors from sums over some seconds (Liang and Zeger 1986)."""
+    """Regression with the surface ``lag`` samples earlier; errors from sums over some seconds
+    (Liang and Zeger 1986).
+    """
     targets, designs, blocks, first = [], [], [], 0
     for c in rows:
         n = c[column].size - lag

@@ -1,21 +1,26 @@
-"""How late an angle of flow or an airspeed comes, separated from gusts by what the controls alone have moved.
+"""How late an angle of flow or an airspeed comes, separated from gusts by what the controls alone
+have moved.
 
     y(t) = k x(t - tau) + g(t)
 
-y is the channel's derivative, x what rates and accelerations say of it, g the gusts' own derivative. The aircraft answers gusts: x
-and g have a cross-spectrum Sxg, that of x and y is k Sxx exp(-i w tau) + Sxg, and its phase is no lateness, whatever the coherence.
-A control z that does not follow gusts has nothing in common with them: Szy = k exp(-i w tau) Szx holds in any air. Controls are
-instruments, and the estimate is that of limited information maximum likelihood, in bands of frequency:
+y is the channel's derivative, x what rates and accelerations say of it, g the gusts' own
+derivative. The aircraft answers gusts: x and g have a cross-spectrum Sxg, that of x and y is k Sxx
+exp(-i w tau) + Sxg, and its phase is no lateness, whatever the coherence. A control z that does not
+follow gusts has nothing in common with them: Szy = k exp(-i w tau) Szx holds in any air. Controls
+are instruments, and the estimate is that of limited information maximum likelihood, in bands of
+frequency:
 
-    Q(k, tau) = sum over bands of 2 (n - p) log(1 + |P r|^2 / (n - p) s^2),   r = y - k exp(-i w tau) x
+    Q(k, tau) = sum over bands of 2 (n - p) log(1 + |P r|^2 / (n - p) s^2),   r = y - k exp(-i w
+    tau) x
 
-P projects the n frequencies of a band on its p instruments, s^2 is the power of the rest. Least squares is the case z = x. It is
-right in calm air; the part of y that it leaves may be a gust in step with x, and its error says what that can do.
+P projects the n frequencies of a band on its p instruments, s^2 is the power of the rest. Least
+squares is the case z = x. It is right in calm air; the part of y that it leaves may be a gust in
+step with x, and its error says what that can do.
 
-Anderson and Rubin, Ann. Math. Stat. 20 (1949) 46 (estimate); Bekker, Econometrica 62 (1994) 657 (many instruments); Newey and West,
-Econometrica 55 (1987) 703 (gusts that are stronger at some times); Sargan, Econometrica 26 (1958) 393 (Q at its minimum); Stock
-and Yogo in "Identification and Inference for Econometric Models", 2005, 80 (instruments that are too weak).
-"""
+Anderson and Rubin, Ann. Math. Stat. 20 (1949) 46 (estimate); Bekker, Econometrica 62 (1994) 657
+(many instruments); Newey and West, Econometrica 55 (1987) 703 (gusts that are stronger at some
+times); Sargan, Econometrica 26 (1958) 393 (Q at its minimum); Stock and Yogo in "Identification and
+Inference for Econometric Models", 2005, 80 (instruments that are too weak)."""
 
 from __future__ import annotations
 
@@ -50,12 +55,16 @@ INSTRUMENTS = {
 _LATE_S = 0.005 * np.arange(-100.0, 101.0)
 _LOG_SCALES = 0.05 * np.arange(-12.0, 13.0)
 _FINE_LOG_SCALES = 0.02 * np.arange(-40.0, 41.0)
-_SCALE_STD = 0.15  # of the scale's logarithm before anything is measured: sensors that are out by more are another finding
+# of the scale's logarithm before anything is measured: sensors that are out by more are another
+# finding
+_SCALE_STD = 0.15
 _FLOOR = 0.01  # relative: no two sensors agree better
 _FINER, _TIMES = 5.0, 3
 _BROKEN = 0.05  # chance at which restrictions that hold pass for broken
 _DEPENDENT = 1e-6
-_ROW = 0.05  # of a row: a control's jump is in the acceleration of its own row, in the mean half a row early; a tenth of lift jumps
+# of a row: a control's jump is in the acceleration of its own row, in the mean half a row early; a
+# tenth of lift jumps
+_ROW = 0.05
 _STRONG = 10.0
 _TOGETHER_S = 5.0  # within which what is left over is taken for one gust
 
@@ -65,7 +74,8 @@ class Late:
     """How late a channel comes.
 
     std_s    standard error of ``late_s``, infinite where the flight does not tell      scale  k
-    misfit   Q at its minimum, chi-squared with ``freedom`` where instruments and gusts have nothing in common
+    misfit   Q at its minimum, chi-squared with ``freedom`` where instruments and gusts have nothing
+    in common
     by       "controls" or "motion": the instruments
     """
 
@@ -82,7 +92,9 @@ UNKNOWN = Late(0.0, math.inf, math.nan, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Part:
-    """Fourier transforms of one stretch of ``rows`` samples: x, y (n,) and instruments z (p, n) at frequencies f (n,) [Hz]."""
+    """Fourier transforms of one stretch of ``rows`` samples: x, y (n,) and instruments z (p, n) at
+    frequencies f (n,) [Hz].
+    """
 
     f: FloatArray
     x: ComplexArray
@@ -100,8 +112,8 @@ class Part:
 
 @dataclass(frozen=True)
 class _Told:
-    """Information (2, 2) that a band's instruments give, the variance that chance adds to the score, the score's factor (n, 2), and
-    what is left over (n,)."""
+    """Information (2, 2) that a band's instruments give, the variance that chance adds to the
+    score, the score's factor (n, 2), and what is left over (n,)."""
 
     information: FloatArray
     chance: FloatArray
@@ -112,7 +124,9 @@ class _Told:
 
 @dataclass(frozen=True)
 class _Band:
-    """A band's part of both signals, (n,), an orthonormal base of its instruments, (n, p), and which frequencies these are."""
+    """A band's part of both signals, (n,), an orthonormal base of its instruments, (n, p), and
+    which frequencies these are.
+    """
 
     omega: FloatArray
     x: ComplexArray
@@ -130,7 +144,9 @@ class _Band:
         return int(self.base.shape[1])
 
     def powers(self, late_s: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Power of r along the instruments, and of the rest by frequency, each (late, scale); a floor is in the latter."""
+        """Power of r along the instruments, and of the rest by frequency, each (late, scale); a
+        floor is in the latter.
+        """
         turned = np.exp(-1j * np.outer(late_s, self.omega)) * self.x
         along, on_base = np.conj(self.base.T) @ self.y, turned @ np.conj(self.base)
         k = scale[None, :]
@@ -174,7 +190,8 @@ def _power(values: ComplexArray) -> float:
 
 
 def channel_lateness(record: FlightRecord, law: Law, by_motion: bool = True) -> Late:
-    """How late a law's subject (one of INSTRUMENTS) comes in a flight: by controls or, if they may serve, by the motion itself.
+    """How late a law's subject (one of INSTRUMENTS) comes in a flight: by controls or, if they may
+    serve, by the motion itself.
 
     The one with the smaller standard error counts, since both errors say what gusts can do.
     """
@@ -221,7 +238,9 @@ def _by(found: Stretches, law: Law, controls: Sequence[str]) -> Late:
 
 
 def _gusts_s(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]], late: Late) -> float:
-    """Lateness [s] for which gusts in step with the motion would pass that are as strong as all that the motion leaves."""
+    """Lateness [s] for which gusts in step with the motion would pass that are as strong as all
+    that the motion leaves.
+    """
     turn, weight = 0.0, 0.0
     for b in _bands(parts, groups):
         turned = late.scale * b.x * np.exp(-1j * b.omega * late.late_s)
@@ -236,14 +255,17 @@ def _gusts_s(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]], late: L
 
 
 def lateness(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]]) -> Late:
-    """Lateness of y after x by the instruments z, in ``groups`` (bands) of the parts' frequencies, one after another."""
+    """Lateness of y after x by the instruments z, in ``groups`` (bands) of the parts' frequencies,
+    one after another.
+    """
     bands = _bands(parts, groups)
     if not bands:
         return UNKNOWN
     late_s, scale, misfit = _least(bands)
     told = [band.at(late_s, scale) for band in bands]
     information = np.sum([t.information for t in told], axis=0) + np.diag([0.0, _SCALE_STD**-2])
-    # How far chance alone can take the information: instruments with less than many times that are weak (Stock and Yogo).
+    # How far chance alone can take the information: instruments with less than many times that are
+    # weak (Stock and Yogo).
     by_chance = math.sqrt(sum(float(t.chance[0, 0]) ** 2 / t.instruments for t in told))
     of_late = information[0, 0] - information[0, 1] ** 2 / information[1, 1]
     if not of_late > _STRONG * by_chance or not information[1, 1] > 0.0:
@@ -254,7 +276,8 @@ def lateness(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]]) -> Late
         float((inverse @ m @ inverse)[0, 0]) for m in (spread, _score_variance(parts, bands, told))
     ]
     freedom = 2.0 * sum(b.instruments for b in bands) - 1.0
-    # Instruments that follow gusts: the part that passes for lateness may be as large as all that does not.
+    # Instruments that follow gusts: the part that passes for lateness may be as large as all that
+    # does not.
     broken = 1.0 + max(0.0, misfit - float(chdtri(freedom, _BROKEN)))
     return Late(
         late_s,
@@ -266,10 +289,11 @@ def lateness(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]]) -> Late
 
 
 def _variance_by_likelihood(bands: Sequence[_Band], late_s: float, misfit: float) -> float:
-    """Variance by which Q is so much larger where nothing is late: in a short flight its minimum may be one of several.
+    """Variance by which Q is so much larger where nothing is late: in a short flight its minimum
+    may be one of several.
 
-    Of N samples of unknown variance, one that is z standard errors off raises Q by N log(1 + z^2 / N).
-    """
+    Of N samples of unknown variance, one that is z standard errors off raises Q by N log(1 + z^2 /
+    N)."""
     samples = 2.0 * sum(b.count - b.instruments for b in bands)
     more = float(np.min(_misfits(bands, np.zeros(1), _FINE_LOG_SCALES))) - misfit
     squares = samples * math.expm1(min(more / samples, 50.0))
@@ -323,7 +347,9 @@ def _misfits(bands: Sequence[_Band], late_s: FloatArray, log_scales: FloatArray)
 def _score_variance(
     parts: Sequence[Part], bands: Sequence[_Band], told: Sequence[_Told]
 ) -> FloatArray:
-    """(2, 2) variance of the score by how it comes about in time: a roll turns slow gusts into fast ones, where controls move."""
+    """(2, 2) variance of the score by how it comes about in time: a roll turns slow gusts into fast
+    ones, where controls move.
+    """
     count = bands[0].which.size
     factor, left = np.zeros((count, 2), dtype=np.complex128), np.zeros(count, dtype=np.complex128)
     for b, t in zip(bands, told, strict=True):

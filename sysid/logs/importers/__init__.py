@@ -1,4 +1,6 @@
-"""One importer per log format, each `read(path, wanted, progress) -> RawLog`; `detect` finds the format by content."""
+"""One importer per log format, each `read(path, wanted, progress) -> RawLog`; `detect` finds the
+format by content.
+"""
 
 import lazy_loader
 

@@ -1,9 +1,8 @@
 """ArduPilot DataFlash .bin: one pass in blocks, each message type decoded as a whole by numpy.
 
-Memory: one block, plus the wanted fields in their stored width. A record is found by following the lengths that the FMT
-records announce; where the chain breaks the reader looks for the next pair of records that fit together and reports
-the bytes it skipped.
-"""
+Memory: one block, plus the wanted fields in their stored width. A record is found by following the
+lengths that the FMT records announce; where the chain breaks the reader looks for the next pair of
+records that fit together and reports the bytes it skipped."""
 
 from __future__ import annotations
 
@@ -60,7 +59,9 @@ INSTANCE_NAMES = ("I", "C", "Instance", "Inst")
 
 @dataclass(frozen=True)
 class Format:
-    """One FMT record: type number, total length in bytes, name, format characters and column names."""
+    """One FMT record: type number, total length in bytes, name, format characters and
+    column names.
+    """
 
     type: int
     length: int
@@ -79,7 +80,9 @@ class Format:
 
     @property
     def instance_column(self) -> str | None:
-        """The column that numbers instances of one sensor, by its usual names; None when there is none."""
+        """The column that numbers instances of one sensor, by its usual names; None when there is
+        none.
+        """
         for column, character in zip(self.columns, self.characters, strict=True):
             if column in INSTANCE_NAMES and character in "bBhHiI":
                 return column
@@ -89,8 +92,8 @@ class Format:
     def time_column(self) -> tuple[str, float] | None:
         """(column, seconds per unit) of the time stamp, or None.
 
-        In the GPS message of logs before version 3.4 TimeMS is the GPS time of week; T is the autopilot's clock.
-        """
+        In the GPS message of logs before version 3.4 TimeMS is the GPS time of week; T is the
+        autopilot's clock."""
         if self.name.startswith("GPS") and "TimeUS" not in self.columns and "T" in self.columns:
             return "T", 1e-3
         for name, scale in (("TimeUS", 1e-6), ("TimeMS", 1e-3)):
@@ -100,7 +103,9 @@ class Format:
 
 
 def make_format(kind: int, length: int, name: str, characters: str, columns: str) -> Format | None:
-    """Build a Format; None when it contradicts itself (a damaged FMT record must not steer the reader)."""
+    """Build a Format; None when it contradicts itself (a damaged FMT record must not steer the
+    reader).
+    """
     names = tuple(columns.split(",")) if columns else ()
     printable = name.isascii() and name.isidentifier() and len(name) <= 4
     if (
@@ -117,7 +122,9 @@ def make_format(kind: int, length: int, name: str, characters: str, columns: str
 
 
 def scaled(values: NDArray[Any], character: str) -> NDArray[Any]:
-    """Field values in the field's unit: multiplied where the format says so, text decoded, the rest unchanged."""
+    """Field values in the field's unit: multiplied where the format says so, text decoded, the rest
+    unchanged.
+    """
     kind, multiplier = CHARACTERS[character]
     if kind.startswith("S"):
         return np.array(
@@ -171,10 +178,11 @@ def assemble(
     places: Mapping[str, NDArray[np.int64]] | None = None,
     headers: tuple[int, ...] = (),
 ) -> RawLog:
-    """Split instances and pull out parameters, texts and vehicle. Raises LogError when nothing carries a time.
+    """Split instances and pull out parameters, texts and vehicle. Raises LogError when nothing
+    carries a time.
 
-    places   position in the file of each record, by message      headers  positions of further headers of a log
-    """
+    places   position in the file of each record, by message      headers  positions of further
+    headers of a log"""
     places = places or {}
     messages: dict[tuple[str, int], MessageTable] = {}
     for name in list(columns):
@@ -204,12 +212,14 @@ def assemble(
     return RawLog(
         headers=headers,
         text_places=() if said is None or said.place is None else tuple(said.place.tolist()),
-        parameter_log=()
-        if set_at is None or not parameters
-        else tuple(
-            (int(at), str(n), float(v))
-            for at, n, v in zip(
-                set_at, columns["PARM"]["Name"], columns["PARM"]["Value"], strict=False
+        parameter_log=(
+            ()
+            if set_at is None or not parameters
+            else tuple(
+                (int(at), str(n), float(v))
+                for at, n, v in zip(
+                    set_at, columns["PARM"]["Name"], columns["PARM"]["Value"], strict=False
+                )
             )
         ),
         dialect=dialect,
@@ -223,7 +233,9 @@ def assemble(
 
 
 def _instances(table: Columns, column: str | None) -> list[tuple[int, Any]]:
-    """(instance, its rows); a column of more numbers than any vehicle has sensors counts something else."""
+    """(instance, its rows); a column of more numbers than any vehicle has sensors counts something
+    else.
+    """
     if column is None or column not in table:
         return [(0, slice(None))]
     numbers = table[column]
@@ -258,7 +270,9 @@ def _vehicle(
     columns: dict[str, Columns],
     parameters: Mapping[str, float],
 ) -> str:
-    """What the log calls itself, else what its parameters are of; an aeroplane that takes off on rotors says VTOL."""
+    """What the log calls itself, else what its parameters are of; an aeroplane that takes off on
+    rotors says VTOL.
+    """
     named = _named(texts, columns)
     if not named:
         # Parameters that one kind of vehicle alone has.
@@ -311,7 +325,9 @@ class _Walker:
         self.bad_formats = 0
 
     def block(self, data: bytes, base: int, last: bool) -> int:
-        """Decode the whole records of `data` (file offset `base`); return the number of bytes used."""
+        """Decode the whole records of `data` (file offset `base`); return the number of
+        bytes used.
+        """
         self.base = base
         offsets: list[list[int]] = [[] for _ in range(256)]
         lengths = self.lengths
@@ -354,7 +370,9 @@ class _Walker:
         self.lengths[kind] = length
 
     def _resynchronise(self, data: bytes, pos: int, base: int) -> int:
-        """Next position at which a known record is followed by another header (or the block ends)."""
+        """Next position at which a known record is followed by another header (or the block
+        ends).
+        """
         start = pos
         pos = data.find(MAGIC, pos + 1)
         while pos >= 0 and pos + 3 <= len(data):
@@ -388,7 +406,8 @@ class _Walker:
         columns = self.collected[fmt.name]
         known = self.kept.setdefault(fmt.name, fmt)
         if (known.characters, known.columns) != (fmt.characters, fmt.columns):
-            columns.clear()  # the format changed: an array of one field must not fall out of step with the others
+            # the format changed: an array of one field must not fall out of step with the others
+            columns.clear()
             self.places[fmt.name].clear()
         self.kept[fmt.name] = fmt
         buffer = np.frombuffer(data, dtype=np.uint8)
@@ -427,8 +446,9 @@ class _Walker:
                     "damaged-bytes",
                     "",
                     "warning",
-                    f"{self.skipped_bytes} of {size} bytes could not be read ({self.skips} places, the first at offset"
-                    f" {self.first_skip}): the log is damaged, cut short, or was not closed",
+                    f"{self.skipped_bytes} of {size} bytes could not be read ({self.skips} places,"
+                    f" the first at offset {self.first_skip}): the log is damaged, cut short, or"
+                    " was not closed",
                     {
                         "bytes": self.skipped_bytes,
                         "places": self.skips,
@@ -442,7 +462,8 @@ class _Walker:
                     "damaged-format",
                     "FMT",
                     "warning",
-                    f"{self.bad_formats} FMT records contradict themselves; their messages were left out",
+                    f"{self.bad_formats} FMT records contradict themselves; their messages were"
+                    " left out",
                     {"count": self.bad_formats},
                 )
             )
@@ -457,17 +478,17 @@ def _array(data: bytearray, character: str) -> NDArray[Any]:
 def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
     """Read a binary DataFlash log.
 
-    wanted  message -> fields to keep (None keeps everything); messages that the checks need are kept always.
-    Raises LogError when no record can be read.
-    """
+    wanted  message -> fields to keep (None keeps everything); messages that the checks need are
+    kept always. Raises LogError when no record can be read."""
     walker = _Walker(wanted)
     with open_regular(path) as handle:
         size = os.fstat(handle.fileno()).st_size
         _blocks(handle, walker, size, progress)
     if sum(walker.counts.values()) - walker.counts["FMT"] <= 0:
         raise LogError(
-            f"no DataFlash record could be read in {size} bytes ({walker.counts['FMT']} FMT records found); "
-            "the log is empty, cut off in its header, or damaged: copy it from the autopilot again",
+            f"no DataFlash record could be read in {size} bytes ({walker.counts['FMT']} FMT records"
+            " found); the log is empty, cut off in its header, or damaged: copy it from the"
+            " autopilot again",
             path,
         )
     return assemble(

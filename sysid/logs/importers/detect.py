@@ -1,4 +1,6 @@
-"""Which importer a file needs, told by its content: logs get renamed, and a .bin may be anything."""
+"""Which importer a file needs, told by its content: logs get renamed, and a .bin may be
+anything.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,10 @@ _FOREIGN = {
     b"SQLite": "an SQLite database",
     b"PARE": "an encrypted Parquet file (export it without)",
 }
-_KNOWN = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, a flight record in Parquet or CSV, JSBSim's CSV"
+_KNOWN = (
+    "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, a flight record in Parquet or CSV,"
+    " JSBSim's CSV"
+)
 JSBSIM_HEADINGS = frozenset(
     {
         "V_{Total} (ft/s)",
@@ -46,7 +51,10 @@ JSBSIM_HEADINGS = frozenset(
 
 
 def detect(path: Path) -> str:
-    """dataflash | dataflash-text | tlog | ulog | parquet | jsbsim-csv | csv. LogError for anything else."""
+    """dataflash | dataflash-text | tlog | ulog | parquet | jsbsim-csv | csv.
+
+    LogError for anything else.
+    """
     try:
         with open_regular(path) as handle:
             head = handle.read(SNIFFED_BYTES)
@@ -72,13 +80,13 @@ def _not_recognised(head: bytes) -> str:
     line = next((x for x in content[0].splitlines() if x.strip(" #")), "") if content else ""
     if line:
         return (
-            f"not recognised as a flight log: a text whose first line is '{line.strip()[:80]}', and no table. A"
-            " table has a line of names, then rows of numbers, separated by commas, semicolons or tabs;"
-            f" allowed are also {_KNOWN}"
+            f"not recognised as a flight log: a text whose first line is '{line.strip()[:80]}', and"
+            " no table. A table has a line of names, then rows of numbers, separated by commas,"
+            f" semicolons or tabs; allowed are also {_KNOWN}"
         )
     return (
-        f"not recognised as a flight log (it begins with {head[:8].hex(' ')}); allowed are {_KNOWN}. "
-        "If this is one of them its beginning is damaged: copy the log again"
+        f"not recognised as a flight log (it begins with {head[:8].hex(' ')}); allowed are"
+        f" {_KNOWN}. If this is one of them its beginning is damaged: copy the log again"
     )
 
 
@@ -93,7 +101,9 @@ def _binary(head: bytes) -> str | None:
 
 
 def _tlog_frames(head: bytes) -> int:
-    """Longest run of frames (8 bytes of time, then a MAVLink packet) that follow one another near the beginning."""
+    """Longest run of frames (8 bytes of time, then a MAVLink packet) that follow one another near
+    the beginning.
+    """
     best = 0
     for start in range(min(600, len(head) - 16)):
         if head[start + 8] not in (0xFE, 0xFD):

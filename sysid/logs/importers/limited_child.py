@@ -1,9 +1,10 @@
-"""The process that `limited` starts: it reads one file after another, each within the memory it was told, and sends data.
+"""The process that `limited` starts: it reads one file after another, each within the memory it was
+told, and sends data.
 
-An order is a line of JSON on standard input. An answer is a row of frames on standard output: a letter, a length of 8 bytes, so
-many bytes. r: reading begins; p: share done; c: a part, as `sysid.foreign.typed_files` writes it; d: done; e: refused, the sentence;
-m: out of memory; x: failed, a traceback.
-"""
+An order is a line of JSON on standard input. An answer is a row of frames on standard output: a
+letter, a length of 8 bytes, so many bytes. r: reading begins; p: share done; c: a part, as
+`sysid.foreign.typed_files` writes it; d: done; e: refused, the sentence; m: out of memory; x:
+failed, a traceback."""
 
 from __future__ import annotations
 

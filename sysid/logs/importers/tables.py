@@ -1,9 +1,9 @@
-"""Tables as logs: a flight record in CSV or Parquet, any table with a user's map, and JSBSim's own CSV output.
+"""Tables as logs: a flight record in CSV or Parquet, any table with a user's map, and JSBSim's own
+CSV output.
 
-`table_format` says how a text is written, `table_times` which column holds the times. Only the columns that are asked
-for are read. Rows and columns are counted before memory is asked for: a cell of a table costs its writer a byte, or nothing
-where it is packed, and its reader eight.
-"""
+`table_format` says how a text is written, `table_times` which column holds the times. Only the
+columns that are asked for are read. Rows and columns are counted before memory is asked for: a cell
+of a table costs its writer a byte, or nothing where it is packed, and its reader eight."""
 
 from __future__ import annotations
 
@@ -99,7 +99,9 @@ def listed(names: Sequence[Any]) -> str:
 
 
 def sniff(head: bytes) -> TableFormat | None:
-    """How the table is written whose first bytes (up to SNIFFED_BYTES) these are; None where they are no table."""
+    """How the table is written whose first bytes (up to SNIFFED_BYTES) these are; None where they
+    are no table.
+    """
     content = decoded(head)
     if content is None:
         return None
@@ -136,7 +138,9 @@ def is_number(cell: str, decimal: str = ".") -> bool:
 def _read_as(
     lines: Sequence[tuple[int, str]], separator: str, decimal: str, encoding: str
 ) -> tuple[float, TableFormat | None]:
-    """Share of the cells that are numbers, weighted by their count, and the format; None where this is no table."""
+    """Share of the cells that are numbers, weighted by their count, and the format; None where this
+    is no table.
+    """
     try:
         rows = [
             next(
@@ -167,7 +171,8 @@ def _read_as(
         return 0.0, None
     first = [cell.strip() for cell in rows[0] if cell.strip()]
     if any(is_number(cell.strip(), decimal) for cell in rows[top]) and len(first) > 1:
-        # Names that are fewer than the cells below them are names all the same: the reader counts both.
+        # Names that are fewer than the cells below them are names all the same: the reader counts
+        # both.
         top = top if any(is_number(cell, decimal) for cell in first) else 0
     names = [cell.strip() for cell in rows[top]]
     body = [row[:narrow] for row in rows[top + 1 :] if len(row) == width]
@@ -244,7 +249,8 @@ def time_names(names: Sequence[str]) -> list[str]:
 def times_of(
     fields: Mapping[str, NDArray[Any]], time: TimeColumn | None, path: Path
 ) -> tuple[TimeColumn, FloatArray, list[Finding]]:
-    """The column of times and its unit, the times in s (NaN where there is none), and what had to be assumed.
+    """The column of times and its unit, the times in s (NaN where there is none), and what had to
+    be assumed.
 
     Raises LogError where no column holds times.
     """
@@ -275,8 +281,8 @@ def times_of(
             )
     if name is None:
         raise LogError(
-            'no time column; name it in a map ([signals.time_s] field = "..." unit = "s", ms, us or ns; times like'
-            f" 2024-05-01T12:00:00.02 need no unit); {listed(list(fields))}",
+            'no time column; name it in a map ([signals.time_s] field = "..." unit = "s", ms, us'
+            f" or ns; times like 2024-05-01T12:00:00.02 need no unit); {listed(list(fields))}",
             path,
         )
     values = readable[name]
@@ -307,8 +313,8 @@ def _seconds(values: NDArray[Any], time: TimeColumn, path: Path) -> FloatArray:
     numbers = _values(values)
     if numbers is None:
         raise LogError(
-            f"the time column {time.field} holds text that is no time ('{str(values[0])[:40]}'); allowed are"
-            " numbers, 2024-05-01T12:00:00.02 and 12:00:00.02",
+            f"the time column {time.field} holds text that is no time ('{str(values[0])[:40]}');"
+            " allowed are numbers, 2024-05-01T12:00:00.02 and 12:00:00.02",
             path,
         )
     return numbers * (1.0 if values.dtype == object else TIME_UNITS.get(time.unit, 1.0))
@@ -340,7 +346,8 @@ def _increases(values: FloatArray) -> bool:
     steps = np.diff(good)
     if not np.any(steps > 0.0) or float(np.mean(steps >= 0.0)) <= _INCREASING:
         return False
-    # Single damaged stamps are left out later, but a clock that begins again and again does not get on.
+    # Single damaged stamps are left out later, but a clock that begins again and again does not get
+    # on.
     return float(good[-1] - good[0]) > 0.4 * steps.size * float(np.median(steps))
 
 
@@ -371,7 +378,8 @@ _CSV_MARK = "# flight_record"
 _MESSAGE = "csv"
 _ROWS_LOOKED_AT = 100
 _QUOTED = re.compile(rb'"[^"]*"')
-# Suffix of a JSBSim property -> factor into SI. Angles keep the suffix's unit (a map's scale turns them).
+# Suffix of a JSBSim property -> factor into SI. Angles keep the suffix's unit (a map's scale turns
+# them).
 _SUFFIXES = {
     "-ft_sec2": FT_M,
     "-fps_sec": FT_M,
@@ -396,7 +404,9 @@ _FT_S2 = frozenset(f"BodyAccel_{axis}" for axis in "XYZ")
 
 
 def si_factor(name: str) -> float:
-    """Factor that turns a JSBSim property or heading into SI by its suffix; 1 for an unknown suffix or an angle."""
+    """Factor that turns a JSBSim property or heading into SI by its suffix; 1 for an unknown suffix
+    or an angle.
+    """
     if name in _FT_S2:
         return FT_M
     return next((f for s, f in _SUFFIXES.items() if name.endswith(s)), 1.0)
@@ -408,14 +418,16 @@ def read_csv(
     jsbsim: bool = False,
     time: TimeColumn | None = None,
 ) -> RawLog:
-    """One message "csv" whose fields are the columns that are wanted. Raises LogError with the line for a table that is none.
+    """One message "csv" whose fields are the columns that are wanted. Raises LogError with the line
+    for a table that is none.
 
     jsbsim  property names lose a leading /fdm/jsbsim/ and are turned into SI by their suffix
     time    the column of times, as a map names it; None to recognise it
     """
     written = _check_csv(path)
     with _readable("CSV table", path):
-        # All columns, for pandas says nothing of lines that are too long when it is to leave some out.
+        # All columns, for pandas says nothing of lines that are too long when it is to leave some
+        # out.
         frame = pd.read_csv(path, **_options(written, path))
     names = [_plain(name, jsbsim) for name in frame.columns]
     kept = _kept(names, wanted, time, path)
@@ -487,7 +499,10 @@ def _facts_of_units(names: Sequence[str], units: Sequence[str]) -> dict[str, str
 
 
 def read_record(path: Path, most_bytes: int | None = None) -> tuple[dict[str, NDArray[Any]], str]:
-    """Columns and metadata (JSON) of a flight record, recognised by content. Raises LogError naming file and column."""
+    """Columns and metadata (JSON) of a flight record, recognised by content.
+
+    Raises LogError naming file and column.
+    """
     with open_regular(path) as handle:
         packed = handle.read(4) == b"PAR1"
     columns, metadata = _record_parquet(path, most_bytes) if packed else _record_csv(path)
@@ -498,7 +513,10 @@ def read_record(path: Path, most_bytes: int | None = None) -> tuple[dict[str, ND
 
 
 def read_small_table(path: Path) -> dict[str, NDArray[Any]]:
-    """Columns of a CSV table with a header, texts where they are not numbers throughout. Raises LogError."""
+    """Columns of a CSV table with a header, texts where they are not numbers throughout.
+
+    Raises LogError.
+    """
     _check_csv(path)
     with _readable("CSV table", path):
         frame = pd.read_csv(path, dtype={"manoeuvre": str, "flight": str})
@@ -546,8 +564,8 @@ def _refuse_unknown(names: Sequence[Any], path: Path) -> None:
     unknown = next((name for name in names if str(name) not in allowed), None)
     if unknown is not None:
         raise LogError(
-            f"unknown column '{str(unknown)[:80]}': a table without a map has columns of the vocabulary alone"
-            f" ({', '.join(SIGNALS)}); {listed(names)}",
+            f"unknown column '{str(unknown)[:80]}': a table without a map has columns of the"
+            f" vocabulary alone ({', '.join(SIGNALS)}); {listed(names)}",
             path,
         )
 
@@ -573,7 +591,9 @@ def _plain_values(series: pd.Series) -> NDArray[Any]:
 
 
 def _numbers(series: pd.Series) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The values as numbers (NaN where they are none), and where they are something else than a number or nothing."""
+    """The values as numbers (NaN where they are none), and where they are something else than a
+    number or nothing.
+    """
     try:
         numbers = pd.to_numeric(series, errors="coerce")
     except OverflowError:  # an integer beyond what a float holds; as text it is infinite
@@ -583,7 +603,10 @@ def _numbers(series: pd.Series) -> tuple[NDArray[np.float64], NDArray[np.bool_]]
 
 @contextmanager
 def _readable(kind: str, path: Path) -> Iterator[None]:
-    """What a library raises for damage, as a LogError. Want of memory is told otherwise: see `limited`."""
+    """What a library raises for damage, as a LogError.
+
+    Want of memory is told otherwise: see `limited`.
+    """
     try:
         yield
     except (LogError, MemoryError):
@@ -604,9 +627,8 @@ def _readable(kind: str, path: Path) -> Iterator[None]:
 def _check_csv(path: Path) -> TableFormat | None:
     """How the table is written, None where it is no table of numbers.
 
-    Raises LogError for a table that is wider, or whose lines are longer, than any flight's, and for one whose cells would fill
-    the memory.
-    """
+    Raises LogError for a table that is wider, or whose lines are longer, than any flight's, and for
+    one whose cells would fill the memory."""
     with open_regular(path) as handle:
         written = sniff(handle.read(SNIFFED_BYTES))
         handle.seek(0)
@@ -633,7 +655,8 @@ def _check_csv(path: Path) -> TableFormat | None:
             raise LogError(f"has {columns} columns; at most {MOST_COLUMNS} are read", path)
         (_, named), (first, found) = [*cells.items(), (0, 0), (0, 0)][:2]
         if found > named:
-            # The reader would take what is too much for names of rows, and every column for its neighbour.
+            # The reader would take what is too much for names of rows, and every column for its
+            # neighbour.
             raise LogError(
                 f"has {found} cells, the header {named}; give every column a name",
                 path,
@@ -765,8 +788,8 @@ def _from_columns(
         if bad and (kept is None or name in kept):
             row = int(np.argmax(wrong)) + line
             text = (
-                f"{bad} cells of column {name} are no numbers (the first, '{series.iloc[row - line]!s:.40}', in"
-                f" line {row}); they count as dropouts"
+                f"{bad} cells of column {name} are no numbers (the first,"
+                f" '{series.iloc[row - line]!s:.40}', in line {row}); they count as dropouts"
             )
             findings.append(
                 Finding(

@@ -1,8 +1,8 @@
-"""MAVLink telemetry logs (.tlog): 8 bytes of time, then a packet, again and again. Packets decoded by pymavlink.
+"""MAVLink telemetry logs (.tlog): 8 bytes of time, then a packet, again and again. Packets decoded
+by pymavlink.
 
-Only packets of a wanted kind are decoded (the checksum is verified then), so that the cost follows what is needed.
-Each packet from another system than the first autopilot heard is left out.
-"""
+Only packets of a wanted kind are decoded (the checksum is verified then), so that the cost follows
+what is needed. Each packet from another system than the first autopilot heard is left out."""
 
 from __future__ import annotations
 
@@ -158,8 +158,9 @@ class _Tlog:
 
 
 def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
-    """Read a .tlog; message times are the vehicle's own (time since boot) where a message carries one, otherwise between those of
-    the messages before and behind it in the file: radios deliver in bursts. Raises LogError when no packet can be read."""
+    """Read a .tlog; message times are the vehicle's own (time since boot) where a message carries
+    one, otherwise between those of the messages before and behind it in the file: radios deliver in
+    bursts. Raises LogError when no packet can be read."""
     state = _Tlog(wanted)
     rest, done = b"", 0
     with open_regular(path) as handle:
@@ -218,7 +219,9 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
 
 @dataclass(frozen=True)
 class _Stream:
-    """Packets of one kind: order in the file, time of receipt and stamp of the vehicle's clock (NaN without one), each (n,)."""
+    """Packets of one kind: order in the file, time of receipt and stamp of the vehicle's clock (NaN
+    without one), each (n,).
+    """
 
     place: NDArray[np.int64]
     receipt_s: FloatArray
@@ -230,7 +233,9 @@ class _Stream:
 
 
 def _boots(streams: dict[str, _Stream]) -> list[int]:
-    """Places at which the vehicle's clock begins again, by the messages whose stamp is always its time since boot."""
+    """Places at which the vehicle's clock begins again, by the messages whose stamp is always its
+    time since boot.
+    """
     stamped = [streams[name] for name in _BOOT_CLOCKS if name in streams]
     if not stamped:
         return []
@@ -242,7 +247,9 @@ def _boots(streams: dict[str, _Stream]) -> list[int]:
 def _times(
     streams: dict[str, _Stream], begins: list[int]
 ) -> tuple[dict[str, FloatArray], list[float]]:
-    """Times of all packets on the clock of their boot, and each boot's time of receipt minus its clock."""
+    """Times of all packets on the clock of their boot, and each boot's time of receipt minus its
+    clock.
+    """
     times = {name: np.full(len(s.place), np.nan) for name, s in streams.items()}
     edges = [-1, *begins, np.iinfo(np.int64).max]
     offsets = []
@@ -266,7 +273,9 @@ def _times(
 def _vehicle_clock(
     streams: dict[str, _Stream], offset: float
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """(places in the file, times of receipt on the vehicle's clock) -> times, by the stamped messages around."""
+    """(places in the file, times of receipt on the vehicle's clock) -> times, by the stamped
+    messages around.
+    """
     place, stamp = [], []
     for s in streams.values():
         good = np.isfinite(s.boot_s) & (np.abs(s.boot_s - (s.receipt_s - offset)) < _SAME_CLOCK_S)
@@ -286,17 +295,19 @@ def _vehicle_clock(
 
 
 def _clock_offset(streams: dict[str, _Stream]) -> float:
-    """Receipt time minus boot time: the smallest difference seen, i.e. the packet that was least delayed.
+    """Receipt time minus boot time: the smallest difference seen, i.e. the packet that was least
+    delayed.
 
-    The boot clock of ATTITUDE and GLOBAL_POSITION_INT counts; without either, time zero is the first packet.
-    """
+    The boot clock of ATTITUDE and GLOBAL_POSITION_INT counts; without either, time zero is the
+    first packet."""
     best = []
     for name in _BOOT_CLOCKS:
         if name in streams:
             late = streams[name].receipt_s - streams[name].boot_s
             late = late[np.isfinite(late)]
             if len(late):
-                # 5 % quantile, not the minimum: one packet with a damaged time must not move the clock.
+                # 5 % quantile, not the minimum: one packet with a damaged time must not move the
+                # clock.
                 best.append(float(np.quantile(late, 0.05)))
     return min(best) if best else min(float(s.receipt_s[0]) for s in streams.values())
 
@@ -304,7 +315,10 @@ def _clock_offset(streams: dict[str, _Stream]) -> float:
 def _findings(state: _Tlog, size: int) -> list[Finding]:
     out = []
     if state.skipped_bytes:
-        text = f"{state.skipped_bytes} of {size} bytes belong to no packet: the log is damaged or cut short"
+        text = (
+            f"{state.skipped_bytes} of {size} bytes belong to no packet: the log is damaged or cut"
+            " short"
+        )
         out.append(
             Finding("damaged-bytes", "", "warning", text, {"bytes": float(state.skipped_bytes)})
         )

@@ -1,4 +1,6 @@
-"""PX4 ULog (.ulg) by pyulog, which keeps the wanted topics in memory and reports dropouts itself."""
+"""PX4 ULog (.ulg) by pyulog, which keeps the wanted topics in memory and reports dropouts
+itself.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ _PART = 1 << 40  # places of one part of a file with several logs; no log has as
 
 
 def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
-    """Read a ULog file. Raises LogError when pyulog cannot make sense of it or nothing useful is inside."""
+    """Read a ULog file. Raises LogError when pyulog cannot make sense of it or nothing useful is
+    inside.
+    """
     with open_regular(path) as handle:
         starts = _headers(handle)
         if len(starts) > 1:
@@ -86,14 +90,16 @@ def _read(opened: Callable[[], BinaryIO], path: Path, wanted: Wanted | None, num
     names = None if wanted is None else sorted(wanted)
     try:
         # pyulog prints what it finds corrupt; it belongs into the findings, not onto the terminal.
-        # Given an open file, since pyulog leaves a file open that it opened itself and could not read.
+        # Given an open file, since pyulog leaves a file open that it opened itself and could not
+        # read.
         with contextlib.redirect_stdout(chatter), np.errstate(all="ignore"):
             with opened() as handle:
                 log = ULog(handle, names, disable_str_exceptions=True)
             stamps = [d.data["timestamp"] for d in log.data_list if "timestamp" in d.data]
             places = {}
             if any(_steps_back(stamp) for stamp in stamps):
-                # Only then the order of records over all topics is needed, and the file is read again.
+                # Only then the order of records over all topics is needed, and the file is read
+                # again.
                 with opened() as handle:
                     ordered = _OrderedULog(handle, names, disable_str_exceptions=True)
                 places = {k: np.array(v, dtype=np.int64) for k, v in ordered.places.items()}
@@ -101,7 +107,8 @@ def _read(opened: Callable[[], BinaryIO], path: Path, wanted: Wanted | None, num
         raise
     except Exception as e:  # pyulog meets damage with whatever its parsing runs into
         raise LogError(
-            f"damaged or not a ULog file ({type(e).__name__}: {' '.join(str(e).split())[:120]}); copy the log again",
+            f"damaged or not a ULog file ({type(e).__name__}: {' '.join(str(e).split())[:120]});"
+            " copy the log again",
             path,
         ) from None
     base = number * _PART
@@ -148,9 +155,11 @@ def _joined(parts: list[RawLog]) -> RawLog:
         messages[key] = MessageTable(
             np.concatenate([t.time_s for t in tables]),
             {n: np.concatenate([t.fields[n] for t in tables]) for n in names},
-            None
-            if any(t.place is None for t in tables)
-            else np.concatenate([t.place for t in tables if t.place is not None]),
+            (
+                None
+                if any(t.place is None for t in tables)
+                else np.concatenate([t.place for t in tables if t.place is not None])
+            ),
         )
     return replace(
         parts[0],
