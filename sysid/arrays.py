@@ -12,15 +12,15 @@ FloatArray = NDArray[np.float64]
 """Array of double precision, of any shape."""
 
 
-def as_array(value: ArrayLike, what: str) -> FloatArray:
+def as_array(value: ArrayLike, argument: str) -> FloatArray:
     """`value` as a float array; ValueError (never TypeError) when it is not numeric."""
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{what} must be numeric and rectangular: {error}") from None
+        raise ValueError(f"{argument} must be numeric and rectangular: {error}") from None
 
 
-def is_many(value: Any) -> bool:
+def is_segment_list(value: Any) -> bool:
     """Is this a list of segments (of arrays, or of nested lists two deep), not one array written as
     a list?
     """
@@ -30,16 +30,16 @@ def is_many(value: Any) -> bool:
     return bool(first.ndim >= 1 if hasattr(first, "ndim") else np.ndim(first) == 2)
 
 
-def as_segments(value: Any, what: str, *, dropouts: bool) -> list[FloatArray]:
+def as_segments(value: Any, argument: str, *, dropouts: bool) -> list[FloatArray]:
     """Segments as (n, m) arrays from one array or a list of them; a 1-D array is one output.
 
     dropouts: NaN is allowed (a sample that was not measured). Infinite values never are.
     Raises ValueError: not numeric, no sample, unequal columns, non-finite values.
     """
-    parts = [as_array(part, what) for part in (value if is_many(value) else [value])]
+    parts = [as_array(part, argument) for part in (value if is_segment_list(value) else [value])]
     parts = [part[:, None] if part.ndim == 1 else part for part in parts]
     for number, part in enumerate(parts):
-        where = f"{what}, segment {number}" if len(parts) > 1 else what
+        where = f"{argument}, segment {number}" if len(parts) > 1 else argument
         if part.ndim != 2 or part.shape[0] == 0 or part.shape[1] == 0:
             raise ValueError(
                 f"{where} has shape {part.shape}; give (n samples, m channels) with n, m >= 1"
@@ -49,32 +49,34 @@ def as_segments(value: Any, what: str, *, dropouts: bool) -> list[FloatArray]:
                 f"{where} has {part.shape[1]} columns, segment 0 has {parts[0].shape[1]}; give all"
                 " the same"
             )
-        bad = np.isinf(part) if dropouts else ~np.isfinite(part)
-        if bad.any():
-            row, column = np.argwhere(bad)[0]
-            cure = "mark dropouts as NaN" if dropouts else "repair or cut these samples"
+        is_invalid = np.isinf(part) if dropouts else ~np.isfinite(part)
+        if is_invalid.any():
+            row, column = np.argwhere(is_invalid)[0]
+            remedy = "mark dropouts as NaN" if dropouts else "repair or cut these samples"
             raise ValueError(
-                f"{where} holds {int(bad.sum())} value(s) that are not finite, first at row {row},"
-                f" column {column}; {cure}"
+                f"{where} holds {int(is_invalid.sum())} value(s) that are not finite, first at row {row},"
+                f" column {column}; {remedy}"
             )
     return parts
 
 
-def as_parameters(theta0: ArrayLike, what: str = "theta0") -> FloatArray:
+def as_parameters(theta0: ArrayLike, argument: str = "theta0") -> FloatArray:
     """A finite (k,) vector, k >= 1. Raises ValueError otherwise."""
-    theta = np.atleast_1d(as_array(theta0, what)).copy()
+    theta = np.atleast_1d(as_array(theta0, argument)).copy()
     if theta.ndim != 1 or theta.size == 0:
-        raise ValueError(f"{what} has shape {theta.shape}; give a vector of at least one parameter")
+        raise ValueError(
+            f"{argument} has shape {theta.shape}; give a vector of at least one parameter"
+        )
     if not np.isfinite(theta).all():
         raise ValueError(
-            f"{what} holds values that are not finite at"
+            f"{argument} holds values that are not finite at"
             f" {np.flatnonzero(~np.isfinite(theta)).tolist()}"
         )
     return theta
 
 
 def as_names(
-    names: Sequence[str] | None, count: int, prefix: str, what: str = "names"
+    names: Sequence[str] | None, count: int, prefix: str, argument: str = "names"
 ) -> tuple[str, ...]:
     """`count` unique names, `prefix`0.. when none are given.
 
@@ -83,16 +85,18 @@ def as_names(
     if names is None:
         return tuple(f"{prefix}{index}" for index in range(count))
     if isinstance(names, str):
-        raise ValueError(f"{what} is the single string {names!r}; give a list of {count} name(s)")
-    given = tuple(str(name) for name in names)
-    if len(given) != count:
         raise ValueError(
-            f"{what} has {len(given)} entries for {count} parameters; give one name for each"
+            f"{argument} is the single string {names!r}; give a list of {count} name(s)"
         )
-    repeated = sorted({name for name in given if given.count(name) > 1})
+    labels = tuple(str(name) for name in names)
+    if len(labels) != count:
+        raise ValueError(
+            f"{argument} has {len(labels)} entries for {count} parameters; give one name for each"
+        )
+    repeated = sorted({name for name in labels if labels.count(name) > 1})
     if repeated:
-        raise ValueError(f"{what} repeats {', '.join(repeated)}; names must be unique")
-    return given
+        raise ValueError(f"{argument} repeats {', '.join(repeated)}; names must be unique")
+    return labels
 
 
 def as_bounds(

@@ -19,31 +19,31 @@ if TYPE_CHECKING:
 
 # Control characters but tab and line feed, lone surrogates, line and paragraph separators, marks
 # that turn the order of text.
-_UNSEEN = re.compile(
+_CONTROL_CHARACTERS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
 )
 
 
 def visible(text: str) -> str:
     """The text with every character that a terminal would act on written out."""
-    return _UNSEEN.sub(_written_out, text)
+    return _CONTROL_CHARACTERS.sub(_escaped, text)
 
 
-def _written_out(match: re.Match[str]) -> str:
+def _escaped(match: re.Match[str]) -> str:
     code = ord(match[0])
     # The longer form is also JSON's, which leaves these characters as they are in its strings.
     return f"\\x{code:02x}" if code < 0x20 else f"\\u{code:04x}"
 
 
-class _Visible:
+class _EscapingStream:
     """A text stream that writes only what may be seen; in all else the stream it stands for."""
 
     def __init__(self, stream: TextIO) -> None:
-        self.underneath = stream
+        self.raw_stream = stream
 
     def write(self, text: str) -> int:
         """Write; the length of the text as it was given."""
-        self.underneath.write(_encodable(visible(text), self.underneath))
+        self.raw_stream.write(_encodable(visible(text), self.raw_stream))
         return len(text)
 
     def writelines(self, lines: Any) -> None:
@@ -52,16 +52,16 @@ class _Visible:
             self.write(line)
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self.underneath, name)
+        return getattr(self.raw_stream, name)
 
-    def __enter__(self) -> _Visible:
+    def __enter__(self) -> _EscapingStream:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.underneath.flush()
+        self.raw_stream.flush()
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self.underneath)
+        return iter(self.raw_stream)
 
 
 def _encodable(text: str, stream: TextIO) -> str:
@@ -81,26 +81,26 @@ def clean_streams() -> None:
     """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
-        if stream is not None and not isinstance(stream, _Visible):
-            setattr(sys, name, cast(TextIO, _Visible(stream)))
+        if stream is not None and not isinstance(stream, _EscapingStream):
+            setattr(sys, name, cast(TextIO, _EscapingStream(stream)))
 
 
 @contextlib.contextmanager
 def clean_terminal() -> Iterator[None]:
     """The same for a block; the streams that were there before come back after it."""
-    before = sys.stdout, sys.stderr
+    original_streams = sys.stdout, sys.stderr
     clean_streams()
     try:
         yield
     finally:
-        sys.stdout, sys.stderr = before
+        sys.stdout, sys.stderr = original_streams
 
 
-def drawing(stream: TextIO) -> TextIO:
+def cursor_stream(stream: TextIO) -> TextIO:
     """The stream as it was before: for what moves the cursor itself, with texts that went through
     `visible`.
     """
-    return stream.underneath if isinstance(stream, _Visible) else stream
+    return stream.raw_stream if isinstance(stream, _EscapingStream) else stream
 
 
 # What a notebook shows of a result: its name, a few facts, a table, warnings, as HTML without
@@ -108,7 +108,7 @@ def drawing(stream: TextIO) -> TextIO:
 #
 # Texts may come from logs and files of others, so that all of them are escaped.
 
-MOST_ROWS = 20
+MAX_ROWS = 20
 
 
 def view(
@@ -128,12 +128,12 @@ def view(
         Sentences, listed last.
     """
     line = "; ".join(
-        f"{html.escape(name)}: {html.escape(written(value))}"
+        f"{html.escape(name)}: {html.escape(cell_text(value))}"
         for name, value in (facts or {}).items()
     )
-    said = "".join(f"<li>{html.escape(text)}</li>" for text in warnings)
+    warning_items = "".join(f"<li>{html.escape(text)}</li>" for text in warnings)
     pieces = [f"<p><b>{html.escape(title)}</b></p>", f"<p>{line}</p>" if line else "", *parts]
-    pieces.append(f"<p>Warnings</p><ul>{said}</ul>" if said else "")
+    pieces.append(f"<p>Warnings</p><ul>{warning_items}</ul>" if warning_items else "")
     return f"<div>{''.join(pieces)}</div>"
 
 
@@ -144,7 +144,7 @@ def rows_table(rows: Sequence[Mapping[str, object]]) -> str:
     head = "".join(f"<th>{html.escape(str(key))}</th>" for key in rows[0])
     body = "".join(
         "<tr>"
-        + "".join(f"<td>{html.escape(written(value))}</td>" for value in row.values())
+        + "".join(f"<td>{html.escape(cell_text(value))}</td>" for value in row.values())
         + "</tr>"
         for row in rows
     )
@@ -153,10 +153,10 @@ def rows_table(rows: Sequence[Mapping[str, object]]) -> str:
 
 def frame_table(frame: pd.DataFrame) -> str:
     """A pandas table as HTML, its first and last rows where there are many."""
-    return str(frame.to_html(max_rows=MOST_ROWS, show_dimensions=True))
+    return str(frame.to_html(max_rows=MAX_ROWS, show_dimensions=True))
 
 
-def written(value: object) -> str:
+def cell_text(value: object) -> str:
     """A value in a cell: numbers to four digits, nothing where a number is undefined."""
     if isinstance(value, bool) or not isinstance(value, float):
         return str(value)

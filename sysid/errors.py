@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-MOST_CHARACTERS = 1000
+MAX_LINE_CHARACTERS = 1000
 """Of a line of an error: what a file holds is quoted, and a file may hold a word of a megabyte."""
 
 
-MOST_LINES = 40
+MAX_LINES = 40
 """Of an error that lists mistakes."""
 
 
@@ -22,18 +22,18 @@ def shortened(text: str) -> str:
     """The text with the middle of every line of more than MOST_CHARACTERS left out, and what comes
     after MOST_LINES counted.
     """
-    if len(text) <= MOST_CHARACTERS:
+    if len(text) <= MAX_LINE_CHARACTERS:
         return text
-    head, tail = MOST_CHARACTERS * 3 // 4, MOST_CHARACTERS // 5
+    head, tail = MAX_LINE_CHARACTERS * 3 // 4, MAX_LINE_CHARACTERS // 5
     lines = text.split("\n")
-    if len(lines) > MOST_LINES:
-        lines[MOST_LINES - 1 :] = [f"and {len(lines) - MOST_LINES + 1} more"]
+    if len(lines) > MAX_LINES:
+        lines[MAX_LINES - 1 :] = [f"and {len(lines) - MAX_LINES + 1} more"]
     return "\n".join(
-        x if len(x) <= MOST_CHARACTERS else f"{x[:head]} [...] {x[-tail:]}" for x in lines
+        x if len(x) <= MAX_LINE_CHARACTERS else f"{x[:head]} [...] {x[-tail:]}" for x in lines
     )
 
 
-def in_a_line(error: BaseException) -> str:
+def one_line(error: BaseException) -> str:
     """What went wrong, short and without line ends."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 

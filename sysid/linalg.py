@@ -32,37 +32,41 @@ class Blocks:
     k: int
 
     @staticmethod
-    def of(dense: FloatArray, edges: Sequence[int]) -> Blocks:
+    def from_dense(dense: FloatArray, edges: Sequence[int]) -> Blocks:
         """A matrix (N, m, k) cut between ``edges``."""
-        return Blocks.listed([dense[a:b] for a, b in pairwise(edges)])
+        return Blocks.from_segments([dense[a:b] for a, b in pairwise(edges)])
 
     @staticmethod
-    def listed(some: Sequence[FloatArray]) -> Blocks:
+    def from_segments(segments: Sequence[FloatArray]) -> Blocks:
         """From one array (n, m, k) a segment."""
-        columns = [np.flatnonzero(part.any(axis=(0, 1))) for part in some]
+        columns = [np.flatnonzero(part.any(axis=(0, 1))) for part in segments]
         return Blocks(
-            tuple(p[:, :, c] for p, c in zip(some, columns, strict=True)),
+            tuple(p[:, :, c] for p, c in zip(segments, columns, strict=True)),
             tuple(columns),
-            some[0].shape[2],
+            segments[0].shape[2],
         )
 
     @staticmethod
-    def gathered(
+    def from_columns(
         columns: Sequence[Sequence[FloatArray | None]], m: int, edges: Sequence[int]
     ) -> Blocks:
         """From k columns, of each segment (n, m) or None where it is zero."""
         parts, places = [], []
         for segment, (a, b) in enumerate(pairwise(edges)):
-            there = [(k, column[segment]) for k, column in enumerate(columns)]
-            some = [part for _, part in there if part is not None]
-            parts.append(np.stack(some, axis=2) if some else np.zeros((b - a, m, 0)))
-            places.append(np.array([k for k, part in there if part is not None], dtype=np.intp))
+            column_parts = [(k, column[segment]) for k, column in enumerate(columns)]
+            nonzero_parts = [part for _, part in column_parts if part is not None]
+            parts.append(
+                np.stack(nonzero_parts, axis=2) if nonzero_parts else np.zeros((b - a, m, 0))
+            )
+            places.append(
+                np.array([k for k, part in column_parts if part is not None], dtype=np.intp)
+            )
         return Blocks(tuple(parts), tuple(places), len(columns))
 
     def __iter__(self) -> Iterator[tuple[FloatArray, Index]]:
         return zip(self.parts, self.columns, strict=True)
 
-    def each(self, change: Callable[[FloatArray, Index, slice], FloatArray]) -> Blocks:
+    def map_parts(self, change: Callable[[FloatArray, Index, slice], FloatArray]) -> Blocks:
         """Every part changed, by its columns and its rows."""
         edges = np.cumsum([0, *(len(part) for part in self.parts)]).tolist()
         rows = [slice(a, b) for a, b in pairwise(edges)]
@@ -70,20 +74,20 @@ class Blocks:
             self, parts=tuple(change(p, c, r) for (p, c), r in zip(self, rows, strict=True))
         )
 
-    def times(self, vector: FloatArray) -> FloatArray:
+    def matvec(self, vector: FloatArray) -> FloatArray:
         """(N, m) the matrix times a vector (k,)."""
         return np.concatenate([part @ vector[columns] for part, columns in self])
 
-    def taken(self, some: Index) -> Blocks:
-        """The columns ``some`` alone, in ascending order."""
-        place = np.full(self.k, -1)
-        place[some] = np.arange(len(some))
-        kept = [place[columns] >= 0 for columns in self.columns]
-        parts = tuple(part[:, :, keep] for part, keep in zip(self.parts, kept, strict=True))
+    def select_columns(self, selection: Index) -> Blocks:
+        """The columns ``selection`` alone, in ascending order."""
+        new_index = np.full(self.k, -1)
+        new_index[selection] = np.arange(len(selection))
+        is_selected = [new_index[columns] >= 0 for columns in self.columns]
+        parts = tuple(part[:, :, keep] for part, keep in zip(self.parts, is_selected, strict=True))
         return Blocks(
             parts,
-            tuple(place[c[keep]] for c, keep in zip(self.columns, kept, strict=True)),
-            len(some),
+            tuple(new_index[c[keep]] for c, keep in zip(self.columns, is_selected, strict=True)),
+            len(selection),
         )
 
     def dense(self) -> FloatArray:
@@ -121,17 +125,17 @@ def leverage(scaled: Blocks, inverse: FloatArray) -> FloatArray:
 # Recursive filters of the first order, as solutions of two-diagonal systems.
 
 
-def first_order(x: FloatArray, keep: float, before: float = 0.0) -> FloatArray:
-    """(n,) y(k) = keep y(k-1) + x(k), from y(-1) = ``before``; behind what is no number none is.
+def first_order(x: FloatArray, pole: float, initial: float = 0.0) -> FloatArray:
+    """(n,) y(k) = keep y(k-1) + x(k), from y(-1) = ``initial``; behind what is no number none is.
 
     Parameters
     ----------
     x : (n,) of inputs, at least one; keep : |keep| < 1
     """
     inputs = np.array(x, dtype=float)
-    inputs[0] += keep * before
+    inputs[0] += pole * initial
     diagonals = np.ones((2, len(inputs)))
-    diagonals[1] = -keep
+    diagonals[1] = -pole
     return np.asarray(dtbtrs(diagonals, inputs, uplo="L", diag="U")[0].ravel())
 
 
@@ -147,14 +151,14 @@ def compiled(loop: Loop) -> Loop:
     the source's ``__pycache__``, or in the user's cache where that cannot be written; where neither
     can, every process compiles anew."""
     try:
-        kept: Loop = njit(cache=True, nogil=True, error_model="numpy")(loop)
+        dispatcher: Loop = njit(cache=True, nogil=True, error_model="numpy")(loop)
     except RuntimeError:
-        kept = njit(nogil=True, error_model="numpy")(loop)
-    return kept
+        dispatcher = njit(nogil=True, error_model="numpy")(loop)
+    return dispatcher
 
 
-def within(part: Loop) -> Loop:
+def jitable(part: Loop) -> Loop:
     """The part, which compiled loops of the same file may call and Python as well: for other files'
     the code that is kept would not be renewed when they change."""
-    known: Loop = register_jitable(part)
-    return known
+    registered: Loop = register_jitable(part)
+    return registered

@@ -43,13 +43,13 @@ class Processes(Protocol):
 
 
 @dataclass(frozen=True)
-class Held:
+class LocalValue:
     """A value that stays in this process."""
 
     value: Any
 
 
-class Alone:
+class SerialPool:
     """This process and no other; or the built-in map in a guise that can share."""
 
     count = 1
@@ -58,9 +58,9 @@ class Alone:
         """One after the other."""
         return map(function, jobs)
 
-    def share(self, value: Any) -> Held:
+    def share(self, value: Any) -> LocalValue:
         """The value itself."""
-        return Held(value)
+        return LocalValue(value)
 
 
-ALONE = Alone()
+SERIAL = SerialPool()

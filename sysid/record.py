@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.errors import Finding, LogError, finding_from_dict, in_a_line
+from sysid.errors import Finding, LogError, finding_from_dict, one_line
 from sysid.foreign.limited import read_record
 from sysid.foreign.regular_files import parse_json
 from sysid.vocabulary import LABELS, SIGNALS
@@ -250,16 +250,18 @@ class FlightRecord:
         Returns slices of rows in order; stretches shorter than `min_s` seconds are left out.
         """
         t = self["time_s"]
-        good = np.ones(len(self), dtype=bool)
+        is_complete = np.ones(len(self), dtype=bool)
         for name in names:
-            good &= np.isfinite(self[name])
+            is_complete &= np.isfinite(self[name])
         breaks = np.zeros(len(self) + 1, dtype=bool)
         breaks[0] = breaks[-1] = True
         if len(self) > 1:
-            breaks[1:-1] = (np.diff(t) > 1.5 * self.dt_s) | (np.diff(good.astype(int)) != 0)
+            breaks[1:-1] = (np.diff(t) > 1.5 * self.dt_s) | (np.diff(is_complete.astype(int)) != 0)
         edges = np.flatnonzero(breaks)
         pairs = itertools.pairwise(edges)
-        return [slice(int(a), int(b)) for a, b in pairs if good[a] and t[b - 1] - t[a] >= min_s]
+        return [
+            slice(int(a), int(b)) for a, b in pairs if is_complete[a] and t[b - 1] - t[a] >= min_s
+        ]
 
     def write(self, path: Path) -> None:
         """Write Parquet (.parquet) or CSV (.csv) by suffix; LogError for any other suffix."""
@@ -312,7 +314,7 @@ class FlightRecord:
             RecursionError,
         ) as e:
             raise LogError(
-                f"its metadata is damaged ({in_a_line(e)}); write the record again", path
+                f"its metadata is damaged ({one_line(e)}); write the record again", path
             ) from None
         try:
             return cls(columns, metadata)

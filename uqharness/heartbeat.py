@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
 
-from sysid.display import drawing, visible
+from sysid.display import cursor_stream, visible
 
 FIRST_S = 5.0
 """Until the first line of a command that shows nothing by itself."""
@@ -141,7 +141,7 @@ def heartbeat(
                     show(line)
                 elif moves:
                     drawn.set()
-                    _write(drawing(stream), f"\r\x1b[K{line}")
+                    _write(cursor_stream(stream), f"\r\x1b[K{line}")
                 else:
                     _write(stream, f"{line}\n")
             except (OSError, ValueError):  # nobody reads it
@@ -159,7 +159,7 @@ def heartbeat(
         if show is not None and drawn.is_set():
             show("")
         elif drawn.is_set():
-            _write(drawing(stream), "\r\x1b[K")
+            _write(cursor_stream(stream), "\r\x1b[K")
 
 
 def clock(seconds: float) -> str:

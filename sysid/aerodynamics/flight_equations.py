@@ -349,7 +349,7 @@ class Loops(NamedTuple):
 @cache
 def loops() -> Loops:
     """Compiled when they are first called."""
-    from sysid.linalg import compiled, within
+    from sysid.linalg import compiled
 
     air = gust_lags_s, heading, heading_rates, level, rotation, turning, gust_rates
     for part in (sines, sines_near, *air, flow_rates, motion, _series):

@@ -23,7 +23,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from sysid.errors import LogError, finding_from_dict
-from sysid.foreign.raw import MessageTable, Progress, RawLog, TimeColumn, Wanted
+from sysid.foreign.raw import FieldSelection, MessageTable, ProgressCallback, RawLog, TimeColumn
 from sysid.foreign.regular_files import in_words, open_regular, require_regular
 from sysid.foreign.typed_files import DataFileError, load
 from sysid.parallel import ONE_THREAD
@@ -31,13 +31,13 @@ from sysid.parallel import ONE_THREAD
 # What reading a foreign file may cost: time and memory that grow with the file, so that a long
 # log is read and a bomb is not.
 
-MOST_COLUMNS = 5_000
+MAX_COLUMNS = 5_000
 """Columns of a table. JSBSim's fullest output has about a thousand; a header of a million is no
 flight.
 """
-MOST_LINE = 1_000_000
+MAX_LINE_BYTES = 1_000_000
 """Bytes of a table's header and first rows, each."""
-MOST_COMMENT = 50_000_000
+MAX_COMMENT_BYTES = 50_000_000
 """Bytes of a comment before the header, where a flight record keeps what is known of it."""
 
 
@@ -75,10 +75,10 @@ LIMITS = {
 }
 
 
-def too_much(what: str, needed: float, allowed: float) -> str:
+def memory_refusal(content: str, needed: float, allowed: float) -> str:
     """The sentence for a file that asks for more memory than one of its size should."""
     return (
-        f"{what} would take {in_words(needed)} of memory; a file of its size may take"
+        f"{content} would take {in_words(needed)} of memory; a file of its size may take"
         f" {in_words(allowed)}: it is damaged or made to fill the memory; keep fewer rows and"
         " columns, or export it again"
     )
@@ -88,7 +88,7 @@ _START_S = 120.0  # nothing of a stranger's is read yet: only a busy disk makes 
 _HOME = Path(__file__).parents[2]
 # The package is found where this one is, and its folder is on the path for no longer than that
 # takes.
-_BEGIN = (
+_READER_CODE = (
     "import sys; sys.path.insert(0, sys.argv[1]); import sysid; del sys.path[0]; "
     "from sysid.logs.importers.limited_child import main; main()"
 )
@@ -97,22 +97,24 @@ _BEGIN = (
 def read_raw(
     path: Path,
     dialect: str,
-    wanted: Wanted | None,
-    progress: Progress | None = None,
+    selection: FieldSelection | None,
+    progress: ProgressCallback | None = None,
     time: TimeColumn | None = None,
 ) -> RawLog:
-    """A log of dialect ulog, tlog, csv, jsbsim-csv or parquet; `wanted` and `time` as in the
+    """A log of dialect ulog, tlog, csv, jsbsim-csv or parquet; `selection` and `time` as in the
     importers.
 
     Raises LogError for what cannot be read, and for what takes more time or memory than a file of
     its size should."""
     names = (
-        None if wanted is None else {message: sorted(fields) for message, fields in wanted.items()}
+        None
+        if selection is None
+        else {message: sorted(fields) for message, fields in selection.items()}
     )
-    order = {"wanted": names, "time": None if time is None else [time.field, time.unit]}
+    details = {"selection": names, "time": None if time is None else [time.field, time.unit]}
     messages: dict[tuple[str, int], MessageTable] = {}
     about: dict[str, Any] = {}
-    for kind, *content in _ask(path, dialect, order, progress):
+    for kind, *content in _request(path, dialect, details, progress):
         if kind == "table":
             name, instance, time_s, fields, place = content
             rows = place if len(place) else None
@@ -122,22 +124,22 @@ def read_raw(
     return RawLog(
         dialect=about["dialect"],
         messages=messages,
-        counts=dict(zip(about["counted"].tolist(), about["counts"].tolist(), strict=True)),
+        counts=dict(zip(about["count_names"].tolist(), about["counts"].tolist(), strict=True)),
         parameters=dict(zip(about["parameters"].tolist(), about["values"].tolist(), strict=True)),
-        texts=tuple(zip(about["said_s"].tolist(), about["said"].tolist(), strict=True)),
+        texts=tuple(zip(about["text_time_s"].tolist(), about["texts"].tolist(), strict=True)),
         vehicle=about["vehicle"],
         facts=about["facts"],
         findings=tuple(finding_from_dict(row) for row in about["findings"]),
         headers=tuple(about["headers"].tolist()),
         parameter_log=tuple(
             zip(
-                about["logged_at"].tolist(),
-                about["logged"].tolist(),
-                about["logged_values"].tolist(),
+                about["parameter_place"].tolist(),
+                about["parameter_name"].tolist(),
+                about["parameter_value"].tolist(),
                 strict=True,
             )
         ),
-        text_places=tuple(about["said_at"].tolist()),
+        text_places=tuple(about["text_place"].tolist()),
     )
 
 
@@ -148,7 +150,7 @@ def read_record(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
     """
     columns: dict[str, NDArray[Any]] = {}
     metadata = ""
-    for kind, *content in _ask(path, "record", {}):
+    for kind, *content in _request(path, "record", {}):
         if kind == "column":
             name, values = content
             columns[name] = values
@@ -159,17 +161,17 @@ def read_record(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
 
 def read_table(path: Path) -> dict[str, NDArray[Any]]:
     """Columns of a small CSV table, each of float64 or of texts. Raises LogError as `read_raw`."""
-    return {name: values for _, name, values in _ask(path, "table", {})}
+    return {name: values for _, name, values in _request(path, "table", {})}
 
 
-class _Child:
+class _ReaderProcess:
     """A reader process, and the pipes to and from it."""
 
     def __init__(self) -> None:
         environment = {**os.environ, **ONE_THREAD, "ARROW_DEFAULT_MEMORY_POOL": "system"}
         # It says nothing on the terminal: what is wrong comes back as a sentence.
         self.process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _BEGIN, str(_HOME)],
+            [sys.executable, "-P", "-c", _READER_CODE, str(_HOME)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -186,10 +188,10 @@ class _Child:
 
     def content(self, length: int) -> bytes:
         """That many bytes of the answer. Raises _Ended."""
-        found = self.answers.read(length)
-        if len(found) < length:
-            raise _Ended
-        return found
+        received = self.answers.read(length)
+        if len(received) < length:
+            raise _ReaderEnded
+        return received
 
     def end(self) -> None:
         """Kill it. Safe to call again."""
@@ -203,13 +205,13 @@ class _Child:
 class _Deadline:
     """Kills a child that is not done in time."""
 
-    def __init__(self, child: _Child, seconds: float) -> None:
-        self._child, self.passed = child, False
+    def __init__(self, child: _ReaderProcess, seconds: float) -> None:
+        self._child, self.expired = child, False
         self._timer = threading.Timer(seconds, self._end)
         self._timer.daemon = True
 
     def _end(self) -> None:
-        self.passed = True
+        self.expired = True
         self._child.process.kill()
 
     def __enter__(self) -> _Deadline:
@@ -220,12 +222,12 @@ class _Deadline:
         self._timer.cancel()
 
 
-_using = threading.Lock()
-_children: dict[int, _Child] = {}  # by process: a forked one must not talk to its parent's
+_lock = threading.Lock()
+_children: dict[int, _ReaderProcess] = {}  # by process: a forked one must not talk to its parent's
 
 
-def _ask(
-    path: Path, kind: str, details: Mapping[str, Any], progress: Progress | None = None
+def _request(
+    path: Path, kind: str, details: Mapping[str, Any], progress: ProgressCallback | None = None
 ) -> list[tuple[Any, ...]]:
     """What the child has to say of one file, part by part."""
     try:
@@ -236,18 +238,18 @@ def _ask(
     # A path of its own kind: this process may have changed its folder since the child began.
     file = os.path.abspath(path)
     order = {"kind": kind, "path": file, "memory": limit.bytes(size), **details}
-    with _using:
-        child = _ready(path)
+    with _lock:
+        child = _reader_process(path)
         try:
-            _begin(child, order, path)
+            _send_order(child, order, path)
             with _Deadline(child, limit.seconds(size)) as deadline:
                 parts, refusal = _answers(child, limit.bytes(size), progress)
         except BaseException as error:
             _end_children()
-            if isinstance(error, _Ended):
-                raise LogError(_why_ended(error, child, deadline, limit, size), path) from None
+            if isinstance(error, _ReaderEnded):
+                raise LogError(_ending_message(error, child, deadline, limit, size), path) from None
             raise
-        if deadline.passed:
+        if deadline.expired:
             _end_children()
     if refusal:
         raise LogError(
@@ -256,19 +258,19 @@ def _ask(
     return parts
 
 
-class _Ended(Exception):
+class _ReaderEnded(Exception):
     """The child has ended, or must: `reason` says why in words where it is known."""
 
     def __init__(self, reason: str = "") -> None:
         self.reason = reason
 
 
-def _begin(child: _Child, order: Mapping[str, Any], path: Path) -> None:
+def _send_order(child: _ReaderProcess, order: Mapping[str, Any], path: Path) -> None:
     """Give an order and wait until the reader has loaded what it needs.
 
     Raises LogError where it has not.
     """
-    with contextlib.suppress(OSError, _Ended), _Deadline(child, _START_S):
+    with contextlib.suppress(OSError, _ReaderEnded), _Deadline(child, _START_S):
         child.orders.write(json.dumps(order).encode() + b"\n")
         child.orders.flush()
         kind, length = child.frame()
@@ -281,7 +283,7 @@ def _begin(child: _Child, order: Mapping[str, Any], path: Path) -> None:
 
 
 def _answers(
-    child: _Child, most_bytes: int, progress: Progress | None
+    child: _ReaderProcess, max_bytes: int, progress: ProgressCallback | None
 ) -> tuple[list[tuple[Any, ...]], str]:
     """The parts of an answer, and the sentence of a refusal ("" if there is none)."""
     parts: list[tuple[Any, ...]] = []
@@ -289,8 +291,8 @@ def _answers(
     while True:
         kind, length = child.frame()
         received += length
-        if received > most_bytes:
-            raise _Ended("memory")
+        if received > max_bytes:
+            raise _ReaderEnded("memory")
         content = child.content(length)
         if kind == b"p":
             if progress is not None:
@@ -299,33 +301,35 @@ def _answers(
             try:
                 parts.append(load(content))
             except DataFileError as error:
-                raise _Ended(str(error)) from None
+                raise _ReaderEnded(str(error)) from None
         elif kind == b"d":
             return parts, ""
         elif kind == b"e":
             return [], content.decode("utf-8", "surrogatepass")
         elif kind == b"m":
-            raise _Ended("memory")
+            raise _ReaderEnded("memory")
         else:
             raise RuntimeError(f"the reader of a log failed:\n{content.decode('utf-8', 'replace')}")
 
 
-def _why_ended(ended: _Ended, child: _Child, deadline: _Deadline, limit: Limit, size: int) -> str:
-    again = "it is damaged or made to do so; copy the log again"
-    if deadline.passed:
+def _ending_message(
+    ended: _ReaderEnded, child: _ReaderProcess, deadline: _Deadline, limit: Limit, size: int
+) -> str:
+    advice = "it is damaged or made to do so; copy the log again"
+    if deadline.expired:
         return (
             f"reading took longer than the {limit.seconds(size):.0f} s that a file of"
-            f" {in_words(size)} may take: {again}"
+            f" {in_words(size)} may take: {advice}"
         )
     if ended.reason == "memory":
         allowed = in_words(limit.bytes(size))
         return (
             f"reading took more than the {allowed} of memory that a file of {in_words(size)} may"
-            f" take: {again}"
+            f" take: {advice}"
         )
-    why = ended.reason or f"code {child.process.returncode}"
+    reason = ended.reason or f"code {child.process.returncode}"
     return (
-        f"the reader of this format ended without an answer ({why}): the file is damaged; copy the"
+        f"the reader of this format ended without an answer ({reason}): the file is damaged; copy the"
         " log again"
     )
 
@@ -337,14 +341,14 @@ def _limit_name(kind: str, path: Path) -> str:
         return "parquet" if handle.read(4) == b"PAR1" else "csv"
 
 
-def _ready(path: Path) -> _Child:
+def _reader_process(path: Path) -> _ReaderProcess:
     """The reader of this process, started if there is none. Raises LogError where it cannot be."""
     child = _children.get(os.getpid())
     if child is not None and child.process.poll() is None:
         return child
     _end_children()
     try:
-        child = _children[os.getpid()] = _Child()
+        child = _children[os.getpid()] = _ReaderProcess()
     except (OSError, MemoryError):
         raise _not_started(path) from None
     return child
@@ -374,15 +378,15 @@ class MemoryLimit:
     hold it to that.
     """
 
-    def __init__(self, more: int) -> None:
-        self._more = more
+    def __init__(self, extra_bytes: int) -> None:
+        self._more = extra_bytes
 
     def __enter__(self) -> None:
         self._before = _address_limit()
         if self._before is not None:
             hard = self._before[1]
-            most = _address_space() + self._more
-            _set_address_limit((most if hard < 0 else min(most, hard), hard))
+            soft = _address_space() + self._more
+            _set_address_limit((soft if hard < 0 else min(soft, hard), hard))
 
     def __exit__(self, *_: object) -> None:
         if self._before is not None:

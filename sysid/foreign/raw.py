@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sysid.errors import Finding
 
-Progress = Callable[[float], None]  # called with the share done, 0..1
+ProgressCallback = Callable[[float], None]  # called with the share done, 0..1
 
 
 @dataclass(frozen=True)
@@ -72,4 +72,4 @@ class TimeColumn:
     unit: str = "s"
 
 
-Wanted = Mapping[str, frozenset[str]]  # message name -> field names to keep
+FieldSelection = Mapping[str, frozenset[str]]  # message name -> field names to keep

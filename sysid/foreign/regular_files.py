@@ -17,7 +17,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-MOST_BYTES = 64_000_000
+MAX_TEXT_BYTES = 64_000_000
 """What a text file (map, card, TOML, JSON) may hold: far above any that is written by hand or by
 this program.
 """
@@ -41,11 +41,11 @@ def require_regular(path: Path) -> os.stat_result:
         which, ``filename`` is the path.
     """
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except ValueError as error:  # a name with a NUL in it
         raise OSError(errno.EINVAL, f"is no file name ({error})", str(path)) from None
-    _refuse_others(found, path)
-    return found
+    _refuse_special(status, path)
+    return status
 
 
 def open_regular(path: Path) -> io.BufferedReader:
@@ -64,35 +64,35 @@ def open_regular(path: Path) -> io.BufferedReader:
     )
     handle = os.open(path, flags)
     try:
-        _refuse_others(os.fstat(handle), path)
+        _refuse_special(os.fstat(handle), path)
     except OSError:
         os.close(handle)
         raise
     return io.BufferedReader(io.FileIO(handle, "rb"))
 
 
-def read_regular(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
-    """The whole content of a regular file of at most ``most_bytes`` bytes.
+def read_regular(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
+    """The whole content of a regular file of at most ``max_bytes`` bytes.
 
     Raises OSError as `require_regular`, and for size.
     """
     with open_regular(path) as handle:
         size = os.fstat(handle.fileno()).st_size
-        if size > most_bytes:
-            raise _too_big(size, most_bytes, path)
+        if size > max_bytes:
+            raise _too_big(size, max_bytes, path)
         # A file may grow while it is read, and some systems' own files say that they are empty.
-        content = handle.read(most_bytes + 1)
-    if len(content) > most_bytes:
-        raise _too_big(len(content), most_bytes, path)
+        content = handle.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        raise _too_big(len(content), max_bytes, path)
     return content
 
 
-def read_regular_text(path: Path, most_bytes: int = MOST_BYTES) -> str:
+def read_regular_text(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> str:
     """The same as text in UTF-8 with every end of line as ``\\n``.
 
     Raises OSError, and UnicodeDecodeError for other bytes.
     """
-    text = read_regular(path, most_bytes).decode("utf-8")
+    text = read_regular(path, max_bytes).decode("utf-8")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -108,20 +108,20 @@ def in_words(size: float) -> str:
     return f"{size:g} bytes"
 
 
-def _refuse_others(found: os.stat_result, path: Path) -> None:
-    if stat.S_ISREG(found.st_mode):
+def _refuse_special(status: os.stat_result, path: Path) -> None:
+    if stat.S_ISREG(status.st_mode):
         return
     code, kind = next(
-        ((number, name) for test, number, name in _KINDS if test(found.st_mode)),
+        ((number, name) for test, number, name in _KINDS if test(status.st_mode)),
         (errno.EINVAL, "something else"),
     )
     raise OSError(code, f"is {kind}, not a regular file", str(path))
 
 
-def _too_big(size: int, most_bytes: int, path: Path) -> OSError:
+def _too_big(size: int, max_bytes: int, path: Path) -> OSError:
     return OSError(
         errno.EFBIG,
-        f"has {in_words(size)}; at most {in_words(most_bytes)} are read here",
+        f"has {in_words(size)}; at most {in_words(max_bytes)} are read here",
         str(path),
     )
 
@@ -153,10 +153,10 @@ def parse_toml(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        position = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         at_end = text.count("\n") + 1
         raise ParseError(
-            f"not valid TOML: {error}", int(found.group(1)) if found else at_end
+            f"not valid TOML: {error}", int(position.group(1)) if position else at_end
         ) from None
     except RecursionError:
         raise ParseError(f"not usable as TOML: {_TOO_DEEP}") from None

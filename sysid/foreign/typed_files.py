@@ -20,7 +20,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 import numpy as np
 
 from sysid.digests import sha256_of_parts
-from sysid.errors import in_a_line
+from sysid.errors import one_line
 
 _NUMBERS: dict[Any, tuple[type, ...]] = {
     float: (float, int, np.floating, np.integer),
@@ -93,7 +93,7 @@ _NAME = re.compile(rf"({'|'.join(PACKAGES)})((?:\.[a-z][a-z0-9_]*)+):([A-Za-z_][
 
 
 @dataclass(frozen=True)
-class OwnClass:
+class StorableClass:
     """A class, its name ("module:class"), its fields in order and their annotations."""
 
     kind: type
@@ -105,7 +105,7 @@ class OwnClass:
         """What the fields hold."""
         return [getattr(value, name) for name in self.fields]
 
-    def misfit(self, values: Sequence[Any]) -> str:
+    def mismatch(self, values: Sequence[Any]) -> str:
         """Which field's value is not of the type that is annotated, in words; "" if none."""
         if len(values) != len(self.fields):
             return f"{self.name} has {len(self.fields)} fields, not {len(values)}"
@@ -117,18 +117,18 @@ class OwnClass:
                 )
         return ""
 
-    def made(self, values: Sequence[Any]) -> Any:
+    def build(self, values: Sequence[Any]) -> Any:
         """An object with these values, of which no code has run."""
         if issubclass(self.kind, tuple):
             return tuple.__new__(self.kind, values)
-        given = dict(zip(self.fields, values, strict=True))
-        found: Any = object.__new__(self.kind)
-        for name, value in given.items():
-            object.__setattr__(found, name, value)
-        return found
+        fields = dict(zip(self.fields, values, strict=True))
+        instance: Any = object.__new__(self.kind)
+        for name, value in fields.items():
+            object.__setattr__(instance, name, value)
+        return instance
 
 
-def find_class(name: Any, fields: Any) -> OwnClass:
+def find_class(name: Any, fields: Any) -> StorableClass:
     """The class of that name with exactly these fields.
 
     Only modules of this project are imported. Raises ValueError.
@@ -143,13 +143,13 @@ def find_class(name: Any, fields: Any) -> OwnClass:
         not _is_package(".".join(above.split(".")[: n + 1])) for n in range(above.count(".") + 1)
     ):
         raise ValueError(f"no class of this program: {name}")
-    found = vars(importlib.import_module(module)).get(parts[3])
-    own = own_class(found) if isinstance(found, type) else None
-    if own is None or own.name != name:
+    target = vars(importlib.import_module(module)).get(parts[3])
+    storable = storable_class(target) if isinstance(target, type) else None
+    if storable is None or storable.name != name:
         raise ValueError(f"no class of this program whose values are data: {name}")
-    if fields != list(own.fields):
+    if fields != list(storable.fields):
         raise ValueError(f"{name} has other fields in this version of the program")
-    return own
+    return storable
 
 
 def _is_package(name: str) -> bool:
@@ -160,7 +160,7 @@ def _is_package(name: str) -> bool:
 
 
 @cache
-def own_class(kind: type) -> OwnClass | None:
+def storable_class(kind: type) -> StorableClass | None:
     """What is to be known of a class to store its values; None for any but a dataclass or named
     tuple of this project.
     """
@@ -176,11 +176,9 @@ def own_class(kind: type) -> OwnClass | None:
     except NameError:
         # Annotated with what is imported for type checkers alone.
         return None
-    named: Any = kind
-    fields = (
-        tuple(field.name for field in dataclasses.fields(named)) if plain else tuple(named._fields)
-    )
-    return OwnClass(kind, name, fields, tuple(hints[field] for field in fields))
+    cls: Any = kind
+    fields = tuple(field.name for field in dataclasses.fields(cls)) if plain else tuple(cls._fields)
+    return StorableClass(kind, name, fields, tuple(hints[field] for field in fields))
 
 
 def _is_named_tuple(kind: type) -> bool:
@@ -195,32 +193,32 @@ def _is_named_tuple(kind: type) -> bool:
 # Types of array items as plain lists of text, and back.
 
 _PLAIN = re.compile(r"[<>|][biufcmMSUV][0-9]{0,9}(\[[0-9]{0,9}[a-zA-Zμ]{1,2}\])?")
-_DEEPEST = 8
+_MAX_DTYPE_DEPTH = 8
 
 
-def described(dtype: np.dtype[Any]) -> Any:
+def describe_dtype(dtype: np.dtype[Any]) -> Any:
     """A dtype as text or, if it has fields, lists of text.
 
     Raises ValueError for what has no such description.
     """
     if dtype.kind not in "biufcmMSUV" or dtype.metadata is not None:
         raise ValueError(f"items of the type {dtype}")
-    found = _listed(np.lib.format.dtype_to_descr(dtype))
+    description = _listed(np.lib.format.dtype_to_descr(dtype))
     try:
-        same = dtype_from(found) == dtype
+        same = dtype_from(description) == dtype
     except ValueError:
         same = False
     if not same:
         raise ValueError(f"items of the type {dtype}")
-    return found
+    return description
 
 
 def dtype_from(description: Any) -> np.dtype[Any]:
     """The dtype that `described` wrote. Raises ValueError or TypeError."""
-    found: np.dtype[Any] = np.lib.format.descr_to_dtype(_checked(description, 0))
-    if found.hasobject or found.subdtype is not None:
+    dtype: np.dtype[Any] = np.lib.format.descr_to_dtype(_checked(description, 0))
+    if dtype.hasobject or dtype.subdtype is not None:
         raise ValueError("an array's items are not plain")
-    return found
+    return dtype
 
 
 def _listed(description: Any) -> Any:
@@ -239,7 +237,7 @@ def _checked(description: Any, depth: int) -> Any:
         if not _PLAIN.fullmatch(description):
             raise ValueError(f"no type of items: {description[:40]!r}")
         return description
-    if depth > _DEEPEST:
+    if depth > _MAX_DTYPE_DEPTH:
         raise ValueError("types of items are nested too deep")
     fields = []
     for name, kind, *shape in description:
@@ -254,15 +252,15 @@ def _checked(description: Any, depth: int) -> Any:
 # What bounds the values of a data file, whoever wrote it: how deep they are, how many, how long
 # it takes to look at them.
 
-DEEPEST = 100
+MAX_DEPTH = 100
 """Levels of values inside values."""
 # Values may be shared; this many, each counted as often as it is met, is more than any result
 # holds.
-_MOST_VALUES = 50_000_000
+_MAX_VALUES = 50_000_000
 # A key's hash is computed by every part of it, recursively.
-_KEY_PARTS = 1000
+_MAX_KEY_PARTS = 1000
 # Parts looked at for hashes and for types, each as often as it is.
-_MOST_LOOKS = 20_000_000
+_MAX_VISITS = 20_000_000
 MALFORMED = (
     ArithmeticError,
     AttributeError,
@@ -294,34 +292,34 @@ class Sizes:
         for child in children:
             height = max(height, self.height[child])
             parts += self.parts[child]
-        if height >= DEEPEST:
+        if height >= MAX_DEPTH:
             raise DataFileError(
-                f"values are nested more than {DEEPEST} deep, or one is inside itself"
+                f"values are nested more than {MAX_DEPTH} deep, or one is inside itself"
             )
-        if parts > _MOST_VALUES:
-            raise DataFileError(f"it holds more than {_MOST_VALUES} values")
+        if parts > _MAX_VALUES:
+            raise DataFileError(f"it holds more than {_MAX_VALUES} values")
         self.height.append(height + 1)
         self.parts.append(parts)
 
     def check_keys(self, keys: Iterable[int]) -> None:
         """Refuse keys whose hashing would take long."""
         keys = list(keys)
-        if any(self.parts[key] > _KEY_PARTS for key in keys):
-            raise DataFileError(f"a key has more than {_KEY_PARTS} parts")
-        self.look_at(keys)
+        if any(self.parts[key] > _MAX_KEY_PARTS for key in keys):
+            raise DataFileError(f"a key has more than {_MAX_KEY_PARTS} parts")
+        self.count_visits(keys)
 
-    def look_at(self, values: Iterable[int]) -> None:
+    def count_visits(self, values: Iterable[int]) -> None:
         """Count what it takes to go through these once more."""
         self._looks += sum(self.parts[value] for value in values)
-        if self._looks > _MOST_LOOKS:
-            raise DataFileError(f"looking at its values takes more than {_MOST_LOOKS} steps")
+        if self._looks > _MAX_VISITS:
+            raise DataFileError(f"looking at its values takes more than {_MAX_VISITS} steps")
 
 
 # The nodes of a data file's header made into values. Nothing is run, and nothing grows beyond
 # what the file holds.
 
 # Keys of one hash are compared one by one.
-_ALIKE_HASHES = 64
+_MAX_EQUAL_HASHES = 64
 
 
 class Reader:
@@ -341,7 +339,7 @@ class Reader:
             try:
                 value, children = _READERS[kind](self, *content)
             except MALFORMED as error:
-                raise DataFileError(f"malformed: value {number}: {in_a_line(error)}") from None
+                raise DataFileError(f"malformed: value {number}: {one_line(error)}") from None
             self._sizes.note(children)
             self._values.append(value)
         return self._values[-1]
@@ -354,34 +352,34 @@ class Reader:
         return [self._values[n] for n in numbers]
 
     def _keys(self, numbers: Any) -> list[Any]:
-        found = self._at(numbers)
+        keys = self._at(numbers)
         self._sizes.check_keys(numbers)
-        hashes = sorted(hash(key) for key in found)
-        if any(a == b for a, b in zip(hashes, hashes[_ALIKE_HASHES:], strict=False)):
+        hashes = sorted(hash(key) for key in keys)
+        if any(a == b for a, b in zip(hashes, hashes[_MAX_EQUAL_HASHES:], strict=False)):
             raise ValueError("its keys would take long to tell apart")
-        return found
+        return keys
 
     def _none(self) -> tuple[Any, Sequence[int]]:
         return None, ()
 
     def _bool(self, value: Any) -> tuple[Any, Sequence[int]]:
-        return _of(bool, value), ()
+        return _require_type(bool, value), ()
 
     def _int(self, value: Any) -> tuple[Any, Sequence[int]]:
-        return (int(value, 16) if type(value) is str else _of(int, value)), ()
+        return (int(value, 16) if type(value) is str else _require_type(int, value)), ()
 
     def _float(self, value: Any) -> tuple[Any, Sequence[int]]:
         return (
             struct.unpack(">d", bytes.fromhex(value))[0]
             if type(value) is str
-            else _of(float, value)
+            else _require_type(float, value)
         ), ()
 
     def _str(self, value: Any) -> tuple[Any, Sequence[int]]:
-        return _untext(value), ()
+        return _decoded_text(value), ()
 
     def _path(self, value: Any) -> tuple[Any, Sequence[int]]:
-        return Path(_untext(value)), ()
+        return Path(_decoded_text(value)), ()
 
     def _bytes(self, number: Any) -> tuple[Any, Sequence[int]]:
         return bytes(self._buffer(number)), ()
@@ -397,18 +395,18 @@ class Reader:
         return slice(start, stop, step), numbers
 
     def _set(self, numbers: Any) -> tuple[Any, Sequence[int]]:
-        return _all_of(set(self._keys(numbers)), numbers), numbers
+        return _require_distinct(set(self._keys(numbers)), numbers), numbers
 
     def _frozenset(self, numbers: Any) -> tuple[Any, Sequence[int]]:
-        return _all_of(frozenset(self._keys(numbers)), numbers), numbers
+        return _require_distinct(frozenset(self._keys(numbers)), numbers), numbers
 
     def _dict(self, keys: Any, values: Any) -> tuple[Any, Sequence[int]]:
-        found = dict(zip(self._keys(keys), self._at(values), strict=True))
-        return _all_of(found, keys), keys + values
+        mapping = dict(zip(self._keys(keys), self._at(values), strict=True))
+        return _require_distinct(mapping, keys), keys + values
 
     def _mappingproxy(self, keys: Any, values: Any) -> tuple[Any, Sequence[int]]:
-        found, children = self._dict(keys, values)
-        return MappingProxyType(found), children
+        mapping, children = self._dict(keys, values)
+        return MappingProxyType(mapping), children
 
     def _scalar(self, dtype: Any, value: Any) -> tuple[Any, Sequence[int]]:
         kind, content = dtype_from(dtype), bytes.fromhex(value)
@@ -419,12 +417,12 @@ class Reader:
     def _object(self, number: Any, numbers: Any) -> tuple[Any, Sequence[int]]:
         if type(number) is not int or number < 0:
             raise ValueError("it has no class")
-        own, values = self._classes[number], self._at(numbers)
-        self._sizes.look_at(numbers)
-        wrong = own.misfit(values)
-        if wrong:
-            raise ValueError(wrong)
-        return own.made(values), numbers
+        storable, values = self._classes[number], self._at(numbers)
+        self._sizes.count_visits(numbers)
+        mismatch = storable.mismatch(values)
+        if mismatch:
+            raise ValueError(mismatch)
+        return storable.build(values), numbers
 
     def _array(
         self, shape: Any, order: Any, writeable: Any, dtype: Any, number: Any
@@ -438,9 +436,9 @@ class Reader:
         return _shaped(flat.copy(), shape, order, writeable), ()
 
     def _texts(
-        self, shape: Any, order: Any, writeable: Any, lengths: Any, joined: Any
+        self, shape: Any, order: Any, writeable: Any, lengths: Any, encoded: Any
     ) -> tuple[Any, Sequence[int]]:
-        sizes, content = np.frombuffer(self._buffer(lengths), "<i8"), self._buffer(joined)
+        sizes, content = np.frombuffer(self._buffer(lengths), "<i8"), self._buffer(encoded)
         if (
             _count(shape) != len(sizes)
             or (sizes < -1).any()
@@ -449,14 +447,14 @@ class Reader:
             raise ValueError("an array's texts are not as long as it says")
         flat = np.empty(len(sizes), dtype=object)
         # Labels repeat: the same text is one object.
-        known: dict[bytes, str] = {}
+        decoded: dict[bytes, str] = {}
         begin = 0
         for i, size in enumerate(sizes.tolist()):
             if size >= 0:
                 raw = bytes(content[begin : begin + size])
-                text = known.get(raw)
+                text = decoded.get(raw)
                 flat[i] = (
-                    known.setdefault(raw, raw.decode("utf-8", "surrogatepass"))
+                    decoded.setdefault(raw, raw.decode("utf-8", "surrogatepass"))
                     if text is None
                     else text
                 )
@@ -475,12 +473,12 @@ class Reader:
         return _shaped(flat, shape, order, writeable), numbers
 
     def _buffer(self, number: Any) -> memoryview:
-        found = self._buffers[number] if type(number) is int and number >= 0 else None
-        if found is None:
+        buffer = self._buffers[number] if type(number) is int and number >= 0 else None
+        if buffer is None:
             raise ValueError("it has no buffer, or that of another value")
         # Copies of one by many values would fill the memory.
         self._buffers[number] = None
-        return found
+        return buffer
 
 
 _READERS: dict[str, Callable[..., tuple[Any, Sequence[int]]]] = {
@@ -506,24 +504,24 @@ _READERS: dict[str, Callable[..., tuple[Any, Sequence[int]]]] = {
 }
 
 
-def _of(kind: type, value: Any) -> Any:
+def _require_type(kind: type, value: Any) -> Any:
     if type(value) is not kind:
         raise TypeError(f"a {kind.__name__} is written as a {type(value).__name__}")
     return value
 
 
-def _untext(value: Any) -> str:
+def _decoded_text(value: Any) -> str:
     if type(value) is list:
         (value,) = value
         return bytes.fromhex(value).decode("utf-8", "surrogatepass")
-    found: str = _of(str, value)
-    return found
+    text: str = _require_type(str, value)
+    return text
 
 
-def _all_of(found: Any, numbers: Any) -> Any:
-    if len(found) != len(numbers):
+def _require_distinct(container: Any, numbers: Any) -> Any:
+    if len(container) != len(numbers):
         raise ValueError("two of its keys are equal")
-    return found
+    return container
 
 
 def _count(shape: Any) -> int:
@@ -543,9 +541,9 @@ def _count(shape: Any) -> int:
 def _shaped(flat: Any, shape: Any, order: Any, writeable: Any) -> Any:
     if order not in ("C", "F"):
         raise ValueError("an array has no order")
-    found = flat.reshape(shape, order=order)
-    found.flags.writeable = _of(bool, writeable)
-    return found
+    array = flat.reshape(shape, order=order)
+    array.flags.writeable = _require_type(bool, writeable)
+    return array
 
 
 # Results as bytes and back, exactly, without running what the bytes say: for files and pipes
@@ -560,7 +558,7 @@ def _shaped(flat: Any, shape: Any, order: Any, writeable: Any) -> Any:
 
 MAGIC = b"UQDATA\x00\x01"
 """The last byte is the version of the format."""
-HEADER_MOST = 16 * 1024 * 1024
+MAX_HEADER_BYTES = 16 * 1024 * 1024
 """Bytes of JSON that a file may begin with; parsed they take up to 30 times as many."""
 _DIGEST = 32
 _ALIGNMENT = 64
@@ -598,20 +596,20 @@ def load(data: bytes, kind: Any = Any) -> Any:
     if bytes.fromhex(sha256_of_parts([content])) != data[len(MAGIC) : begin]:
         raise DataFileError("damaged: its content is not what its digest says")
     length = int.from_bytes(content[:8], "little")
-    if length > min(HEADER_MOST, len(content) - 8):
+    if length > min(MAX_HEADER_BYTES, len(content) - 8):
         raise DataFileError("malformed: its header is longer than allowed")
     try:
         header = json.loads(bytes(content[8 : 8 + length]))
-        found = Reader(
+        value = Reader(
             header["classes"], _buffers(header["buffers"], content[8 + length :])
         ).values(header["nodes"])
     except DataFileError:
         raise
     except MALFORMED as error:
-        raise DataFileError(f"malformed: {in_a_line(error)}") from None
-    if not fits(found, kind):
-        raise DataFileError(f"it holds a {type(found).__name__} that is not what is asked for")
-    return found
+        raise DataFileError(f"malformed: {one_line(error)}") from None
+    if not fits(value, kind):
+        raise DataFileError(f"it holds a {type(value).__name__} that is not what is asked for")
+    return value
 
 
 def _padding(length: int) -> int:
@@ -619,15 +617,15 @@ def _padding(length: int) -> int:
 
 
 def _buffers(lengths: Any, content: memoryview) -> list[memoryview]:
-    found, begin = [], 0
+    buffers, begin = [], 0
     for length in lengths:
         if type(length) is not int or length < 0:
             raise ValueError("a buffer has no length")
-        found.append(content[begin : begin + length])
+        buffers.append(content[begin : begin + length])
         begin += length + _padding(length)
     if begin != len(content):
         raise ValueError("the buffers do not fill the file")
-    return found
+    return buffers
 
 
 class _Writer:
@@ -638,7 +636,7 @@ class _Writer:
         self._buffers: list[Any] = []
         self._sizes = Sizes()
         # The values are held here too, for the number of one that is gone may be another's.
-        self._known: dict[Any, tuple[int, Any]] = {}
+        self._numbers: dict[Any, tuple[int, Any]] = {}
         self._trail: list[str] = []
 
     def parts(self) -> list[bytes | memoryview]:
@@ -647,10 +645,10 @@ class _Writer:
             f'{{"classes":{_json(self._class_nodes)},"buffers":{_json(lengths)},'
             f'"nodes":[{",".join(self._nodes)}]}}'
         ).encode()
-        if len(header) > HEADER_MOST:
+        if len(header) > MAX_HEADER_BYTES:
             raise DataFileError(
                 f"the value takes {len(header)} bytes beside its arrays; a data file allows"
-                f" {HEADER_MOST}"
+                f" {MAX_HEADER_BYTES}"
             )
         parts = [len(header).to_bytes(8, "little"), header]
         for buffer in self._buffers:
@@ -660,17 +658,17 @@ class _Writer:
     def add(self, value: Any) -> int:
         """The value's number, its own node written if there is none yet."""
         key = _identity(value)
-        if key in self._known:
-            return self._known[key][0]
-        if len(self._trail) > DEEPEST:
+        if key in self._numbers:
+            return self._numbers[key][0]
+        if len(self._trail) > MAX_DEPTH:
             raise DataFileError(
-                f"values are nested more than {DEEPEST} deep, or one is inside itself"
+                f"values are nested more than {MAX_DEPTH} deep, or one is inside itself"
             )
         node, children = self._node(value)
         self._sizes.note(children)
         self._nodes.append(_json(node))
         number = len(self._nodes) - 1
-        self._known[key] = number, value
+        self._numbers[key] = number, value
         return number
 
     def _node(self, value: Any) -> tuple[list[Any], list[int]]:
@@ -699,31 +697,31 @@ class _Writer:
         if kind is np.ndarray:
             return self._array(value)
         if isinstance(value, np.generic):
-            alone = np.asarray(value)
-            return ["scalar", self._dtype(alone.dtype), alone.tobytes().hex()], []
-        own = own_class(kind)
-        if own is None:
+            scalar = np.asarray(value)
+            return ["scalar", self._dtype(scalar.dtype), scalar.tobytes().hex()], []
+        storable = storable_class(kind)
+        if storable is None:
             raise DataFileError(
                 f"a data file cannot hold a {kind.__module__}.{kind.__qualname__}{self._place()}"
             )
-        return self._object(own, value)
+        return self._object(storable, value)
 
-    def _object(self, own: OwnClass, value: Any) -> tuple[list[Any], list[int]]:
-        if own.kind not in self._classes:
-            self._classes[own.kind] = len(self._class_nodes)
-            self._class_nodes.append([own.name, list(own.fields)])
-        values = own.values(value)
-        wrong = own.misfit(values)
-        if wrong:
-            raise DataFileError(f"{wrong}{self._place()}")
-        items = self._all(zip(own.fields, values, strict=True))
-        self._sizes.look_at(items)
-        return ["object", self._classes[own.kind], items], items
+    def _object(self, storable: StorableClass, value: Any) -> tuple[list[Any], list[int]]:
+        if storable.kind not in self._classes:
+            self._classes[storable.kind] = len(self._class_nodes)
+            self._class_nodes.append([storable.name, list(storable.fields)])
+        values = storable.values(value)
+        mismatch = storable.mismatch(values)
+        if mismatch:
+            raise DataFileError(f"{mismatch}{self._place()}")
+        items = self._all(zip(storable.fields, values, strict=True))
+        self._sizes.count_visits(items)
+        return ["object", self._classes[storable.kind], items], items
 
     def _array(self, value: np.ndarray) -> tuple[list[Any], list[int]]:
         order = "F" if value.flags.f_contiguous and not value.flags.c_contiguous else "C"
         flat = value.reshape(-1, order=order)  # type: ignore[call-overload]
-        about = [list(value.shape), order, value.flags.writeable]
+        layout = [list(value.shape), order, value.flags.writeable]
         if not value.dtype.hasobject:
             dtype = self._dtype(value.dtype)
             if value.dtype.itemsize == 0 and value.size:
@@ -732,20 +730,20 @@ class _Writer:
                 )
             # Not all types offer their memory as it is; bytes do.
             raw = np.ascontiguousarray(flat).view(np.uint8).data if value.size else b""
-            return ["array", *about, dtype, self._buffer(raw)], []
+            return ["array", *layout, dtype, self._buffer(raw)], []
         if value.dtype != object:
             raise DataFileError(f"a data file cannot hold an array of {value.dtype}{self._place()}")
         if all(item is None or type(item) is str for item in flat):
             texts = [None if item is None else _encoded(item) for item in flat]
             lengths = np.array([-1 if text is None else len(text) for text in texts], dtype="<i8")
-            joined = b"".join(text for text in texts if text)
-            return ["texts", *about, self._buffer(lengths.tobytes()), self._buffer(joined)], []
+            encoded = b"".join(text for text in texts if text)
+            return ["texts", *layout, self._buffer(lengths.tobytes()), self._buffer(encoded)], []
         items = self._all(enumerate(flat))
-        return ["objects", *about, items], items
+        return ["objects", *layout, items], items
 
     def _dtype(self, dtype: np.dtype[Any]) -> Any:
         try:
-            return described(dtype)
+            return describe_dtype(dtype)
         except ValueError as error:
             raise DataFileError(f"a data file cannot hold {error}{self._place()}") from None
 
@@ -754,12 +752,12 @@ class _Writer:
         return len(self._buffers) - 1
 
     def _all(self, values: Iterable[tuple[Any, Any]]) -> list[int]:
-        found = []
+        numbers = []
         for name, value in values:
             self._trail.append(str(name))
-            found.append(self.add(value))
+            numbers.append(self.add(value))
             self._trail.pop()
-        return found
+        return numbers
 
     def _place(self) -> str:
         return f", at {'.'.join(self._trail)}" if self._trail else ""

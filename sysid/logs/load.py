@@ -16,7 +16,7 @@ import numpy as np
 from sysid.digests import file_sha256, sha256_hex
 from sysid.errors import Finding, LogError
 from sysid.foreign import limited
-from sysid.foreign.raw import Progress, RawLog
+from sysid.foreign.raw import ProgressCallback, RawLog
 from sysid.foreign.regular_files import read_regular_text
 from sysid.logs.assemble import assemble, with_checks
 from sysid.logs.card import AirframeCard, read_card
@@ -85,7 +85,7 @@ def import_log(
     *,
     flight_number: int | None = None,
     cache: Path | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> FlightRecord:
     """Read any supported log into a record of its whole length.
 
@@ -128,7 +128,7 @@ def _assemble(
     card: AirframeCard | None,
     digest: str,
     flight_number: int | None,
-    progress: Progress | None,
+    progress: ProgressCallback | None,
 ) -> FlightRecord:
     base = map_of_dialect(dialect)
     signal_map = base if user_map is None else base.overlaid(user_map)
@@ -262,7 +262,7 @@ def map_of_dialect(dialect: str) -> SignalMap:
 
 
 def read_raw(
-    path: Path, dialect: str, signal_map: SignalMap | None, progress: Progress | None = None
+    path: Path, dialect: str, signal_map: SignalMap | None, progress: ProgressCallback | None = None
 ) -> RawLog:
     """The log's own messages; only what `signal_map` asks for, or everything with None."""
     wanted = None if signal_map is None else signal_map.wanted()

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from sysid.errors import LogError
-from sysid.foreign.raw import MessageTable, Progress, RawLog, TimeColumn
+from sysid.foreign.raw import MessageTable, ProgressCallback, RawLog, TimeColumn
 from sysid.logs.assemble import assemble
 from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import Times, resolve
@@ -225,7 +225,7 @@ class MapProposal:
 
 
 def propose_map(
-    path: Path, card_path: Path | None = None, *, callback: Progress | None = None
+    path: Path, card_path: Path | None = None, *, callback: ProgressCallback | None = None
 ) -> MapProposal:
     """Propose a signal map for a log of any dialect.
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid.display import drawing, visible
+from sysid.display import cursor_stream, visible
 from sysid.errors import Finding, LogError
 from sysid.logs import default_cache
 from uqharness.cli.options import (
@@ -36,7 +36,7 @@ from uqharness.simulator import find_aircraft
 from uqharness.xml import FIELDS, protocol_xml
 
 if TYPE_CHECKING:
-    from sysid.foreign.raw import Progress
+    from sysid.foreign.raw import ProgressCallback
     from sysid.logs import LogInfo
     from sysid.record import Boot, FlightRecord, Loiter
 
@@ -256,18 +256,18 @@ class _ProgressLine:
     def __init__(self, title: str) -> None:
         self._title, self._shown = title, -1
 
-    def __enter__(self) -> Progress | None:
+    def __enter__(self) -> ProgressCallback | None:
         return self._show if sys.stderr.isatty() else None
 
     def __exit__(self, *_: object) -> None:
         if self._shown >= 0:
-            drawing(sys.stderr).write("\r\x1b[K")
+            cursor_stream(sys.stderr).write("\r\x1b[K")
 
     def _show(self, share: float) -> None:
         percent = int(100 * share)
         if percent != self._shown:
             self._shown = percent
-            drawing(sys.stderr).write(f"\rreading {visible(self._title)} {percent} %")
+            cursor_stream(sys.stderr).write(f"\rreading {visible(self._title)} {percent} %")
             sys.stderr.flush()
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import Finding, LogError
-from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
+from sysid.foreign.raw import FieldSelection, MessageTable, ProgressCallback, RawLog
 from sysid.foreign.regular_files import open_regular
 
 # The DataFlash record format: what an FMT record says, as numpy types (for binary reader, text
@@ -303,7 +303,7 @@ _FMT_FORMAT = Format(
 class _Walker:
     """State that lives from block to block: known formats, collected columns, damage met."""
 
-    def __init__(self, wanted: Wanted | None) -> None:
+    def __init__(self, wanted: FieldSelection | None) -> None:
         self.wanted = wanted
         self.formats: dict[int, Format] = {FMT_TYPE: _FMT_FORMAT}
         self.lengths = [0] * 256
@@ -475,7 +475,9 @@ def _array(data: bytearray, character: str) -> NDArray[Any]:
     return values.reshape(-1, 32) if character == "a" else values
 
 
-def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
+def read(
+    path: Path, wanted: FieldSelection | None = None, progress: ProgressCallback | None = None
+) -> RawLog:
     """Read a binary DataFlash log.
 
     wanted  message -> fields to keep (None keeps everything); messages that the checks need are
@@ -503,7 +505,9 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
     )
 
 
-def _blocks(handle: BinaryIO, walker: _Walker, size: int, progress: Progress | None) -> None:
+def _blocks(
+    handle: BinaryIO, walker: _Walker, size: int, progress: ProgressCallback | None
+) -> None:
     rest, base = b"", 0
     while True:
         fresh = handle.read(BLOCK_BYTES)
@@ -560,7 +564,9 @@ class _Collector:
         }
 
 
-def read_text(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
+def read_text(
+    path: Path, wanted: FieldSelection | None = None, progress: ProgressCallback | None = None
+) -> RawLog:
     """Read a text DataFlash log; arguments and errors as in `dataflash_binary.read`."""
     formats: dict[str, Format] = {}
     collectors: dict[str, _Collector | None] = {}
@@ -626,7 +632,7 @@ def read_text(path: Path, wanted: Wanted | None = None, progress: Progress | Non
     )
 
 
-def _keep(fmt: Format, wanted: Wanted | None) -> list[str]:
+def _keep(fmt: Format, wanted: FieldSelection | None) -> list[str]:
     if wanted is None or fmt.name in ALWAYS:
         return [c for c, k in zip(fmt.columns, fmt.characters, strict=True) if k != "a"]
     if fmt.name not in wanted:

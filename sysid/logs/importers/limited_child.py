@@ -26,7 +26,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.foreign.limited import MemoryLimit
-from sysid.foreign.raw import Progress, RawLog, TimeColumn
+from sysid.foreign.raw import ProgressCallback, RawLog, TimeColumn
 from sysid.foreign.typed_files import dump
 
 _PROGRESS_S = 0.1
@@ -80,7 +80,7 @@ def _frame(answers: BinaryIO, kind: bytes, content: bytes = b"") -> None:
     answers.flush()
 
 
-def _progress(answers: BinaryIO) -> Progress:
+def _progress(answers: BinaryIO) -> ProgressCallback:
     last = time.monotonic()
 
     def tell(share: float) -> None:
@@ -95,29 +95,33 @@ def _progress(answers: BinaryIO) -> Progress:
 Parts = Iterator[tuple[Any, ...]]
 
 
-def _messages(importer: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
+def _messages(
+    importer: Any, path: Path, order: Mapping[str, Any], progress: ProgressCallback
+) -> Parts:
     return _log_parts(importer.read(path, _wanted(order), progress))
 
 
-def _csv(tables: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
+def _csv(tables: Any, path: Path, order: Mapping[str, Any], progress: ProgressCallback) -> Parts:
     return _log_parts(
         tables.read_csv(path, _wanted(order), order["kind"] == "jsbsim-csv", _time(order))
     )
 
 
-def _parquet(tables: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
+def _parquet(
+    tables: Any, path: Path, order: Mapping[str, Any], progress: ProgressCallback
+) -> Parts:
     memory = int(order["memory"])
     return _log_parts(tables.read_parquet(path, _wanted(order), memory, _time(order)))
 
 
-def _record(tables: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
+def _record(tables: Any, path: Path, order: Mapping[str, Any], progress: ProgressCallback) -> Parts:
     columns, metadata = tables.read_record(path, int(order["memory"]))
     for name, values in columns.items():
         yield "column", name, values
     yield "metadata", metadata
 
 
-def _table(tables: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
+def _table(tables: Any, path: Path, order: Mapping[str, Any], progress: ProgressCallback) -> Parts:
     for name, values in tables.read_small_table(path).items():
         yield "column", name, values
 
@@ -134,7 +138,7 @@ _READERS: dict[str, tuple[str, Callable[..., Parts]]] = {
 
 
 def _wanted(order: Mapping[str, Any]) -> dict[str, frozenset[str]] | None:
-    wanted = order["wanted"]
+    wanted = order["selection"]
     return (
         None
         if wanted is None
@@ -155,16 +159,16 @@ def _log_parts(raw: RawLog) -> Parts:
         "about",
         {
             "dialect": raw.dialect,
-            "counted": _texts(raw.counts),
+            "count_names": _texts(raw.counts),
             "counts": np.array(list(raw.counts.values()), dtype=np.int64),
             "parameters": _texts(raw.parameters),
             "values": np.array(list(raw.parameters.values()), dtype=np.float64),
-            "said_s": np.array([t for t, _ in raw.texts], dtype=np.float64),
-            "said": _texts(text for _, text in raw.texts),
-            "said_at": np.array(raw.text_places, dtype=np.int64),
-            "logged_at": np.array([at for at, _, _ in raw.parameter_log], dtype=np.int64),
-            "logged": _texts(name for _, name, _ in raw.parameter_log),
-            "logged_values": np.array([v for _, _, v in raw.parameter_log], dtype=np.float64),
+            "text_time_s": np.array([t for t, _ in raw.texts], dtype=np.float64),
+            "texts": _texts(text for _, text in raw.texts),
+            "text_place": np.array(raw.text_places, dtype=np.int64),
+            "parameter_place": np.array([at for at, _, _ in raw.parameter_log], dtype=np.int64),
+            "parameter_name": _texts(name for _, name, _ in raw.parameter_log),
+            "parameter_value": np.array([v for _, _, v in raw.parameter_log], dtype=np.float64),
             "headers": np.array(raw.headers, dtype=np.int64),
             "vehicle": raw.vehicle,
             "facts": dict(raw.facts),

@@ -24,9 +24,15 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from sysid.errors import Finding, LogError, in_a_line
-from sysid.foreign.limited import LIMITS, MOST_COLUMNS, MOST_COMMENT, MOST_LINE, too_much
-from sysid.foreign.raw import MessageTable, RawLog, TimeColumn, Wanted
+from sysid.errors import Finding, LogError, one_line
+from sysid.foreign.limited import (
+    LIMITS,
+    MAX_COLUMNS,
+    MAX_COMMENT_BYTES,
+    MAX_LINE_BYTES,
+    memory_refusal,
+)
+from sysid.foreign.raw import FieldSelection, MessageTable, RawLog, TimeColumn
 from sysid.foreign.regular_files import in_words, open_regular
 from sysid.logs.channels import COMPONENTS, with_air_data
 from sysid.logs.time_base import TIME_UNITS, likely_time_unit, time_unit_finding
@@ -414,7 +420,7 @@ def si_factor(name: str) -> float:
 
 def read_csv(
     path: Path,
-    wanted: Wanted | None = None,
+    wanted: FieldSelection | None = None,
     jsbsim: bool = False,
     time: TimeColumn | None = None,
 ) -> RawLog:
@@ -442,7 +448,7 @@ def read_csv(
 
 def read_parquet(
     path: Path,
-    wanted: Wanted | None = None,
+    wanted: FieldSelection | None = None,
     most_bytes: int | None = None,
     time: TimeColumn | None = None,
 ) -> RawLog:
@@ -485,7 +491,7 @@ def _has_comments(path: Path, written: TableFormat) -> bool:
     """Whether a line below the names begins with a number sign."""
     with open_regular(path) as handle:
         for _ in range(written.first_row_line):
-            handle.readline(MOST_COMMENT + 1)
+            handle.readline(MAX_COMMENT_BYTES + 1)
         last = b"\n"
         while block := handle.read(1 << 20):
             if b"\n#" in last + block:
@@ -620,7 +626,7 @@ def _readable(kind: str, path: Path) -> Iterator[None]:
         OverflowError,
         RecursionError,
     ) as error:
-        why = in_a_line(error)
+        why = one_line(error)
         raise LogError(f"not a readable {kind} ({type(error).__name__}: {why})", path) from None
 
 
@@ -636,9 +642,9 @@ def _check_csv(path: Path) -> TableFormat | None:
         header = 0 if written is None else written.header_line
         columns = number = rows_seen = 0
         cells: dict[int, int] = {}
-        while rows_seen < _ROWS_LOOKED_AT and (line := handle.readline(MOST_COMMENT + 1)):
+        while rows_seen < _ROWS_LOOKED_AT and (line := handle.readline(MAX_COMMENT_BYTES + 1)):
             number += 1
-            most = MOST_COMMENT if line.startswith(b"#") else MOST_LINE
+            most = MAX_COMMENT_BYTES if line.startswith(b"#") else MAX_LINE_BYTES
             if len(line) > most:
                 raise LogError(
                     f"has more than {in_words(most)}; a table's lines are shorter",
@@ -651,8 +657,8 @@ def _check_csv(path: Path) -> TableFormat | None:
                 if number > header and len(cells) < 2 and separator != b" ":
                     line = line.rstrip(b"\r\n" + separator)
                     cells[number] = _QUOTED.sub(b"", line).count(separator) + 1
-        if columns > MOST_COLUMNS:
-            raise LogError(f"has {columns} columns; at most {MOST_COLUMNS} are read", path)
+        if columns > MAX_COLUMNS:
+            raise LogError(f"has {columns} columns; at most {MAX_COLUMNS} are read", path)
         (_, named), (first, found) = [*cells.items(), (0, 0), (0, 0)][:2]
         if found > named:
             # The reader would take what is too much for names of rows, and every column for its
@@ -669,7 +675,7 @@ def _check_csv(path: Path) -> TableFormat | None:
             rows += max(block.count(b"\n"), block.count(b"\r"))
     needed, allowed = 8 * rows * columns, LIMITS["csv"].bytes(size) // 2
     if needed > allowed:
-        raise LogError(too_much(f"{rows} lines of {columns} columns", needed, allowed), path)
+        raise LogError(memory_refusal(f"{rows} lines of {columns} columns", needed, allowed), path)
     return written
 
 
@@ -677,10 +683,8 @@ def _opened(handle: Any, path: Path) -> pq.ParquetFile:
     """The file with its texts as dictionaries: what repeats is held once."""
     with _readable("Parquet file", path):
         schema = pq.read_schema(handle)
-        if len(schema.names) > MOST_COLUMNS:
-            raise LogError(
-                f"has {len(schema.names)} columns; at most {MOST_COLUMNS} are read", path
-            )
+        if len(schema.names) > MAX_COLUMNS:
+            raise LogError(f"has {len(schema.names)} columns; at most {MAX_COLUMNS} are read", path)
         texts = [field.name for field in schema if _is_text(field.type)]
         handle.seek(0)
         return pq.ParquetFile(handle, read_dictionary=texts)
@@ -711,7 +715,9 @@ def _read_columns(
         (LIMITS["parquet"].bytes(0) if most_bytes is None else most_bytes) // 2,
     )
     if needed > allowed:
-        raise LogError(too_much(f"{rows} rows of {len(names)} columns", needed, allowed), path)
+        raise LogError(
+            memory_refusal(f"{rows} rows of {len(names)} columns", needed, allowed), path
+        )
     for name in names:
         with _readable("Parquet file", path):
             column = file.read(columns=[name], use_threads=False).column(name)
@@ -745,7 +751,7 @@ def _plain(name: Any, jsbsim: bool) -> str:
 
 
 def _kept(
-    names: Sequence[str], wanted: Wanted | None, time: TimeColumn | None, path: Path
+    names: Sequence[str], wanted: FieldSelection | None, time: TimeColumn | None, path: Path
 ) -> set[str]:
     """The names that are to be read. Raises LogError where there can be no time."""
     if time is not None:

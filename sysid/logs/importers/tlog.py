@@ -21,7 +21,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sysid.arrays import FloatArray
 from sysid.errors import Finding, LogError
-from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
+from sysid.foreign.raw import FieldSelection, MessageTable, ProgressCallback, RawLog
 from sysid.foreign.regular_files import open_regular
 from sysid.logs.importers.detect import frame_length, frame_time
 from sysid.logs.time_base import boundaries
@@ -58,7 +58,7 @@ _BOOT_FIELDS = (("time_boot_ms", 1e-3), ("time_usec", 1e-6), ("time_us", 1e-6))
 
 
 class _Tlog:
-    def __init__(self, wanted: Wanted | None) -> None:
+    def __init__(self, wanted: FieldSelection | None) -> None:
         # `mavlink.mavlink_map` is keyed by packet number; MAVLink classes know their fields.
         everything = {cls.msgname: number for number, cls in mavlink.mavlink_map.items()}
         names = set(everything if wanted is None else wanted) | {
@@ -157,7 +157,9 @@ class _Tlog:
                 store[f].append(float(value))
 
 
-def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
+def read(
+    path: Path, wanted: FieldSelection | None = None, progress: ProgressCallback | None = None
+) -> RawLog:
     """Read a .tlog; message times are the vehicle's own (time since boot) where a message carries
     one, otherwise between those of the messages before and behind it in the file: radios deliver in
     bursts. Raises LogError when no packet can be read."""

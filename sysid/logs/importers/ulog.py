@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from sysid.errors import Finding, LogError
-from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
+from sysid.foreign.raw import FieldSelection, MessageTable, ProgressCallback, RawLog
 from sysid.foreign.regular_files import open_regular
 from sysid.logs.time_base import RESTART_S
 
@@ -42,7 +42,9 @@ _BLOCK_BYTES = 4 << 20
 _PART = 1 << 40  # places of one part of a file with several logs; no log has as many records
 
 
-def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
+def read(
+    path: Path, wanted: FieldSelection | None = None, progress: ProgressCallback | None = None
+) -> RawLog:
     """Read a ULog file. Raises LogError when pyulog cannot make sense of it or nothing useful is
     inside.
     """
@@ -84,7 +86,9 @@ def _headers(handle: BinaryIO) -> list[int]:
     return starts
 
 
-def _read(opened: Callable[[], BinaryIO], path: Path, wanted: Wanted | None, number: int) -> RawLog:
+def _read(
+    opened: Callable[[], BinaryIO], path: Path, wanted: FieldSelection | None, number: int
+) -> RawLog:
     """One log of a file, opened by ``opened``; ``number`` counts the logs before it."""
     chatter = io.StringIO()
     names = None if wanted is None else sorted(wanted)

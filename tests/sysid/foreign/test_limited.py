@@ -296,7 +296,7 @@ def test_progress_comes_through(
 def test_a_reader_that_fails_in_an_unknown_way_keeps_its_traceback(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time_s,q_radps\n0,1\n1,2\n")
     with pytest.raises(RuntimeError, match="Traceback"):
-        limited._ask(tmp_path / "a.csv", "csv", {"wanted": 5})
+        limited._request(tmp_path / "a.csv", "csv", {"selection": 5})
 
 
 def test_a_chunk_that_is_no_data_ends_the_child(
