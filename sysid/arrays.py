@@ -1,4 +1,10 @@
-"""What every estimator asks of its input: segments, names, bounds; refusals that say what to do."""
+"""Check and normalise the arguments of the estimators.
+
+Every estimator accepts one array or a list of segments, a start vector, parameter names, bounds
+and a choice of free parameters. These functions turn each of them into one canonical form (float
+arrays of two dimensions, tuples of names, boolean masks) and raise ValueError with the received
+value, the allowed values and the remedy.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +19,25 @@ FloatArray = NDArray[np.float64]
 
 
 def as_array(value: ArrayLike, argument: str) -> FloatArray:
-    """`value` as a float array; ValueError (never TypeError) when it is not numeric."""
+    """Convert to a float array.
+
+    Parameters
+    ----------
+    value : array_like
+        Numbers of any shape.
+    argument : str
+        Name of the argument, for the message.
+
+    Raises
+    ------
+    ValueError
+        If `value` is not numeric or not rectangular (numpy may raise TypeError for this).
+
+    Examples
+    --------
+    >>> as_array([1, 2], "y")
+    array([1., 2.])
+    """
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError) as error:
@@ -21,8 +45,9 @@ def as_array(value: ArrayLike, argument: str) -> FloatArray:
 
 
 def is_segment_list(value: Any) -> bool:
-    """Is this a list of segments (of arrays, or of nested lists two deep), not one array written as
-    a list?
+    """Return whether `value` is a list of segments rather than one array written as nested lists.
+
+    A list of arrays is a list of segments; so is a list of lists of lists.
     """
     if not isinstance(value, list | tuple) or len(value) == 0:
         return False
@@ -31,10 +56,27 @@ def is_segment_list(value: Any) -> bool:
 
 
 def as_segments(value: Any, argument: str, *, dropouts: bool) -> list[FloatArray]:
-    """Segments as (n, m) arrays from one array or a list of them; a 1-D array is one output.
+    """Convert one array or a list of arrays to segments of equal width.
 
-    dropouts: NaN is allowed (a sample that was not measured). Infinite values never are.
-    Raises ValueError: not numeric, no sample, unequal columns, non-finite values.
+    Parameters
+    ----------
+    value : array_like or list of array_like
+        One segment, or several. A segment of shape (n,) is one channel and becomes (n, 1).
+    argument : str
+        Name of the argument, for the message.
+    dropouts : bool
+        Allow NaN, which marks a sample that was not measured. Infinite values are never allowed.
+
+    Returns
+    -------
+    list of ndarray
+        Segments of shape (n, m), with m equal for all.
+
+    Raises
+    ------
+    ValueError
+        If a value is not numeric, a segment has no sample, the number of columns differs between
+        segments, or a value is not finite.
     """
     parts = [as_array(part, argument) for part in (value if is_segment_list(value) else [value])]
     parts = [part[:, None] if part.ndim == 1 else part for part in parts]
@@ -49,19 +91,23 @@ def as_segments(value: Any, argument: str, *, dropouts: bool) -> list[FloatArray
                 f"{where} has {part.shape[1]} columns, segment 0 has {parts[0].shape[1]}; give all"
                 " the same"
             )
+        # Report the first offending sample: that is what the caller has to look at.
         is_invalid = np.isinf(part) if dropouts else ~np.isfinite(part)
         if is_invalid.any():
             row, column = np.argwhere(is_invalid)[0]
             remedy = "mark dropouts as NaN" if dropouts else "repair or cut these samples"
             raise ValueError(
-                f"{where} holds {int(is_invalid.sum())} value(s) that are not finite, first at row {row},"
-                f" column {column}; {remedy}"
+                f"{where} holds {int(is_invalid.sum())} value(s) that are not finite, first at"
+                f" row {row}, column {column}; {remedy}"
             )
     return parts
 
 
 def as_parameters(theta0: ArrayLike, argument: str = "theta0") -> FloatArray:
-    """A finite (k,) vector, k >= 1. Raises ValueError otherwise."""
+    """Convert a start vector to a finite array of shape (k,) with k >= 1, as a copy.
+
+    Raises ValueError for any other shape and for values that are not finite.
+    """
     theta = np.atleast_1d(as_array(theta0, argument)).copy()
     if theta.ndim != 1 or theta.size == 0:
         raise ValueError(
@@ -78,9 +124,28 @@ def as_parameters(theta0: ArrayLike, argument: str = "theta0") -> FloatArray:
 def as_names(
     names: Sequence[str] | None, count: int, prefix: str, argument: str = "names"
 ) -> tuple[str, ...]:
-    """`count` unique names, `prefix`0.. when none are given.
+    """Return `count` unique names; ``prefix0``, ``prefix1``, ... when `names` is None.
 
-    Raises ValueError: wrong length, repeated.
+    Parameters
+    ----------
+    names : sequence of str or None
+        Names chosen by the caller.
+    count : int
+        Number of parameters.
+    prefix : str
+        Beginning of the default names.
+    argument : str
+        Name of the argument, for the message.
+
+    Raises
+    ------
+    ValueError
+        If `names` is a single string, has another length, or repeats a name.
+
+    Examples
+    --------
+    >>> as_names(None, 2, "theta")
+    ('theta0', 'theta1')
     """
     if names is None:
         return tuple(f"{prefix}{index}" for index in range(count))
@@ -102,11 +167,34 @@ def as_names(
 def as_bounds(
     bounds: Any, theta0: FloatArray, names: tuple[str, ...]
 ) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper (k,) from None, k pairs (None = open end), two (k,) vectors or {name: (lo,
-    hi)}.
+    """Convert bounds in any accepted form to a lower and an upper vector.
 
-    With k = 2 the form is read as pairs, one a parameter.
-    Raises ValueError: wrong form, lower >= upper, theta0 outside.
+    Parameters
+    ----------
+    bounds : None, sequence or dict
+        None (no bounds); k pairs ``(lower, upper)`` in which None is an open end; two vectors of
+        shape (k,); or a dictionary from name to pair. With k = 2 a sequence is read as pairs.
+    theta0 : ndarray of shape (k,)
+        Start values, which must lie inside the bounds.
+    names : tuple of str
+        The k parameter names.
+
+    Returns
+    -------
+    lower, upper : ndarray of shape (k,)
+        Open ends are -inf and inf.
+
+    Raises
+    ------
+    ValueError
+        If the form is wrong, a lower bound is not below its upper bound, or a start value lies
+        outside.
+
+    Examples
+    --------
+    >>> lower, upper = as_bounds({"b": (0.0, None)}, np.array([1.0, 2.0]), ("a", "b"))
+    >>> lower.tolist(), upper.tolist()
+    ([-inf, 0.0], [inf, inf])
     """
     count = theta0.size
     lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
@@ -120,6 +208,7 @@ def as_bounds(
             pairs = [bounds.get(name, (None, None)) for name in names]
         else:
             pairs = list(bounds)
+            # Two vectors of lower and upper bounds; a scalar in place of a vector counts for all.
             if len(pairs) == 2 and count != 2:
                 pairs = list(
                     zip(
@@ -153,9 +242,29 @@ def as_bounds(
 
 
 def as_free(free: Any, names: tuple[str, ...]) -> NDArray[np.bool_]:
-    """(k,) mask of estimated parameters from None, names, indices or a boolean mask.
+    """Return the mask of estimated parameters.
 
-    Raises ValueError.
+    Parameters
+    ----------
+    free : None, sequence of str, of int or of bool
+        Names, indices or a mask of the parameters to estimate; None selects all.
+    names : tuple of str
+        The k parameter names.
+
+    Returns
+    -------
+    ndarray of bool, shape (k,)
+        True for a parameter that is estimated.
+
+    Raises
+    ------
+    ValueError
+        If a name or an index does not exist, a mask has another length, or nothing is selected.
+
+    Examples
+    --------
+    >>> as_free(["b"], ("a", "b")).tolist()
+    [False, True]
     """
     count = len(names)
     if free is None:

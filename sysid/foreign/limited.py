@@ -1,9 +1,9 @@
-"""Foreign formats read in a child process with a time and a memory limit: pyulog, pymavlink, pandas
-and pyarrow meet a file there.
+"""Read foreign formats in a child process with a time limit and a memory limit.
 
-What they make of it comes back as data, never as code, so that a file that leads one of them astray
-can end the child and nothing else. The child is kept for the files that follow. Where the system
-has no limit of address space (Windows, macOS) the time limit holds alone."""
+pyulog, pymavlink, pandas and pyarrow parse files only in that process. It returns data and no code
+(`typed_files`), so that a malicious file can at most end the child. The child stays alive for the
+next file. Systems without a limit of the address space (Windows, macOS) have the time limit alone.
+"""
 
 from __future__ import annotations
 
@@ -28,23 +28,27 @@ from sysid.foreign.regular_files import in_words, open_regular, require_regular
 from sysid.foreign.typed_files import DataFileError, load
 from sysid.parallel import ONE_THREAD
 
-# What reading a foreign file may cost: time and memory that grow with the file, so that a long
-# log is read and a bomb is not.
+# Limits on time and memory grow with the size of the file: a long log is read, a decompression
+# bomb is not.
 
 MAX_COLUMNS = 5_000
-"""Columns of a table. JSBSim's fullest output has about a thousand; a header of a million is no
-flight.
-"""
+"""Columns of a table. JSBSim writes about a thousand at most."""
 MAX_LINE_BYTES = 1_000_000
-"""Bytes of a table's header and first rows, each."""
+"""Bytes of the header of a table, and of each of its first rows."""
 MAX_COMMENT_BYTES = 50_000_000
-"""Bytes of a comment before the header, where a flight record keeps what is known of it."""
+"""Bytes of a comment above the header, where a flight record stores its metadata."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """base_s, bytes_per_s: time allowed; base_bytes, per_byte: memory above what the reader itself
-    takes.
+    """Time and memory that a reader may use.
+
+    Attributes
+    ----------
+    base_s, bytes_per_s : float
+        Allowed time: ``base_s + size / bytes_per_s``, s.
+    base_bytes, per_byte : float
+        Allowed memory above that of the reader itself: ``base_bytes + per_byte * size``.
     """
 
     base_s: float
@@ -53,30 +57,30 @@ class Limit:
     per_byte: float
 
     def seconds(self, size: int) -> float:
-        """Wall-clock time for a file of `size` bytes."""
+        """Return the allowed wall-clock time for a file of `size` bytes, s."""
         return self.base_s + size / self.bytes_per_s
 
     def bytes(self, size: int) -> int:
-        """Memory for a file of `size` bytes; the values that are handed over may take as much."""
+        """Return the allowed memory for a file of `size` bytes; the answer may be as large."""
         return int(self.base_bytes + self.per_byte * size)
 
 
 LIMITS = {
-    # pyulog reads 10 to 40 MB/s and holds each topic twice while it decodes; a damaged length held
-    # it for minutes.
+    # pyulog reads 10 to 40 MB/s and holds each topic twice while it decodes. A damaged length
+    # field can keep it busy for minutes.
     "ulog": Limit(10.0, 1e6, 400_000_000, 8.0),
     # pymavlink decodes 2 to 4 MB/s; a packet of 25 bytes becomes up to ten numbers of 8.
     "tlog": Limit(10.0, 0.25e6, 300_000_000, 8.0),
-    # pandas reads 20 to 100 MB/s; a cell of two characters becomes a number of 8 bytes, and is held
-    # twice on the way.
+    # pandas reads 20 to 100 MB/s. A cell of two characters becomes a number of 8 bytes, of
+    # which pandas holds two copies for a while.
     "csv": Limit(10.0, 2e6, 400_000_000, 16.0),
-    # Parquet packs: ten times is usual for a flight, thousands of times is a bomb.
+    # Parquet compresses: a factor of ten is usual for a flight, a factor of thousands is a bomb.
     "parquet": Limit(10.0, 1e6, 600_000_000, 40.0),
 }
 
 
 def memory_refusal(content: str, needed: float, allowed: float) -> str:
-    """The sentence for a file that asks for more memory than one of its size should."""
+    """Return the message for a file that needs more memory than its size justifies."""
     return (
         f"{content} would take {in_words(needed)} of memory; a file of its size may take"
         f" {in_words(allowed)}: it is damaged or made to fill the memory; keep fewer rows and"
@@ -84,10 +88,11 @@ def memory_refusal(content: str, needed: float, allowed: float) -> str:
     )
 
 
+# The child loads its libraries only, so that a long wait means a slow disk.
 _START_S = 120.0  # nothing of a stranger's is read yet: only a busy disk makes this long
 _HOME = Path(__file__).parents[2]
-# The package is found where this one is, and its folder is on the path for no longer than that
-# takes.
+# Import sysid from the folder of this file, and leave that folder on the path no longer than
+# needed.
 _READER_CODE = (
     "import sys; sys.path.insert(0, sys.argv[1]); import sysid; del sys.path[0]; "
     "from sysid.logs.importers.limited_child import main; main()"
@@ -101,11 +106,26 @@ def read_raw(
     progress: ProgressCallback | None = None,
     time: TimeColumn | None = None,
 ) -> RawLog:
-    """A log of dialect ulog, tlog, csv, jsbsim-csv or parquet; `selection` and `time` as in the
-    importers.
+    """Read a log in the child process.
 
-    Raises LogError for what cannot be read, and for what takes more time or memory than a file of
-    its size should."""
+    Parameters
+    ----------
+    path : Path
+        File of one of the dialects ulog, tlog, csv, jsbsim-csv and parquet.
+    dialect : str
+        Its dialect.
+    selection : mapping or None
+        Message name to field names that are returned; None returns everything.
+    progress : callable, optional
+        Called with the share that has been read, 0 to 1.
+    time : TimeColumn, optional
+        Column of the times of a table; None lets the reader choose.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read, or needs more time or memory than its size justifies.
+    """
     names = (
         None
         if selection is None
@@ -144,7 +164,7 @@ def read_raw(
 
 
 def read_record(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
-    """Columns and metadata (JSON, "" where there is none) of a flight record's file.
+    """Return columns and metadata (JSON; "" if absent) of a flight record's file.
 
     Raises LogError as `read_raw`.
     """
@@ -160,16 +180,19 @@ def read_record(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
 
 
 def read_table(path: Path) -> dict[str, NDArray[Any]]:
-    """Columns of a small CSV table, each of float64 or of texts. Raises LogError as `read_raw`."""
+    """Return the columns of a small CSV table, each of float64 or of text.
+
+    Raises LogError as `read_raw`.
+    """
     return {name: values for _, name, values in _request(path, "table", {})}
 
 
 class _ReaderProcess:
-    """A reader process, and the pipes to and from it."""
+    """A reader process with the pipes to and from it."""
 
     def __init__(self) -> None:
         environment = {**os.environ, **ONE_THREAD, "ARROW_DEFAULT_MEMORY_POOL": "system"}
-        # It says nothing on the terminal: what is wrong comes back as a sentence.
+        # Its standard error is discarded: all errors come back in an answer.
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-c", _READER_CODE, str(_HOME)],
             stdin=subprocess.PIPE,
@@ -182,19 +205,21 @@ class _ReaderProcess:
         self.orders, self.answers = self.process.stdin, self.process.stdout
 
     def frame(self) -> tuple[bytes, int]:
-        """Kind and length of the next answer. Raises _Ended when the child has ended."""
+        """Return kind (one byte) and length of the next part of the answer; raise _ReaderEnded."""
         head = self.content(9)
         return head[:1], struct.unpack("<Q", head[1:])[0]
 
     def content(self, length: int) -> bytes:
-        """That many bytes of the answer. Raises _Ended."""
+        """Return the next `length` bytes of the answer; raise _ReaderEnded if the process has
+        ended.
+        """
         received = self.answers.read(length)
         if len(received) < length:
             raise _ReaderEnded
         return received
 
     def end(self) -> None:
-        """Kill it. Safe to call again."""
+        """Kill the process. A second call has no effect."""
         self.process.kill()
         for pipe in (self.orders, self.answers):
             with contextlib.suppress(OSError):
@@ -203,7 +228,7 @@ class _ReaderProcess:
 
 
 class _Deadline:
-    """Kills a child that is not done in time."""
+    """Kills a reader process that has not finished after a time; `expired` says whether it did."""
 
     def __init__(self, child: _ReaderProcess, seconds: float) -> None:
         self._child, self.expired = child, False
@@ -229,21 +254,26 @@ _children: dict[int, _ReaderProcess] = {}  # by process: a forked one must not t
 def _request(
     path: Path, kind: str, details: Mapping[str, Any], progress: ProgressCallback | None = None
 ) -> list[tuple[Any, ...]]:
-    """What the child has to say of one file, part by part."""
+    """Send one order to the reader and return the parts of its answer.
+
+    Raises LogError with a reason if the reader refuses the file, ends, or exceeds a limit.
+    """
     try:
         size = require_regular(path).st_size
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror}", path) from None
     limit = LIMITS[_limit_name(kind, path)]
-    # A path of its own kind: this process may have changed its folder since the child began.
+    # An absolute path: this process may have changed its folder since the child started.
     file = os.path.abspath(path)
     order = {"kind": kind, "path": file, "memory": limit.bytes(size), **details}
+    # One order at a time: the answers of a child come in the order of its requests.
     with _lock:
         child = _reader_process(path)
         try:
             _send_order(child, order, path)
             with _Deadline(child, limit.seconds(size)) as deadline:
                 parts, refusal = _answers(child, limit.bytes(size), progress)
+        # After any failure the pipes may hold half an answer: this child is not used again.
         except BaseException as error:
             _end_children()
             if isinstance(error, _ReaderEnded):
@@ -259,16 +289,16 @@ def _request(
 
 
 class _ReaderEnded(Exception):
-    """The child has ended, or must: `reason` says why in words where it is known."""
+    """The reader process has ended, or must be ended; ``reason`` is text for the user, or ""."""
 
     def __init__(self, reason: str = "") -> None:
         self.reason = reason
 
 
 def _send_order(child: _ReaderProcess, order: Mapping[str, Any], path: Path) -> None:
-    """Give an order and wait until the reader has loaded what it needs.
+    """Send an order and wait until the reader has loaded its libraries.
 
-    Raises LogError where it has not.
+    Raises LogError if it does not start within _START_S.
     """
     with contextlib.suppress(OSError, _ReaderEnded), _Deadline(child, _START_S):
         child.orders.write(json.dumps(order).encode() + b"\n")
@@ -285,10 +315,12 @@ def _send_order(child: _ReaderProcess, order: Mapping[str, Any], path: Path) -> 
 def _answers(
     child: _ReaderProcess, max_bytes: int, progress: ProgressCallback | None
 ) -> tuple[list[tuple[Any, ...]], str]:
-    """The parts of an answer, and the sentence of a refusal ("" if there is none)."""
+    """Return the parts of an answer, and the message of a refusal ("" if there is none)."""
     parts: list[tuple[Any, ...]] = []
     received = 0
     while True:
+        # Kinds: p progress, c content, d done, e refusal, m memory exceeded, anything else a
+        # traceback.
         kind, length = child.frame()
         received += length
         if received > max_bytes:
@@ -315,6 +347,7 @@ def _answers(
 def _ending_message(
     ended: _ReaderEnded, child: _ReaderProcess, deadline: _Deadline, limit: Limit, size: int
 ) -> str:
+    """Return why the reader ended, for the user."""
     advice = "it is damaged or made to do so; copy the log again"
     if deadline.expired:
         return (
@@ -329,12 +362,13 @@ def _ending_message(
         )
     reason = ended.reason or f"code {child.process.returncode}"
     return (
-        f"the reader of this format ended without an answer ({reason}): the file is damaged; copy the"
-        " log again"
+        f"the reader of this format ended without an answer ({reason}): the file is damaged; copy"
+        " the log again"
     )
 
 
 def _limit_name(kind: str, path: Path) -> str:
+    """Return the key of LIMITS; a record is Parquet or CSV by its first bytes."""
     if kind in LIMITS:
         return kind
     with open_regular(path) as handle:
@@ -342,7 +376,9 @@ def _limit_name(kind: str, path: Path) -> str:
 
 
 def _reader_process(path: Path) -> _ReaderProcess:
-    """The reader of this process, started if there is none. Raises LogError where it cannot be."""
+    """Return the reader of this process, started if there is none; raise LogError if it cannot
+    start.
+    """
     child = _children.get(os.getpid())
     if child is not None and child.process.poll() is None:
         return child
@@ -370,12 +406,13 @@ def _end_children() -> None:
 atexit.register(_end_children)
 
 
-# A limit on the memory that this process may take, for a child that works on a stranger's file.
+# Memory limit, for the child process itself.
 
 
 class MemoryLimit:
-    """Lets this process take so many bytes of address space more than it has, where the system can
-    hold it to that.
+    """Allow this process ``extra_bytes`` of address space above its present use, inside ``with``.
+
+    It has no effect on systems that cannot limit the address space.
     """
 
     def __init__(self, extra_bytes: int) -> None:
@@ -394,12 +431,15 @@ class MemoryLimit:
 
 
 def _address_space() -> int:
+    """Return the address space in use, bytes."""
     with open("/proc/self/statm", encoding="ascii") as handle:
         return int(handle.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def _address_limit() -> tuple[int, int] | None:
-    """Soft and hard limit; None where there is none, or where what is used already is not known."""
+    """Return soft and hard limit; None if the system has no limit or does not report the present
+    use.
+    """
     try:
         import resource
 
