@@ -103,7 +103,7 @@ def read_raw(
     path: Path,
     dialect: str,
     selection: FieldSelection | None,
-    progress: ProgressCallback | None = None,
+    callback: ProgressCallback | None = None,
     time: TimeColumn | None = None,
 ) -> RawLog:
     """Read a log in the child process.
@@ -116,7 +116,7 @@ def read_raw(
         Its dialect.
     selection : mapping or None
         Message name to field names that are returned; None returns everything.
-    progress : callable, optional
+    callback : callable, optional
         Called with the share that has been read, 0 to 1.
     time : TimeColumn, optional
         Column of the times of a table; None lets the reader choose.
@@ -134,7 +134,7 @@ def read_raw(
     details = {"selection": names, "time": None if time is None else [time.field, time.unit]}
     messages: dict[tuple[str, int], MessageTable] = {}
     about: dict[str, Any] = {}
-    for kind, *content in _request(path, dialect, details, progress):
+    for kind, *content in _request(path, dialect, details, callback):
         if kind == "table":
             name, instance, time_s, fields, place = content
             rows = place if len(place) else None
@@ -252,7 +252,7 @@ _children: dict[int, _ReaderProcess] = {}  # by process: a forked one must not t
 
 
 def _request(
-    path: Path, kind: str, details: Mapping[str, Any], progress: ProgressCallback | None = None
+    path: Path, kind: str, details: Mapping[str, Any], callback: ProgressCallback | None = None
 ) -> list[tuple[Any, ...]]:
     """Send one order to the reader and return the parts of its answer.
 
@@ -272,7 +272,7 @@ def _request(
         try:
             _send_order(child, order, path)
             with _Deadline(child, limit.seconds(size)) as deadline:
-                parts, refusal = _answers(child, limit.bytes(size), progress)
+                parts, refusal = _answers(child, limit.bytes(size), callback)
         # After any failure the pipes may hold half an answer: this child is not used again.
         except BaseException as error:
             _end_children()
@@ -313,7 +313,7 @@ def _send_order(child: _ReaderProcess, order: Mapping[str, Any], path: Path) -> 
 
 
 def _answers(
-    child: _ReaderProcess, max_bytes: int, progress: ProgressCallback | None
+    child: _ReaderProcess, max_bytes: int, callback: ProgressCallback | None
 ) -> tuple[list[tuple[Any, ...]], str]:
     """Return the parts of an answer, and the message of a refusal ("" if there is none)."""
     parts: list[tuple[Any, ...]] = []
@@ -327,8 +327,8 @@ def _answers(
             raise _ReaderEnded("memory")
         content = child.content(length)
         if kind == b"p":
-            if progress is not None:
-                progress(struct.unpack("<d", content)[0])
+            if callback is not None:
+                callback(struct.unpack("<d", content)[0])
         elif kind == b"c":
             try:
                 parts.append(load(content))

@@ -26,8 +26,8 @@ from sysid.logs.checking.checks import (
     estimated_channels,
     one_per_cause,
 )
-from sysid.logs.importers.tables import listed
-from sysid.logs.manoeuvres import found_loiters, loiter_commands
+from sysid.logs.importers.tables import columns_message
+from sysid.logs.manoeuvres import find_loiters, loiter_commands
 from sysid.logs.sensors import Sensors
 from sysid.logs.servo import Control, controls, deflection, elevator_channel
 from sysid.logs.signal_map import Entry, ServoOutputs, SignalMap
@@ -37,7 +37,7 @@ from sysid.vocabulary import COMMANDS, LABELS, MANOEUVRE_TEXT, PLANE_MODES, SIGN
 
 _GRID_CHANNELS = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
 _MAX_ROWS = 40_000_000
-_FEW_ROWS, _ROWS_PER_SAMPLE = 1_000_000, 20
+_MIN_ROW_LIMIT, _ROWS_PER_SAMPLE = 1_000_000, 20
 
 
 def assemble(
@@ -46,7 +46,7 @@ def assemble(
     card: AirframeCard | None,
     source: str = "",
     sha256: str = "",
-    judged: bool = True,
+    run_checks: bool = True,
 ) -> FlightRecord:
     """Build the record of a whole log, with everything the checks found in its metadata.
 
@@ -58,7 +58,7 @@ def assemble(
     start = _start(raw, sensors)
     loiters = loiter_commands(raw, start)
     times = Times(raw)
-    servos, wanted, findings = _servo_channels(raw, signal_map.servos, card, times)
+    servos, servo_controls, findings = _servo_channels(raw, signal_map.servos, card, times)
     sources: dict[str, Callable[[], Channel | None]] = {
         name: partial(resolve, raw, name, candidates, times, sensors)
         for name, candidates in signal_map.entries.items()
@@ -68,7 +68,7 @@ def assemble(
     grid = _grid(raw, sources, signal_map)
     step = float(np.median(np.diff(grid)))
     columns: dict[str, NDArray[Any]] = {"time_s": grid}
-    about: dict[str, tuple[str, float, bool]] = {}
+    origin: dict[str, tuple[str, float, bool]] = {}
     checked: set[str] = set()
     mode_changes = np.array([])
     last_use = _last_use(signal_map)
@@ -81,11 +81,11 @@ def assemble(
             continue
         findings += check_channel(channel, step, checked)
         columns[name] = _on_grid(channel, grid)
-        about[name] = (channel.label, channel.rate_hz, channel.estimate)
+        origin[name] = (channel.label, channel.rate_hz, channel.estimate)
         if name == "mode":
             columns[name] = _mode_names(columns[name], raw)
             mode_changes = channel.time_s[1:][np.diff(channel.values) != 0]
-    findings += _servo_tables(wanted, {n: label for n, (label, _, _) in about.items()})
+    findings += _servo_tables(servo_controls, {n: label for n, (label, _, _) in origin.items()})
     labels = _manoeuvres(raw, grid)
     if labels is not None:
         columns["manoeuvre"] = labels
@@ -103,11 +103,11 @@ def assemble(
         aircraft="" if card is None else card.name,
         grid_hz=round(1.0 / step, 6),
         start=start,
-        native_hz={n: round(rate, 4) for n, (_, rate, _) in about.items() if np.isfinite(rate)},
-        channels={n: label for n, (label, _, _) in about.items()},
-        estimates=tuple(n for n, (_, _, estimate) in about.items() if estimate),
+        native_hz={n: round(rate, 4) for n, (_, rate, _) in origin.items() if np.isfinite(rate)},
+        channels={n: label for n, (label, _, _) in origin.items()},
+        estimates=tuple(n for n, (_, _, estimate) in origin.items() if estimate),
         free_flight_s=() if phase.free_s is None else (phase.free_s,),
-        loiters=found_loiters(columns, loiters),
+        loiters=find_loiters(columns, loiters),
     )
     record = FlightRecord(columns, meta)
     findings += sensors.findings()
@@ -118,13 +118,13 @@ def assemble(
             "flight-phase",
             "",
             "info",
-            phase.why,
+            phase.reason,
             {} if phase.tow_s is None else {"tow_end_s": phase.tow_s[1]},
         ),
         *findings,
     ]
     record = FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
-    return with_checks(record) if judged else record
+    return with_checks(record) if run_checks else record
 
 
 def with_checks(record: FlightRecord) -> FlightRecord:
@@ -150,11 +150,11 @@ def _in_flight(finding: Finding, free_s: tuple[float, float] | None) -> bool:
 
 
 def _first_of(
-    own: Callable[[], Channel | None] | None, servo: Callable[[], Channel | None]
+    from_message: Callable[[], Channel | None] | None, from_servo: Callable[[], Channel | None]
 ) -> Channel | None:
     """A surface's own message if the log carries it, else what its servo output says."""
-    found = own() if own is not None else None
-    return found if found is not None else servo()
+    channel = from_message() if from_message is not None else None
+    return channel if channel is not None else from_servo()
 
 
 def _last_use(signal_map: SignalMap) -> dict[str, list[str]]:
@@ -179,10 +179,10 @@ def _last_use(signal_map: SignalMap) -> dict[str, list[str]]:
 
 
 def _drop(raw: RawLog, messages: Iterable[str]) -> None:
-    kept = raw.messages
-    assert isinstance(kept, dict)
-    for key in [k for k in kept if k[0] in messages]:
-        del kept[key]
+    remaining = raw.messages
+    assert isinstance(remaining, dict)
+    for key in [k for k in remaining if k[0] in messages]:
+        del remaining[key]
 
 
 def _grid(
@@ -206,10 +206,10 @@ def _grid(
     span = best.time_s[-1] - best.time_s[0]
     # Gaps become rows: a few stamps a microsecond apart and far from the others would ask for any
     # amount of memory.
-    most = min(_MAX_ROWS, _FEW_ROWS + _ROWS_PER_SAMPLE * len(best.time_s))
-    if span / step > most:
+    max_rows = min(_MAX_ROWS, _MIN_ROW_LIMIT + _ROWS_PER_SAMPLE * len(best.time_s))
+    if span / step > max_rows:
         raise LogError(
-            f"{span:.0f} s at {1 / step:.0f} Hz would be more than {most} rows; cut the log into"
+            f"{span:.0f} s at {1 / step:.0f} Hz would be more than {max_rows} rows; cut the log into"
             " parts or correct its times"
         )
     # Stamps jitter by microseconds: a step of a round number of microseconds keeps the grid on the
@@ -228,8 +228,8 @@ def _no_signal(raw: RawLog, signal_map: SignalMap) -> str:
             if c.message == message
             for f in c.fields
         }
-        good = table.time_s[np.isfinite(table.time_s)]
-        steps = np.diff(good)
+        finite_s = table.time_s[np.isfinite(table.time_s)]
+        steps = np.diff(finite_s)
         if mapped & set(table.fields) and np.median(steps if steps.size else [0.0]) > JUMP_S:
             column = str(raw.facts.get("time column", message))
             finding = time_unit_finding(column, float(np.median(steps)), converted=False)
@@ -237,11 +237,11 @@ def _no_signal(raw: RawLog, signal_map: SignalMap) -> str:
     if "columns" in raw.facts:
         return (
             f"no signal of the map '{signal_map.name}' is among the columns of this table:"
-            f" {listed(str(raw.facts['columns']).split(chr(10)))}"
+            f" {columns_message(str(raw.facts['columns']).split(chr(10)))}"
         )
-    have = ", ".join(sorted({m for m, _ in raw.messages})[:20])
+    available = ", ".join(sorted({m for m, _ in raw.messages})[:20])
     return (
-        f"no signal of the map '{signal_map.name}' is in this log; it has {have or 'nothing'};"
+        f"no signal of the map '{signal_map.name}' is in this log; it has {available or 'nothing'};"
         " give a --map (`uqharness log map FILE --out map.toml` proposes one)"
     )
 
@@ -261,9 +261,9 @@ def _on_grid(c: Channel, grid: FloatArray) -> NDArray[Any]:
 
 def _interpolate_angle(name: str, c: Channel, grid: FloatArray) -> FloatArray:
     sine = interpolate(c.time_s, np.sin(c.values), c.clean.gaps, grid)
-    good = np.isfinite(c.values)
+    is_finite = np.isfinite(c.values)
     turned = c.values.copy()
-    turned[good] = np.unwrap(c.values[good])
+    turned[is_finite] = np.unwrap(c.values[is_finite])
     out = interpolate(c.time_s, turned, c.clean.gaps, grid)
     out = np.mod(out, 2 * np.pi) if name == "psi_rad" else np.mod(out + np.pi, 2 * np.pi) - np.pi
     return np.where(np.isfinite(sine), out, np.nan)
@@ -277,7 +277,7 @@ def _servo_channels(
     key = (outputs.message, outputs.instance)
     if int(times.of(key).keep.sum()) < 2:
         return {}, {}, []
-    wanted, findings = controls(card, raw.parameters)
+    servo_controls, findings = controls(card, raw.parameters)
     if card is None:
         text = (
             "servo outputs are logged but no card says what angles they mean: give --aircraft, or"
@@ -287,25 +287,27 @@ def _servo_channels(
     return (
         {
             n: partial(_servo_channel, raw, outputs, times, n, control)
-            for n, control in wanted.items()
+            for n, control in servo_controls.items()
         },
-        wanted,
+        servo_controls,
         findings,
     )
 
 
-def _servo_tables(wanted: Mapping[str, Control], labels: Mapping[str, str]) -> list[Finding]:
+def _servo_tables(
+    servo_controls: Mapping[str, Control], labels: Mapping[str, str]
+) -> list[Finding]:
     """Which tables were used and where they are from, of the columns that were made from servo
     outputs.
     """
-    used = [c for n, c in wanted.items() if labels.get(n, "").endswith(c.label)]
-    told, against = (
+    used = [c for n, c in servo_controls.items() if labels.get(n, "").endswith(c.label)]
+    descriptions, conflicts = (
         "; ".join(filter(None, parts))
-        for parts in ([c.told for c in used], [c.against for c in used])
+        for parts in ([c.description for c in used], [c.conflicts for c in used])
     )
-    out = [Finding("servo-table", "", "info", told, {})] if told else []
-    if against:
-        text = f"card and log do not agree, the log's parameters were used: {against}"
+    out = [Finding("servo-table", "", "info", descriptions, {})] if descriptions else []
+    if conflicts:
+        text = f"card and log do not agree, the log's parameters were used: {conflicts}"
         out.append(Finding("servo-conflict", "", "warning", text, {}))
     return out
 
@@ -378,7 +380,7 @@ def _phase(
             elevator = hold(
                 raw.messages[key].time_s[cleaned.keep], pwm, cleaned.gaps, grid, cleaned.step_s
             )
-    return flight_phase.find(
+    return flight_phase.find_free_flight(
         grid,
         np.full(len(grid), np.nan) if speed is None else speed,
         columns.get("h_m"),
@@ -390,9 +392,9 @@ def _phase(
 
 def _mode_names(numbers: FloatArray, raw: RawLog) -> NDArray[Any]:
     plane = raw.dialect.startswith("dataflash") or raw.facts.get("mav_type") == 1.0
-    known = PLANE_MODES if plane else {}
+    mode_names = PLANE_MODES if plane else {}
     unique, inverse = np.unique(np.where(np.isfinite(numbers), numbers, -1), return_inverse=True)
-    names = ["" if u < 0 else known.get(int(u), f"mode {int(u)}") for u in unique]
+    names = ["" if u < 0 else mode_names.get(int(u), f"mode {int(u)}") for u in unique]
     return np.array(names, dtype=object)[inverse]
 
 
@@ -436,8 +438,8 @@ def _start(raw: RawLog, sensors: Sensors) -> dict[str, float]:
 
 # Lost rows and samples: short ones are bridged, long ones stay what they are.
 
-LONGEST_S = 0.1
-MOST = 0.2
+MAX_BRIDGED_S = 0.1
+MAX_BRIDGED_SHARE = 0.2
 """Share of a channel's samples that may be bridged.
 
 Each counts as a measurement: standard errors 10 % too small at worst.
@@ -447,18 +449,20 @@ Each counts as a measurement: standard errors 10 % too small at worst.
 def bridge(
     record: FlightRecord,
     names: Sequence[str],
-    held: Collection[str] = (),
-    longest_s: float = LONGEST_S,
+    held_channels: Collection[str] = (),
+    longest_s: float = MAX_BRIDGED_S,
 ) -> tuple[FlightRecord, list[str]]:
     """The record without its short dropouts, and sentences with numbers.
 
     Rows lost over at most ``longest_s`` seconds are put back, evenly spaced in time; then NaN over
     at most that long, between two samples, in the channels ``names`` become straight lines, or the
-    value before in those of ``held`` (commands hold). A channel that would be bridged in more than
+    value before in those of ``held_channels`` (commands hold). A channel that would be bridged in more than
     a fifth stays as it is, and so does every longer gap: nothing is integrated across one."""
-    record, lost = _rows_put_back(record, longest_s)
+    record, restored_rows = _restore_rows(record, longest_s)
     notes = (
-        [f"{lost} lost row(s) were put back, each gap at most {longest_s:g} s long"] if lost else []
+        [f"{restored_rows} lost row(s) were put back, each gap at most {longest_s:g} s long"]
+        if restored_rows
+        else []
     )
     time = record["time_s"]
     columns: dict[str, NDArray[Any]] = {}
@@ -466,33 +470,33 @@ def bridge(
         if name not in record or name in LABELS:
             continue
         values = np.array(record[name], dtype=np.float64)
-        good = np.flatnonzero(np.isfinite(values))
+        finite_rows = np.flatnonzero(np.isfinite(values))
         # The step from one finite sample to the next, for the samples in between.
         jumps = np.flatnonzero(
-            (np.diff(good) > 1) & (np.diff(time[good]) <= longest_s + record.dt_s)
+            (np.diff(finite_rows) > 1) & (np.diff(time[finite_rows]) <= longest_s + record.dt_s)
         )
         inside = (
-            np.concatenate([np.arange(good[j] + 1, good[j + 1]) for j in jumps])
+            np.concatenate([np.arange(finite_rows[j] + 1, finite_rows[j + 1]) for j in jumps])
             if jumps.size
             else np.zeros(0, int)
         )
-        if not inside.size or inside.size > MOST * (good.size + inside.size):
+        if not inside.size or inside.size > MAX_BRIDGED_SHARE * (finite_rows.size + inside.size):
             continue
-        if name in held:
-            values[inside] = values[good[np.searchsorted(good, inside) - 1]]
+        if name in held_channels:
+            values[inside] = values[finite_rows[np.searchsorted(finite_rows, inside) - 1]]
         else:
-            values[inside] = np.interp(time[inside], time[good], values[good])
+            values[inside] = np.interp(time[inside], time[finite_rows], values[finite_rows])
         columns[name] = values
-        if inside.size > lost:
-            how = "held" if name in held else "bridged in straight lines"
+        if inside.size > restored_rows:
+            method = "held" if name in held_channels else "bridged in straight lines"
             notes.append(
-                f"{inside.size} of {good.size + inside.size} samples of {name} are missing and were"
-                f" {how}"
+                f"{inside.size} of {finite_rows.size + inside.size} samples of {name} are missing and were"
+                f" {method}"
             )
     return (record.with_columns(columns) if columns else record), notes
 
 
-def _rows_put_back(record: FlightRecord, longest_s: float) -> tuple[FlightRecord, int]:
+def _restore_rows(record: FlightRecord, longest_s: float) -> tuple[FlightRecord, int]:
     """Rows of NaN where time jumps by more than 1.5 and at most longest_s + one step; labels as
     those before.
     """
@@ -501,8 +505,8 @@ def _rows_put_back(record: FlightRecord, longest_s: float) -> tuple[FlightRecord
     at = np.flatnonzero((steps > 1.5 * dt) & (steps <= longest_s + dt))
     missing = np.rint(steps[at] / dt).astype(int) - 1
     at, missing = at[missing > 0], missing[missing > 0]
-    lost = int(missing.sum())
-    if not 0 < lost <= MOST * (len(record) + lost):
+    missing_rows = int(missing.sum())
+    if not 0 < missing_rows <= MAX_BRIDGED_SHARE * (len(record) + missing_rows):
         return record, 0
     where = np.repeat(at + 1, missing)
     new = np.concatenate(
@@ -517,4 +521,4 @@ def _rows_put_back(record: FlightRecord, longest_s: float) -> tuple[FlightRecord
             columns[name] = np.insert(
                 values, where, values[where - 1] if name in LABELS else np.nan
             )
-    return FlightRecord(columns, record.metadata), lost
+    return FlightRecord(columns, record.metadata), missing_rows

@@ -140,7 +140,7 @@ def parse_card(text: str, file: Path) -> AirframeCard:
     for key, value in inputs.items():
         where = f"[inputs.{key}]"
         row = _table(value, where, name)
-        _refuse_slips(row, name, where)
+        _refuse_misspelt_keys(row, name, where)
         servo = _servo(row, where, name)
         if servo is not None:
             servos[key] = servo
@@ -160,15 +160,15 @@ def parse_card(text: str, file: Path) -> AirframeCard:
     )
 
 
-def _refuse_slips(row: dict[str, Any], name: str, where: str) -> None:
+def _refuse_misspelt_keys(row: dict[str, Any], name: str, where: str) -> None:
     """Other programs may keep keys of their own here; one that is nearly ours is a slip of
     the pen.
     """
     for key in row:
-        near = difflib.get_close_matches(key, sorted(_INPUT_KEYS - set(row)), n=1, cutoff=0.75)
-        if key not in _INPUT_KEYS and near:
+        similar = difflib.get_close_matches(key, sorted(_INPUT_KEYS - set(row)), n=1, cutoff=0.75)
+        if key not in _INPUT_KEYS and similar:
             raise LogError(
-                f"unknown key '{key}'; did you mean {near[0]}? Known are {sorted(_INPUT_KEYS)}",
+                f"unknown key '{key}'; did you mean {similar[0]}? Known are {sorted(_INPUT_KEYS)}",
                 name,
                 where,
             )
@@ -180,7 +180,7 @@ def _table(value: Any, where: str, name: str) -> dict[str, Any]:
     return value
 
 
-def _own_table(value: Any, allowed: Sequence[str], where: str, name: str) -> dict[str, Any]:
+def _strict_table(value: Any, allowed: Sequence[str], where: str, name: str) -> dict[str, Any]:
     """A table with no other keys than these."""
     row = _table(value, where, name)
     for key in row:
@@ -192,7 +192,7 @@ def _own_table(value: Any, allowed: Sequence[str], where: str, name: str) -> dic
 def _reference(value: Any, name: str) -> Reference:
     where = "[reference]"
     numbers = _numbers(
-        _own_table(value, [f.name for f in fields(Reference)], where, name), where, name
+        _strict_table(value, [f.name for f in fields(Reference)], where, name), where, name
     )
     for key, number in numbers.items():
         if number <= 0.0:
@@ -201,7 +201,7 @@ def _reference(value: Any, name: str) -> Reference:
 
 
 def _sensors(value: Any, name: str) -> Sensors:
-    row = _own_table(value, [f.name for f in fields(Sensors)], "[sensors]", name)
+    row = _strict_table(value, [f.name for f in fields(Sensors)], "[sensors]", name)
     places = _table(row.get("position_m", {}), "[sensors] position_m", name)
     noise = _numbers(row.get("noise_std", {}), "[sensors] noise_std", name)
     return Sensors({key: _position(place, key, name) for key, place in places.items()}, noise)
@@ -284,8 +284,8 @@ def _mix(kind: str, value: Any, name: str) -> Mix:
     if kind not in _MIXES:
         raise LogError(f"unknown mixing; allowed are {sorted(_MIXES)}", name, where)
     row = _table(value, where, name)
-    left, right = (_panel(row.get(side, {}), f"{where} {side}", name) for side in ("left", "right"))
-    return Mix(kind, left, right)
+    panels = [_panel(row.get(side, {}), f"{where} {side}", name) for side in ("left", "right")]
+    return Mix(kind, *panels)
 
 
 def _panel(value: Any, where: str, name: str) -> Servo:

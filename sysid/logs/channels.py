@@ -62,12 +62,12 @@ def with_air_data(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]
         return out
     u, v, w = (np.asarray(columns[name], dtype=np.float64) for name in COMPONENTS)
     with np.errstate(invalid="ignore", over="ignore"):
-        made = {
+        air_data = {
             "V_mps": speed_of(u, v, w),
             "alpha_rad": alpha_of(u, w),
             "beta_rad": beta_of(u, v, w),
         }
-    return {**made, **out}
+    return {**air_data, **out}
 
 
 @dataclass(frozen=True)
@@ -155,8 +155,12 @@ def _factor(
             f"{'.'.join(source)}: this factor holds text, not numbers; name another field in times"
         )
     values = table.fields[source[1]][keep].astype(np.float64)
-    good = np.isfinite(values) & (values > 0.1) & (values < 10.0)
-    return np.interp(at_s, table.time_s[keep][good], values[good]) if good.any() else 1.0
+    is_usable = np.isfinite(values) & (values > 0.1) & (values < 10.0)
+    return (
+        np.interp(at_s, table.time_s[keep][is_usable], values[is_usable])
+        if is_usable.any()
+        else 1.0
+    )
 
 
 def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatArray:
@@ -189,7 +193,7 @@ def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatA
                 first = y[time_s <= time_s[np.argmax(np.isfinite(y))] + 1.0]
                 return y - (float(np.nanmedian(first)) if np.isfinite(first).any() else 0.0)
             case "north_of_start" | "east_of_start":
-                return local(scale * x, scale * fields[1])[
+                return local_position_m(scale * x, scale * fields[1])[
                     0 if entry.function == "north_of_start" else 1
                 ]
         return _euler(fields)[
@@ -200,7 +204,7 @@ def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatA
 CIRCLE_FROM = {"psi_rad": 0.0, "phi_rad": -np.pi}
 """Angles that go round, and where the turn begins on which they are recorded."""
 _TURN_MARGIN = 0.02  # rad, by which a logged angle may miss the end of its turn
-_IN_DEGREES = 8.0  # slope between angle and rate, the geometric mean of 1 and 57.3
+_MAX_RADIAN_SLOPE = 8.0  # slope between angle and rate, the geometric mean of 1 and 57.3
 
 
 def wrap_angles(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
@@ -215,12 +219,12 @@ def wrap_angles(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
         if name not in columns:
             continue
         values = columns[name]
-        good = np.isfinite(values)
-        on_turn = (values[good] >= start) & (values[good] <= start + 2.0 * np.pi)
+        is_finite = np.isfinite(values)
+        on_turn = (values[is_finite] >= start) & (values[is_finite] <= start + 2.0 * np.pi)
         if bool(on_turn.all()):
             continue
-        if _in_radians(name, values[good], columns):
-            usable = good & (np.abs(np.where(good, values, 0.0)) < 1e6)
+        if _in_radians(name, values[is_finite], columns):
+            usable = is_finite & (np.abs(np.where(is_finite, values, 0.0)) < 1e6)
             angle = np.mod(np.where(usable, values, 0.0) - start, 2.0 * np.pi) + start
             wrapped[name] = np.where(usable, angle, values)
     return wrapped
@@ -237,14 +241,14 @@ def _in_radians(name: str, angle: FloatArray, columns: Mapping[str, NDArray[Any]
     rate = columns.get("r_radps" if name == "psi_rad" else "p_radps")
     if rate is not None:
         slope = np.gradient(columns[name], columns["time_s"])
-        both = np.isfinite(slope) & np.isfinite(rate)
-        size = float(np.median(np.abs(rate[both]))) if both.any() else 0.0
+        is_finite = np.isfinite(slope) & np.isfinite(rate)
+        size = float(np.median(np.abs(rate[is_finite]))) if is_finite.any() else 0.0
         if size > 0.0:
-            return float(np.median(np.abs(slope[both]))) < _IN_DEGREES * size
+            return float(np.median(np.abs(slope[is_finite]))) < _MAX_RADIAN_SLOPE * size
     return name == "psi_rad" and float(np.abs(angle).max()) <= np.pi + _TURN_MARGIN
 
 
-def local(lat_deg: FloatArray, lon_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+def local_position_m(lat_deg: FloatArray, lon_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     """North and east of the first fix on the WGS 84 ellipsoid's local plane, m; NaN where there is
     no fix (0, 0).
     """

@@ -50,8 +50,8 @@ _LAYOUT = {
 
 def _format(name: str) -> Format:
     characters, columns = _LAYOUT[name]
-    made = Format(10 + list(_LAYOUT).index(name), 0, name, characters, tuple(columns.split(",")))
-    return Format(made.type, made.dtype.itemsize + 3, name, characters, made.columns)
+    layout = Format(10 + list(_LAYOUT).index(name), 0, name, characters, tuple(columns.split(",")))
+    return Format(layout.type, layout.dtype.itemsize + 3, name, characters, layout.columns)
 
 
 @dataclass
@@ -87,8 +87,8 @@ def _stored(values: NDArray[Any], kind: str, multiplier: float) -> NDArray[Any]:
     info = np.iinfo(kind)
     # A NaN has no integer; 0 is what the autopilot writes for an output or position it does not
     # have.
-    whole = np.rint(np.nan_to_num(values.astype(np.float64) / multiplier, nan=0.0))
-    return np.clip(whole, info.min, info.max).astype(kind)
+    integers = np.rint(np.nan_to_num(values.astype(np.float64) / multiplier, nan=0.0))
+    return np.clip(integers, info.min, info.max).astype(kind)
 
 
 def write_dataflash(
@@ -115,43 +115,43 @@ def write_dataflash(
             path,
         )
     time_us = np.rint(time * 1e6).astype(np.int64)
-    written = {"time_s"}
-    messages = _sensors(record, time_us, written)
+    stored = {"time_s"}
+    messages = _sensors(record, time_us, stored)
     servo_parameters: dict[str, float] = {}
-    outputs = _servo_outputs(record, card, servo_parameters, written, path)
+    outputs = _servo_outputs(record, card, servo_parameters, stored, path)
     if outputs:
         messages.append(_Message("RCOU", time_us, {f"C{n}": pwm for n, pwm in outputs.items()}))
     if outputs and surfaces:
         messages.append(_surfaces(record, time_us))
     texts = [
         (int(time_us[0]) if len(time_us) else 0, vehicle),
-        *_manoeuvre_texts(record, time_us, written),
+        *_manoeuvre_texts(record, time_us, stored),
     ]
     messages.insert(
         0, _Message("MSG", np.array([t for t, _ in texts]), {"Message": [m for _, m in texts]})
     )
-    everything = {**servo_parameters, **(parameters or {})}
-    if everything:
-        start = np.full(len(everything), time_us[0] if len(time_us) else 0)
+    all_parameters = {**servo_parameters, **(parameters or {})}
+    if all_parameters:
+        start = np.full(len(all_parameters), time_us[0] if len(time_us) else 0)
         rows = {
-            "Name": list(everything),
-            "Value": list(everything.values()),
-            "Default": list(everything.values()),
+            "Name": list(all_parameters),
+            "Value": list(all_parameters.values()),
+            "Default": list(all_parameters.values()),
         }
         messages.insert(0, _Message("PARM", start, rows))
     if "mode" in record:
-        messages.append(_modes(record, time_us, written))
+        messages.append(_modes(record, time_us, stored))
     with path.open("wb") as handle:
         handle.write(_formats())
         handle.write(_interleave(messages))
-    return tuple(n for n in record.columns if n not in written)
+    return tuple(n for n in record.columns if n not in stored)
 
 
-def _sensors(record: FlightRecord, time_us: NDArray[np.int64], written: set[str]) -> list[_Message]:
+def _sensors(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str]) -> list[_Message]:
     def column(name: str, factor: float = 1.0) -> FloatArray | float:
         if name not in record:
             return 0.0
-        written.add(name)
+        stored.add(name)
         return record[name] * factor
 
     def any_of(*names: str) -> bool:
@@ -163,7 +163,7 @@ def _sensors(record: FlightRecord, time_us: NDArray[np.int64], written: set[str]
     ratio: FloatArray = np.ones(n)
     if "rho_kgpm3" in record:
         ratio = np.sqrt(1.225 / np.where(record["rho_kgpm3"] > 0, record["rho_kgpm3"], np.nan))
-        written.add("rho_kgpm3")
+        stored.add("rho_kgpm3")
         out.append(_Message("CTUN", time_us, {"E2T": ratio, "As": column("V_mps") / ratio}))
     if any_of("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2"):
         pairs = {
@@ -237,7 +237,7 @@ def _servo_outputs(
     record: FlightRecord,
     card: AirframeCard | None,
     parameters: dict[str, float],
-    written: set[str],
+    stored: set[str],
     path: Path,
 ) -> dict[int, FloatArray]:
     commands = {n: f"{n}_deg" if n != "throttle" else "throttle_pct" for n in _USUAL_CHANNEL}
@@ -255,7 +255,7 @@ def _servo_outputs(
             out |= _panels(
                 mix, record[commands.pop(first)], record[commands.pop(second)], parameters
             )
-            written |= {f"{first}_deg", f"{second}_deg"}
+            stored |= {f"{first}_deg", f"{second}_deg"}
     for name, column in commands.items():
         servo = card.servos.get(name)
         if servo is None:
@@ -266,7 +266,7 @@ def _servo_outputs(
         channel = servo.channel or _USUAL_CHANNEL[name]
         out[channel] = pwm_of(record[column], servo)
         _describe(channel, _FUNCTION[name], servo, parameters)
-        written.add(column)
+        stored.add(column)
     return out
 
 
@@ -309,14 +309,14 @@ def _describe(channel: int, function: int, servo: Servo, parameters: dict[str, f
     # way round.
     rising = servo.table[-1][1] > servo.table[0][1]
     reversed_ = rising if function in (_FUNCTION["elevator"], _FUNCTION["rudder"]) else not rising
-    named = {
+    settings = {
         "FUNCTION": function,
         "MIN": pwm[0],
         "MAX": pwm[-1],
         "TRIM": middle,
         "REVERSED": float(reversed_),
     }
-    parameters.update({f"SERVO{channel}_{k}": float(v) for k, v in named.items()})
+    parameters.update({f"SERVO{channel}_{k}": float(v) for k, v in settings.items()})
 
 
 def pwm_of(deflection: FloatArray, servo: Servo) -> FloatArray:
@@ -337,11 +337,11 @@ def pwm_of(deflection: FloatArray, servo: Servo) -> FloatArray:
 
 
 def _manoeuvre_texts(
-    record: FlightRecord, time_us: NDArray[np.int64], written: set[str]
+    record: FlightRecord, time_us: NDArray[np.int64], stored: set[str]
 ) -> list[tuple[int, str]]:
     if "manoeuvre" not in record:
         return []
-    written.add("manoeuvre")
+    stored.add("manoeuvre")
     labels = record["manoeuvre"]
     changes = np.flatnonzero(np.concatenate([[True], labels[1:] != labels[:-1]]))
     # The autopilot's message holds 64 characters.
@@ -352,8 +352,8 @@ def _manoeuvre_texts(
     ]
 
 
-def _modes(record: FlightRecord, time_us: NDArray[np.int64], written: set[str]) -> _Message:
-    written.add("mode")
+def _modes(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str]) -> _Message:
+    stored.add("mode")
     modes = record["mode"]
     changes = np.flatnonzero(np.concatenate([[True], modes[1:] != modes[:-1]]))
     numbers = np.array([MODE_NUMBERS.get(str(modes[k]), 0) for k in changes])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import Finding
-from sysid.logs.manoeuvres import Manoeuvre, found_manoeuvres
+from sysid.logs.manoeuvres import Manoeuvre, find_manoeuvres
 from sysid.record import Boot, FlightRecord, Loiter
 from sysid.vocabulary import SURFACES
 
@@ -98,9 +98,9 @@ def log_info(record: FlightRecord) -> LogInfo:
         flight_s = float(time[0]), float(time[-1])  # a record holds the part that was flown
     obstacle = _no_flight(record)
     flight = record if flight_s is None else record.between(*flight_s)
-    judged = {"loiter-metrics": _loiter, "replay": _replay, "identification": _identification}
+    judges = {"loiter-metrics": _loiter, "replay": _replay, "identification": _identification}
     purposes = []
-    for name, judge in judged.items():
+    for name, judge in judges.items():
         serves, reason = (False, obstacle) if obstacle else judge(flight)
         purposes.append(Purpose(name, serves, reason))
     channels = dict(meta.channels) or {n: "column" for n in record.columns if n != "time_s"}
@@ -119,7 +119,7 @@ def log_info(record: FlightRecord) -> LogInfo:
         loiters=meta.loiters,
         flights=meta.flights,
         flight_number=meta.flight_number,
-        manoeuvres=() if obstacle else found_manoeuvres(flight),
+        manoeuvres=() if obstacle else find_manoeuvres(flight),
     )
 
 
@@ -170,8 +170,8 @@ def _loiter(record: FlightRecord) -> tuple[bool, str]:
     missing = _missing(record, (*path, "h_m", "V_mps"))
     if missing:
         return False, f"no {', '.join(missing)}"
-    if spoilt := _spoilt(record, (*path, "h_m", "V_mps")):
-        return False, spoilt
+    if error := _first_error(record, (*path, "h_m", "V_mps")):
+        return False, error
     rate = _rate(record, (*path, "h_m", "V_mps"))
     if rate < 0.9 * LOITER_MIN_HZ:
         return (
@@ -254,13 +254,18 @@ def _used_surfaces(record: FlightRecord) -> list[str]:
     return [n if _missing(record, (positions[n],)) else positions[n] for n in SURFACES]
 
 
-def _spoilt(record: FlightRecord, channels: Iterable[str]) -> str:
+def _first_error(record: FlightRecord, channels: Iterable[str]) -> str:
     """The first error of one of these channels and how many more there are, "" without any."""
     used = {*channels, "time_s"}
-    bad = [f for f in record.metadata.findings if f.severity == "error" and f.channel in used]
-    others = list(dict.fromkeys(f.channel for f in bad[1:] if f.channel != bad[0].channel))
+    errors = [f for f in record.metadata.findings if f.severity == "error" and f.channel in used]
+    other_channels = list(
+        dict.fromkeys(f.channel for f in errors[1:] if f.channel != errors[0].channel)
+    )
     return (
-        bad[0].message + (f"; errors also of {', '.join(others)}" if others else "") if bad else ""
+        errors[0].message
+        + (f"; errors also of {', '.join(other_channels)}" if other_channels else "")
+        if errors
+        else ""
     )
 
 
@@ -277,8 +282,8 @@ def _replay(record: FlightRecord) -> tuple[bool, str]:
     if reason := _lacks(record, missing):
         return False, reason
     used = (*needed, "alpha_rad", "beta_rad", "psi_rad", "throttle_pct", *_used_surfaces(record))
-    if spoilt := _spoilt(record, used):
-        return False, spoilt
+    if error := _first_error(record, used):
+        return False, error
     rate = _rate(record, (*SURFACES, "p_radps", "q_radps", "r_radps"))
     if rate < 0.75 * REPLAY_MIN_HZ:
         return (
@@ -310,8 +315,8 @@ def _identification(record: FlightRecord) -> tuple[bool, str]:
             ),
         )
     angles = ("phi_rad", "theta_rad", "alpha_rad", "beta_rad")
-    if spoilt := _spoilt(record, (*rates, *_used_surfaces(record), "V_mps", *angles)):
-        return False, spoilt
+    if error := _first_error(record, (*rates, *_used_surfaces(record), "V_mps", *angles)):
+        return False, error
     estimates = [n for n in record.metadata.estimates if n in ("alpha_rad", "beta_rad")]
     if estimates:
         note = f"; {' and '.join(estimates)} are estimates: good in calm air only"

@@ -21,7 +21,7 @@ from sysid.foreign.regular_files import read_regular_text
 from sysid.logs.assemble import assemble, with_checks
 from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import wrap_angles
-from sysid.logs.checking.checks import check_again, estimated_channels
+from sysid.logs.checking.checks import estimated_channels, recheck
 from sysid.logs.importers import dataflash
 from sysid.logs.importers import dataflash as dataflash_binary
 from sysid.logs.importers.detect import detect
@@ -41,8 +41,8 @@ def default_cache() -> Path:
     """The user's cache folder for records: UQ_CACHE, XDG_CACHE_HOME or ~/.cache (Library/Caches on
     macOS).
     """
-    if named := os.environ.get("UQ_CACHE"):
-        return Path(named)
+    if folder := os.environ.get("UQ_CACHE"):
+        return Path(folder)
     if xdg := os.environ.get("XDG_CACHE_HOME"):
         return Path(xdg) / "uqharness"
     return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "uqharness"
@@ -64,7 +64,7 @@ def cached_file(
     return cache / f"{name}.parquet"
 
 
-def keep(record: FlightRecord, file: Path) -> None:
+def store(record: FlightRecord, file: Path) -> None:
     """Write under a temporary name so that a reader never meets half a file; a full disk only costs
     the cache.
     """
@@ -85,7 +85,7 @@ def import_log(
     *,
     flight_number: int | None = None,
     cache: Path | None = None,
-    progress: ProgressCallback | None = None,
+    callback: ProgressCallback | None = None,
 ) -> FlightRecord:
     """Read any supported log into a record of its whole length.
 
@@ -103,7 +103,7 @@ def import_log(
     user_map = None if map_path is None else read_map(map_path)
     card = None if card_path is None else read_card(card_path)
     if dialect in ("csv", "parquet") and user_map is None:
-        return _of_flight(_record_file(path), flight_number, path)
+        return _require_flight(_record_file(path), flight_number, path)
     digest = file_sha256(path)
     stored = None if cache is None else cached_file(cache, digest, map_path, card, flight_number)
     if stored is not None and stored.is_file():
@@ -112,12 +112,12 @@ def import_log(
         except LogError:
             stored.unlink(missing_ok=True)  # cut short by an interrupted run: make it anew
         else:
-            return _as_known_today(
+            return _with_current_checks(
                 replace(record, metadata=replace(record.metadata, source=path.name))
             )
-    record = _assemble(path, dialect, user_map, card, digest, flight_number, progress)
+    record = _assemble(path, dialect, user_map, card, digest, flight_number, callback)
     if stored is not None:
-        keep(record, stored)
+        store(record, stored)
     return record
 
 
@@ -128,18 +128,18 @@ def _assemble(
     card: AirframeCard | None,
     digest: str,
     flight_number: int | None,
-    progress: ProgressCallback | None,
+    callback: ProgressCallback | None,
 ) -> FlightRecord:
     base = map_of_dialect(dialect)
     signal_map = base if user_map is None else base.overlaid(user_map)
     try:
         # Handed over, not kept: the messages are dropped one by one as the record grows.
-        boots = split(read_raw(path, dialect, signal_map, progress))
+        boots = split(read_raw(path, dialect, signal_map, callback))
         if len(boots) == 1:
             record = assemble(boots.pop(), signal_map, card, path.name, digest)
-            record = _of_flight(record, flight_number, path)
+            record = _require_flight(record, flight_number, path)
         else:
-            record = _chosen(boots, signal_map, card, path, digest, flight_number)
+            record = _assemble_boot(boots, signal_map, card, path, digest, flight_number)
     except LogError as e:
         if str(path) in str(e):
             raise
@@ -152,8 +152,12 @@ def _assemble(
 
 def _with_findings(record: FlightRecord, findings: list[Finding]) -> FlightRecord:
     """The record with more findings in front of those that it has."""
-    both = (*findings, *record.metadata.findings)
-    return replace(record, metadata=replace(record.metadata, findings=both)) if findings else record
+    all_findings = (*findings, *record.metadata.findings)
+    return (
+        replace(record, metadata=replace(record.metadata, findings=all_findings))
+        if findings
+        else record
+    )
 
 
 def _not_in_log(signal: str, candidates: tuple[Entry, ...]) -> Finding:
@@ -166,7 +170,7 @@ def _not_in_log(signal: str, candidates: tuple[Entry, ...]) -> Finding:
     return Finding("not-in-log", signal, "warning", text, {}, "", mend)
 
 
-def _of_flight(record: FlightRecord, flight_number: int | None, path: Path) -> FlightRecord:
+def _require_flight(record: FlightRecord, flight_number: int | None, path: Path) -> FlightRecord:
     """The record; LogError where another flight than the one it holds is asked for."""
     if flight_number not in (None, record.metadata.flight_number):
         raise LogError(
@@ -177,7 +181,7 @@ def _of_flight(record: FlightRecord, flight_number: int | None, path: Path) -> F
     return record
 
 
-def _chosen(
+def _assemble_boot(
     boots: list[RawLog],
     signal_map: SignalMap,
     card: AirframeCard | None,
@@ -202,7 +206,7 @@ def _chosen(
         start_s, end_s = np.quantile(times, [0.001, 0.999]).tolist() if len(times) else (0.0, 0.0)
         free_s: tuple[float, float] | None = None
         try:
-            record = assemble(boot, signal_map, card, path.name, digest, judged=False)
+            record = assemble(boot, signal_map, card, path.name, digest, run_checks=False)
         except LogError as error:
             problems[number] = str(error)
         else:
@@ -231,7 +235,7 @@ def _chosen(
 
 def _restart_finding(listed: list[Boot], chosen: Boot, flight_number: int | None) -> Finding:
     """Which flights the file holds and which one is read; a warning where nobody chose it."""
-    how = "as asked" if flight_number else "the longest"
+    basis = "as asked" if flight_number else "the longest"
     flights = ", ".join(
         f"{boot.number} ({boot.start_s:.1f} to {boot.end_s:.1f} s, "
         + ("no free flight" if boot.free_flight_s is None else f"{boot.flight_s:.0f} s in flight")
@@ -240,7 +244,7 @@ def _restart_finding(listed: list[Boot], chosen: Boot, flight_number: int | None
     )
     text = (
         f"the clock begins again {'once' if len(listed) == 2 else f'{len(listed) - 1} times'}: the"
-        f" file holds flights {flights}; flight {chosen.number} is read ({how}), --flight-number"
+        f" file holds flights {flights}; flight {chosen.number} is read ({basis}), --flight-number"
         " reads another"
     )
     numbers = {"flights": float(len(listed)), "flight_number": float(chosen.number)}
@@ -262,17 +266,17 @@ def map_of_dialect(dialect: str) -> SignalMap:
 
 
 def read_raw(
-    path: Path, dialect: str, signal_map: SignalMap | None, progress: ProgressCallback | None = None
+    path: Path, dialect: str, signal_map: SignalMap | None, callback: ProgressCallback | None = None
 ) -> RawLog:
     """The log's own messages; only what `signal_map` asks for, or everything with None."""
-    wanted = None if signal_map is None else signal_map.wanted()
+    selection = None if signal_map is None else signal_map.field_selection()
     match dialect:
         case "dataflash":
-            return dataflash_binary.read(path, wanted, progress)
+            return dataflash_binary.read(path, selection, callback)
         case "dataflash-text":
-            return dataflash.read_text(path, wanted, progress)
+            return dataflash.read_text(path, selection, callback)
     time = None if signal_map is None else signal_map.time
-    return limited.read_raw(path, dialect, wanted, progress, time)
+    return limited.read_raw(path, dialect, selection, callback, time)
 
 
 def _record_file(path: Path) -> FlightRecord:
@@ -284,14 +288,14 @@ def _record_file(path: Path) -> FlightRecord:
             " a --map",
             path,
         )
-    return _as_known_today(record)
+    return _with_current_checks(record)
 
 
-def _as_known_today(record: FlightRecord) -> FlightRecord:
+def _with_current_checks(record: FlightRecord) -> FlightRecord:
     """The record with what today's checks find in it: it may have been imported before a fault was
     known.
     """
-    findings = check_again(record)
+    findings = recheck(record)
     estimates = estimated_channels(record.metadata.estimates, findings)
     meta = replace(record.metadata, findings=tuple(findings), estimates=estimates)
     return replace(record, metadata=meta)

@@ -15,10 +15,10 @@ from sysid.arrays import FloatArray
 from sysid.errors import LogError
 from sysid.foreign.limited import read_table
 from sysid.foreign.raw import MessageTable, RawLog
-from sysid.logs.channels import local
+from sysid.logs.channels import local_position_m
 from sysid.record import FlightRecord, Loiter
 
-_MOST_ROWS = 10_000
+_MAX_ROWS = 10_000
 
 
 def label_manoeuvres(record: FlightRecord, path: Path, flight: str) -> FlightRecord:
@@ -49,8 +49,8 @@ def label_manoeuvres(record: FlightRecord, path: Path, flight: str) -> FlightRec
         )
         if "flight" not in table or of == flight
     ]
-    if len(rows) > _MOST_ROWS:
-        raise LogError(f"has {len(rows)} manoeuvres; at most {_MOST_ROWS} are read", path)
+    if len(rows) > _MAX_ROWS:
+        raise LogError(f"has {len(rows)} manoeuvres; at most {_MAX_ROWS} are read", path)
     time = record["time_s"]
     labels = np.full(len(record), "", dtype=object)
     for name, start, end in rows:
@@ -70,7 +70,7 @@ def label_manoeuvres(record: FlightRecord, path: Path, flight: str) -> FlightRec
 # comes back. What an autopilot or a pilot does to hold an attitude begins quickly too but dies
 # out, and keeps no place.
 
-FOUND = "found"
+FROM_COMMANDS = "found"
 """In place of a table of manoeuvres."""
 AXES = {
     "elevator_deg": "pitch",
@@ -78,23 +78,23 @@ AXES = {
     "rudder_deg": "yaw",
     "throttle_pct": "throttle",
 }
-_LEAST = {"elevator_deg": 0.8, "aileron_deg": 0.8, "rudder_deg": 0.8, "throttle_pct": 5.0}
+_MIN_PULSE = {"elevator_deg": 0.8, "aileron_deg": 0.8, "rudder_deg": 0.8, "throttle_pct": 5.0}
 """Smallest pulse, in the command's unit: sixteen steps of a servo pulse of 1 us."""
 _BASE_S = 14.0  # the median over so long is the command without the manoeuvre
 _LONGEST_S, _SHORTEST_S = 12.0, 0.12  # of a manoeuvre, of a pulse
 _PAUSE_S = 0.35  # between pulses that follow one another at once
 # of a command: logged more slowly it shows no edges, and corrections in gusts pass for pulses
-_LEAST_HZ = 15.0
+_MIN_HZ = 15.0
 _SINGLE_S = 0.3  # shortest single pulse: less is a spike of a mode's change
 # mean of a pulse over its largest value; of what dies out exponentially 0.4, of half a sine 0.64
 _FLAT = 0.8
 _EDGE = 0.5  # of a pulse's largest value, where it begins and ends
-_REST_S, _REST = (
+_REST_S, _REST_SHARE = (
     0.5,
     0.2,
 )  # the command before a manoeuvre moves by less than this share of the first pulse
 _EDGE_S = 0.1  # in which it then reaches half of the pulse: a servo's, or a hand's
-_ALIKE = 1.7  # factor between the durations, and the sizes, of the pulses of a doublet
+_SIMILAR = 1.7  # factor between the durations, and the sizes, of the pulses of a doublet
 _THREE_TWO_ONE_ONE = np.array([3.0, 2.0, 1.0, 1.0])
 _BEFORE_S, _AFTER_S = (
     1.0,
@@ -143,7 +143,7 @@ class _Pulse:
     size: float
 
 
-def found_manoeuvres(record: FlightRecord) -> tuple[Manoeuvre, ...]:
+def find_manoeuvres(record: FlightRecord) -> tuple[Manoeuvre, ...]:
     """Manoeuvres in order of time, of each control that is logged.
 
     A control that never rests shows none.
@@ -151,12 +151,12 @@ def found_manoeuvres(record: FlightRecord) -> tuple[Manoeuvre, ...]:
     out = []
     for name in AXES:
         native = record.metadata.native_hz.get(name, 1.0 / record.dt_s)
-        if name in record and len(record) > 2 and native >= _LEAST_HZ:
-            out += _of_command(record, name)
+        if name in record and len(record) > 2 and native >= _MIN_HZ:
+            out += _command_manoeuvres(record, name)
     return tuple(sorted(out, key=lambda m: (m.start_s, m.axis)))
 
 
-def label_found(record: FlightRecord) -> FlightRecord:
+def label_from_commands(record: FlightRecord) -> FlightRecord:
     """The record with the column ``manoeuvre`` from what `found_manoeuvres` finds in free flight.
 
     A label begins a second before the input and ends three after it, or where the next one begins.
@@ -164,44 +164,46 @@ def label_found(record: FlightRecord) -> FlightRecord:
     Raises LogError where none is found.
     """
     free = record.metadata.free_flight_s
-    found = found_manoeuvres(record.between(*free[0]) if free else record)
+    manoeuvres = find_manoeuvres(record.between(*free[0]) if free else record)
     time = record["time_s"]
-    if not found:
+    if not manoeuvres:
         raise LogError(
             "no manoeuvre was found in the commands; give a table of times with --manoeuvres"
             " FILE.csv"
         )
     labels = np.full(len(record), "", dtype=object)
-    for k, m in enumerate(found):
-        until = found[k + 1].start_s - _BEFORE_S if k + 1 < len(found) else np.inf
+    for k, m in enumerate(manoeuvres):
+        until = manoeuvres[k + 1].start_s - _BEFORE_S if k + 1 < len(manoeuvres) else np.inf
         labels[
             (time >= m.start_s - _BEFORE_S) & (time <= max(m.end_s, min(m.end_s + _AFTER_S, until)))
         ] = m.name
     return record.with_columns({"manoeuvre": labels})
 
 
-def labelled(record: FlightRecord, manoeuvres: Path, flight: str) -> FlightRecord:
+def with_manoeuvres(record: FlightRecord, manoeuvres: Path, flight: str) -> FlightRecord:
     """The record with the column ``manoeuvre`` of a table, or for FOUND of its own commands.
 
     Raises LogError.
     """
-    if str(manoeuvres) == FOUND:
-        return label_found(record)
+    if str(manoeuvres) == FROM_COMMANDS:
+        return label_from_commands(record)
     return label_manoeuvres(record, manoeuvres, flight)
 
 
-def _of_command(record: FlightRecord, name: str) -> list[Manoeuvre]:
+def _command_manoeuvres(record: FlightRecord, name: str) -> list[Manoeuvre]:
     time, unit = record["time_s"], "%" if name.endswith("_pct") else "deg"
     out = []
     for rows in record.segments((name,), _BASE_S / 4.0):
         values = np.asarray(record[name][rows], dtype=np.float64)
-        away = values - _base(values, record.dt_s)
-        for group in _groups(_pulses(away, _LEAST[name], record.dt_s), record.dt_s):
+        deviation = values - _base(values, record.dt_s)
+        for group in _groups(_pulses(deviation, _MIN_PULSE[name], record.dt_s), record.dt_s):
             first, last = group[0].first, group[-1].last
             size = max((p.size for p in group), key=abs)
-            if len(group) == 1 and not _alone(record, name, rows.start + first, rows.start + last):
+            if len(group) == 1 and not _is_only_command(
+                record, name, rows.start + first, rows.start + last
+            ):
                 continue
-            if (last - first) * record.dt_s > _LONGEST_S or not _rested(
+            if (last - first) * record.dt_s > _LONGEST_S or not _starts_from_rest(
                 values, first, abs(group[0].size), record.dt_s
             ):
                 continue
@@ -237,22 +239,22 @@ def _base(values: FloatArray, dt_s: float) -> FloatArray:
     )
 
 
-def _pulses(away: FloatArray, least: float, dt_s: float) -> list[_Pulse]:
+def _pulses(deviation: FloatArray, threshold: float, dt_s: float) -> list[_Pulse]:
     """Stretches of one sign that keep a place, each from half of its largest value to half
     of it.
     """
-    sign = np.where(np.abs(away) > 0.5 * least, np.sign(away), 0.0)
+    sign = np.where(np.abs(deviation) > 0.5 * threshold, np.sign(deviation), 0.0)
     edges = np.flatnonzero(np.diff(sign)) + 1
     out = []
-    for first, stop in zip([0, *edges.tolist()], [*edges.tolist(), away.size], strict=True):
+    for first, stop in zip([0, *edges.tolist()], [*edges.tolist(), deviation.size], strict=True):
         if sign[first] == 0.0:
             continue
-        part = np.abs(away[first:stop])
+        part = np.abs(deviation[first:stop])
         peak = float(part.max())
         inside = np.flatnonzero(part > _EDGE * peak)
         begin, end = first + int(inside[0]), first + int(inside[-1])
-        flat = float(np.abs(away[begin : end + 1]).mean()) > _FLAT * peak
-        if peak > least and flat and (end - begin + 1) * dt_s >= _SHORTEST_S:
+        flat = float(np.abs(deviation[begin : end + 1]).mean()) > _FLAT * peak
+        if peak > threshold and flat and (end - begin + 1) * dt_s >= _SHORTEST_S:
             out.append(_Pulse(begin, end, float(sign[first]) * peak))
     return out
 
@@ -268,27 +270,27 @@ def _groups(pulses: list[_Pulse], dt_s: float) -> list[list[_Pulse]]:
     return out
 
 
-def _rested(values: FloatArray, first: int, size: float, dt_s: float) -> bool:
+def _starts_from_rest(values: FloatArray, first: int, size: float, dt_s: float) -> bool:
     """Whether the command stayed in its place before, and left it quickly."""
-    edge, rest = round(_EDGE_S / dt_s) + 1, round(_REST_S / dt_s)
-    before = values[max(0, first - edge - rest) : max(0, first - edge)]
-    return before.size * dt_s > 0.5 * _REST_S and float(np.ptp(before)) < _REST * size
+    edge_rows, rest_rows = round(_EDGE_S / dt_s) + 1, round(_REST_S / dt_s)
+    before = values[max(0, first - edge_rows - rest_rows) : max(0, first - edge_rows)]
+    return before.size * dt_s > 0.5 * _REST_S and float(np.ptp(before)) < _REST_SHARE * size
 
 
-def _alone(record: FlightRecord, name: str, first: int, last: int) -> bool:
+def _is_only_command(record: FlightRecord, name: str, first: int, last: int) -> bool:
     """Whether a single pulse is the only command that moves: an autopilot's corrections move
     several at once, or are short.
     """
-    rest = round(_REST_S / record.dt_s)
-    span = slice(max(0, first - rest), last + 1 + rest)
-    others = [record[n][span] for n in AXES if n != name and n in record]
-    limits = [_LEAST[n] for n in AXES if n != name and n in record]
-    still = all(
+    rest_rows = round(_REST_S / record.dt_s)
+    span = slice(max(0, first - rest_rows), last + 1 + rest_rows)
+    other_commands = [record[n][span] for n in AXES if n != name and n in record]
+    limits = [_MIN_PULSE[n] for n in AXES if n != name and n in record]
+    others_rest = all(
         float(np.ptp(v[np.isfinite(v)])) < limit
-        for v, limit in zip(others, limits, strict=True)
+        for v, limit in zip(other_commands, limits, strict=True)
         if np.isfinite(v).any()
     )
-    return still and (last - first) * record.dt_s > _SINGLE_S
+    return others_rest and (last - first) * record.dt_s > _SINGLE_S
 
 
 def _kind(group: list[_Pulse]) -> str:
@@ -297,12 +299,12 @@ def _kind(group: list[_Pulse]) -> str:
     turns = bool(np.all(np.sign(sizes[1:]) == -np.sign(sizes[:-1])))
     if len(group) == 1:
         return "pulse"
-    alike = np.abs(sizes).max() < _ALIKE * np.abs(sizes).min()
-    if len(group) == 2 and turns and alike and lengths.max() < _ALIKE * lengths.min():
+    alike = np.abs(sizes).max() < _SIMILAR * np.abs(sizes).min()
+    if len(group) == 2 and turns and alike and lengths.max() < _SIMILAR * lengths.min():
         return "doublet"
     if len(group) == 4 and turns and alike:
         ratio = lengths / (lengths.sum() / _THREE_TWO_ONE_ONE.sum()) / _THREE_TWO_ONE_ONE
-        return "3-2-1-1" if ratio.max() < _ALIKE * ratio.min() else "pulses"
+        return "3-2-1-1" if ratio.max() < _SIMILAR * ratio.min() else "pulses"
     return "pulses"
 
 
@@ -315,11 +317,11 @@ def _kind(group: list[_Pulse]) -> str:
 # still has the signed distance from the circle: with positions it gives the centre.
 
 _LOITER_COMMANDS = (17.0, 18.0, 19.0)  # MAV_CMD_NAV_LOITER_UNLIM, _TURNS, _TIME
-_LEAST_S = 10.0
+_MIN_LOITER_S = 10.0
 _MOVES_M = 1.0  # a target that moves by more is another one
-_LEAST_ROWS = 50
+_MIN_LOITER_ROWS = 50
 # of the radius, by which the distances may miss the circle that they are to be measured from
-_AGREES = 0.1
+_MAX_MISS = 0.1
 
 
 @dataclass(frozen=True)
@@ -349,16 +351,16 @@ def loiter_commands(raw: RawLog, start: Mapping[str, float]) -> Commands | None:
         return None
     target_s, target_m, _ = _places(raw.messages.get(("NTUN", 0)), "TLat", "TLng", start)
     command = raw.messages.get(("CMD", 0))
-    command_s, command_m, kept = _places(command, "Lat", "Lng", start)
-    number, own = (
+    command_s, command_m, rows = _places(command, "Lat", "Lng", start)
+    number, command_radius_m = (
         (
-            np.zeros(kept.size)
+            np.zeros(rows.size)
             if command is None or field not in command.fields
-            else command.fields[field][kept].astype(np.float64)
+            else command.fields[field][rows].astype(np.float64)
         )
         for field in ("CId", "Prm3")
     )
-    return Commands(target_s, target_m, command_s, command_m, number, own, radius)
+    return Commands(target_s, target_m, command_s, command_m, number, command_radius_m, radius)
 
 
 def _places(
@@ -368,14 +370,16 @@ def _places(
     if table is None or lat not in table.fields or lng not in table.fields:
         return np.zeros(0), np.zeros((2, 0)), np.zeros(0, dtype=np.int64)
     lats, lngs = (np.asarray(table.fields[field], dtype=np.float64) for field in (lat, lng))
-    kept = np.flatnonzero(
+    rows = np.flatnonzero(
         np.isfinite(lats) & np.isfinite(lngs) & ((np.abs(lats) > 1e-6) | (np.abs(lngs) > 1e-6))
     )
-    placed = local(np.append(start["lat_deg"], lats[kept]), np.append(start["lon_deg"], lngs[kept]))
-    return table.time_s[kept], np.stack(placed)[:, 1:], kept
+    placed = local_position_m(
+        np.append(start["lat_deg"], lats[rows]), np.append(start["lon_deg"], lngs[rows])
+    )
+    return table.time_s[rows], np.stack(placed)[:, 1:], rows
 
 
-def found_loiters(
+def find_loiters(
     columns: Mapping[str, NDArray[Any]], commands: Commands | None
 ) -> tuple[Loiter, ...]:
     """Loiters in order of time; those whose centre nothing tells are left out.
@@ -395,7 +399,7 @@ def found_loiters(
             )
         elif modes[first] == "AUTO":
             out += _about_commands(commands, span)
-    return tuple(loiter for loiter in out if loiter.end_s - loiter.start_s >= _LEAST_S)
+    return tuple(loiter for loiter in out if loiter.end_s - loiter.start_s >= _MIN_LOITER_S)
 
 
 def _about_targets(commands: Commands, span_s: tuple[float, float]) -> list[Loiter]:
@@ -425,8 +429,12 @@ def _about_commands(commands: Commands, span_s: tuple[float, float]) -> Iterator
         if commands.command_id[at] not in _LOITER_COMMANDS:
             continue
         end = float(commands.command_s[inside[k + 1]]) if k + 1 < inside.size else span_s[1]
-        own = float(commands.command_radius_m[at])
-        radius, source = (own, "CMD") if own != 0.0 else (commands.radius_m, "CMD; WP_LOITER_RAD")
+        command_radius_m = float(commands.command_radius_m[at])
+        radius, source = (
+            (command_radius_m, "CMD")
+            if command_radius_m != 0.0
+            else (commands.radius_m, "CMD; WP_LOITER_RAD")
+        )
         north, east = (float(v) for v in commands.command_m[:, at])
         yield _loiter((float(commands.command_s[at]), end), north, east, radius, source)
 
@@ -445,16 +453,16 @@ def _about_distances(
     north, east, distance = (np.asarray(columns[n][rows], dtype=np.float64) for n in names)
     # The distance is positive outside the circle whichever way round; while the aircraft flies
     # there it is large.
-    known = np.isfinite(north) & np.isfinite(east) & (np.abs(distance) < 0.5 * abs(radius_m))
-    n, e, d = north[known], east[known], distance[known]
-    if n.size < _LEAST_ROWS:
+    usable = np.isfinite(north) & np.isfinite(east) & (np.abs(distance) < 0.5 * abs(radius_m))
+    n, e, d = north[usable], east[usable], distance[usable]
+    if n.size < _MIN_LOITER_ROWS:
         return []
     design = np.column_stack([2.0 * n, 2.0 * e, -np.ones(n.size)])
     centre, _, rank, _ = np.linalg.lstsq(
         design, n**2 + e**2 - (abs(radius_m) + d) ** 2, rcond=1e-10
     )
     miss = np.hypot(n - centre[0], e - centre[1]) - abs(radius_m) - d
-    if rank < 3 or float(np.sqrt(np.mean(miss**2))) > _AGREES * abs(radius_m):
+    if rank < 3 or float(np.sqrt(np.mean(miss**2))) > _MAX_MISS * abs(radius_m):
         return []
     time = columns["time_s"][rows]
     ends = float(time[0]), float(time[-1])
@@ -492,10 +500,10 @@ class FlightPhase:
     free_s: tuple[float, float] | None
     airborne_s: tuple[float, float] | None
     tow_s: tuple[float, float] | None
-    why: str
+    reason: str
 
 
-def find(
+def find_free_flight(
     time_s: FloatArray,
     speed: FloatArray,
     height: FloatArray | None,
@@ -516,12 +524,12 @@ def find(
     the surfaces move and do nothing."""
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
     smooth = moving_mean(speed, max(1, round(2.0 / step)))
-    known = smooth[np.isfinite(smooth)]
-    if not len(known):
+    finite_speed = smooth[np.isfinite(smooth)]
+    if not len(finite_speed):
         return FlightPhase(
             None, None, None, "no airspeed and no ground speed: whether it flew cannot be said"
         )
-    usual = float(np.quantile(known, 0.9))
+    usual = float(np.quantile(finite_speed, 0.9))
     if usual < MIN_SPEED_MPS:
         text = (
             f"it never flew: the speed stays below {usual:.1f} m/s for 90 % of the time (at least"
@@ -550,8 +558,10 @@ def find(
         )
     # Release is followed by a change of mode as a rule; without one leave two seconds for the
     # aircraft to settle.
-    later = mode_changes_s[(mode_changes_s >= tow[1]) & (mode_changes_s <= tow[1] + 10.0)]
-    release = float(later[0]) if len(later) else tow[1] + 2.0
+    changes_after_tow = mode_changes_s[
+        (mode_changes_s >= tow[1]) & (mode_changes_s <= tow[1] + 10.0)
+    ]
+    release = float(changes_after_tow[0]) if len(changes_after_tow) else tow[1] + 2.0
     text = (
         f"carried by a tow until about {tow[1]:.1f} s (elevator at its stop for"
         f" {tow[1] - tow[0]:.0f} s without a pitch rate); free flight taken from {release:.1f} s to"
@@ -572,9 +582,9 @@ def _tow(
     window = max(1, round(0.5 / step))
     swing = np.abs(elevator - np.nanmedian(elevator))
     stop = 0.85 * float(np.nanmax(swing))
-    still = (swing >= stop) & (np.abs(moving_mean(pitch_rate, window)) < 0.05)
+    is_towed = (swing >= stop) & (np.abs(moving_mean(pitch_rate, window)) < 0.05)
     early = time_s < airborne[0] + 120.0
-    start, end = _longest(still & early, round(1.0 / step))
+    start, end = _longest(is_towed & early, round(1.0 / step))
     if (
         end <= start
         or time_s[end - 1] - time_s[start] < _TOW_MIN_S
@@ -588,10 +598,10 @@ def moving_mean(x: FloatArray, window: int) -> FloatArray:
     """Moving mean that skips NaN; NaN where the window holds none."""
     if window <= 1:
         return x
-    good = np.isfinite(x)
+    is_finite = np.isfinite(x)
     kernel = np.ones(min(window, len(x)))
-    total = np.convolve(np.where(good, x, 0.0), kernel, mode="same")
-    count = np.convolve(good.astype(float), kernel, mode="same")
+    total = np.convolve(np.where(is_finite, x, 0.0), kernel, mode="same")
+    count = np.convolve(is_finite.astype(float), kernel, mode="same")
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
@@ -603,11 +613,11 @@ def _longest(mask: NDArray[np.bool_], bridge: int) -> tuple[int, int]:
     runs = edges.reshape(-1, 2)
     if not len(runs):
         return 0, 0
-    joined = [list(runs[0])]
+    merged = [list(runs[0])]
     for a, b in runs[1:]:
-        if a - joined[-1][1] <= bridge:
-            joined[-1][1] = b
+        if a - merged[-1][1] <= bridge:
+            merged[-1][1] = b
         else:
-            joined.append([a, b])
-    start, end = max(joined, key=lambda r: r[1] - r[0])
+            merged.append([a, b])
+    start, end = max(merged, key=lambda r: r[1] - r[0])
     return int(start), int(end)

@@ -23,7 +23,7 @@ from sysid.foreign.raw import MessageTable, ProgressCallback, RawLog, TimeColumn
 from sysid.logs.assemble import assemble
 from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import Times, resolve
-from sysid.logs.checking.physics import heard
+from sysid.logs.checking.physics import evaluate_laws
 from sysid.logs.importers.detect import detect
 from sysid.logs.load import map_of_dialect, read_raw
 from sysid.logs.sensors import Sensors
@@ -256,16 +256,18 @@ def propose_map(
     proposals.update(_by_name(raw, proposals))
     proposals, record = _by_kinematics(raw, base, proposals, card, path.name)
     used = {(p.entry.message, f) for p in proposals.values() for f in p.entry.fields}
-    made = set(proposals) if record is None else set(record.columns)
+    available = set(proposals) if record is None else set(record.columns)
     return MapProposal(
         path.name,
         dialect,
         _time_of(raw),
         tuple(proposals[n] for n in SIGNALS if n in proposals),
-        tuple(n for n, s in SIGNALS.items() if s.core and n != "time_s" and n not in made),
+        tuple(n for n, s in SIGNALS.items() if s.core and n != "time_s" and n not in available),
         _unused(raw, used) if dialect in ("csv", "parquet", "jsbsim-csv") else {},
         tuple(
-            n for n in SIGNALS if n in made and n not in proposals and n not in ("time_s", *LABELS)
+            n
+            for n in SIGNALS
+            if n in available and n not in proposals and n not in ("time_s", *LABELS)
         ),
     )
 
@@ -294,13 +296,13 @@ def _by_name(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal
     In a log with messages of its own short names mean anything and are left alone.
     """
     table = any(message == "csv" for message, _ in raw.messages)
-    taken = {(p.entry.message, f) for p in present.values() for f in p.entry.fields}
+    used_fields = {(p.entry.message, f) for p in present.values() for f in p.entry.fields}
     matches: dict[str, list[tuple[int, str, str]]] = {}
     for (message, instance), content in raw.messages.items():
         if instance or (not table and _NO_SENSORS.search(message)):
             continue
         for field, values in content.fields.items():
-            if (message, field) in taken or not _usable(values):
+            if (message, field) in used_fields or not _usable(values):
                 continue
             base, _ = _split(field)
             for signal, rank in _signals_of(base, field):
@@ -310,8 +312,8 @@ def _by_name(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal
     out: dict[str, Proposal] = {}
     for signal, fields in matches.items():
         _, message, field = min(fields, key=lambda match: match[0])
-        others = [f for _, m, f in fields if (m, f) != (message, field)]
-        out[signal] = _sized(signal, message, field, raw, others, table)
+        alternatives = [f for _, m, f in fields if (m, f) != (message, field)]
+        out[signal] = _propose_field(signal, message, field, raw, alternatives, table)
     out.update(_places(raw, {**present, **out}))
     return _accelerations_alike({n: p for n, p in out.items() if n not in present}, raw)
 
@@ -326,11 +328,13 @@ def _split(field: str) -> tuple[str, str | None]:
     if unit is None:
         for count in (3, 2, 1):
             suffix = "/".join(words[-count:])
-            known = suffix if count > 1 and any(suffix in u for u in _UNITS.values()) else None
+            suffix_unit = (
+                suffix if count > 1 and any(suffix in u for u in _UNITS.values()) else None
+            )
             if count == 1 and words and words[-1] in _SUFFIXES:
-                known = words[-1]
-            if known is not None and len(words) > count:
-                unit, words = known, words[:-count]
+                suffix_unit = words[-1]
+            if suffix_unit is not None and len(words) > count:
+                unit, words = suffix_unit, words[:-count]
                 break
     return "_".join(words), unit
 
@@ -355,8 +359,8 @@ def _signals_of(base: str, field: str) -> Iterable[tuple[str, int]]:
             *words
         }
         command = {"cmd", "command", "in", "input", "demand", "ref"} & {*words}
-        rest = "_".join(w for w in words if w not in position | command)
-        if re.fullmatch(pattern, rest):
+        surface_words = "_".join(w for w in words if w not in position | command)
+        if re.fullmatch(pattern, surface_words):
             yield f"{surface}_{'pos_' if position else ''}deg", 0 if position or command else 1
 
 
@@ -384,8 +388,8 @@ def _values(raw: RawLog, message: str, field: str) -> FloatArray:
     return values[np.isfinite(values)]
 
 
-def _sized(
-    signal: str, message: str, field: str, raw: RawLog, others: Sequence[str], table: bool
+def _propose_field(
+    signal: str, message: str, field: str, raw: RawLog, alternatives: Sequence[str], table: bool
 ) -> Proposal:
     """The signal of one field, with the scale that its name, the line of units or its size
     suggests.
@@ -393,12 +397,12 @@ def _sized(
     base, unit = _split(field)
     unit = str(raw.facts.get(f"unit {field}", unit or "")).strip("[]() ").lower() or None
     values = _values(raw, message, field)
-    due = SIGNALS[signal].unit
+    signal_unit = SIGNALS[signal].unit
     evidence, unsure = [f'named "{field}"; {_size(values)}'], []
     scale, function = 1.0, "value"
     pwm: tuple[tuple[float, float], ...] = ()
-    if unit is not None and unit in _UNITS.get(due, {}):
-        scale = _UNITS[due][unit]
+    if unit is not None and unit in _UNITS.get(signal_unit, {}):
+        scale = _UNITS[signal_unit][unit]
         evidence.append(
             f"unit {unit}"
             f" {'by the line of units' if f'unit {field}' in raw.facts else 'by its name'}"
@@ -406,7 +410,7 @@ def _sized(
     elif raw.dialect == "jsbsim-csv":
         evidence.append("lengths, speeds and forces of JSBSim's names are read in SI")
     else:
-        scale, note = _scale_by_size(due, signal, values)
+        scale, note = _scale_by_size(signal_unit, signal, values)
         unsure.append(note)
     if signal == "psi_rad":
         function = "heading"
@@ -417,7 +421,7 @@ def _sized(
         evidence.append("a rate of climb is + up, vd_mps + down")
     if signal == "V_mps" and _INDICATED.search(base):
         unsure.append("an indicated airspeed: V_mps is true airspeed, larger by sqrt(rho0/rho)")
-    if due == "deg" and values.size and 700.0 < float(np.median(values)) < 2300.0:
+    if signal_unit == "deg" and values.size and 700.0 < float(np.median(values)) < 2300.0:
         pwm = ((1100.0, -20.0), (1500.0, 0.0), (1900.0, 20.0))
         scale = 1.0
         unsure = ["pulse widths in us: put the surface's own angles into the table"]
@@ -426,24 +430,24 @@ def _sized(
             "if it was measured at the surface, write"
             f" [signals.{signal.replace('_deg', '_pos_deg')}]"
         )
-    if others:
-        unsure.append(f"other fields with such a name: {', '.join(others[:5])}")
+    if alternatives:
+        unsure.append(f"other fields with such a name: {', '.join(alternatives[:5])}")
     if not table:
         unsure.append("recognised by its name alone")
     entry = Entry(message, 0, (field,), scale, 0.0, pwm, function)
     return Proposal(signal, entry, tuple(evidence), tuple(unsure))
 
 
-def _scale_by_size(due: str, signal: str, values: FloatArray) -> tuple[float, str]:
+def _scale_by_size(signal_unit: str, signal: str, values: FloatArray) -> tuple[float, str]:
     """Scale of a field without a unit, by the size of its values, and a note on it."""
     size = float(np.quantile(np.abs(values), 0.99)) if values.size else 0.0
     middle = float(np.median(values)) if values.size else 0.0
     limit = {"theta_rad": 1.65, "phi_rad": 3.3, "psi_rad": 6.6, "alpha_rad": 1.65, "beta_rad": 1.65}
-    if due == "rad" and size > limit.get(signal, math.inf):
+    if signal_unit == "rad" and size > limit.get(signal, math.inf):
         return _RAD, f"no unit in the name; values up to {size:.3g} are degrees"
-    if due == "rad/s" and size > 20.0:
+    if signal_unit == "rad/s" and size > 20.0:
         return _RAD, f"no unit in the name; values up to {size:.3g} are deg/s"
-    if due == "m/s2" and signal == "az_mps2":
+    if signal_unit == "m/s2" and signal == "az_mps2":
         for unit, factor in (("m/s2", 1.0), ("g", G0_MPS2), ("ft/s2", FT_M)):
             if 0.7 < abs(middle) * factor / G0_MPS2 < 1.4:
                 sign = -1.0 if middle > 0.0 else 1.0
@@ -452,9 +456,9 @@ def _scale_by_size(due: str, signal: str, values: FloatArray) -> tuple[float, st
                     sign * factor,
                     f"no unit in the name; a median of {middle:.3g} is gravity in {unit}{turned}",
                 )
-    if due == "%" and size <= 1.5:
+    if signal_unit == "%" and size <= 1.5:
         return 100.0, f"no unit in the name; values up to {size:.3g} are 0 to 1"
-    if due == "deg" and size <= 1.0:
+    if signal_unit == "deg" and size <= 1.0:
         return (
             1.0 / _RAD,
             (
@@ -462,7 +466,7 @@ def _scale_by_size(due: str, signal: str, values: FloatArray) -> tuple[float, st
                 " 1 of the throw"
             ),
         )
-    return 1.0, f"no unit in the name; {due} is assumed"
+    return 1.0, f"no unit in the name; {signal_unit} is assumed"
 
 
 def _size(values: FloatArray) -> str:
@@ -479,12 +483,12 @@ def _places(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal]
         return {}
     pair = []
     for pattern in (_LATITUDE, _LONGITUDE):
-        named = [
+        matching = [
             f
             for f, v in content.fields.items()
             if _usable(v) and re.fullmatch(pattern, _split(f)[0])
         ]
-        pair.append(next(iter(named), None))
+        pair.append(next(iter(matching), None))
     lat, lon = pair
     if lat is None or lon is None:
         return {}
@@ -573,12 +577,12 @@ def _confirmed(proposals: dict[str, Proposal], record: FlightRecord) -> dict[str
     free = record.metadata.free_flight_s
     flight = record.between(*free[0]) if free else record
     out = dict(proposals)
-    for h in heard(flight) if len(flight) > 3 else ():
+    for h in evaluate_laws(flight) if len(flight) > 3 else ():
         p = out.get(h.law.subject)
         if p is None or not h.agrees:
             continue
         text = (
-            f"{h.relation.scale:.2f} times {h.law.says} ({h.relation.low:.2f} to"
+            f"{h.relation.scale:.2f} times {h.law.statement} ({h.relation.low:.2f} to"
             f" {h.relation.high:.2f})"
         )
         sure = tuple(x for x in p.unsure if "no unit" in x)

@@ -20,7 +20,7 @@ from sysid.logs.signal_map import Entry, SensorRule
 from sysid.logs.time_base import GAP_STEPS, SAME_S, clean
 
 BoolArray = NDArray[np.bool_]
-_MOST_SPANS = 4
+_MAX_SPANS = 4
 _HEALTH = ("present", "enabled", "health")
 
 
@@ -146,7 +146,7 @@ class Sensors:
                 f" ({first.reason})"
             )
             return first.key, first.name, Finding("sensor-choice", "", "warning", text, {})
-        chosen = _chosen(instances)
+        chosen = _select_rows(instances)
         finding = _describe(rule, entry, instances, chosen)
         read = [i for i, rows in zip(instances, chosen, strict=True) if rows.any()]
         if not read:
@@ -202,7 +202,7 @@ class Sensors:
                 text = f"{name} must be {_range(low, high)}"
                 require((values[keep] >= low) & (values[keep] <= high), text)
         if rule.needs:
-            states = [(pair, self._held(pair[0], pair[1], time_s)) for pair in rule.needs]
+            states = [(pair, self._held_state(pair[0], pair[1], time_s)) for pair in rule.needs]
             logged = [(pair, values) for pair, values in states if values is not None]
             if logged:
                 rows = np.zeros(len(time_s), dtype=bool)
@@ -214,7 +214,7 @@ class Sensors:
         if rule.health and number < len(rule.bits):
             message, prefix = rule.health
             bit = 1 << rule.bits[number]
-            flags = [self._held(message, f"{prefix}_{part}", time_s) for part in _HEALTH]
+            flags = [self._held_state(message, f"{prefix}_{part}", time_s) for part in _HEALTH]
             if all(f is not None for f in flags):
                 present, enabled, healthy = (
                     (np.nan_to_num(f).astype(np.int64) & bit) > 0 for f in flags if f is not None
@@ -247,11 +247,11 @@ class Sensors:
         """
         for message, name in rule.primary:
             names = (message, *rule.also) if message == rule.message else (message,)
-            own = message == rule.message
+            is_rule_message = message == rule.message
             times, numbers = [], []
             for (logged, instance), table in self._raw.messages.items():
                 values = _numbers(table, name) if logged in names and instance >= 0 else None
-                if values is None or (not own and instance != 0):
+                if values is None or (not is_rule_message and instance != 0):
                     continue
                 keep = clean(table.time_s).keep & np.isfinite(values)
                 times.append(table.time_s[keep])
@@ -267,15 +267,15 @@ class Sensors:
     ) -> BoolArray | None:
         """Rows of an instance that say that it is the one in use."""
         if rule.selected is not None:
-            own, message, name = rule.selected
-            values, selected = _numbers(table, own), self._held(message, name, time_s)
+            identity, message, name = rule.selected
+            values, selected = _numbers(table, identity), self._held_state(message, name, time_s)
             if values is not None and selected is not None:
                 return values[keep] == selected
         if rule.in_use and (values := _numbers(table, rule.in_use)) is not None:
             return values[keep] > 0
         return None
 
-    def _held(self, message: str, name: str, at_s: FloatArray) -> FloatArray | None:
+    def _held_state(self, message: str, name: str, at_s: FloatArray) -> FloatArray | None:
         """A state that another message logs, held from row to row; NaN before its first row, None
         where it is not logged.
         """
@@ -341,17 +341,17 @@ def _none_valid(instances: Sequence[_Instance], at_s: FloatArray) -> BoolArray:
     return ~np.any([_state_at(i, i.valid, at_s) for i in instances], axis=0)
 
 
-def _chosen(instances: Sequence[_Instance]) -> list[BoolArray]:
+def _select_rows(instances: Sequence[_Instance]) -> list[BoolArray]:
     """For each instance the rows that are read."""
     out = []
-    for own, instance in enumerate(instances):
+    for index, instance in enumerate(instances):
         rank = np.empty((len(instances), len(instance.time_s)))
         for k, other in enumerate(instances):
             valid = _state_at(other, other.valid, instance.time_s)
             rank[k] = np.where(valid, 0.0, 2.0)
             rank[k] += np.where(other.used_at(instance.time_s), 0.0, 1.0)
         best = np.argmin(rank, axis=0)  # the first of equals
-        out.append((best == own) & instance.valid)
+        out.append((best == index) & instance.valid)
     return out
 
 
@@ -364,7 +364,7 @@ def _describe(
     """What is read, why, and what of the other instances or rows is no data."""
     several = len(instances) > 1
     names = [f"{i.key[0]}[0]" if several and i.name == rule.message else i.name for i in instances]
-    spans = _spans(instances, chosen)
+    spans = _read_spans(instances, chosen)
     read = list(dict.fromkeys(k for k, _, _ in spans))
     marked = next((f"{m}.{n}" for m, n in rule.primary), "")
     marked = marked or (".".join(rule.selected[1:]) if rule.selected else rule.in_use)
@@ -380,31 +380,31 @@ def _describe(
         k = read[0]
         used = instances[k].used_at(instances[k].time_s[chosen[k]])
         if instances[k].says_use and used.mean() > 0.5:
-            why = f"the autopilot used it ({marked})" if marked else "the autopilot used it"
+            reason = f"the autopilot used it ({marked})" if marked else "the autopilot used it"
         elif invalid and instances[k].valid.all():
-            why = "it is valid throughout"
+            reason = "it is valid throughout"
         else:
-            why = "the first of equal instances"
-        parts.append(f"{names[k]} is read of {len(instances)} instances: {why}")
+            reason = "the first of equal instances"
+        parts.append(f"{names[k]} is read of {len(instances)} instances: {reason}")
     else:
-        why = (
+        reason = (
             f"the one in use ({marked})"
             if marked and any(i.says_use for i in instances)
             else "the valid one"
         )
-        if len(spans) <= _MOST_SPANS:
+        if len(spans) <= _MAX_SPANS:
             turns = ", then ".join(
                 f"{names[k]} from {start:.1f} to {end:.1f} s" for k, start, end in spans
             )
         else:
-            both = " and ".join(names[k] for k in read)
-            turns = f"{both} in turn, {len(spans) - 1} changes"
-        parts.append(f"{rule.message} is read from {why}: {turns}")
+            alternating = " and ".join(names[k] for k in read)
+            turns = f"{alternating} in turn, {len(spans) - 1} changes"
+        parts.append(f"{rule.message} is read from {reason}: {turns}")
     for name, instance in zip(names, instances, strict=True):
         if instance.valid.all():
             continue
         share = 100.0 * float(np.mean(~instance.valid))
-        where = _where(instance) if instance.valid.any() else ""
+        where = _invalid_spans(instance) if instance.valid.any() else ""
         parts.append(f"{share:.3g} % of the rows of {name} are no data{where} ({instance.reason})")
     if rule.fields:
         parts[0] = f"{', '.join(rule.fields)}: {parts[0]}"
@@ -412,7 +412,7 @@ def _describe(
     return Finding("sensor-choice", "", severity, ", ".join(parts), {})
 
 
-def _where(instance: _Instance) -> str:
+def _invalid_spans(instance: _Instance) -> str:
     """The spans in which an instance's rows are no data."""
     edges = np.flatnonzero(
         np.diff(np.concatenate([[True], instance.valid, [True]]).astype(np.int8))
@@ -421,26 +421,27 @@ def _where(instance: _Instance) -> str:
         f"{instance.time_s[first]:.1f} to {instance.time_s[end - 1]:.1f}"
         for first, end in zip(edges[::2], edges[1::2], strict=True)
     ]
-    if len(spans) <= _MOST_SPANS:
+    if len(spans) <= _MAX_SPANS:
         return f" from {' and '.join(spans)} s"
-    bad = instance.time_s[~instance.valid]
-    return f" in {len(spans)} spans between {bad[0]:.1f} and {bad[-1]:.1f} s"
+    invalid_s = instance.time_s[~instance.valid]
+    return f" in {len(spans)} spans between {invalid_s[0]:.1f} and {invalid_s[-1]:.1f} s"
 
 
-def _spans(
+def _read_spans(
     instances: Sequence[_Instance], chosen: Sequence[BoolArray]
 ) -> list[tuple[int, float, float]]:
     """(index of the instance, first, last time) of each stretch that is read from one instance, in
     order of time.
     """
     times = np.concatenate([i.time_s[rows] for i, rows in zip(instances, chosen, strict=True)])
-    which = np.concatenate([np.full(int(rows.sum()), k) for k, rows in enumerate(chosen)])
+    instance_index = np.concatenate([np.full(int(rows.sum()), k) for k, rows in enumerate(chosen)])
     if not len(times):
         return []
     order = np.argsort(times, kind="stable")
-    times, which = times[order], which[order]
-    ends = np.append(np.flatnonzero(np.diff(which)), len(which) - 1)
+    times, instance_index = times[order], instance_index[order]
+    ends = np.append(np.flatnonzero(np.diff(instance_index)), len(instance_index) - 1)
     starts = np.concatenate([[0], ends[:-1] + 1])
     return [
-        (int(which[a]), float(times[a]), float(times[b])) for a, b in zip(starts, ends, strict=True)
+        (int(instance_index[a]), float(times[a]), float(times[b]))
+        for a, b in zip(starts, ends, strict=True)
     ]

@@ -27,7 +27,7 @@ from sysid.logs.card import AirframeCard, Mix, Servo, Table
 # right, pitches up and yaws right. PX4: PWM_MAIN_FUNCn, _MINn, _MAXn, _REV and CA_SV_CSi_TYPE,
 # _TRQ_R, _TRQ_P, _TRQ_Y, _TRIM; torques are positive right wing down, nose up and nose right.
 
-USUAL = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
+USUAL_CHANNELS = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
 FUNCTIONS = {4: "aileron", 19: "elevator", 21: "rudder", 70: "throttle"}
 """SERVOn_FUNCTION numbers as ArduPilot documents them."""
 _SENSE = {"aileron": 1.0, "elevator": -1.0, "rudder": -1.0, "throttle": 1.0}
@@ -68,15 +68,15 @@ class Output:
 
 def functions(parameters: Mapping[str, float]) -> dict[int, int]:
     """SERVOn_FUNCTION of a log: channel -> function number, the disabled ones left out."""
-    found = {n: parameters.get(f"SERVO{n}_FUNCTION", 0.0) for n in range(1, 33)}
-    return {n: int(v) for n, v in found.items() if v and math.isfinite(v)}
+    by_channel = {n: parameters.get(f"SERVO{n}_FUNCTION", 0.0) for n in range(1, 33)}
+    return {n: int(v) for n, v in by_channel.items() if v and math.isfinite(v)}
 
 
 def outputs(parameters: Mapping[str, float]) -> dict[str, tuple[Output, ...]]:
     """aileron, elevator, rudder, throttle -> the outputs that move it, in equal parts; without a
     name where none is described.
     """
-    found: dict[str, list[Output]] = {}
+    by_name: dict[str, list[Output]] = {}
     # A damaged log may hold any number, also none.
     parameters = {key: value for key, value in parameters.items() if math.isfinite(value)}
     for name, output in (
@@ -84,17 +84,17 @@ def outputs(parameters: Mapping[str, float]) -> dict[str, tuple[Output, ...]]:
         if functions(parameters)
         else (*_old_ardupilot(parameters), *_px4(parameters))
     ):
-        found.setdefault(name, []).append(output)
-    return {name: tuple(members) for name, members in found.items()}
+        by_name.setdefault(name, []).append(output)
+    return {name: tuple(members) for name, members in by_name.items()}
 
 
 def _ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
-    seen = set()
+    names = set()
     for n, function in functions(parameters).items():
         name = FUNCTIONS.get(function)
-        if name is None or name in seen:
+        if name is None or name in names:
             continue
-        seen.add(name)
+        names.add(name)
         low, high, neutral, turned = (
             parameters.get(f"SERVO{n}_{k}", math.nan) for k in ("MIN", "MAX", "TRIM", "REVERSED")
         )
@@ -111,7 +111,7 @@ def _old_ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Outpu
     if any(key == "SYS_AUTOSTART" or key.startswith("RC_MAP_") for key in parameters):
         # PX4: its RCn_MIN and the like calibrate the receiver's inputs and say nothing of servos
         return
-    for name, usual in USUAL.items():
+    for name, usual in USUAL_CHANNELS.items():
         n = int(
             parameters.get(
                 {"aileron": "RCMAP_ROLL", "elevator": "RCMAP_PITCH", "rudder": "RCMAP_YAW"}.get(
@@ -195,7 +195,7 @@ def parse_parameters(text: str) -> dict[str, float]:
 
     QGroundControl's lines have vehicle and component in front of the name and a type behind the
     value. Raises ValueError with the line's number and text for a line that is neither."""
-    found: dict[str, float] = {}
+    parameters: dict[str, float] = {}
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split("#")[0].replace(",", " ").split()
         if not words:
@@ -215,12 +215,12 @@ def parse_parameters(text: str) -> dict[str, float]:
                 f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a"
                 " number"
             )
-        found[name] = value
-    if not found:
+        parameters[name] = value
+    if not parameters:
         raise ValueError(
             "holds no parameter; a line is a name and a number, such as SERVO2_TRIM 1500"
         )
-    return found
+    return parameters
 
 
 _LEFT_RIGHT = {"elevon": (77, 78), "vtail": (79, 80)}
@@ -243,8 +243,8 @@ class Control:
 
     parts: tuple[tuple[int, Servo, float], ...]
     basis: str
-    told: str = ""
-    against: str = ""
+    description: str = ""
+    conflicts: str = ""
 
     @property
     def label(self) -> str:
@@ -297,15 +297,15 @@ def controls(
             if COLUMNS[name] in out or (name not in card.servos and name not in card.throws):
                 continue
             control = (
-                _described(card, name, described[name])
+                _control_by_log(card, name, described[name])
                 if name in described
-                else _by_card(card, name, bool(by_channel))
+                else _control_by_card(card, name, bool(by_channel))
             )
             if control is not None:
                 out[COLUMNS[name]] = control
     if "throttle_pct" not in out and "throttle" in described:
         output = described["throttle"][0]
-        low, high = _known(output.low, 1000.0), _known(output.high, 2000.0)
+        low, high = _or_default(output.low, 1000.0), _or_default(output.high, 2000.0)
         if high > low:
             servo = Servo(((low, 0.0), (high, 100.0)), (0.0, 100.0), output.channel)
             out["throttle_pct"] = Control(
@@ -314,17 +314,17 @@ def controls(
     return out, findings
 
 
-def _known(value: float, otherwise: float) -> float:
-    return otherwise if math.isnan(value) else value
+def _or_default(value: float, default: float) -> float:
+    return default if math.isnan(value) else value
 
 
 def _assumed_mixes(
     card: AirframeCard, by_channel: Mapping[int, int], out: dict[str, Control]
 ) -> list[Finding]:
     findings = []
-    for kind, (left, right) in _LEFT_RIGHT.items():
+    for kind, panel_functions in _LEFT_RIGHT.items():
         channels = [
-            next((n for n, f in by_channel.items() if f == side), None) for side in (left, right)
+            next((n for n, f in by_channel.items() if f == side), None) for side in panel_functions
         ]
         servo = card.servos.get("elevator")
         if None in channels or servo is None or any(m.kind == kind for m in card.mixes):
@@ -340,12 +340,12 @@ def _assumed_mixes(
     return findings
 
 
-def _by_card(card: AirframeCard, name: str, has_functions: bool) -> Control | None:
+def _control_by_card(card: AirframeCard, name: str, has_functions: bool) -> Control | None:
     """A log without parameters: the card's table on the card's channel, or on the usual one."""
     servo = card.servos.get(name)
     if servo is None or (has_functions and not servo.channel):
         return None  # the autopilot says what its outputs do, and none of them does this
-    channel = servo.channel or USUAL[name]
+    channel = servo.channel or USUAL_CHANNELS[name]
     basis = "card" if servo.channel else "usual order"
     return Control(
         ((channel, servo, 1.0),),
@@ -354,19 +354,21 @@ def _by_card(card: AirframeCard, name: str, has_functions: bool) -> Control | No
     )
 
 
-def _described(card: AirframeCard, name: str, members: tuple[Output, ...]) -> Control | None:
+def _control_by_log(card: AirframeCard, name: str, members: tuple[Output, ...]) -> Control | None:
     """A surface whose outputs the log's parameters describe."""
-    parts, told, against = [], [], []
+    parts, descriptions, conflicts = [], [], []
     for output in members:
-        made = _table(card, name, output)
-        if made is None:
+        table = _table(card, name, output)
+        if table is None:
             return None
-        servo, degrees = made
+        servo, degrees = table
         parts.append((output.channel, servo, 1.0 / len(members)))
-        told.append(f"{_as_words(name, output.channel, servo)} by {output.source}, {degrees}")
-        against += _conflicts(card.servos.get(name), servo, output)
+        descriptions.append(
+            f"{_as_words(name, output.channel, servo)} by {output.source}, {degrees}"
+        )
+        conflicts += _conflicts(card.servos.get(name), servo, output)
     return Control(
-        tuple(parts), members[0].source.split(",")[0], "; ".join(told), "; ".join(against)
+        tuple(parts), members[0].source.split(",")[0], "; ".join(descriptions), "; ".join(conflicts)
     )
 
 
@@ -375,34 +377,38 @@ def _table(card: AirframeCard, name: str, output: Output) -> tuple[Servo, str] |
 
     The card's own table keeps its slope, since an autopilot's MIN and MAX may leave some of the
     throw unused."""
-    own, throw = card.servos.get(name), card.throws.get(name)
-    limits = own.limits if own is not None else (-math.inf, math.inf)
+    card_servo, throw = card.servos.get(name), card.throws.get(name)
+    limits = card_servo.limits if card_servo is not None else (-math.inf, math.inf)
     if name == "throttle":
-        low, high = _known(output.low, 1000.0), _known(output.high, 2000.0)
-        if own is not None and not output.low < output.high:
-            return own, "the card's servo_pwm"
+        low, high = _or_default(output.low, 1000.0), _or_default(output.high, 2000.0)
+        if card_servo is not None and not output.low < output.high:
+            return card_servo, "the card's servo_pwm"
         ends = (0.0, 100.0) if output.sense >= 0.0 else (100.0, 0.0)
         return Servo(((low, ends[0]), (high, ends[1])), (0.0, 100.0), output.channel), "0 and 100 %"
     sense = output.sense or (
-        1.0 if own is None else math.copysign(1.0, own.table[-1][1] - own.table[0][1])
+        1.0
+        if card_servo is None
+        else math.copysign(1.0, card_servo.table[-1][1] - card_servo.table[0][1])
     )
-    if throw is not None and output.spans and (throw.key == "throw_deg" or own is None):
+    if throw is not None and output.spans and (throw.key == "throw_deg" or card_servo is None):
         ends = (throw.low, throw.high) if sense > 0.0 else (throw.high, throw.low)
         table: Table = ((output.low, ends[0]), (output.neutral, 0.0), (output.high, ends[1]))
         return (
             Servo(table, limits, output.channel),
             f"degrees assumed: the card's {throw.key} at the ends of travel",
         )
-    if own is None:
+    if card_servo is None:
         return None
-    neutral = _neutral(own)
-    shift = _known(output.neutral, neutral) - neutral
-    turn = 1.0 if sense * (own.table[-1][1] - own.table[0][1]) > 0.0 else -1.0
+    neutral = _neutral(card_servo)
+    shift = _or_default(output.neutral, neutral) - neutral
+    turn = 1.0 if sense * (card_servo.table[-1][1] - card_servo.table[0][1]) > 0.0 else -1.0
     if turn < 0.0:  # the other way round about the neutral
-        table = tuple((2.0 * neutral - pwm + shift, angle) for pwm, angle in reversed(own.table))
+        table = tuple(
+            (2.0 * neutral - pwm + shift, angle) for pwm, angle in reversed(card_servo.table)
+        )
     else:
-        table = tuple((pwm + shift, angle) for pwm, angle in own.table)
-    return Servo(table, own.limits, output.channel), "degrees a us by the card's servo_pwm"
+        table = tuple((pwm + shift, angle) for pwm, angle in card_servo.table)
+    return Servo(table, card_servo.limits, output.channel), "degrees a us by the card's servo_pwm"
 
 
 def _neutral(servo: Servo) -> float:
@@ -411,27 +417,29 @@ def _neutral(servo: Servo) -> float:
     return float(np.interp(0.0, [angle for _, angle in rows], [pwm for pwm, _ in rows]))
 
 
-_SAME_US = 5.0
+_SAME_NEUTRAL_US = 5.0
 
 
-def _conflicts(own: Servo | None, used: Servo, output: Output) -> list[str]:
+def _conflicts(card_servo: Servo | None, used: Servo, output: Output) -> list[str]:
     """What the card says otherwise than the log, in words."""
-    if own is None:
+    if card_servo is None:
         return []
-    found = []
-    if own.channel not in (None, output.channel):
-        found.append(f"the card says channel {own.channel}, the log {output.channel}")
-    if (own.table[-1][1] - own.table[0][1]) * (used.table[-1][1] - used.table[0][1]) < 0.0:
-        found.append(f"servo {output.channel} turns the other way in the card")
+    conflicts = []
+    if card_servo.channel not in (None, output.channel):
+        conflicts.append(f"the card says channel {card_servo.channel}, the log {output.channel}")
+    if (card_servo.table[-1][1] - card_servo.table[0][1]) * (
+        used.table[-1][1] - used.table[0][1]
+    ) < 0.0:
+        conflicts.append(f"servo {output.channel} turns the other way in the card")
     if (
-        abs(_neutral(own) - _neutral(used)) > _SAME_US
+        abs(_neutral(card_servo) - _neutral(used)) > _SAME_NEUTRAL_US
         and used.table[0][1] * used.table[-1][1] < 0.0
     ):
-        found.append(
+        conflicts.append(
             f"the neutral of servo {output.channel} is {_neutral(used):g} us in the log,"
-            f" {_neutral(own):g} us in the card"
+            f" {_neutral(card_servo):g} us in the card"
         )
-    return found
+    return conflicts
 
 
 def _as_words(name: str, channel: int, servo: Servo) -> str:
@@ -442,12 +450,12 @@ def _as_words(name: str, channel: int, servo: Servo) -> str:
 
 def _mixed(mix: Mix, basis: str, out: dict[str, Control]) -> None:
     first, second = mix.outputs
-    left, right = mix.left.channel or 0, mix.right.channel or 0
+    left_channel, right_channel = mix.left.channel or 0, mix.right.channel or 0
     out[COLUMNS[first]] = Control(
-        ((left, mix.left, 0.5), (right, mix.right, 0.5)), f"{mix.kind}, {basis}"
+        ((left_channel, mix.left, 0.5), (right_channel, mix.right, 0.5)), f"{mix.kind}, {basis}"
     )
     out[COLUMNS[second]] = Control(
-        ((left, mix.left, 0.5), (right, mix.right, -0.5)), f"{mix.kind}, {basis}"
+        ((left_channel, mix.left, 0.5), (right_channel, mix.right, -0.5)), f"{mix.kind}, {basis}"
     )
 
 
@@ -458,7 +466,7 @@ def elevator_channel(parameters: Mapping[str, float]) -> int:
     for n, function in functions(parameters).items():
         if function in (19, 77, 79):
             return n
-    return USUAL["elevator"]
+    return USUAL_CHANNELS["elevator"]
 
 
 # Steps of commands that were logged more slowly than they were carried out, placed by what the
@@ -470,21 +478,21 @@ def elevator_channel(parameters: Mapping[str, float]) -> int:
 # come late by one time; it is found from all steps together, or it would put half of them on
 # the wrong side.
 
-LEAST_STEP = 1.0
+MIN_STEP_DEG = 1.0
 """deg: smaller steps leave no kink worth looking for."""
-LATEST_S = 0.05
+MAX_LATE_S = 0.05
 """By how much the gyro's kinks may come after the steps: its filter, and a servo that lags."""
 _AROUND_S = 0.08  # on either side that the kink is fitted to
-_FEWEST = 4  # rows on either side
+_MIN_ROWS = 4  # rows on either side
 # noise variances within which two times by which the gyro may be late are as good as each other
-_CLEAR = 4.0
+_MISFIT_TOLERANCE = 4.0
 _FINE_S = 0.001
-_SHAPE = 4  # numbers that a rate with a kink is fitted by
-_SURE = 0.9  # share of likelihood at which a step counts as placed
+_KINK_PARAMETERS = 4  # numbers that a rate with a kink is fitted by
+_PLACED_PROBABILITY = 0.9  # share of likelihood at which a step counts as placed
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedSteps:
     """command (n,) deg; steps that are placed for sure; late_s: by which the rate turns after them,
     NaN without a step.
     """
@@ -507,7 +515,7 @@ class _Step:
 
 def place_steps(
     command: FloatArray, logged: NDArray[np.bool_], rate: FloatArray, noise: float, dt_s: float
-) -> Placed:
+) -> PlacedSteps:
     """The command between its logged rows, what is known of its steps.
 
     logged (n,): rows whose command was logged; between them it stands held. noise: standard
@@ -522,23 +530,23 @@ def place_steps(
         if rows.size
         else np.array(command, dtype=float)
     )
-    offsets = np.arange(0.0, LATEST_S + 0.5 * _FINE_S, _FINE_S) / dt_s
-    around = max(_FEWEST, round(_AROUND_S / dt_s))
+    offsets = np.arange(0.0, MAX_LATE_S + 0.5 * _FINE_S, _FINE_S) / dt_s
+    around = max(_MIN_ROWS, round(_AROUND_S / dt_s))
     steps = list(_steps(command, rows.tolist(), rate, offsets, around))
     if not steps:
-        return Placed(out, 0, float("nan"))
-    together = np.sum([s.misfit.min(axis=0) for s in steps], axis=0)
-    late = int(np.flatnonzero(together <= together.min() + _CLEAR * noise**2)[0])
+        return PlacedSteps(out, 0, float("nan"))
+    total_misfit = np.sum([s.misfit.min(axis=0) for s in steps], axis=0)
+    late = int(np.flatnonzero(total_misfit <= total_misfit.min() + _MISFIT_TOLERANCE * noise**2)[0])
     placed = 0
     for s in steps:
         misfit = s.misfit[:, late]
-        spread = max(noise**2, float(misfit.min()) / (2 * around - _SHAPE))
-        likely = np.exp(-0.5 * (misfit - misfit.min()) / spread)
-        likely /= likely.sum()
+        variance = max(noise**2, float(misfit.min()) / (2 * around - _KINK_PARAMETERS))
+        likelihood = np.exp(-0.5 * (misfit - misfit.min()) / variance)
+        likelihood /= likelihood.sum()
         before = command[s.places[0] - 1]
-        out[s.places[0] : s.row + 1] = before + np.cumsum(likely) * (command[s.row] - before)
-        placed += int(likely.max() > _SURE)
-    return Placed(out, placed, late * _FINE_S)
+        out[s.places[0] : s.row + 1] = before + np.cumsum(likelihood) * (command[s.row] - before)
+        placed += int(likelihood.max() > _PLACED_PROBABILITY)
+    return PlacedSteps(out, placed, late * _FINE_S)
 
 
 def logged_rows(command: FloatArray, stride: int) -> NDArray[np.bool_]:
@@ -559,27 +567,29 @@ def _steps(
     for before, row in pairwise(rows):
         size = command[row] - command[before]
         first, last = before - around + 1, row + around + 1
-        if row - before < 2 or not abs(size) > LEAST_STEP or first < 0 or last > len(rate):
+        if row - before < 2 or not abs(size) > MIN_STEP_DEG or first < 0 or last > len(rate):
             continue
-        at, seen = np.arange(first, last), rate[first:last]
-        others = np.abs(
+        at, axis_rate = np.arange(first, last), rate[first:last]
+        other_steps = np.abs(
             np.diff(np.concatenate([command[first : before + 1], command[row + 1 : last]]))
         )
-        others[before - first] = abs(command[min(row + 1, len(command) - 1)] - command[row])
-        if not np.isfinite(seen).all() or others.max(initial=0.0) > LEAST_STEP:
+        other_steps[before - first] = abs(command[min(row + 1, len(command) - 1)] - command[row])
+        if not np.isfinite(axis_rate).all() or other_steps.max(initial=0.0) > MIN_STEP_DEG:
             continue
         places = range(before + 1, row + 1)
         yield _Step(
             row,
             places,
-            np.array([[_misfit(at.astype(float), seen, p + o) for o in offsets] for p in places]),
+            np.array(
+                [[_misfit(at.astype(float), axis_rate, p + o) for o in offsets] for p in places]
+            ),
         )
 
 
-def _misfit(at: FloatArray, seen: FloatArray, kink: float) -> float:
+def _misfit(at: FloatArray, rate: FloatArray, kink: float) -> float:
     """Sum of squares left by a straight line and, from ``kink`` on, a parabola: a rate that has
     begun to turn is soon damped.
     """
     after = np.maximum(at - kink, 0.0)
     design = np.column_stack([np.ones_like(at), at - kink, after, after**2])
-    return float(np.sum((seen - design @ np.linalg.lstsq(design, seen, rcond=None)[0]) ** 2))
+    return float(np.sum((rate - design @ np.linalg.lstsq(design, rate, rcond=None)[0]) ** 2))

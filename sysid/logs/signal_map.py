@@ -113,26 +113,26 @@ class SensorRule:
 
     def covers(self, entry: Entry) -> bool:
         """Whether the rule is about the sensor that an entry reads."""
-        named = entry.message == self.message or entry.message in self.also
-        return named and (not self.fields or any(f in self.fields for f in entry.fields))
+        reads_message = entry.message == self.message or entry.message in self.also
+        return reads_message and (not self.fields or any(f in self.fields for f in entry.fields))
 
-    def wanted(self) -> dict[str, set[str]]:
+    def field_selection(self) -> dict[str, set[str]]:
         """message -> fields that the rule looks at."""
-        own = {*self.valid, self.in_use} - {""}
-        out: dict[str, set[str]] = {}
+        sensor_fields = {*self.valid, self.in_use} - {""}
+        fields: dict[str, set[str]] = {}
         pairs = [*self.primary, *((m, f) for m, f, _, _ in self.needs)]
         if self.selected is not None:
-            own.add(self.selected[0])
+            sensor_fields.add(self.selected[0])
             pairs.append(self.selected[1:])
         if self.health is not None:
             pairs += [
                 (self.health[0], f"{self.health[1]}_{p}") for p in ("present", "enabled", "health")
             ]
         for message, name in pairs:
-            out.setdefault(message, set()).add(name)
+            fields.setdefault(message, set()).add(name)
         for message in (self.message, *self.also):
-            out.setdefault(message, set()).update(own)
-        return out
+            fields.setdefault(message, set()).update(sensor_fields)
+        return fields
 
 
 @dataclass(frozen=True)
@@ -165,26 +165,26 @@ class SignalMap:
     time: TimeColumn | None = None
     sensors: tuple[SensorRule, ...] = ()
 
-    def wanted(self) -> dict[str, frozenset[str]]:
+    def field_selection(self) -> dict[str, frozenset[str]]:
         """message -> fields, for the importers."""
-        out: dict[str, set[str]] = {m: set(f) for m, f in self.needs.items()}
+        fields: dict[str, set[str]] = {m: set(f) for m, f in self.needs.items()}
         for candidates in self.entries.values():
             for entry in candidates:
-                out.setdefault(entry.message, set()).update(entry.fields)
+                fields.setdefault(entry.message, set()).update(entry.fields)
                 if entry.times:
-                    out.setdefault(entry.times[0], set()).add(entry.times[1])
+                    fields.setdefault(entry.times[0], set()).add(entry.times[1])
         for rule in self.sensors:
-            if rule.message not in out and not any(name in out for name in rule.also):
+            if rule.message not in fields and not any(name in fields for name in rule.also):
                 continue
-            measured = out.get(rule.message, set()).copy()
-            for message, names in rule.wanted().items():
-                out.setdefault(message, set()).update(names)
+            measured = fields.get(rule.message, set()).copy()
+            for message, names in rule.field_selection().items():
+                fields.setdefault(message, set()).update(names)
             for message in rule.also:
-                out[message].update(measured)
+                fields[message].update(measured)
         if self.servos is not None:
             channels = {field for n in range(17) for field in self.servos.fields_of(n)}
-            out.setdefault(self.servos.message, set()).update(channels)
-        return {m: frozenset(f) for m, f in out.items()}
+            fields.setdefault(self.servos.message, set()).update(channels)
+        return {m: frozenset(f) for m, f in fields.items()}
 
     def overlaid(self, other: SignalMap) -> SignalMap:
         """This map with every signal that `other` names taken from `other`."""
@@ -372,11 +372,14 @@ def _servos(data: Any, name: str) -> ServoOutputs | None:
         or "message" not in data
     ):
         raise LogError('allowed keys are message, instance, field = "C{n}"', name, "[servos]")
-    given = data.get("field", "")
-    patterns = tuple(str(pattern) for pattern in (given if isinstance(given, list) else [given]))
+    field_names = data.get("field", "")
+    patterns = tuple(
+        str(pattern)
+        for pattern in (field_names if isinstance(field_names, list) else [field_names])
+    )
     if not patterns or not all("{n}" in pattern for pattern in patterns):
         raise LogError(
-            f"field = {given!r} must contain {{n}} for the channel number", name, "[servos]"
+            f"field = {field_names!r} must contain {{n}} for the channel number", name, "[servos]"
         )
     return ServoOutputs(
         str(data["message"]), _integer(data.get("instance", 0), name, "[servos]"), patterns
@@ -469,7 +472,7 @@ def markdown_table() -> str:
             dict.fromkeys(entry.label for entry in m.entries.get(signal.name, ()))
             for m in maps.values()
         ]
-        cells = [" or ".join(found) or "-" for found in labels]
+        cells = [" or ".join(sources) or "-" for sources in labels]
         lines.append(
             f"| `{signal.name}` | {signal.unit} | {signal.meaning} | " + " | ".join(cells) + " |"
         )

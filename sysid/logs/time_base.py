@@ -98,9 +98,9 @@ def time_unit_finding(column: str, step: float, *, converted: bool) -> Finding:
     done = f"and are read as {words}" if converted else f"and look like {words}"
     text = f"steps of {step:.6g} s: the times of {column} are no seconds {done}"
     mend = f'[signals.time_s]\nfield = "{column}"\nunit = "{unit}"'
-    spoilt = "" if converted else "every rate, derivative and delay"
+    spoils = "" if converted else "every rate, derivative and delay"
     severity = "warning" if converted else "error"
-    return Finding("time-unit", "time_s", severity, text, {"step": step}, spoilt, mend)
+    return Finding("time-unit", "time_s", severity, text, {"step": step}, spoils, mend)
 
 
 def gaps_of(time_s: FloatArray, step_s: float) -> FloatArray:
@@ -144,9 +144,9 @@ def interpolate(
     out[inside(gaps, grid_s)] = np.nan
     # A grid time on a sample takes the sample: rounding in the last digit must not spread a
     # neighbour's NaN.
-    near = np.clip(np.searchsorted(time_s, grid_s - SAME_S), 0, len(time_s) - 1)
-    same = np.abs(time_s[near] - grid_s) <= SAME_S
-    out[same] = values[near[same]]
+    nearest = np.clip(np.searchsorted(time_s, grid_s - SAME_S), 0, len(time_s) - 1)
+    on_sample = np.abs(time_s[nearest] - grid_s) <= SAME_S
+    out[on_sample] = values[nearest[on_sample]]
     return out
 
 
@@ -161,8 +161,8 @@ def hold(
     out = values[np.maximum(at, 0)].copy()
     missing = at < 0
     if len(time_s) > 1 and np.isfinite(step_s):
-        held_from = np.column_stack([gaps[:, 0] + step_s, gaps[:, 1]]) if len(gaps) else gaps
-        missing |= inside(held_from, grid_s + tolerance) | (
+        held_spans = np.column_stack([gaps[:, 0] + step_s, gaps[:, 1]]) if len(gaps) else gaps
+        missing |= inside(held_spans, grid_s + tolerance) | (
             grid_s > time_s[-1] + GAP_STEPS * step_s
         )
     out[missing] = np.nan if out.dtype != object else ""
@@ -213,9 +213,9 @@ def boundaries(place: IntArray, time_s: FloatArray, headers: tuple[int, ...] = (
     place    (n,) position in the file of each record, in any order      time_s  (n,) its stamp
     headers  places at which the log's header stands again: a boundary, unless the clock goes on
     there"""
-    good = np.isfinite(time_s)
-    order = np.argsort(place[good], kind="stable")
-    place, time_s = place[good][order], time_s[good][order]
+    is_finite = np.isfinite(time_s)
+    order = np.argsort(place[is_finite], kind="stable")
+    place, time_s = place[is_finite][order], time_s[is_finite][order]
     if len(time_s) < 3:
         return []
     edges = [0, *_headers(place, time_s, headers), len(time_s)]
@@ -251,9 +251,9 @@ def _restarts(time_s: FloatArray) -> list[int]:
             continue
         before, after = float(level[k]), float(level[k + 1])
         # A block with a wrong clock ends where the clock of the records in front of it goes on.
-        earlier = np.flatnonzero(level[begin:k] <= after)
-        if len(earlier):
-            last = begin + int(earlier[-1])
+        rows_before = np.flatnonzero(level[begin:k] <= after)
+        if len(rows_before):
+            last = begin + int(rows_before[-1])
             lasted = before - level[last + 1]
             if (
                 level[last + 1] - level[last] > RESTART_S
@@ -261,19 +261,19 @@ def _restarts(time_s: FloatArray) -> list[int]:
             ):
                 continue
         # A block that was written late ends with a jump to where the clock had been.
-        later = np.flatnonzero(level[k + 1 :] >= before - 0.5 * RESTART_S)
-        if len(later):
-            first = k + 1 + int(later[0])
+        rows_after = np.flatnonzero(level[k + 1 :] >= before - 0.5 * RESTART_S)
+        if len(rows_after):
+            first = k + 1 + int(rows_after[0])
             jump = level[first] - level[first - 1]
             if jump > 0.5 * RESTART_S and abs(level[first] - before) <= RESTART_S:
                 returned = first
                 continue
-        begin = _exact(time_s, k + 1, before, after)
+        begin = _boundary_row(time_s, k + 1, before, after)
         rows.append(begin)
     return rows
 
 
-def _exact(time_s: FloatArray, row: int, before: float, after: float) -> int:
+def _boundary_row(time_s: FloatArray, row: int, before: float, after: float) -> int:
     """The row near ``row`` that parts the stamps near ``before`` from those near ``after`` with the
     fewest exceptions.
     """
@@ -286,8 +286,8 @@ def _exact(time_s: FloatArray, row: int, before: float, after: float) -> int:
 
 
 def _steps_back(time_s: FloatArray) -> bool:
-    good = time_s[np.isfinite(time_s)]
-    return bool(len(good) > 1 and np.min(np.diff(good)) < -RESTART_S)
+    finite_s = time_s[np.isfinite(time_s)]
+    return bool(len(finite_s) > 1 and np.min(np.diff(finite_s)) < -RESTART_S)
 
 
 def _part(raw: RawLog, low: int, high: int) -> RawLog:

@@ -179,14 +179,14 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _write_page(args: argparse.Namespace, info: LogInfo, record: FlightRecord) -> None:
-    from sysid.logs import label_found, labelled
+    from sysid.logs import label_from_commands, with_manoeuvres
     from uqharness.report import write_html
     from uqharness.report.pages import log_page
 
     if args.manoeuvres is not None:
-        record = labelled(record, args.manoeuvres, args.log.stem)
+        record = with_manoeuvres(record, args.manoeuvres, args.log.stem)
     elif info.manoeuvres and not ("manoeuvre" in record and any(record["manoeuvre"])):
-        record = label_found(record)
+        record = label_from_commands(record)
     write_html(args.out, log_page(info, record, command_as_given(args)))
 
 
@@ -197,9 +197,9 @@ def _import(args: argparse.Namespace) -> int:
         )
     record = _read(args)
     if args.manoeuvres is not None:
-        from sysid.logs import labelled
+        from sysid.logs import with_manoeuvres
 
-        record = labelled(record, args.manoeuvres, args.log.stem)
+        record = with_manoeuvres(record, args.manoeuvres, args.log.stem)
     kept = whole = (float(record["time_s"][0]), float(record["time_s"][-1]))
     if not args.whole and record.metadata.free_flight_s and record.metadata.dialect != "record":
         kept = record.metadata.free_flight_s[0]
@@ -238,7 +238,7 @@ def _read(args: argparse.Namespace) -> FlightRecord:
             card,
             flight_number=args.flight_number,
             cache=cache,
-            progress=progress,
+            callback=progress,
         )
 
 

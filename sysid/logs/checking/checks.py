@@ -13,8 +13,20 @@ from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.logs.channels import Channel, components_of
 from sysid.logs.checking.kinematics import AIR, lever_arm_finding
-from sysid.logs.checking.physics import MOST_RAD, check_physics, degrees_by_size, mend, spoils
-from sysid.logs.checking.signals import check_estimates, held, interpolated, stuck, wraps
+from sysid.logs.checking.physics import (
+    MAX_RAD,
+    affected_results,
+    check_physics,
+    degrees_by_size,
+    map_correction,
+)
+from sysid.logs.checking.signals import (
+    check_estimates,
+    detect_wraps,
+    interpolation_interval,
+    sample_hold,
+    stuck_span,
+)
 from sysid.logs.checking.surface_signs import check_surfaces
 from sysid.logs.time_base import SLOWEST_STEP_S, CleanTime, time_unit_finding
 from sysid.record import FlightRecord, Metadata
@@ -25,15 +37,15 @@ _GUIDANCE = frozenset({"h_demand_m", "V_demand_mps", "cross_track_m"})
 _EDGE_SHARE = 1e-3  # channels start and end a few samples apart: no dropout worth a line
 
 
-def check_channel(c: Channel, grid_step_s: float, seen: set[str]) -> list[Finding]:
+def check_channel(c: Channel, grid_step_s: float, reported: set[str]) -> list[Finding]:
     """Times, gaps, holds, wraps, range and origin of one channel.
 
     seen  messages whose times were reported already; this channel's is added
     """
     out: list[Finding] = []
     message = c.label.split(".")[0].split(" ")[0]
-    if message not in seen and c.name != "mode":
-        seen.add(message)
+    if message not in reported and c.name != "mode":
+        reported.add(message)
         # Guidance messages come and go with the flight mode; their gaps harm nobody.
         severity = "info" if c.name in _GUIDANCE else "warning"
         out += _times(message, c) + _gaps(message, c, severity)
@@ -41,7 +53,7 @@ def check_channel(c: Channel, grid_step_s: float, seen: set[str]) -> list[Findin
         _hold(c.name, c, grid_step_s)
         + _wrap(c.name, c)
         + _range(c.name, c.label, c.values)
-        + _stuck_beneath(c)
+        + _stuck_before_factor(c)
     )
     if c.estimate:
         text = (
@@ -109,36 +121,36 @@ def _hold(name: str, c: Channel, grid_step_s: float) -> list[Finding]:
             )
         numbers = {"native_hz": c.rate_hz, "grid_hz": 1 / grid_step_s, "mean_late_s": late}
         return [Finding("slower-than-grid", name, "info", text, numbers)]
-    return _kept(name, c)
+    return _resolution_findings(name, c)
 
 
-def _kept(name: str, c: Channel) -> list[Finding]:
+def _resolution_findings(name: str, c: Channel) -> list[Finding]:
     """A channel that was logged fast and yet has fewer values, or coarser ones, than samples."""
     if name in COMMANDS or name == "rho_kgpm3":  # a density is computed, and hardly changes
         return []
-    found = held(c.values)
-    if found is not None and found.held:
-        rate = c.rate_hz / found.run
+    repetition = sample_hold(c.values)
+    if repetition is not None and repetition.is_held:
+        rate = c.rate_hz / repetition.run
         text = (
             f"{name} is logged at {c.rate_hz:.1f} Hz but its value changes at {rate:.1f} Hz only"
-            f" (sample and hold, mean run {found.run:.1f} samples): it lags by"
-            f" {0.5 * (found.run - 1) * c.clean.step_s * 1e3:.0f} ms on average"
+            f" (sample and hold, mean run {repetition.run:.1f} samples): it lags by"
+            f" {0.5 * (repetition.run - 1) * c.clean.step_s * 1e3:.0f} ms on average"
         )
-        numbers = {"logged_hz": c.rate_hz, "native_hz": rate, "mean_run": found.run}
+        numbers = {"logged_hz": c.rate_hz, "native_hz": rate, "mean_run": repetition.run}
         return [
             Finding(
                 "sample-and-hold", name, "warning", text, numbers, "phases: dampings and delays"
             )
         ]
-    if found is not None:
+    if repetition is not None:
         text = (
-            f"{name} moves in steps of {found.quantum:.3g}: its noise is at least"
-            f" {found.quantum / 12**0.5:.2g} (step / sqrt 12)"
+            f"{name} moves in steps of {repetition.quantum:.3g}: its noise is at least"
+            f" {repetition.quantum / 12**0.5:.2g} (step / sqrt 12)"
         )
-        return [Finding("quantised", name, "info", text, {"quantum": found.quantum})]
-    between = interpolated(c.values)
-    if between is not None:
-        rate = c.rate_hz / between
+        return [Finding("quantised", name, "info", text, {"quantum": repetition.quantum})]
+    interval = interpolation_interval(c.values)
+    if interval is not None:
+        rate = c.rate_hz / interval
         text = (
             f"{name} is logged at {c.rate_hz:.1f} Hz but lies on straight lines between values at"
             f" {rate:.1f} Hz: somebody has interpolated it; its noise looks smaller than it is, and"
@@ -158,7 +170,7 @@ def _kept(name: str, c: Channel) -> list[Finding]:
     return []
 
 
-_MAY_STAND = frozenset(
+_MAY_STAND_STILL = frozenset(
     {
         "elevator_pos_deg",
         "aileron_pos_deg",
@@ -177,25 +189,27 @@ def has_factor(label: str) -> bool:
     return " x " in label
 
 
-def _stuck_beneath(c: Channel) -> list[Finding]:
+def _stuck_before_factor(c: Channel) -> list[Finding]:
     """A sensor that stood still beneath a factor that does not."""
     if c.raw is None or not has_factor(c.label) or c.name in COMMANDS:
         return []
-    found = stuck(c.raw, c.clean.step_s, noisy=c.name in _MAY_STAND)
+    span = stuck_span(c.raw, c.clean.step_s, noisy=c.name in _MAY_STAND_STILL)
     return (
         []
-        if found is None
-        else [_stood(c.name, float(c.raw[found[0]]), (c.time_s[found[0]], c.time_s[found[1]]))]
+        if span is None
+        else [_stuck_finding(c.name, float(c.raw[span[0]]), (c.time_s[span[0]], c.time_s[span[1]]))]
     )
 
 
-def _stood(name: str, value: float, span_s: tuple[float, float]) -> Finding:
+def _stuck_finding(name: str, value: float, span_s: tuple[float, float]) -> Finding:
     begin, end = (float(t) for t in span_s)
     text = (
         f"{name} stands at {value:.4g} from {begin:.2f} to {end:.2f} s, among samples that all"
         " differ"
     )
-    return Finding("stuck", name, "error", text, {"start_s": begin, "end_s": end}, spoils(name))
+    return Finding(
+        "stuck", name, "error", text, {"start_s": begin, "end_s": end}, affected_results(name)
+    )
 
 
 def _stuck(record: FlightRecord) -> list[Finding]:
@@ -209,11 +223,11 @@ def _stuck(record: FlightRecord) -> list[Finding]:
             or has_factor(record.metadata.channels.get(name, ""))
         ):
             continue
-        found = stuck(values, record.dt_s, noisy=name in _MAY_STAND)
-        if found is not None:
+        span = stuck_span(values, record.dt_s, noisy=name in _MAY_STAND_STILL)
+        if span is not None:
             out.append(
-                _stood(
-                    name, values[found[0]], (record["time_s"][found[0]], record["time_s"][found[1]])
+                _stuck_finding(
+                    name, values[span[0]], (record["time_s"][span[0]], record["time_s"][span[1]])
                 )
             )
     return out
@@ -226,26 +240,26 @@ def _components_interpolated(flight: FlightRecord) -> list[Finding]:
     if not all(n in flight for n in AIR):
         return []
     rates = {flight.metadata.native_hz.get(n, 1.0 / flight.dt_s) for n in AIR}
-    if min(rates) < 0.75 / flight.dt_s or any(interpolated(flight[n]) for n in AIR):
+    if min(rates) < 0.75 / flight.dt_s or any(interpolation_interval(flight[n]) for n in AIR):
         return []
     with np.errstate(all="ignore"):
-        between = [
-            found
+        intervals = [
+            interval
             for c in components_of(*(flight[n] for n in AIR))
-            if (found := interpolated(c)) is not None
+            if (interval := interpolation_interval(c)) is not None
         ]
-    if len(between) < 2:
+    if len(intervals) < 2:
         return []
     logged = 1.0 / flight.dt_s
-    native = logged / max(between)
+    native = logged / max(intervals)
     text = (
         f"airspeed, alpha and beta come at {logged:.1f} Hz but their components u, v, w lie on"
         f" straight lines between values at {native:.1f} Hz: somebody has interpolated them; their"
         " noise looks smaller than it is"
     )
     numbers = {"logged_hz": logged, "native_hz": native}
-    spoilt = "standard errors, and what is faster than its own rate"
-    return [Finding("interpolated", name, "warning", text, numbers, spoilt) for name in AIR]
+    spoils = "standard errors, and what is faster than its own rate"
+    return [Finding("interpolated", name, "warning", text, numbers, spoils) for name in AIR]
 
 
 def _wrap(name: str, c: Channel) -> list[Finding]:
@@ -254,43 +268,45 @@ def _wrap(name: str, c: Channel) -> list[Finding]:
     """
     if c.raw is None or name in LABELS or SIGNALS[name].kind == "heading":
         return []
-    found = wraps(c.raw)
-    if found is None:
+    wrap = detect_wraps(c.raw)
+    if wrap is None:
         return []
     text = (
-        f"{name} ({c.label}) jumps by {found[1]:g} {found[0]} times from one end of its range to"
-        f" the other: a {found[2]} wrap"
+        f"{name} ({c.label}) jumps by {wrap[1]:g} {wrap[0]} times from one end of its range to"
+        f" the other: a {wrap[2]} wrap"
     )
     numbers = {
-        "jumps": float(found[0]),
-        "span": found[1],
-        "values": 256.0 if found[2].startswith("8-") else 65536.0,
+        "jumps": float(wrap[0]),
+        "span": wrap[1],
+        "values": 256.0 if wrap[2].startswith("8-") else 65536.0,
     }
-    return [Finding("wraps", name, "error", text, numbers, spoils(name))]
+    return [Finding("wraps", name, "error", text, numbers, affected_results(name))]
 
 
 def _range(
     name: str, label: str, values: FloatArray, meta: Metadata | None = None
 ) -> list[Finding]:
     signal = SIGNALS[name]
-    good = values[np.isfinite(values)]
-    if not len(good) or name in LABELS:
+    finite = values[np.isfinite(values)]
+    if not len(finite) or name in LABELS:
         return []
-    outside = (good < signal.low) | (good > signal.high)
+    outside = (finite < signal.low) | (finite > signal.high)
     share = float(outside.mean())
-    numbers = {"share": share, "low": float(good.min()), "high": float(good.max())}
+    numbers = {"share": share, "low": float(finite.min()), "high": float(finite.max())}
     if share <= 0:
         return []
-    hint = mended = ""
-    if name in MOST_RAD and degrees_by_size(name, values):
+    hint = correction = ""
+    if name in MAX_RAD and degrees_by_size(name, values):
         hint = "; it looks like degrees where radians are due (scale 0.0174533 in the map)"
-        mended = mend(name, np.pi / 180.0, meta or Metadata(channels={name: label}))
+        correction = map_correction(name, np.pi / 180.0, meta or Metadata(channels={name: label}))
     text = (
         f"{name} ({label}) leaves [{signal.low:g}, {signal.high:g}] {signal.unit} in"
         f" {percent(share)} of the log (from {numbers['low']:.4g} to {numbers['high']:.4g}){hint}"
     )
     severity = "error" if share > 0.01 else "warning"
-    return [Finding("out-of-range", name, severity, text, numbers, spoils(name), mended)]
+    return [
+        Finding("out-of-range", name, severity, text, numbers, affected_results(name), correction)
+    ]
 
 
 def estimated_channels(mapped: tuple[str, ...], findings: Sequence[Finding]) -> tuple[str, ...]:
@@ -307,19 +323,22 @@ def one_per_cause(findings: Sequence[Finding]) -> list[Finding]:
     A wrong unit or sign takes a channel out of its range and makes an airspeed negative; a channel
     in degrees, or one that stands still, fails every relation that it has a part in, and its sign
     cannot be judged."""
-    slips = {f.channel for f in findings if f.code in ("unit", "sign")}
-    still = {f.channel for f in findings if f.code == "frozen" and f.severity == "error"}
+    wrong_units = {f.channel for f in findings if f.code in ("unit", "sign")}
+    frozen = {f.channel for f in findings if f.code == "frozen" and f.severity == "error"}
     by_size = {f.channel for f in findings if f.code == "out-of-range" and f.mend}
-    kept: list[Finding] = []
+    distinct: list[Finding] = []
     for f in findings:
         explained = (
-            (f.code in ("out-of-range", "negative-airspeed") and f.channel in slips)
-            or (f.code in ("kinematics-disagree", "delay") and f.channel in still | slips | by_size)
-            or (f.code in ("stuck", "quantised", "sample-and-hold") and f.channel in still)
+            (f.code in ("out-of-range", "negative-airspeed") and f.channel in wrong_units)
+            or (
+                f.code in ("kinematics-disagree", "delay")
+                and f.channel in frozen | wrong_units | by_size
+            )
+            or (f.code in ("stuck", "quantised", "sample-and-hold") and f.channel in frozen)
         )
-        if not explained and f not in kept:
-            kept.append(f)
-    return kept
+        if not explained and f not in distinct:
+            distinct.append(f)
+    return distinct
 
 
 def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> list[Finding]:
@@ -367,41 +386,41 @@ def check_motion(flight: FlightRecord) -> list[Finding]:
     """
     if len(flight) < 3:
         return []
-    absurd = {
-        n: np.where(np.abs(v) < _ABSURD, v, np.nan)
+    plausible = {
+        n: np.where(np.abs(v) < _MAX_PLAUSIBLE, v, np.nan)
         for n, v in flight.columns.items()
         if n not in LABELS and n != "time_s"
     }
     flight = flight.with_columns(
-        {n: v for n, v in absurd.items() if not np.array_equal(v, flight[n], equal_nan=True)}
+        {n: v for n, v in plausible.items() if not np.array_equal(v, flight[n], equal_nan=True)}
     )
-    found = check_physics(flight)
+    findings = check_physics(flight)
     # A surface's effect shows in a rate: one that is reversed would reverse the surface.
-    slips = {
+    corrected_columns = {
         f.channel: flight[f.channel] / f.numbers["slope"]
-        for f in found
+        for f in findings
         if f.code in ("unit", "sign")
     }
-    mended = flight.with_columns(slips)
-    found += [*check_surfaces(mended), *check_estimates(mended)]
+    corrected = flight.with_columns(corrected_columns)
+    findings += [*check_surfaces(corrected), *check_estimates(corrected)]
     # With a unit or a sign wrong, or angles that were not measured, what is left over would pass
     # for a lever arm.
-    spoilt = any(
-        f.severity == "error" or (f.code == "estimate" and f.channel in AIR) for f in found
+    has_error = any(
+        f.severity == "error" or (f.code == "estimate" and f.channel in AIR) for f in findings
     )
-    return found if spoilt else [*found, *lever_arm_finding(flight)]
+    return findings if has_error else [*findings, *lever_arm_finding(flight)]
 
 
-_ABSURD = 1e7
+_MAX_PLAUSIBLE = 1e7
 """Larger than any channel in any unit: damage."""
 
 
-_TOGETHER = (
+_MOVING_TOGETHER = (
     ("V_mps", "alpha_rad", "theta_rad", "q_radps", "ax_mps2", "az_mps2", "h_m"),
     ("beta_rad", "phi_rad", "psi_rad", "p_radps", "r_radps", "ay_mps2"),
 )
 """Channels of which none stands still while another moves."""
-_STILL = 1e-9
+_MIN_SPAN = 1e-9
 
 
 def _frozen(flight: FlightRecord) -> list[Finding]:
@@ -416,14 +435,20 @@ def _frozen(flight: FlightRecord) -> list[Finding]:
             continue
         value = float(flight[name][np.isfinite(flight[name])][0])
         moving = [
-            n for group in _TOGETHER if name in group for n in group if spans.get(n, 0.0) > _STILL
+            n
+            for group in _MOVING_TOGETHER
+            if name in group
+            for n in group
+            if spans.get(n, 0.0) > _MIN_SPAN
         ]
         if moving:
             text = (
                 f"{name} stands at {value:g} throughout while {moving[0]} moves: sensor absent or"
                 " not logged"
             )
-            out.append(Finding("frozen", name, "error", text, {"value": value}, spoils(name)))
+            out.append(
+                Finding("frozen", name, "error", text, {"value": value}, affected_results(name))
+            )
         elif name != "rho_kgpm3":
             text = (
                 f"{name} stands at {value:g} throughout; nothing in the flight says that it should"
@@ -443,15 +468,15 @@ def check_units(record: FlightRecord) -> list[Finding]:
 
 def check_ranges(record: FlightRecord) -> list[Finding]:
     """Channels outside the vocabulary's ranges."""
-    found = [
+    groups = [
         _range(n, record.metadata.channels.get(n, "column"), v, record.metadata)
         for n, v in record.columns.items()
         if n not in LABELS
     ]
-    return [f for group in found for f in group]
+    return [f for group in groups for f in group]
 
 
-_AT_RECORD = frozenset(
+_RECORD_CODES = frozenset(
     {
         "time-unit",
         "unit",
@@ -472,19 +497,19 @@ _AT_RECORD = frozenset(
 """Findings that a record itself shows, whatever was known when it was made."""
 
 
-def check_again(record: FlightRecord) -> list[Finding]:
+def recheck(record: FlightRecord) -> list[Finding]:
     """The findings of a record as they are known today: those of its log stay, all that it shows
     itself is new.
     """
     if len(record) < 3:
         return list(record.metadata.findings)
-    own = record.metadata.estimates
-    beneath = {n for n, label in record.metadata.channels.items() if has_factor(label)}
-    kept = [
+    declared = record.metadata.estimates
+    scaled_channels = {n for n, label in record.metadata.channels.items() if has_factor(label)}
+    log_findings = [
         f
         for f in record.metadata.findings
-        if (f.code not in _AT_RECORD and (f.code != "estimate" or f.channel in own))
-        or (f.code == "stuck" and f.channel in beneath)
+        if (f.code not in _RECORD_CODES and (f.code != "estimate" or f.channel in declared))
+        or (f.code == "stuck" and f.channel in scaled_channels)
     ]
     free = record.metadata.free_flight_s
     start, end = float(record["time_s"][0]), float(record["time_s"][-1])
@@ -492,7 +517,7 @@ def check_again(record: FlightRecord) -> list[Finding]:
     span = span if span[1] > span[0] else (start, end)
     with np.errstate(all="ignore"):  # a damaged record holds what no sum can
         new = [*check_ranges(record), *_samples(record), *check_record(record, span)]
-    return one_per_cause([*kept, *new])
+    return one_per_cause([*log_findings, *new])
 
 
 def _samples(record: FlightRecord) -> list[Finding]:
@@ -511,22 +536,24 @@ def _samples(record: FlightRecord) -> list[Finding]:
             continue
         if record.metadata.native_hz.get(name, rate) < 0.75 * rate:
             continue
-        nothing = CleanTime(
+        no_damage = CleanTime(
             np.ones(len(values), dtype=bool), record.dt_s, 0, 0, 0.0, np.zeros((0, 2))
         )
-        out += _kept(name, Channel(name, "column", record["time_s"], values, nothing, False))
+        out += _resolution_findings(
+            name, Channel(name, "column", record["time_s"], values, no_damage, False)
+        )
     return out
 
 
 def in_degrees(finding: Finding) -> bool:
     """Does this finding say that a channel is off by the factor between degrees and radians?"""
     ratio = abs(finding.numbers.get("slope", 1.0))
-    beyond = max(abs(finding.numbers.get("low", 0.0)), abs(finding.numbers.get("high", 0.0)))
+    largest = max(abs(finding.numbers.get("low", 0.0)), abs(finding.numbers.get("high", 0.0)))
     by_range = (
         finding.code == "out-of-range"
         and finding.severity == "error"
         and SIGNALS[finding.channel].unit == "rad"
     )
-    return (by_range and beyond > 2.0 * np.pi) or (
+    return (by_range and largest > 2.0 * np.pi) or (
         finding.code == "unit" and not 1 / 45.0 <= ratio <= 45.0
     )

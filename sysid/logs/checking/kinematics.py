@@ -34,12 +34,12 @@ from sysid.units import G0_MPS2
 ComplexArray = NDArray[np.complexfloating]
 SURE = 3.0
 """Standard errors on either side of what counts as possible."""
-_BANDS, _LEAST_BINS = 12, 6
+_BANDS, _MIN_BINS = 12, 6
 # that a band of mere noise counts, all bands together; lateness and sign are looked for, which
 # helps chance
 _CHANCE = 1e-5
 _FLOOR = 0.01  # relative: no two sensors agree better
-_MOST_LATE_S, _LATE_STEP_S = 0.5, 0.005
+_MAX_LATE_S, _LATE_STEP_S = 0.5, 0.005
 _TAPER = 0.2  # share of a stretch at either end
 TAPERED = 1.26
 """By which the taper raises the variance of sums over frequencies: mean w^4 / (mean w^2)^2."""
@@ -82,12 +82,12 @@ class Relation:
 
     def allows(self, scale: float, tolerance: float = 0.0) -> bool:
         """Whether the scale can be this one; ``tolerance`` relative on either side."""
-        least, most = sorted((self.low, self.high))
-        near, far = sorted((scale * (1.0 + tolerance), scale / (1.0 + tolerance)))
-        return self.evident and least <= far and most >= near
+        low, high = sorted((self.low, self.high))
+        smallest, largest = sorted((scale * (1.0 + tolerance), scale / (1.0 + tolerance)))
+        return self.evident and low <= largest and high >= smallest
 
 
-NOTHING = Relation(float("nan"), float("nan"), float("nan"), float("inf"), 0.0, 0)
+NO_RELATION = Relation(float("nan"), float("nan"), float("nan"), float("inf"), 0.0, 0)
 
 
 def relate(
@@ -98,19 +98,19 @@ def relate(
     """
     parts = [spectrum(a, b, dt_s, low_hz, high_hz) for a, b in zip(x, y, strict=True)]
     if not parts:
-        return NOTHING
+        return NO_RELATION
     frequency = np.concatenate([part[0] for part in parts])
     fx, fy = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
     power = np.sum(np.abs(fx) ** 2) * np.sum(np.abs(fy) ** 2)
-    if frequency.size < _LEAST_BINS or not power > 0.0:
-        return NOTHING
+    if frequency.size < _MIN_BINS or not power > 0.0:
+        return NO_RELATION
     groups = groups_of(frequency, low_hz, high_hz)
-    late, sign = _coarse(frequency, fx, fy, groups)
+    late, sign = _coarse_lateness(frequency, fx, fy, groups)
     turned = sign * fy * np.exp(2j * np.pi * frequency * late)
     rows = []
-    most = max(float(np.mean(np.abs(fx[group]) ** 2)) for group in groups)
+    strongest = max(float(np.mean(np.abs(fx[group]) ** 2)) for group in groups)
     for group in groups:
-        if float(np.mean(np.abs(fx[group]) ** 2)) < LEAK * most:
+        if float(np.mean(np.abs(fx[group]) ** 2)) < LEAK * strongest:
             continue
         a, b, k = fx[group], turned[group], float(np.count_nonzero(group))
         xx, yy, xy = (
@@ -135,26 +135,28 @@ def relate(
             )
         )
     if not rows:
-        return NOTHING
+        return NO_RELATION
     weight, first, second, phase, omega, shared_all = (
         np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)
     )
     if not np.all(np.isfinite(first + second)) or np.sum(weight * np.cos(phase)) <= 0.0:
-        return NOTHING
+        return NO_RELATION
     information = float(weight.sum())
     middle = float(weight @ first) / information
     # Bands that disagree with one another say that more than noise is between the two.
     excess = max(1.0, float(weight @ (first - middle) ** 2) / max(1, len(rows) - 1))
-    spread = math.sqrt(excess / information)
-    about = float(weight @ omega**2)
-    fine = -float(weight @ (omega * phase)) / about
-    miss = max(1.0, float(weight @ (phase + omega * fine) ** 2) / max(1, len(rows) - 1))
-    ends = (middle - SURE * spread, float(weight @ second) / information + SURE * spread)
+    std = math.sqrt(excess / information)
+    information_s2 = float(weight @ omega**2)
+    fine_late = -float(weight @ (omega * phase)) / information_s2
+    phase_excess = max(
+        1.0, float(weight @ (phase + omega * fine_late) ** 2) / max(1, len(rows) - 1)
+    )
+    ends = (middle - SURE * std, float(weight @ second) / information + SURE * std)
     return Relation(
         sign * math.exp(ends[0]),
         sign * math.exp(ends[1]),
-        late + fine,
-        math.sqrt(miss / about),
+        late + fine_late,
+        math.sqrt(phase_excess / information_s2),
         float(weight @ shared_all) / information,
         len(rows),
     )
@@ -166,21 +168,21 @@ def relate_means(x: FloatArray, y: FloatArray) -> Relation:
 
     Blocks count as independent. No lateness can be told.
     """
-    good = np.isfinite(x) & np.isfinite(y)
-    x, y = x[good], y[good]
+    is_finite = np.isfinite(x) & np.isfinite(y)
+    x, y = x[is_finite], y[is_finite]
     n = x.size
     xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
-    if n < _LEAST_BINS or not xx * yy > 0.0 or xy == 0.0:
-        return NOTHING
+    if n < _MIN_BINS or not xx * yy > 0.0 or xy == 0.0:
+        return NO_RELATION
     shared = min(1.0, xy**2 / (xx * yy))
     if math.exp(0.5 * (n - 1.0) * math.log(max(1.0 - shared, 1e-300))) >= _CHANCE:
-        return NOTHING
-    spread = math.sqrt((1.0 - shared) / (n * shared) + _FLOOR**2)
+        return NO_RELATION
+    std = math.sqrt((1.0 - shared) / (n * shared) + _FLOOR**2)
     sign = math.copysign(1.0, xy)
     first, second = math.log(abs(xy) / xx), math.log(yy / abs(xy))
     return Relation(
-        sign * math.exp(first - SURE * spread),
-        sign * math.exp(second + SURE * spread),
+        sign * math.exp(first - SURE * std),
+        sign * math.exp(second + SURE * std),
         float("nan"),
         float("inf"),
         shared,
@@ -205,8 +207,8 @@ def spectrum(
     out = []
     for values in (x, y):
         level = values - values.mean()
-        straight = level - at * float(at @ level) / float(at @ at)
-        out.append(np.fft.rfft(straight * taper)[inside] / math.sqrt(n))
+        detrended = level - at * float(at @ level) / float(at @ at)
+        out.append(np.fft.rfft(detrended * taper)[inside] / math.sqrt(n))
     return frequency[inside], out[0], out[1]
 
 
@@ -227,25 +229,25 @@ def band_passed(x: FloatArray, dt_s: float, low_hz: float, high_hz: float) -> Fl
 def groups_of(frequency: FloatArray, low_hz: float, high_hz: float) -> list[NDArray[np.bool_]]:
     """Bands of equal ratio, joined upwards until each has enough frequencies."""
     edges = np.geomspace(low_hz, high_hz, _BANDS + 1)[1:]
-    found, begin = [], 0.0
+    groups, last_edge = [], 0.0
     for edge in edges:
-        group = (frequency > begin) & (frequency <= edge * (1.0 + 1e-9))
-        if np.count_nonzero(group) >= _LEAST_BINS:
-            found.append(group)
-            begin = edge * (1.0 + 1e-9)
-    rest = frequency > begin
-    if found and rest.any():
-        found[-1] = found[-1] | rest
-    return found or [np.ones(frequency.size, dtype=bool)]
+        group = (frequency > last_edge) & (frequency <= edge * (1.0 + 1e-9))
+        if np.count_nonzero(group) >= _MIN_BINS:
+            groups.append(group)
+            last_edge = edge * (1.0 + 1e-9)
+    remainder = frequency > last_edge
+    if groups and remainder.any():
+        groups[-1] = groups[-1] | remainder
+    return groups or [np.ones(frequency.size, dtype=bool)]
 
 
-def _coarse(
+def _coarse_lateness(
     frequency: FloatArray, fx: ComplexArray, fy: ComplexArray, groups: Sequence[NDArray[np.bool_]]
 ) -> tuple[float, float]:
     """Lateness to _LATE_STEP_S and sign that bring the bands together, each band counting by its
     own correlation.
     """
-    late = np.arange(-_MOST_LATE_S, _MOST_LATE_S + 0.5 * _LATE_STEP_S, _LATE_STEP_S)
+    late = np.arange(-_MAX_LATE_S, _MAX_LATE_S + 0.5 * _LATE_STEP_S, _LATE_STEP_S)
     total = np.zeros(late.size)
     # Powers of one turn per step: a hundred times cheaper than an exponential each, and right to
     # 1e-13.
@@ -260,10 +262,10 @@ def _coarse(
             float(np.sum(np.abs(fx[group]) ** 2)) * float(np.sum(np.abs(fy[group]) ** 2))
         )
         if size > 0.0:
-            along = (
+            correlation = (
                 np.real((turns[:, group] * cross).sum(axis=1)) / size
             )  # no BLAS, whose threads cost more than they do
-            total += np.count_nonzero(group) * along * np.abs(along)
+            total += np.count_nonzero(group) * correlation * np.abs(correlation)
     # Of equals the least lateness.
     total *= 1.0 - 1e-3 * np.abs(late)
     best, worst = int(np.argmax(total)), int(np.argmin(total))
@@ -278,7 +280,7 @@ BAND_HZ = (0.08, 2.5)
 _SLOW_HZ = 0.15  # below it an aircraft's angle of attack hardly changes
 # of a channel's own rate: up to there straight lines between its samples lose less than 8 %
 _OF_NATIVE = 0.15
-_MIN_S, _MOST_S = 8.0, 200.0
+_MIN_S, _MAX_S = 8.0, 200.0
 _BLOCK_S = 2.0
 ATTITUDE = ("phi_rad", "theta_rad", "psi_rad")
 RATES = ("p_radps", "q_radps", "r_radps")
@@ -296,7 +298,7 @@ class Law:
     longer"""
 
     subject: str
-    says: str
+    statement: str
     uses: tuple[str, ...]
     sides: Callable[[Columns, float], Pair]
     means: bool = False
@@ -373,7 +375,7 @@ def _rate(axis: int) -> Callable[[Columns, float], Pair]:
     return sides
 
 
-def _felt_on_path(axis: int) -> Callable[[Columns, float], Pair]:
+def _force_on_path(axis: int) -> Callable[[Columns, float], Pair]:
     """Specific force against the ground velocity's change, free of wind and of the aircraft."""
 
     def sides(c: Columns, dt: float) -> Pair:
@@ -388,7 +390,7 @@ def air_velocity(c: Columns) -> FloatArray:
     return np.stack(components_of(*(c[n] for n in AIR)))
 
 
-def _felt_in_air(axis: int) -> Callable[[Columns, float], Pair]:
+def _force_in_air(axis: int) -> Callable[[Columns, float], Pair]:
     def sides(c: Columns, dt: float) -> Pair:
         v, omega = air_velocity(c), np.stack([c[n] for n in RATES])
         return (np.gradient(v, dt, axis=1) + np.cross(omega, v, axis=0) - gravity(c))[axis], c[
@@ -404,8 +406,8 @@ def speed_change(c: Columns, dt_s: float) -> Pair:
     """
     force = np.stack([c[n] for n in ACCELERATIONS]) + gravity(c)
     alpha, beta = c["alpha_rad"], c["beta_rad"]
-    along = np.stack([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
-    return np.sum(along * force, axis=0), np.gradient(c["V_mps"], dt_s)
+    flow_axis = np.stack([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    return np.sum(flow_axis * force, axis=0), np.gradient(c["V_mps"], dt_s)
 
 
 def _alpha_change(c: Columns, dt: float) -> Pair:
@@ -468,28 +470,28 @@ def _position(place: str, speed: str) -> Callable[[Columns, float], Pair]:
 
 def _laws() -> tuple[Law, ...]:
     moving = (*ATTITUDE, *RATES, *ACCELERATIONS)
-    found = [
+    laws = [
         Law(n, "the rate of the logged attitude", (*ATTITUDE, n), _rate(k))
         for k, n in enumerate(RATES)
     ]
     for k, n in enumerate(ACCELERATIONS):
-        found.append(
+        laws.append(
             Law(
                 n,
                 "the ground velocity's change less gravity",
                 (*GROUND, *ATTITUDE, n),
-                _felt_on_path(k),
+                _force_on_path(k),
             )
         )
-        found.append(
+        laws.append(
             Law(
                 n,
                 "what the motion through the air demands",
                 (*AIR, *ATTITUDE, *RATES, n),
-                _felt_in_air(k),
+                _force_in_air(k),
             )
         )
-    found += [
+    laws += [
         Law(
             n,
             "what rates and accelerations say",
@@ -498,7 +500,7 @@ def _laws() -> tuple[Law, ...]:
         )
         for n, sides in zip(AIR, (speed_change, _alpha_change, _beta_change), strict=True)
     ]
-    found += [
+    laws += [
         Law(
             "az_mps2",
             "the weight that has to be carried",
@@ -527,7 +529,7 @@ def _laws() -> tuple[Law, ...]:
         ),
         Law("east_m", "the ground velocity", ("ve_mps", "east_m"), _position("east_m", "ve_mps")),
     ]
-    return tuple(found)
+    return tuple(laws)
 
 
 LAWS = _laws()
@@ -540,43 +542,43 @@ WIND_LAW = Law(
 """Judged by `against_wind`; here for its names."""
 
 
-def stretches(record: FlightRecord, law: Law, most_s: float = _MOST_S) -> Stretches | None:
-    """The longest parts of a record that have all channels of a law, ``most_s`` seconds together;
+def stretches(record: FlightRecord, law: Law, max_s: float = _MAX_S) -> Stretches | None:
+    """The longest parts of a record that have all channels of a law, ``max_s`` seconds together;
     None without any.
     """
     if any(n not in record for n in law.uses) or len(record) < 3:
         return None
-    left, parts = round(most_s / record.dt_s), []
+    rows_left, parts = round(max_s / record.dt_s), []
     for part in sorted(record.segments(law.uses, _MIN_S), key=lambda s: s.start - s.stop):
-        rows = slice(part.start, min(part.stop, part.start + left))
+        rows = slice(part.start, min(part.stop, part.start + rows_left))
         if rows.stop - rows.start < _MIN_S / record.dt_s:
             break
         parts.append({n: record[n][rows] for n in law.uses})
-        left -= rows.stop - rows.start
+        rows_left -= rows.stop - rows.start
     native = record.metadata.native_hz
     slowest = min([1.0 / record.dt_s, *(native[n] for n in law.uses if n in native)])
     return Stretches(tuple(parts), record.dt_s, slowest) if parts else None
 
 
-def judged(law: Law, found: Stretches) -> Relation:
+def estimate_relation(law: Law, stretch_set: Stretches) -> Relation:
     """What the flight says of a law: scale, sign and lateness of its subject against the rest."""
     if law is WIND_LAW:
-        return against_wind(found)
-    pairs = [law.sides(c, found.dt_s) for c in found.parts]
+        return against_wind(stretch_set)
+    pairs = [law.sides(c, stretch_set.dt_s) for c in stretch_set.parts]
     if law.means:
-        x, y = (np.concatenate([_means(p[k], found.dt_s) for p in pairs]) for k in (0, 1))
+        x, y = (np.concatenate([_means(p[k], stretch_set.dt_s) for p in pairs]) for k in (0, 1))
         return relate_means(x, y)
-    low, high = band_of(law, found)
+    low, high = band_of(law, stretch_set)
     if high <= 1.5 * low:
-        return NOTHING
-    return relate([p[0] for p in pairs], [p[1] for p in pairs], found.dt_s, low, high)
+        return NO_RELATION
+    return relate([p[0] for p in pairs], [p[1] for p in pairs], stretch_set.dt_s, low, high)
 
 
-def band_of(law: Law, found: Stretches) -> tuple[float, float]:
+def band_of(law: Law, stretch_set: Stretches) -> tuple[float, float]:
     """Frequencies [Hz] between which a law holds and the stretches tell of it."""
-    longest = max(c[law.subject].size for c in found.parts) * found.dt_s
+    longest = max(c[law.subject].size for c in stretch_set.parts) * stretch_set.dt_s
     low = max(0.02 if law.high_hz < BAND_HZ[1] else BAND_HZ[0], 2.0 / longest)
-    return low, min(law.high_hz, _OF_NATIVE * found.native_hz)
+    return low, min(law.high_hz, _OF_NATIVE * stretch_set.native_hz)
 
 
 def _means(values: FloatArray, dt_s: float) -> FloatArray:
@@ -590,17 +592,18 @@ _WIND_MPS, _WIND_SHARE = (
 )  # what a wind may be before anything is measured, one standard deviation
 
 
-def against_wind(found: Stretches) -> Relation:
+def against_wind(stretch_set: Stretches) -> Relation:
     """Airspeed as a multiple of the speed over ground less a steady wind, from block means; scale
     and wind are estimated together.
 
     A flight that never turns tells little of either: a prior on the wind stands for what is then
     unknown."""
     v, n, e = (
-        np.concatenate([_means(c[name], found.dt_s) for c in found.parts]) for name in WIND_LAW.uses
+        np.concatenate([_means(c[name], stretch_set.dt_s) for c in stretch_set.parts])
+        for name in WIND_LAW.uses
     )
     if v.size < 4:
-        return NOTHING
+        return NO_RELATION
     ground = float(np.median(np.hypot(n, e)))
     prior = max(_WIND_MPS, _WIND_SHARE * ground)
     theta = np.array([max(float(np.median(v)), 1e-6) / max(ground, 1e-6), 0.0, 0.0])
@@ -620,11 +623,11 @@ def against_wind(found: Stretches) -> Relation:
         if np.max(np.abs(step)) < 1e-6:
             break
     if not theta[0] > 0.0:
-        return NOTHING
-    spread = 3.0 * float(np.sqrt(np.linalg.inv(information)[0, 0])) / theta[0] + 0.05
-    if not spread < 1.0:
-        return NOTHING
-    ends = theta[0] * np.exp(-spread), theta[0] * np.exp(spread)
+        return NO_RELATION
+    relative_std = 3.0 * float(np.sqrt(np.linalg.inv(information)[0, 0])) / theta[0] + 0.05
+    if not relative_std < 1.0:
+        return NO_RELATION
+    ends = theta[0] * np.exp(-relative_std), theta[0] * np.exp(relative_std)
     return Relation(float(ends[0]), float(ends[1]), float("nan"), float("inf"), 1.0, 1)
 
 
@@ -638,13 +641,13 @@ def all_laws() -> Sequence[Law]:
 LEVER_ARM_BAND_HZ = (0.08, 2.0)
 _MIN_SEGMENT_S = 20.0
 _MIN_ROWS = 20  # a log so slow that the band is not in it has nothing to compare
-_LONGEST_S = 600.0
+_MAX_STRETCH_S = 600.0
 _ATTITUDE = ("phi_rad", "theta_rad", "psi_rad")
 _RATES = ("p_radps", "q_radps", "r_radps")
 _ACCELERATIONS = ("ax_mps2", "ay_mps2", "az_mps2")
 
 
-def _longest(record: FlightRecord, names: tuple[str, ...]) -> FlightRecord | None:
+def _longest_stretch(record: FlightRecord, names: tuple[str, ...]) -> FlightRecord | None:
     if not all(n in record for n in names):
         return None
     segments = record.segments(names, _MIN_SEGMENT_S)
@@ -653,7 +656,7 @@ def _longest(record: FlightRecord, names: tuple[str, ...]) -> FlightRecord | Non
     best = max(segments, key=lambda s: s.stop - s.start)
     # Ten minutes are plenty, and keep the check quick on long logs.
     part = record.rows(
-        slice(best.start, min(best.stop, best.start + int(_LONGEST_S / record.dt_s)))
+        slice(best.start, min(best.stop, best.start + int(_MAX_STRETCH_S / record.dt_s)))
     )
     return part if len(part) >= _MIN_ROWS and 0.4 / part.dt_s > LEVER_ARM_BAND_HZ[0] else None
 
@@ -663,9 +666,9 @@ def _band(x: FloatArray, dt_s: float) -> FloatArray:
     return band_passed(x, dt_s, LEVER_ARM_BAND_HZ[0], min(LEVER_ARM_BAND_HZ[1], 0.4 / dt_s))
 
 
-_LEVER_ARM_BLOCK_S, _LEAST_BLOCKS = 4.0, 8
-_TOLD_M = 0.3  # a flight that hardly turns regresses noise on noise, and its error says so
-_SURE = 4.5  # standard errors: three axes in every log, a few dozen blocks behind each error
+_LEVER_ARM_BLOCK_S, _MIN_BLOCKS = 4.0, 8
+_MAX_STD_M = 0.3  # a flight that hardly turns regresses noise on noise, and its error says so
+_MIN_RATIO = 4.5  # standard errors: three axes in every log, a few dozen blocks behind each error
 
 
 @dataclass(frozen=True)
@@ -693,7 +696,7 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
     names = ("V_mps", "alpha_rad", "beta_rad", *_ATTITUDE, *_RATES, *_ACCELERATIONS)
     if any(n in record.metadata.estimates for n in ("alpha_rad", "beta_rad")):
         return None
-    part = _longest(record, names)
+    part = _longest_stretch(record, names)
     if part is None:
         return None
     dt = part.dt_s
@@ -741,7 +744,7 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
     sums = np.zeros((block.max() + 1, 3))
     information = (a * weight[:, None]).T @ a
     np.add.at(sums, block, a * (weight * residual)[:, None])
-    if len(sums) < _LEAST_BLOCKS:
+    if len(sums) < _MIN_BLOCKS:
         return None
     inverse = np.linalg.inv(information)
     scatter = sums.T @ sums * len(sums) / (len(sums) - 3.0)
@@ -756,19 +759,18 @@ def lever_arm_finding(record: FlightRecord) -> list[Finding]:
     """A finding when the accelerometer sits off the CG by more than _SURE standard errors, timing's
     effect and 3 cm.
     """
-    found = lever_arm(record)
-    if found is None:
+    arm = lever_arm(record)
+    if arm is None:
         return []
-    least = np.maximum(_SURE * found.std_m, 0.03) + found.timing_m
-    off = (np.abs(found.position_m) > least) & (found.std_m < _TOLD_M)
-    if not off.any():
+    threshold_m = np.maximum(_MIN_RATIO * arm.std_m, 0.03) + arm.timing_m
+    is_off_cg = (np.abs(arm.position_m) > threshold_m) & (arm.std_m < _MAX_STD_M)
+    if not is_off_cg.any():
         return []
     pairs = ", ".join(
-        f"{n} {v:+.2f} +- {s:.2f}"
-        for n, v, s in zip("xyz", found.position_m, found.std_m, strict=True)
+        f"{n} {v:+.2f} +- {s:.2f}" for n, v, s in zip("xyz", arm.position_m, arm.std_m, strict=True)
     )
-    numbers = {f"{n}_m": float(v) for n, v in zip("xyz", found.position_m, strict=True)}
-    numbers |= {f"{n}_std_m": float(v) for n, v in zip("xyz", found.std_m, strict=True)}
+    numbers = {f"{n}_m": float(v) for n, v in zip("xyz", arm.position_m, strict=True)}
+    numbers |= {f"{n}_std_m": float(v) for n, v in zip("xyz", arm.std_m, strict=True)}
     text = (
         f"the accelerometers sit off the CG: {pairs} m; put it into the card's [sensors] position_m"
     )

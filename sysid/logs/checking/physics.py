@@ -27,7 +27,7 @@ from sysid.logs.checking.kinematics import (
     Law,
     Relation,
     all_laws,
-    judged,
+    estimate_relation,
     stretches,
 )
 from sysid.logs.checking.timing import channel_lateness
@@ -57,7 +57,7 @@ _SPOILS = {
 }
 
 
-def spoils(channel: str) -> str:
+def affected_results(channel: str) -> str:
     """What comes out wrong with this channel."""
     if channel in _SPOILS:
         return _SPOILS[channel]
@@ -70,7 +70,7 @@ def spoils(channel: str) -> str:
     return _SPOILS["attitude" if channel.endswith("_rad") else "ground"]
 
 
-def mend(channel: str, factor: float, meta: Metadata) -> str:
+def map_correction(channel: str, factor: float, meta: Metadata) -> str:
     """Lines of a signal map after which the channel is ``factor`` times what it is now."""
     label = meta.channels.get(channel, "")
     shipped = (
@@ -120,8 +120,8 @@ SAME = 1.33
 calibration, not of units.
 """
 _SHARP = 2.0  # high over low of a relation that tells anything
-_MOST_SLIPS = 4
-_MOST_HZ = 40.0
+_MAX_FAULTS = 4
+_MAX_HZ = 40.0
 _ALIKE = 8.0  # factor within which the noise of sensors of one kind is the same
 _DEG = 180.0 / math.pi
 
@@ -151,12 +151,12 @@ _FAMILIES: tuple[tuple[tuple[str, ...], Mapping[float, str], str], ...] = (
 )
 
 
-_LEAST_LATE_S, _LATE_SURE = 0.01, 4.0
+_MIN_LATE_S, _MIN_LATE_RATIO = 0.01, 4.0
 # of a relation that is reported without an explanation: side forces of gusts pass for turns below
 # it
 _COHERENT = 0.7
 _LATE_COHERENCE = 0.7  # of a relation whose motion alone tells lateness
-_LATEST_S = 0.45
+_MAX_LATE_S = 0.45
 _GUST_S = 0.1
 """Lateness of a law that takes the air for still, beyond which it shows gusts; vanes and filters
 are late by 0.04 s at most.
@@ -164,7 +164,7 @@ are late by 0.04 s at most.
 
 
 @dataclass(frozen=True)
-class Slip:
+class ChannelFault:
     """Channels that are ``factor`` times what they should be, and what they hold in words. rank:
     the likelier, the lower.
     """
@@ -174,7 +174,7 @@ class Slip:
     words: str
     rank: int
 
-    def undone(self, record: FlightRecord) -> FlightRecord:
+    def corrected(self, record: FlightRecord) -> FlightRecord:
         """The record without it."""
         return record.with_columns(
             {c: record[c] / self.factor for c in self.channels if c in record}
@@ -182,40 +182,45 @@ class Slip:
 
 
 @dataclass(frozen=True)
-class Heard:
+class LawResult:
     """What a flight says of one law."""
 
     law: Law
     relation: Relation
 
     @property
-    def in_air(self) -> bool:
+    def assumes_still_air(self) -> bool:
         """The law takes the air for still: in gusts the air's own acceleration, which the aircraft
         answers, passes for a scale.
         """
         return {"alpha_rad", "beta_rad"} <= set(self.law.uses)
 
     @property
-    def tells(self) -> bool:
+    def has_evidence(self) -> bool:
         """Whether the law has evidence.
 
         One band alone, in which the air is taken for still, may be one gust's.
         """
-        return self.relation.bands > (1 if self.in_air else 0)
+        return self.relation.bands > (1 if self.assumes_still_air else 0)
 
     @property
     def agrees(self) -> bool:
         """The scale is 1 as far as can be told, and it can."""
         r = self.relation
-        return self.tells and r.low > 0.0 and r.high < _SHARP * r.low and r.allows(1.0, SAME - 1.0)
+        return (
+            self.has_evidence
+            and r.low > 0.0
+            and r.high < _SHARP * r.low
+            and r.allows(1.0, SAME - 1.0)
+        )
 
     @property
     def differs(self) -> bool:
         """The scale cannot be 1. A gust turns the air before the aircraft answers; no unit and no
         sign makes a channel late.
         """
-        gust = self.in_air and abs(self.relation.late_s) > _GUST_S
-        return self.tells and not gust and not self.relation.allows(1.0, SAME - 1.0)
+        gust = self.assumes_still_air and abs(self.relation.late_s) > _GUST_S
+        return self.has_evidence and not gust and not self.relation.allows(1.0, SAME - 1.0)
 
 
 def check_physics(record: FlightRecord) -> list[Finding]:
@@ -223,43 +228,47 @@ def check_physics(record: FlightRecord) -> list[Finding]:
 
     Noise, however much of it, is no finding.
     """
-    mended, late_s = _ground_in_time(_in_radians(_thinned(record)))
+    corrected, late_s = _align_ground_velocity(_to_radians(_thinned(record)))
     out: list[Finding] = []
-    for _ in range(_MOST_SLIPS):
-        before = heard(mended)
-        if not any(h.differs for h in before):
+    for _ in range(_MAX_FAULTS):
+        results = evaluate_laws(corrected)
+        if not any(h.differs for h in results):
             break
-        found = _explanation(mended, before)
-        if found is None:
+        explanation = _explanation(corrected, results)
+        if explanation is None:
             out += [
                 _unexplained(h)
-                for h in before
-                if h.differs and not h.in_air and h.relation.coherence > _COHERENT
+                for h in results
+                if h.differs and not h.assumes_still_air and h.relation.coherence > _COHERENT
             ]
             break
-        slip, rivals = found
-        out += _named(slip, rivals, record, before, _heard_anew(mended, before, slip))
-        mended = slip.undone(mended)
-    return [*out, *_delays(mended, heard(mended), late_s)]
+        fault, rivals = explanation
+        out += _fault_findings(
+            fault, rivals, record, results, _evaluate_corrected(corrected, results, fault)
+        )
+        corrected = fault.corrected(corrected)
+    return [*out, *_delays(corrected, evaluate_laws(corrected), late_s)]
 
 
-def heard(record: FlightRecord) -> list[Heard]:
+def evaluate_laws(record: FlightRecord) -> list[LawResult]:
     """Every law that the record has the channels for, and what the flight says of it."""
     return [
-        Heard(law, judged(law, found))
+        LawResult(law, estimate_relation(law, parts))
         for law in all_laws()
-        if (found := stretches(record, law)) is not None
+        if (parts := stretches(record, law)) is not None
     ]
 
 
-def _heard_anew(record: FlightRecord, before: Sequence[Heard], slip: Slip) -> list[Heard]:
+def _evaluate_corrected(
+    record: FlightRecord, results: Sequence[LawResult], fault: ChannelFault
+) -> list[LawResult]:
     """As `heard`, for the record without a slip; laws without its channels say what they said."""
-    mended = slip.undone(record)
+    corrected = fault.corrected(record)
     out = []
-    for h in before:
-        if set(h.law.uses) & set(slip.channels):
-            found = stretches(mended, h.law)
-            h = h if found is None else Heard(h.law, judged(h.law, found))
+    for h in results:
+        if set(h.law.uses) & set(fault.channels):
+            parts = stretches(corrected, h.law)
+            h = h if parts is None else LawResult(h.law, estimate_relation(h.law, parts))
         out.append(h)
     return out
 
@@ -268,7 +277,7 @@ def _thinned(record: FlightRecord) -> FlightRecord:
     """At most _MOST_HZ rows a second, each the mean of some: the laws are about motion far below
     that.
     """
-    n = math.floor(1.0 / (record.dt_s * _MOST_HZ) + 1e-6)
+    n = math.floor(1.0 / (record.dt_s * _MAX_HZ) + 1e-6)
     if n < 2:
         return record
     rows = len(record) // n * n
@@ -286,15 +295,15 @@ def _thinned(record: FlightRecord) -> FlightRecord:
     return FlightRecord(columns, record.metadata)
 
 
-def _ground_in_time(record: FlightRecord) -> tuple[FlightRecord, float]:
+def _align_ground_velocity(record: FlightRecord) -> tuple[FlightRecord, float]:
     """The ground velocity moved to when it was true, and by how much it was late, s.
 
     In a turn the path's change and gravity nearly cancel along the wings: a tenth of a second
     between them would pass for a scale. Along the lift it is the path's change alone that varies.
     """
     law = next(x for x in all_laws() if x.subject == "az_mps2" and set(GROUND) <= set(x.uses))
-    found = stretches(record, law)
-    relation = None if found is None else judged(law, found)
+    parts = stretches(record, law)
+    relation = None if parts is None else estimate_relation(law, parts)
     if relation is None or not relation.evident or relation.coherence < _LATE_COHERENCE:
         return record, 0.0
     late = -relation.late_s
@@ -305,19 +314,19 @@ def _ground_in_time(record: FlightRecord) -> tuple[FlightRecord, float]:
     return record.with_columns(moved), late
 
 
-def _in_radians(record: FlightRecord) -> FlightRecord:
+def _to_radians(record: FlightRecord) -> FlightRecord:
     """Angles that leave their range by far are degrees, which the check of ranges says; the laws
     are about radians.
     """
-    wrong = {
+    converted = {
         name: record[name] / _DEG
-        for name in MOST_RAD
+        for name in MAX_RAD
         if name in record and SIGNALS[name].unit == "rad" and degrees_by_size(name, record[name])
     }
-    return record.with_columns(wrong) if wrong else record
+    return record.with_columns(converted) if converted else record
 
 
-MOST_RAD = {
+MAX_RAD = {
     "phi_rad": 3.3,
     "theta_rad": 1.65,
     "psi_rad": 6.6,
@@ -336,51 +345,60 @@ def degrees_by_size(name: str, values: FloatArray) -> bool:
 
     Damaged samples leap there; a channel in degrees passes the limit in steps as small as its
     others."""
-    good = values[np.isfinite(values)]
-    limit = MOST_RAD[name]
-    if good.size < 3 or float(np.quantile(np.abs(good), 0.99)) <= limit:
+    finite = values[np.isfinite(values)]
+    limit = MAX_RAD[name]
+    if finite.size < 3 or float(np.quantile(np.abs(finite), 0.99)) <= limit:
         return False
-    outside = np.abs(good) > limit
+    outside = np.abs(finite) > limit
     if outside.all():
         return True
-    steps = np.abs(np.diff(good))
+    steps = np.abs(np.diff(finite))
     passing = steps[outside[1:] != outside[:-1]]
     inside = steps[~outside[1:] & ~outside[:-1]]
     usual = float(np.quantile(inside, 0.95)) if inside.size else 0.0
     return float(np.median(passing)) < max(0.5 * limit, 5.0 * usual)
 
 
-def _slips(record: FlightRecord, wrong: Sequence[Heard]) -> Iterator[Slip]:
+def _candidate_faults(
+    record: FlightRecord, violated: Sequence[LawResult]
+) -> Iterator[ChannelFault]:
     """Every slip that would touch a law which does not hold.
 
     Sensors of one kind share a unit if they share their noise.
     """
-    touched = {n for h in wrong for n in h.law.uses}
-    for family, units, due in _FAMILIES:
-        together = len(family) > 1 and _alike(record, family)
-        for channels in (*([family] if together else []), *((n,) for n in family)):
+    touched = {n for h in violated for n in h.law.uses}
+    for family, units, signal_unit in _FAMILIES:
+        same_noise = len(family) > 1 and _same_noise(record, family)
+        for channels in (*([family] if same_noise else []), *((n,) for n in family)):
             if not touched & set(channels) or not all(n in record for n in channels):
                 continue
-            usual = 0 if len(channels) == len(family) or not together else 1
-            yield Slip(channels, -1.0, "the sign is reversed", 1)
+            usual = 0 if len(channels) == len(family) or not same_noise else 1
+            yield ChannelFault(channels, -1.0, "the sign is reversed", 1)
             for factor, unit in units.items():
-                yield Slip(channels, factor, f"it is in {unit}, not in {due}", usual)
-                yield Slip(
+                yield ChannelFault(
+                    channels, factor, f"it is in {unit}, not in {signal_unit}", usual
+                )
+                yield ChannelFault(
                     channels,
                     1.0 / factor,
-                    f"it was in {due} and has been converted from {unit} once too often",
+                    f"it was in {signal_unit} and has been converted from {unit} once too often",
                     2,
                 )
-                yield Slip(
-                    channels, -factor, f"it is in {unit}, not in {due}, and its sign is reversed", 3
+                yield ChannelFault(
+                    channels,
+                    -factor,
+                    f"it is in {unit}, not in {signal_unit}, and its sign is reversed",
+                    3,
                 )
-    for h in wrong:
-        if h.in_air:
+    for h in violated:
+        if h.assumes_still_air:
             continue
-        yield Slip((h.law.subject,), h.relation.scale, "scale or unit is wrong in one of them", 4)
+        yield ChannelFault(
+            (h.law.subject,), h.relation.scale, "scale or unit is wrong in one of them", 4
+        )
 
 
-def _alike(record: FlightRecord, channels: tuple[str, ...]) -> bool:
+def _same_noise(record: FlightRecord, channels: tuple[str, ...]) -> bool:
     """Whether the channels' noise is of one size, as far as they show any (third differences, which
     motion hardly enters).
     """
@@ -391,26 +409,34 @@ def _alike(record: FlightRecord, channels: tuple[str, ...]) -> bool:
     return not sizes or max(sizes) < _ALIKE * min(sizes)
 
 
-def _points(laws: Sequence[Heard]) -> int:
+def _points(laws: Sequence[LawResult]) -> int:
     return sum(1 if h.agrees else -2 if h.differs else 0 for h in laws)
 
 
-def _explanation(record: FlightRecord, before: Sequence[Heard]) -> tuple[Slip, list[Slip]] | None:
+def _explanation(
+    record: FlightRecord, results: Sequence[LawResult]
+) -> tuple[ChannelFault, list[ChannelFault]] | None:
     """The slip that mends most, and others that mend as much; None where none mends anything."""
-    wrong = [h for h in before if h.differs]
-    base = _points(before)
+    violated = [h for h in results if h.differs]
+    base = _points(results)
     scored = []
-    for slip in _slips(record, wrong):
-        if not any(h.agrees for h in _heard_anew(record, wrong, slip)):
+    for fault in _candidate_faults(record, violated):
+        if not any(h.agrees for h in _evaluate_corrected(record, violated, fault)):
             # It mends nothing: what the laws that hold say of it need not be asked.
             continue
-        after = _heard_anew(record, before, slip)
-        gain = _points(after) - base
+        corrected = _evaluate_corrected(record, results, fault)
+        gain = _points(corrected) - base
         if gain > 0:
             # As near as the measured scales are to 1 afterwards, of what mends as much.
-            left = [abs(math.log(abs(h.relation.scale))) for h in after if h.agrees]
+            log_scales = [abs(math.log(abs(h.relation.scale))) for h in corrected if h.agrees]
             scored.append(
-                (-gain, slip.rank, round(float(np.mean(left)), 2), len(slip.channels), slip)
+                (
+                    -gain,
+                    fault.rank,
+                    round(float(np.mean(log_scales)), 2),
+                    len(fault.channels),
+                    fault,
+                )
             )
     if not scored:
         return None
@@ -424,62 +450,72 @@ def _explanation(record: FlightRecord, before: Sequence[Heard]) -> tuple[Slip, l
     return best[-1], rivals[:2]
 
 
-def _named(
-    slip: Slip,
-    rivals: Sequence[Slip],
+def _fault_findings(
+    fault: ChannelFault,
+    rivals: Sequence[ChannelFault],
     record: FlightRecord,
-    before: Sequence[Heard],
-    after: Sequence[Heard],
+    before: Sequence[LawResult],
+    after: Sequence[LawResult],
 ) -> Iterator[Finding]:
     """A finding for each channel of a slip."""
-    now = {h.law: h for h in after}
-    mended = [h for h in before if h.law in now and now[h.law].agrees and not h.agrees]
-    broke = [h for h in before if h.differs]
-    repaired = [h for h in mended if h.differs]
-    about = [h for h in mended if h.law.subject in slip.channels] or mended or broke
+    results_after = {h.law: h for h in after}
+    repaired_or_confirmed = [
+        h for h in before if h.law in results_after and results_after[h.law].agrees and not h.agrees
+    ]
+    violated = [h for h in before if h.differs]
+    repaired = [h for h in repaired_or_confirmed if h.differs]
+    relevant = (
+        [h for h in repaired_or_confirmed if h.law.subject in fault.channels]
+        or repaired_or_confirmed
+        or violated
+    )
     best = min(
-        about,
+        relevant,
         key=lambda h: (
             h.relation.high / h.relation.low if h.relation.evident and h.relation.low else math.inf
         ),
     )
-    after_it = now[best.law].relation if best.law in now and now[best.law].agrees else None
-    relation = after_it or best.relation
-    low, high = sorted(
-        (slip.factor if after_it else 1.0) * end for end in (relation.low, relation.high)
+    relation_after = (
+        results_after[best.law].relation
+        if best.law in results_after and results_after[best.law].agrees
+        else None
     )
-    size = f"{slip.factor:.4g}" if slip.factor == -1.0 else f"{slip.factor:.3g}"
+    relation = relation_after or best.relation
+    low, high = sorted(
+        (fault.factor if relation_after else 1.0) * end for end in (relation.low, relation.high)
+    )
+    size = f"{fault.factor:.4g}" if fault.factor == -1.0 else f"{fault.factor:.3g}"
     either = "".join(f"; or {' '.join(r.channels)}: {r.words}" for r in rivals)
-    for channel in slip.channels:
+    for channel in fault.channels:
         text = (
-            f"{channel} is {size} times {best.law.says} (between {low:.3g} and {high:.3g},"
-            f" coherence {relation.coherence:.2f}): {slip.words}; without it {len(repaired)} of the"
-            f" {len(broke)} relations that do not hold do{either}"
+            f"{channel} is {size} times {best.law.statement} (between {low:.3g} and {high:.3g},"
+            f" coherence {relation.coherence:.2f}): {fault.words}; without it {len(repaired)} of the"
+            f" {len(violated)} relations that do not hold do{either}"
         )
         numbers = {
-            "slope": slip.factor,
+            "slope": fault.factor,
             "low": low,
             "high": high,
             "correlation": math.sqrt(max(relation.coherence, 0.0)),
             "relations_mended": float(len(repaired)),
-            "relations_broken": float(len(broke)),
+            "relations_broken": float(len(violated)),
         }
-        code = "sign" if -SAME < slip.factor < 0.0 else "unit"
+        code = "sign" if -SAME < fault.factor < 0.0 else "unit"
         yield Finding(
             code,
             channel,
             "error",
             text,
             numbers,
-            spoils(channel),
-            mend(channel, 1.0 / slip.factor, record.metadata),
+            affected_results(channel),
+            map_correction(channel, 1.0 / fault.factor, record.metadata),
         )
 
 
-def _unexplained(h: Heard) -> Finding:
+def _unexplained(h: LawResult) -> Finding:
     r = h.relation
     text = (
-        f"{h.law.subject} is {r.scale:.3g} times {h.law.says} (between {r.low:.3g} and"
+        f"{h.law.subject} is {r.scale:.3g} times {h.law.statement} (between {r.low:.3g} and"
         f" {r.high:.3g}, coherence {r.coherence:.2f}), and no unit or sign of one channel explains"
         f" it: look at {', '.join(h.law.uses)}"
     )
@@ -490,21 +526,28 @@ def _unexplained(h: Heard) -> Finding:
         "correlation": math.sqrt(max(r.coherence, 0.0)),
     }
     return Finding(
-        "kinematics-disagree", h.law.subject, "warning", text, numbers, spoils(h.law.subject)
+        "kinematics-disagree",
+        h.law.subject,
+        "warning",
+        text,
+        numbers,
+        affected_results(h.law.subject),
     )
 
 
-def _delays(record: FlightRecord, laws: Sequence[Heard], ground_late_s: float) -> list[Finding]:
+def _delays(record: FlightRecord, laws: Sequence[LawResult], ground_late_s: float) -> list[Finding]:
     """Channels that come late: the attitude against the rates, the ground velocity and the air data
     against the accelerations.
     """
     path = [h for h in laws if h.law.subject in ACCELERATIONS and set(GROUND) <= set(h.law.uses)]
     out = [
-        *_together("attitude", "the body rates", [h for h in laws if h.law.subject in RATES], 0.0),
-        *_together("ground velocity", "the accelerations", path, ground_late_s),
+        *_common_delay(
+            "attitude", "the body rates", [h for h in laws if h.law.subject in RATES], 0.0
+        ),
+        *_common_delay("ground velocity", "the accelerations", path, ground_late_s),
     ]
     for h in laws:
-        if h.law.subject in AIR and "rates" in h.law.says and not h.differs:
+        if h.law.subject in AIR and "rates" in h.law.statement and not h.differs:
             late = channel_lateness(
                 record, h.law, h.agrees and h.relation.coherence > _LATE_COHERENCE
             )
@@ -522,19 +565,21 @@ def _delays(record: FlightRecord, laws: Sequence[Heard], ground_late_s: float) -
     return out
 
 
-def _together(
-    channel: str, reference: str, members: Sequence[Heard], known_s: float
+def _common_delay(
+    channel: str, reference: str, members: Sequence[LawResult], corrected_s: float
 ) -> Iterator[Finding]:
-    """Delay that several laws have in common, into none of which gusts enter; ``known_s``: the part
+    """Delay that several laws have in common, into none of which gusts enter; ``corrected_s``: the part
     already corrected.
     """
-    good = [h.relation for h in members if h.agrees and h.relation.coherence > _LATE_COHERENCE]
-    if good:
-        weight = np.array([r.late_std_s**-2 for r in good])
-        late = known_s - float(weight @ [r.late_s for r in good]) / float(weight.sum())
+    relations = [h.relation for h in members if h.agrees and h.relation.coherence > _LATE_COHERENCE]
+    if relations:
+        weight = np.array([r.late_std_s**-2 for r in relations])
+        late = corrected_s - float(weight @ [r.late_s for r in relations]) / float(weight.sum())
         std = float(weight.sum()) ** -0.5
         if surely_late(late, std):
-            yield _delay(channel, reference, late, std, min(r.coherence for r in good), "motion")
+            yield _delay(
+                channel, reference, late, std, min(r.coherence for r in relations), "motion"
+            )
 
 
 def surely_late(late_s: float, std_s: float) -> bool:
@@ -559,17 +604,17 @@ def surely_late(late_s: float, std_s: float) -> bool:
     (True, False)
     """
     size = abs(late_s)
-    return _LEAST_LATE_S < size < _LATEST_S and size > _LATE_SURE * std_s
+    return _MIN_LATE_S < size < _MAX_LATE_S and size > _MIN_LATE_RATIO * std_s
 
 
 def _delay(
     channel: str, reference: str, late_s: float, std_s: float, coherence: float, by: str
 ) -> Finding:
-    how = "in what the controls moved" if by == "controls" else f"coherence {coherence:.2f}"
+    basis = "in what the controls moved" if by == "controls" else f"coherence {coherence:.2f}"
     side = "after" if late_s > 0 else "before"
     text = (
         f"{channel} comes {abs(late_s) * 1e3:.0f} +- {std_s * 1e3:.1f} ms {side} {reference}"
-        f" ({how})"
+        f" ({basis})"
     )
     numbers = {"delay_s": late_s, "std_s": std_s, "correlation": math.sqrt(max(coherence, 0.0))}
     severity = "info" if abs(late_s) < 0.05 else "warning"

@@ -16,20 +16,20 @@ import numpy as np
 from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.logs.checking.kinematics import band_passed
-from sysid.logs.checking.physics import mend, spoils
+from sysid.logs.checking.physics import affected_results, map_correction
 from sysid.record import FlightRecord
 
 _BAND_HZ = (0.15, 4.0)
 _BLOCK_S = 3.0
-_LEAST_BLOCKS = 5
-_LATEST_S = 0.16
-_MIN_S, _MOST_S = 8.0, 300.0
-_LEAST_HZ = 18.0
-_SURE = 6.0  # standard errors of a sign
-_SHARE = 0.15  # of what is left of the angular acceleration that the surface must explain
+_MIN_BLOCKS = 5
+_MAX_LAG_S = 0.16
+_MIN_S, _MAX_S = 8.0, 300.0
+_MIN_HZ = 18.0
+_MIN_RATIO = 6.0  # standard errors of a sign
+_MIN_SHARE = 0.15  # of what is left of the angular acceleration that the surface must explain
 # of that share, explained before with the other sign: a quick aircraft swings back within the lags
 # tried
-_AGAINST = 0.3
+_MAX_OPPOSITE = 0.3
 _MOVING_DEG = 0.3  # rms in the band
 _TURNING = "angular acceleration"
 
@@ -43,7 +43,7 @@ class Axis:
     surface: str
     rate: str
     sense: float
-    others: tuple[str, ...]
+    covariates: tuple[str, ...]
 
 
 AXES = (
@@ -71,9 +71,9 @@ class Effect:
     def certain(self) -> bool:
         """Whether the flight tells the sign."""
         return (
-            abs(self.slope) > _SURE * self.std
-            and self.share > _SHARE
-            and self.against < _AGAINST * self.share
+            abs(self.slope) > _MIN_RATIO * self.std
+            and self.share > _MIN_SHARE
+            and self.against < _MAX_OPPOSITE * self.share
         )
 
 
@@ -86,17 +86,19 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
     native = min(
         (record.metadata.native_hz.get(n, 1.0 / dt) for n in (column, axis.rate)), default=1.0 / dt
     )
-    if native < _LEAST_HZ:
+    if native < _MIN_HZ:
         # an autopilot answers a gust within a sample: what it does and what that does cannot be
         # told apart
         return None
     high = min(_BAND_HZ[1], 0.2 * native)
-    others = tuple(n for n in axis.others if n in record and np.isfinite(record[n]).mean() > 0.5)
-    if "alpha_rad" in others and "alpha_rad" not in record.metadata.estimates:
+    covariates = tuple(
+        n for n in axis.covariates if n in record and np.isfinite(record[n]).mean() > 0.5
+    )
+    if "alpha_rad" in covariates and "alpha_rad" not in record.metadata.estimates:
         # Lift is that of alpha and of the elevator: beside a measured alpha it would stand for the
         # elevator itself.
-        others = tuple(n for n in others if n != "az_mps2")
-    parts = _parts(record, (column, axis.rate, *others), dt)
+        covariates = tuple(n for n in covariates if n != "az_mps2")
+    parts = _parts(record, (column, axis.rate, *covariates), dt)
     if not parts or high < 2.0 * _BAND_HZ[0]:
         return None
     rows = [{n: band_passed(c[n], dt, _BAND_HZ[0], high) for n in c} for c in parts]
@@ -104,43 +106,49 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
         return None
     for c in rows:
         c[_TURNING] = np.gradient(c[axis.rate], dt)
-    lags = range(round(_LATEST_S / dt) + 1)
-    found = [
+    lags = range(round(_MAX_LAG_S / dt) + 1)
+    effects = [
         e
         for lag in lags
-        if (e := _regressed(rows, column, (axis.rate, *others), lag, dt)) is not None
+        if (e := _regress(rows, column, (axis.rate, *covariates), lag, dt)) is not None
     ]
-    if not found:
+    if not effects:
         return None
-    best = max(found, key=lambda e: e.share)
-    before = [e.share for e in found if e.late_s < best.late_s and e.slope * best.slope < 0.0]
-    return replace(best, against=max(before, default=0.0))
+    best = max(effects, key=lambda e: e.share)
+    opposite_shares = [
+        e.share for e in effects if e.late_s < best.late_s and e.slope * best.slope < 0.0
+    ]
+    return replace(best, against=max(opposite_shares, default=0.0))
 
 
 def check_surfaces(record: FlightRecord) -> list[Finding]:
     """Surfaces whose effect has the wrong sign for sure."""
     out = []
     for axis in AXES:
-        found = effect(record, axis)
-        if found is None or not found.certain or found.slope * axis.sense > 0.0:
+        surface_effect = effect(record, axis)
+        if (
+            surface_effect is None
+            or not surface_effect.certain
+            or surface_effect.slope * axis.sense > 0.0
+        ):
             continue
         column = _column(record, axis.surface) or axis.surface
-        does = {
+        opposite_effects = {
             "elevator_deg": "pitches the nose up",
             "aileron_deg": "rolls left",
             "rudder_deg": "yaws the nose right",
         }
         text = (
-            f"+ {column} {does[axis.surface]}: {axis.rate} changes by {found.slope:+.3g} +-"
-            f" {found.std:.2g} rad/s2 a degree, {found.late_s * 1e3:.0f} ms later"
-            f" ({100 * found.share:.0f} % of what else is left): its sign is reversed"
+            f"+ {column} {opposite_effects[axis.surface]}: {axis.rate} changes by {surface_effect.slope:+.3g} +-"
+            f" {surface_effect.std:.2g} rad/s2 a degree, {surface_effect.late_s * 1e3:.0f} ms later"
+            f" ({100 * surface_effect.share:.0f} % of what else is left): its sign is reversed"
         )
         numbers = {
             "slope": -1.0,
-            "effect": found.slope,
-            "std": found.std,
-            "late_s": found.late_s,
-            "share": found.share,
+            "effect": surface_effect.slope,
+            "std": surface_effect.std,
+            "late_s": surface_effect.late_s,
+            "share": surface_effect.share,
         }
         out.append(
             Finding(
@@ -149,8 +157,8 @@ def check_surfaces(record: FlightRecord) -> list[Finding]:
                 "error",
                 text,
                 numbers,
-                spoils(column),
-                mend(column, -1.0, record.metadata),
+                affected_results(column),
+                map_correction(column, -1.0, record.metadata),
             )
         )
     return out
@@ -166,18 +174,18 @@ def _column(record: FlightRecord, surface: str) -> str | None:
 
 
 def _parts(record: FlightRecord, names: tuple[str, ...], dt: float) -> list[dict[str, FloatArray]]:
-    left, out = round(_MOST_S / dt), []
+    rows_left, out = round(_MAX_S / dt), []
     for part in sorted(record.segments(names, _MIN_S), key=lambda s: s.start - s.stop):
-        stop = min(part.stop, part.start + left)
+        stop = min(part.stop, part.start + rows_left)
         if stop - part.start < max(_MIN_S / dt, 64):
             break
         out.append({n: np.asarray(record[n][part.start : stop], dtype=np.float64) for n in names})
-        left -= stop - part.start
+        rows_left -= stop - part.start
     return out
 
 
-def _regressed(
-    rows: list[dict[str, FloatArray]], column: str, others: tuple[str, ...], lag: int, dt: float
+def _regress(
+    rows: list[dict[str, FloatArray]], column: str, covariates: tuple[str, ...], lag: int, dt: float
 ) -> Effect | None:
     """Regression with the surface ``lag`` samples earlier; errors from sums over some seconds
     (Liang and Zeger 1986).
@@ -185,26 +193,29 @@ def _regressed(
     targets, designs, blocks, first = [], [], [], 0
     for c in rows:
         n = c[column].size - lag
-        moved = [c[column][:n], *(c[o][:n] if o.endswith("_deg") else c[o][lag:] for o in others)]
+        moved = [
+            c[column][:n],
+            *(c[o][:n] if o.endswith("_deg") else c[o][lag:] for o in covariates),
+        ]
         targets.append(c[_TURNING][lag:])
         designs.append(np.column_stack(moved))
         block = first + (np.arange(n) * dt // _BLOCK_S).astype(int)
         blocks.append(block)
         first = int(block[-1]) + 1
     y, a, block = np.concatenate(targets), np.vstack(designs), np.concatenate(blocks)
-    rest = a[:, 1:] / np.maximum(a[:, 1:].std(axis=0), 1e-12)
-    both = np.column_stack([a[:, 0], y])
-    own, left = (both - rest @ np.linalg.lstsq(rest, both, rcond=1e-9)[0]).T
-    power = float(own @ own)
+    design = a[:, 1:] / np.maximum(a[:, 1:].std(axis=0), 1e-12)
+    pair = np.column_stack([a[:, 0], y])
+    surface, acceleration = (pair - design @ np.linalg.lstsq(design, pair, rcond=1e-9)[0]).T
+    power = float(surface @ surface)
     count = int(block[-1]) + 1
     if (
         not power > 1e-6 * float(a[:, 0] @ a[:, 0])
-        or count < _LEAST_BLOCKS
-        or not float(left @ left) > 0.0
+        or count < _MIN_BLOCKS
+        or not float(acceleration @ acceleration) > 0.0
     ):
         return None
-    slope = float(own @ left) / power
+    slope = float(surface @ acceleration) / power
     sums = np.zeros(count)
-    np.add.at(sums, block, own * (left - slope * own))
+    np.add.at(sums, block, surface * (acceleration - slope * surface))
     std = math.sqrt(float(sums @ sums) * count / (count - 2.0)) / power
-    return Effect(slope, std, lag * dt, slope**2 * power / float(left @ left))
+    return Effect(slope, std, lag * dt, slope**2 * power / float(acceleration @ acceleration))

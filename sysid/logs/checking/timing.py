@@ -59,18 +59,18 @@ _FINE_LOG_SCALES = 0.02 * np.arange(-40.0, 41.0)
 # finding
 _SCALE_STD = 0.15
 _FLOOR = 0.01  # relative: no two sensors agree better
-_FINER, _TIMES = 5.0, 3
-_BROKEN = 0.05  # chance at which restrictions that hold pass for broken
+_REFINEMENT, _REFINEMENTS = 5.0, 3
+_OVERIDENTIFICATION_LEVEL = 0.05  # chance at which restrictions that hold pass for broken
 _DEPENDENT = 1e-6
 # of a row: a control's jump is in the acceleration of its own row, in the mean half a row early; a
 # tenth of lift jumps
 _ROW = 0.05
-_STRONG = 10.0
-_TOGETHER_S = 5.0  # within which what is left over is taken for one gust
+_MIN_STRENGTH = 10.0
+_GUST_S = 5.0  # within which what is left over is taken for one gust
 
 
 @dataclass(frozen=True)
-class Late:
+class Lateness:
     """How late a channel comes.
 
     std_s    standard error of ``late_s``, infinite where the flight does not tell      scale  k
@@ -87,7 +87,7 @@ class Late:
     by: str = "controls"
 
 
-UNKNOWN = Late(0.0, math.inf, math.nan, 0.0, 0.0)
+UNKNOWN = Lateness(0.0, math.inf, math.nan, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -105,13 +105,15 @@ class Part:
 
     def in_time(self, values: ComplexArray) -> FloatArray:
         """(rows,) what has this transform (n,)."""
-        whole = np.zeros(self.rows // 2 + 1, dtype=np.complex128)
-        whole[np.rint(self.f * self.rows * self.dt_s).astype(int)] = values * math.sqrt(self.rows)
-        return np.asarray(np.fft.irfft(whole, self.rows), dtype=np.float64)
+        transform = np.zeros(self.rows // 2 + 1, dtype=np.complex128)
+        transform[np.rint(self.f * self.rows * self.dt_s).astype(int)] = values * math.sqrt(
+            self.rows
+        )
+        return np.asarray(np.fft.irfft(transform, self.rows), dtype=np.float64)
 
 
 @dataclass(frozen=True)
-class _Told:
+class _BandInformation:
     """Information (2, 2) that a band's instruments give, the variance that chance adds to the
     score, the score's factor (n, 2), and what is left over (n,)."""
 
@@ -119,7 +121,7 @@ class _Told:
     chance: FloatArray
     instruments: int
     factor: ComplexArray
-    left: ComplexArray
+    residual: ComplexArray
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ class _Band:
     x: ComplexArray
     y: ComplexArray
     base: ComplexArray
-    which: NDArray[np.bool_]
+    members: NDArray[np.bool_]
 
     @property
     def count(self) -> float:
@@ -148,37 +150,45 @@ class _Band:
         floor is in the latter.
         """
         turned = np.exp(-1j * np.outer(late_s, self.omega)) * self.x
-        along, on_base = np.conj(self.base.T) @ self.y, turned @ np.conj(self.base)
+        projection, on_base = np.conj(self.base.T) @ self.y, turned @ np.conj(self.base)
         k = scale[None, :]
-        own = np.sum(np.abs(on_base) ** 2, axis=1)[:, None]
-        on = _power(along) - 2.0 * k * np.real(np.conj(on_base) @ along)[:, None] + k**2 * own
-        whole = (
+        x_power = np.sum(np.abs(on_base) ** 2, axis=1)[:, None]
+        on = (
+            _power(projection)
+            - 2.0 * k * np.real(np.conj(on_base) @ projection)[:, None]
+            + k**2 * x_power
+        )
+        total = (
             _power(self.y)
             - 2.0 * k * np.real(np.conj(turned) @ self.y)[:, None]
             + k**2 * _power(self.x)
         )
-        rest = (
-            np.maximum(whole - on, 0.0) / (self.count - self.instruments)
-            + (_FLOOR * k) ** 2 * own / self.instruments
+        noise = (
+            np.maximum(total - on, 0.0) / (self.count - self.instruments)
+            + (_FLOOR * k) ** 2 * x_power / self.instruments
         )
-        return np.maximum(on, 0.0), rest
+        return np.maximum(on, 0.0), noise
 
-    def at(self, late_s: float, scale: float) -> _Told:
+    def at(self, late_s: float, scale: float) -> _BandInformation:
         """What the band says of lateness and of the scale's logarithm near these."""
         turned = scale * self.x * np.exp(-1j * self.omega * late_s)
         r = self.y - turned
-        rest = float(self.powers(np.array([late_s]), np.array([scale]))[1][0, 0])
+        noise = float(self.powers(np.array([late_s]), np.array([scale]))[1][0, 0])
         slope = np.stack([-1j * self.omega * turned, turned], axis=1)
         on, off, across = self._on(slope), slope - self._on(slope), r - self._on(r)
         # What the slopes have in common with what is left over is the gusts', not the controls'.
         common = np.conj(across) @ off / _power(across) if _power(across) > 0.0 else np.zeros(2)
         free = off - np.outer(across, common)
         by_chance = self.instruments / (self.count - self.instruments)
-        told = np.conj(on.T) @ on - by_chance * np.conj(off.T) @ off
+        net_information = np.conj(on.T) @ on - by_chance * np.conj(off.T) @ off
         chance = by_chance * np.conj(free.T) @ free
-        factor = (on - np.outer(self._on(r), common)) / rest
-        return _Told(
-            2.0 * np.real(told) / rest, 2.0 * np.real(chance) / rest, self.instruments, factor, r
+        factor = (on - np.outer(self._on(r), common)) / noise
+        return _BandInformation(
+            2.0 * np.real(net_information) / noise,
+            2.0 * np.real(chance) / noise,
+            self.instruments,
+            factor,
+            r,
         )
 
     def _on(self, values: ComplexArray) -> ComplexArray:
@@ -189,18 +199,18 @@ def _power(values: ComplexArray) -> float:
     return float(np.sum(np.abs(values) ** 2))
 
 
-def channel_lateness(record: FlightRecord, law: Law, by_motion: bool = True) -> Late:
+def channel_lateness(record: FlightRecord, law: Law, by_motion: bool = True) -> Lateness:
     """How late a law's subject (one of INSTRUMENTS) comes in a flight: by controls or, if they may
     serve, by the motion itself.
 
     The one with the smaller standard error counts, since both errors say what gusts can do.
     """
     controls = tuple(n for name in INSTRUMENTS[law.subject] if (n := _recorded(record, name)))
-    found = stretches(record, replace(law, uses=(*law.uses, *controls))) if controls else None
-    told = [] if found is None else [_by(found, law, controls)]
-    if by_motion and (found := stretches(record, law)) is not None:
-        told.append(_by(found, law, ()))
-    return min(told, key=lambda late: late.std_s, default=UNKNOWN)
+    parts = stretches(record, replace(law, uses=(*law.uses, *controls))) if controls else None
+    estimates = [] if parts is None else [_late_by(parts, law, controls)]
+    if by_motion and (parts := stretches(record, law)) is not None:
+        estimates.append(_late_by(parts, law, ()))
+    return min(estimates, key=lambda late: late.std_s, default=UNKNOWN)
 
 
 def _recorded(record: FlightRecord, control: str) -> str | None:
@@ -209,19 +219,23 @@ def _recorded(record: FlightRecord, control: str) -> str | None:
     return next((n for n in either if n in record and np.isfinite(record[n]).any()), None)
 
 
-def _by(found: Stretches, law: Law, controls: Sequence[str]) -> Late:
+def _late_by(stretch_set: Stretches, law: Law, controls: Sequence[str]) -> Lateness:
     """By these controls as instruments; by the motion itself without any."""
-    low, high = band_of(law, found)
+    low, high = band_of(law, stretch_set)
     if high <= 1.5 * low:
         return UNKNOWN
     parts = []
-    for c in found.parts:
-        x, y = law.sides(c, found.dt_s)
-        f, fx, fy = spectrum(x, y, found.dt_s, low, high)
+    for c in stretch_set.parts:
+        x, y = law.sides(c, stretch_set.dt_s)
+        f, fx, fy = spectrum(x, y, stretch_set.dt_s, low, high)
         # Central differences have made y smaller, the more the faster it is.
-        fx = fx * np.sinc(2.0 * f * found.dt_s)
-        z = [spectrum(c[n], c[n], found.dt_s, low, high)[1] for n in controls] if controls else [fx]
-        parts.append(Part(f, fx, fy, np.stack(z), x.size, found.dt_s))
+        fx = fx * np.sinc(2.0 * f * stretch_set.dt_s)
+        z = (
+            [spectrum(c[n], c[n], stretch_set.dt_s, low, high)[1] for n in controls]
+            if controls
+            else [fx]
+        )
+        parts.append(Part(f, fx, fy, np.stack(z), x.size, stretch_set.dt_s))
     f = np.concatenate([p.f for p in parts])
     if not f.size:
         return UNKNOWN
@@ -229,7 +243,7 @@ def _by(found: Stretches, law: Law, controls: Sequence[str]) -> Late:
     late = lateness(parts, groups)
     if not math.isfinite(late.std_s):
         return late
-    row_s = _ROW * found.dt_s
+    row_s = _ROW * stretch_set.dt_s
     if controls:
         return replace(late, std_s=math.hypot(late.std_s, row_s))
     return replace(
@@ -237,7 +251,7 @@ def _by(found: Stretches, law: Law, controls: Sequence[str]) -> Late:
     )
 
 
-def _gusts_s(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]], late: Late) -> float:
+def _gusts_s(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]], late: Lateness) -> float:
     """Lateness [s] for which gusts in step with the motion would pass that are as strong as all
     that the motion leaves.
     """
@@ -254,34 +268,37 @@ def _gusts_s(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]], late: L
     return turn / weight
 
 
-def lateness(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]]) -> Late:
+def lateness(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]]) -> Lateness:
     """Lateness of y after x by the instruments z, in ``groups`` (bands) of the parts' frequencies,
     one after another.
     """
     bands = _bands(parts, groups)
     if not bands:
         return UNKNOWN
-    late_s, scale, misfit = _least(bands)
-    told = [band.at(late_s, scale) for band in bands]
-    information = np.sum([t.information for t in told], axis=0) + np.diag([0.0, _SCALE_STD**-2])
+    late_s, scale, misfit = _minimise(bands)
+    informations = [band.at(late_s, scale) for band in bands]
+    information = np.sum([t.information for t in informations], axis=0) + np.diag(
+        [0.0, _SCALE_STD**-2]
+    )
     # How far chance alone can take the information: instruments with less than many times that are
     # weak (Stock and Yogo).
-    by_chance = math.sqrt(sum(float(t.chance[0, 0]) ** 2 / t.instruments for t in told))
+    by_chance = math.sqrt(sum(float(t.chance[0, 0]) ** 2 / t.instruments for t in informations))
     of_late = information[0, 0] - information[0, 1] ** 2 / information[1, 1]
-    if not of_late > _STRONG * by_chance or not information[1, 1] > 0.0:
+    if not of_late > _MIN_STRENGTH * by_chance or not information[1, 1] > 0.0:
         return UNKNOWN
     inverse = np.linalg.inv(information)
-    spread = information + np.sum([t.chance for t in told], axis=0)
+    score_information = information + np.sum([t.chance for t in informations], axis=0)
     variances = [
-        float((inverse @ m @ inverse)[0, 0]) for m in (spread, _score_variance(parts, bands, told))
+        float((inverse @ m @ inverse)[0, 0])
+        for m in (score_information, _score_variance(parts, bands, informations))
     ]
     freedom = 2.0 * sum(b.instruments for b in bands) - 1.0
     # Instruments that follow gusts: the part that passes for lateness may be as large as all that
     # does not.
-    broken = 1.0 + max(0.0, misfit - float(chdtri(freedom, _BROKEN)))
-    return Late(
+    inflation = 1.0 + max(0.0, misfit - float(chdtri(freedom, _OVERIDENTIFICATION_LEVEL)))
+    return Lateness(
         late_s,
-        math.sqrt(broken * max(*variances, _variance_by_likelihood(bands, late_s, misfit))),
+        math.sqrt(inflation * max(*variances, _variance_by_likelihood(bands, late_s, misfit))),
         scale,
         misfit,
         freedom,
@@ -310,23 +327,25 @@ def _bands(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]]) -> list[_
     for group, mean in zip(groups, means, strict=True):
         if mean < LEAK * max(means):
             continue
-        left, sizes, _ = np.linalg.svd(z[:, group].T, full_matrices=False)
+        left_vectors, sizes, _ = np.linalg.svd(z[:, group].T, full_matrices=False)
         base = (
-            left[:, sizes > _DEPENDENT * sizes[0]] if sizes.size and sizes[0] > 0.0 else left[:, :0]
+            left_vectors[:, sizes > _DEPENDENT * sizes[0]]
+            if sizes.size and sizes[0] > 0.0
+            else left_vectors[:, :0]
         )
         if base.shape[1] > 0 and np.count_nonzero(group) / TAPERED > 2 * base.shape[1] + 1:
             out.append(_Band(2.0 * np.pi * f[group], x[group], y[group], base, group))
     return out
 
 
-def _least(bands: Sequence[_Band]) -> tuple[float, float, float]:
+def _minimise(bands: Sequence[_Band]) -> tuple[float, float, float]:
     """Lateness and scale at which Q is least, and Q there: on a grid, then on finer ones."""
     late, logs = _LATE_S, _LOG_SCALES
-    for _ in range(_TIMES + 1):
+    for _ in range(_REFINEMENTS + 1):
         q = _misfits(bands, late, logs)
         i, j = np.unravel_index(int(np.argmin(q)), q.shape)
         best = float(late[i]), float(np.exp(logs[j])), float(q[i, j])
-        steps = (late[1] - late[0]) / _FINER, (logs[1] - logs[0]) / _FINER
+        steps = (late[1] - late[0]) / _REFINEMENT, (logs[1] - logs[0]) / _REFINEMENT
         late, logs = (
             v[n] + step * np.arange(-8.0, 9.0)
             for v, n, step in zip((late, logs), (i, j), steps, strict=True)
@@ -338,28 +357,33 @@ def _misfits(bands: Sequence[_Band], late_s: FloatArray, log_scales: FloatArray)
     """Q, (late, scale); what is known of the scale beforehand is in it."""
     q = np.tile((log_scales / _SCALE_STD) ** 2, (late_s.size, 1))
     for b in bands:
-        on, rest = b.powers(late_s, np.exp(log_scales))
+        on, noise = b.powers(late_s, np.exp(log_scales))
         free = b.count - b.instruments
-        q += 2.0 * free * np.log1p(on / np.maximum(free * rest, 1e-300))
+        q += 2.0 * free * np.log1p(on / np.maximum(free * noise, 1e-300))
     return q
 
 
 def _score_variance(
-    parts: Sequence[Part], bands: Sequence[_Band], told: Sequence[_Told]
+    parts: Sequence[Part], bands: Sequence[_Band], informations: Sequence[_BandInformation]
 ) -> FloatArray:
     """(2, 2) variance of the score by how it comes about in time: a roll turns slow gusts into fast
     ones, where controls move.
     """
-    count = bands[0].which.size
-    factor, left = np.zeros((count, 2), dtype=np.complex128), np.zeros(count, dtype=np.complex128)
-    for b, t in zip(bands, told, strict=True):
-        factor[b.which], left[b.which] = t.factor, t.left
+    count = bands[0].members.size
+    factor, residual = (
+        np.zeros((count, 2), dtype=np.complex128),
+        np.zeros(count, dtype=np.complex128),
+    )
+    for b, t in zip(bands, informations, strict=True):
+        factor[b.members], residual[b.members] = t.factor, t.residual
     out, begin = np.zeros((2, 2)), 0
     for p in parts:
-        own = slice(begin, begin + p.f.size)
+        part_rows = slice(begin, begin + p.f.size)
         begin += p.f.size
-        score = np.stack([p.in_time(factor[own, k]) for k in (0, 1)]) * p.in_time(left[own])
-        window = max(1, min(round(_TOGETHER_S / p.dt_s), p.rows))
+        score = np.stack([p.in_time(factor[part_rows, k]) for k in (0, 1)]) * p.in_time(
+            residual[part_rows]
+        )
+        window = max(1, min(round(_GUST_S / p.dt_s), p.rows))
         # Sums over all stretches of so long: Bartlett's weights of lagged products.
         sums = np.stack([np.convolve(row, np.ones(window)) for row in score])
         out += sums @ sums.T / window

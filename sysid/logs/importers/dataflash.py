@@ -117,8 +117,8 @@ def make_format(kind: int, length: int, name: str, characters: str, columns: str
         return None
     if any(c not in CHARACTERS for c in characters):
         return None
-    made = Format(kind, length, name, characters, names)
-    return made if made.dtype.itemsize + 3 == length else None
+    message_format = Format(kind, length, name, characters, names)
+    return message_format if message_format.dtype.itemsize + 3 == length else None
 
 
 def scaled(values: NDArray[Any], character: str) -> NDArray[Any]:
@@ -143,7 +143,7 @@ def text(raw: bytes) -> str:
 
 Columns = dict[str, NDArray[Any]]
 # Messages that identify the vehicle, its parameters and its modes; small in every log.
-MOST_INSTANCES = 256  # of one kind of message
+MAX_INSTANCES = 256  # of one kind of message
 ALWAYS = frozenset({"PARM", "MSG", "MODE", "VER", "ARM", "EV", "ORGN"})
 # VER.BU, the number of the firmware's build type.
 _BUILD = {
@@ -155,7 +155,7 @@ _BUILD = {
     12: "Blimp",
     13: "Heli",
 }
-_ONLY_IN = {
+_VEHICLE_PARAMETERS = {
     "ATC_RAT_RLL_P": "ArduCopter",
     "RATE_RLL_P": "ArduCopter",
     "WPNAV_SPEED": "ArduCopter",
@@ -207,11 +207,13 @@ def assemble(
             path,
         )
     texts, parameters = _texts(messages), _parameters(columns)
-    said = messages.get(("MSG", 0))
+    text_table = messages.get(("MSG", 0))
     set_at = places.get("PARM")
     return RawLog(
         headers=headers,
-        text_places=() if said is None or said.place is None else tuple(said.place.tolist()),
+        text_places=()
+        if text_table is None or text_table.place is None
+        else tuple(text_table.place.tolist()),
         parameter_log=(
             ()
             if set_at is None or not parameters
@@ -241,10 +243,10 @@ def _instances(table: Columns, column: str | None) -> list[tuple[int, Any]]:
     numbers = table[column]
     if len(numbers) and numbers.min() == numbers.max():
         return [(int(numbers[0]), slice(None))]
-    found = np.unique(numbers)
+    unique_numbers = np.unique(numbers)
     return (
-        [(int(i), numbers == i) for i in found]
-        if len(found) <= MOST_INSTANCES
+        [(int(i), numbers == i) for i in unique_numbers]
+        if len(unique_numbers) <= MAX_INSTANCES
         else [(0, slice(None))]
     )
 
@@ -273,18 +275,20 @@ def _vehicle(
     """What the log calls itself, else what its parameters are of; an aeroplane that takes off on
     rotors says VTOL.
     """
-    named = _named(texts, columns)
-    if not named:
+    vehicle = _firmware_name(texts, columns)
+    if not vehicle:
         # Parameters that one kind of vehicle alone has.
-        named = next((kind for name, kind in _ONLY_IN.items() if name in parameters), "")
+        vehicle = next(
+            (kind for name, kind in _VEHICLE_PARAMETERS.items() if name in parameters), ""
+        )
     return (
-        f"{named or 'ArduPlane'} VTOL"
-        if parameters.get("Q_ENABLE", 0.0) > 0.0 and "VTOL" not in named
-        else named
+        f"{vehicle or 'ArduPlane'} VTOL"
+        if parameters.get("Q_ENABLE", 0.0) > 0.0 and "VTOL" not in vehicle
+        else vehicle
     )
 
 
-def _named(texts: tuple[tuple[float, str], ...], columns: dict[str, Columns]) -> str:
+def _firmware_name(texts: tuple[tuple[float, str], ...], columns: dict[str, Columns]) -> str:
     build = columns.get("VER", {}).get("BU")
     for _, message in texts:
         if _VEHICLE.match(message):
@@ -300,11 +304,11 @@ _FMT_FORMAT = Format(
 )
 
 
-class _Walker:
+class _BinaryReader:
     """State that lives from block to block: known formats, collected columns, damage met."""
 
-    def __init__(self, wanted: FieldSelection | None) -> None:
-        self.wanted = wanted
+    def __init__(self, selection: FieldSelection | None) -> None:
+        self.wanted = selection
         self.formats: dict[int, Format] = {FMT_TYPE: _FMT_FORMAT}
         self.lengths = [0] * 256
         self.lengths[FMT_TYPE] = FMT_LENGTH
@@ -357,16 +361,18 @@ class _Walker:
 
     def _learn(self, record: bytes, offsets: list[list[int]], data: bytes) -> None:
         kind, length = record[3], record[4]
-        made = make_format(kind, length, text(record[5:9]), text(record[9:25]), text(record[25:89]))
-        if made is None or kind == FMT_TYPE:
-            self.bad_formats += int(made is None)
+        new_format = make_format(
+            kind, length, text(record[5:9]), text(record[9:25]), text(record[25:89])
+        )
+        if new_format is None or kind == FMT_TYPE:
+            self.bad_formats += int(new_format is None)
             return
-        known = self.formats.get(kind)
-        if known is not None and known != made:
+        old_format = self.formats.get(kind)
+        if old_format is not None and old_format != new_format:
             # Two logs in one file: what was collected under the old format must be decoded with it.
-            self._decode_type(data, offsets[kind], known)
+            self._decode_type(data, offsets[kind], old_format)
             offsets[kind].clear()
-        self.formats[kind] = made
+        self.formats[kind] = new_format
         self.lengths[kind] = length
 
     def _resynchronise(self, data: bytes, pos: int, base: int) -> int:
@@ -394,24 +400,24 @@ class _Walker:
         self.skipped_bytes += count
 
     def _decode(self, data: bytes, offsets: list[list[int]]) -> None:
-        for kind, found in enumerate(offsets):
-            if found:
-                self._decode_type(data, found, self.formats[kind])
+        for kind, kind_offsets in enumerate(offsets):
+            if kind_offsets:
+                self._decode_type(data, kind_offsets, self.formats[kind])
 
-    def _decode_type(self, data: bytes, found: list[int], fmt: Format) -> None:
-        self.counts[fmt.name] += len(found)
+    def _decode_type(self, data: bytes, offsets: list[int], fmt: Format) -> None:
+        self.counts[fmt.name] += len(offsets)
         keep = self._fields(fmt)
-        if not keep or not found:
+        if not keep or not offsets:
             return
         columns = self.collected[fmt.name]
-        known = self.kept.setdefault(fmt.name, fmt)
-        if (known.characters, known.columns) != (fmt.characters, fmt.columns):
+        old_format = self.kept.setdefault(fmt.name, fmt)
+        if (old_format.characters, old_format.columns) != (fmt.characters, fmt.columns):
             # the format changed: an array of one field must not fall out of step with the others
             columns.clear()
             self.places[fmt.name].clear()
         self.kept[fmt.name] = fmt
         buffer = np.frombuffer(data, dtype=np.uint8)
-        starts = np.asarray(found, dtype=np.int64) + 3
+        starts = np.asarray(offsets, dtype=np.int64) + 3
         self.places[fmt.name] += (starts + self.base).astype("<i8").tobytes()
         for column in keep:
             base, offset = fmt.dtype.fields[column][:2]  # type: ignore[index]
@@ -476,16 +482,16 @@ def _array(data: bytearray, character: str) -> NDArray[Any]:
 
 
 def read(
-    path: Path, wanted: FieldSelection | None = None, progress: ProgressCallback | None = None
+    path: Path, selection: FieldSelection | None = None, callback: ProgressCallback | None = None
 ) -> RawLog:
     """Read a binary DataFlash log.
 
     wanted  message -> fields to keep (None keeps everything); messages that the checks need are
     kept always. Raises LogError when no record can be read."""
-    walker = _Walker(wanted)
+    walker = _BinaryReader(selection)
     with open_regular(path) as handle:
         size = os.fstat(handle.fileno()).st_size
-        _blocks(handle, walker, size, progress)
+        _blocks(handle, walker, size, callback)
     if sum(walker.counts.values()) - walker.counts["FMT"] <= 0:
         raise LogError(
             f"no DataFlash record could be read in {size} bytes ({walker.counts['FMT']} FMT records"
@@ -506,19 +512,19 @@ def read(
 
 
 def _blocks(
-    handle: BinaryIO, walker: _Walker, size: int, progress: ProgressCallback | None
+    handle: BinaryIO, walker: _BinaryReader, size: int, callback: ProgressCallback | None
 ) -> None:
-    rest, base = b"", 0
+    unread, base = b"", 0
     while True:
         fresh = handle.read(BLOCK_BYTES)
-        data = rest + fresh
+        data = unread + fresh
         if not data:
             return
         used = walker.block(data, base, last=not fresh)
-        rest, base = data[used:], base + used
-        if progress is not None:
+        unread, base = data[used:], base + used
+        if callback is not None:
             with contextlib.suppress(ZeroDivisionError):
-                progress(min(1.0, base / size))
+                callback(min(1.0, base / size))
         if not fresh:
             return
 
@@ -527,15 +533,15 @@ def _blocks(
 # Streamed line by line.
 
 _MAX_LINE = 4096
-_MOST_FORMATS = 1000  # the binary form can number 256
-_WHOLE = frozenset("bBhHiIqQM")
+_MAX_FORMATS = 1000  # the binary form can number 256
+_INTEGER_CHARACTERS = frozenset("bBhHiIqQM")
 
 
 class _Collector:
     def __init__(self, fmt: Format, keep: list[str]) -> None:
         self.where = [fmt.columns.index(c) for c in keep]
         self.text = [CHARACTERS[fmt.characters[i]][0].startswith("S") for i in self.where]
-        self.whole = [fmt.characters[i] in _WHOLE for i in self.where]
+        self.whole = [fmt.characters[i] in _INTEGER_CHARACTERS for i in self.where]
         self.keep = keep
         self.values: list[Any] = [[] if text else array("d") for text in self.text]
         self.place = array("q")
@@ -544,9 +550,9 @@ class _Collector:
         """Append one record; False, and nothing appended, when a number cannot be read."""
         row: list[Any] = []
         try:
-            for i, text, whole in zip(self.where, self.text, self.whole, strict=True):
+            for i, text, is_integer in zip(self.where, self.text, self.whole, strict=True):
                 value = cells[i].strip() if text else float(cells[i])
-                if whole and not float(value).is_integer():  # nan and inf are none either
+                if is_integer and not float(value).is_integer():  # nan and inf are none either
                     return False
                 row.append(value)
         except (ValueError, IndexError):
@@ -565,7 +571,7 @@ class _Collector:
 
 
 def read_text(
-    path: Path, wanted: FieldSelection | None = None, progress: ProgressCallback | None = None
+    path: Path, selection: FieldSelection | None = None, callback: ProgressCallback | None = None
 ) -> RawLog:
     """Read a text DataFlash log; arguments and errors as in `dataflash_binary.read`."""
     formats: dict[str, Format] = {}
@@ -578,32 +584,32 @@ def read_text(
         while raw := handle.readline(_MAX_LINE):
             line_number += 1
             done += len(raw)
-            if progress is not None and line_number % 20000 == 0:
-                progress(done / size)
+            if callback is not None and line_number % 20000 == 0:
+                callback(done / size)
             line = raw.decode("latin-1").rstrip("\r\n")
             if not line.strip():
                 continue
-            name, _, rest = line.partition(",")
+            name, _, content = line.partition(",")
             name = name.strip()
             if name == "FMT":
-                fmt = _format(rest)
+                fmt = _format(content)
                 if fmt is not None and fmt.name == "FMT" and counts:
                     headers.append(line_number)
-                if fmt is not None and fmt.name not in formats and len(formats) >= _MOST_FORMATS:
+                if fmt is not None and fmt.name not in formats and len(formats) >= _MAX_FORMATS:
                     fmt = None
                 if fmt is not None and formats.get(fmt.name) != fmt:
                     formats[fmt.name] = fmt
-                    keep = _keep(fmt, wanted)
+                    keep = _keep(fmt, selection)
                     collectors[fmt.name] = _Collector(fmt, keep) if keep else None
-                good = fmt is not None
+                is_valid = fmt is not None
             elif name in formats:
                 collector = collectors[name]
                 # The last column takes what is left: a text message may hold commas.
-                cells = rest.split(",", len(formats[name].columns) - 1)
-                good = collector is None or collector.add(cells, line_number)
+                cells = content.split(",", len(formats[name].columns) - 1)
+                is_valid = collector is None or collector.add(cells, line_number)
             else:
-                good = False
-            if good:
+                is_valid = False
+            if is_valid:
                 counts[name] += 1
             else:
                 bad_lines += 1
@@ -632,17 +638,17 @@ def read_text(
     )
 
 
-def _keep(fmt: Format, wanted: FieldSelection | None) -> list[str]:
-    if wanted is None or fmt.name in ALWAYS:
+def _keep(fmt: Format, selection: FieldSelection | None) -> list[str]:
+    if selection is None or fmt.name in ALWAYS:
         return [c for c, k in zip(fmt.columns, fmt.characters, strict=True) if k != "a"]
-    if fmt.name not in wanted:
+    if fmt.name not in selection:
         return []
-    fields = set(wanted[fmt.name]) | {fmt.instance_column, (fmt.time_column or ("",))[0]}
+    fields = set(selection[fmt.name]) | {fmt.instance_column, (fmt.time_column or ("",))[0]}
     return [c for c, k in zip(fmt.columns, fmt.characters, strict=True) if c in fields and k != "a"]
 
 
-def _format(rest: str) -> Format | None:
-    cells = [c.strip() for c in rest.split(",")]
+def _format(content: str) -> Format | None:
+    cells = [c.strip() for c in content.split(",")]
     if len(cells) < 4 or not cells[0].isdigit() or not cells[1].isdigit():
         return None
     columns = tuple(c for c in cells[4:] if c)

@@ -30,7 +30,7 @@ _FOREIGN = {
     b"SQLite": "an SQLite database",
     b"PARE": "an encrypted Parquet file (export it without)",
 }
-_KNOWN = (
+_SUPPORTED = (
     "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, a flight record in Parquet or CSV,"
     " JSBSim's CSV"
 )
@@ -61,18 +61,20 @@ def detect(path: Path) -> str:
     except FileNotFoundError:
         raise LogError("no such file", path) from None
     except IsADirectoryError:
-        raise LogError(f"is a folder; give a file: {_KNOWN}", path) from None
+        raise LogError(f"is a folder; give a file: {_SUPPORTED}", path) from None
     except OSError as e:
         raise LogError(f"cannot be read: {e.strerror}", path) from None
     if not head:
         raise LogError("the file is empty (0 bytes); copy the log again", path)
-    for magic, what in _FOREIGN.items():
+    for magic, description in _FOREIGN.items():
         if head.startswith(magic):
-            raise LogError(f"this is {what}, not a flight log; allowed are {_KNOWN}", path)
-    found = _binary(head) or _text(head)
-    if found is None:
+            raise LogError(
+                f"this is {description}, not a flight log; allowed are {_SUPPORTED}", path
+            )
+    dialect = _binary(head) or _text(head)
+    if dialect is None:
         raise LogError(_not_recognised(head), path)
-    return found
+    return dialect
 
 
 def _not_recognised(head: bytes) -> str:
@@ -82,11 +84,11 @@ def _not_recognised(head: bytes) -> str:
         return (
             f"not recognised as a flight log: a text whose first line is '{line.strip()[:80]}', and"
             " no table. A table has a line of names, then rows of numbers, separated by commas,"
-            f" semicolons or tabs; allowed are also {_KNOWN}"
+            f" semicolons or tabs; allowed are also {_SUPPORTED}"
         )
     return (
         f"not recognised as a flight log (it begins with {head[:8].hex(' ')}); allowed are"
-        f" {_KNOWN}. If this is one of them its beginning is damaged: copy the log again"
+        f" {_SUPPORTED}. If this is one of them its beginning is damaged: copy the log again"
     )
 
 

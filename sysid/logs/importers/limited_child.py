@@ -38,8 +38,8 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # What a library prints must not come between the frames.
     answers = os.fdopen(os.dup(1), "wb")
-    quiet = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(quiet, 1)
+    devnull = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(devnull, 1)
     orders: queue.Queue[bytes] = queue.Queue()
     threading.Thread(target=_receive, args=(orders,), daemon=True).start()
     while True:
@@ -83,45 +83,45 @@ def _frame(answers: BinaryIO, kind: bytes, content: bytes = b"") -> None:
 def _progress(answers: BinaryIO) -> ProgressCallback:
     last = time.monotonic()
 
-    def tell(share: float) -> None:
+    def send_progress(share: float) -> None:
         nonlocal last
         if time.monotonic() - last >= _PROGRESS_S:
             last = time.monotonic()
             _frame(answers, b"p", struct.pack("<d", share))
 
-    return tell
+    return send_progress
 
 
 Parts = Iterator[tuple[Any, ...]]
 
 
 def _messages(
-    importer: Any, path: Path, order: Mapping[str, Any], progress: ProgressCallback
+    importer: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback
 ) -> Parts:
-    return _log_parts(importer.read(path, _wanted(order), progress))
+    return _log_parts(importer.read(path, _selection(order), callback))
 
 
-def _csv(tables: Any, path: Path, order: Mapping[str, Any], progress: ProgressCallback) -> Parts:
+def _csv(tables: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback) -> Parts:
     return _log_parts(
-        tables.read_csv(path, _wanted(order), order["kind"] == "jsbsim-csv", _time(order))
+        tables.read_csv(path, _selection(order), order["kind"] == "jsbsim-csv", _time(order))
     )
 
 
 def _parquet(
-    tables: Any, path: Path, order: Mapping[str, Any], progress: ProgressCallback
+    tables: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback
 ) -> Parts:
     memory = int(order["memory"])
-    return _log_parts(tables.read_parquet(path, _wanted(order), memory, _time(order)))
+    return _log_parts(tables.read_parquet(path, _selection(order), memory, _time(order)))
 
 
-def _record(tables: Any, path: Path, order: Mapping[str, Any], progress: ProgressCallback) -> Parts:
+def _record(tables: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback) -> Parts:
     columns, metadata = tables.read_record(path, int(order["memory"]))
     for name, values in columns.items():
         yield "column", name, values
     yield "metadata", metadata
 
 
-def _table(tables: Any, path: Path, order: Mapping[str, Any], progress: ProgressCallback) -> Parts:
+def _table(tables: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback) -> Parts:
     for name, values in tables.read_small_table(path).items():
         yield "column", name, values
 
@@ -137,12 +137,12 @@ _READERS: dict[str, tuple[str, Callable[..., Parts]]] = {
 }
 
 
-def _wanted(order: Mapping[str, Any]) -> dict[str, frozenset[str]] | None:
-    wanted = order["selection"]
+def _selection(order: Mapping[str, Any]) -> dict[str, frozenset[str]] | None:
+    selection = order["selection"]
     return (
         None
-        if wanted is None
-        else {message: frozenset(fields) for message, fields in wanted.items()}
+        if selection is None
+        else {message: frozenset(fields) for message, fields in selection.items()}
     )
 
 
@@ -178,7 +178,7 @@ def _log_parts(raw: RawLog) -> Parts:
 
 
 def _texts(texts: Any) -> np.ndarray[Any, Any]:
-    found = list(texts)
-    out = np.empty(len(found), dtype=object)
-    out[:] = found
+    items = list(texts)
+    out = np.empty(len(items), dtype=object)
+    out[:] = items
     return out

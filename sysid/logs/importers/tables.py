@@ -97,11 +97,11 @@ def decoded(head: bytes) -> tuple[str, str] | None:
     return None
 
 
-def listed(names: Sequence[Any]) -> str:
+def columns_message(names: Sequence[Any]) -> str:
     """The columns of a table and the way to a map, for a message."""
-    shown = ", ".join(str(name)[:40] for name in names[:40])
+    column_names = ", ".join(str(name)[:40] for name in names[:40])
     more = f" and {len(names) - 40} more" if len(names) > 40 else ""
-    return f"its columns are {shown}{more}; `uqharness log map FILE --out map.toml` proposes a map"
+    return f"its columns are {column_names}{more}; `uqharness log map FILE --out map.toml` proposes a map"
 
 
 def sniff(head: bytes) -> TableFormat | None:
@@ -118,8 +118,10 @@ def sniff(head: bytes) -> TableFormat | None:
         if line.strip() and not line.startswith("#")
     ][:_SNIFFED_LINES]
     for ways in (_WAYS, _SPACES):
-        tried = [_read_as(lines, separator, decimal, encoding) for separator, decimal in ways]
-        scored = [(score, -k, way) for k, (score, way) in enumerate(tried) if way is not None]
+        candidates = [
+            _score_format(lines, separator, decimal, encoding) for separator, decimal in ways
+        ]
+        scored = [(score, -k, way) for k, (score, way) in enumerate(candidates) if way is not None]
         if scored:
             return max(scored)[2]
     return None
@@ -141,7 +143,7 @@ def is_number(cell: str, decimal: str = ".") -> bool:
     return True
 
 
-def _read_as(
+def _score_format(
     lines: Sequence[tuple[int, str]], separator: str, decimal: str, encoding: str
 ) -> tuple[float, TableFormat | None]:
     """Share of the cells that are numbers, weighted by their count, and the format; None where this
@@ -190,8 +192,8 @@ def _read_as(
             units, body = tuple(cell.strip() for cell in body[0]), body[1:]
     numeric = _numeric_columns(body, decimal)
     cells = sum(bool(row[k].strip()) for row in body for k in numeric)
-    named = [name for name in names if name]
-    if any(is_number(name, decimal) for name in named) or len(set(named)) < 2:
+    nonempty_names = [name for name in names if name]
+    if any(is_number(name, decimal) for name in nonempty_names) or len(set(nonempty_names)) < 2:
         cells //= 4  # numbers above numbers are rather a row than names
     if not cells:
         return 0.0, None
@@ -236,8 +238,8 @@ _UNIT_NAMES = {
 }
 _TIME_WORDS = frozenset({"time", "timestamp", "timestamps", "t", "clock", "utc", "datetime", "tow"})
 _NOT_TIMES = frozenset({"constant", "delay", "step", "zone", "dt", "to", "of", "flag", "status"})
-_INCREASING = 0.9  # share of steps that go forward in a column of times
-_EVEN = 0.02  # by which a column without a name may miss equal steps
+_MIN_INCREASING = 0.9  # share of steps that go forward in a column of times
+_EVEN_TOLERANCE = 0.02  # by which a column without a name may miss equal steps
 _TABLE_TIMES_CLOCK = r"(?:(?:(\d+):)?(\d{1,2}):)?(\d{1,2}):(\d{2}(?:[.,]\d+)?)\s*Z?$"
 
 
@@ -262,33 +264,33 @@ def times_of(
     """
     if time is not None:
         return time, _seconds(fields[time.field], time, path), []
-    named = time_names(list(fields))
-    readable = {name: _values(fields[name]) for name in named}
+    candidates = time_names(list(fields))
+    readable = {name: _values(fields[name]) for name in candidates}
     name = next((n for n, v in readable.items() if v is not None and _increases(v)), None)
     findings = []
     if name is None:
-        unnamed = {n: v for n, v in fields.items() if n not in named}
-        clock = _written_times(unnamed)
-        name = clock or _even_column(unnamed)
+        other_columns = {n: v for n, v in fields.items() if n not in candidates}
+        clock = _text_time_column(other_columns)
+        name = clock or _even_column(other_columns)
         if name is not None:
             reason = "holds increasing times of day" if clock else "has equal steps"
             text = f"{name} {reason} and is taken for the time: no column is named as one"
             mend = f'[signals.time_s]\nfield = "{name}"' + ("" if clock else '\nunit = "s"')
             findings.append(Finding("time-column", "time_s", "warning", text, {}, "", mend))
             readable[name] = _values(fields[name])
-    if name is None and named:
-        name = named[0]
+    if name is None and candidates:
+        name = candidates[0]
         if readable[name] is None:
             row = str(fields[name][0])[:40]
             raise LogError(
                 f"the time column {name} holds text that is no time ('{row}'); name another one:"
-                ' [signals.time_s] field = "..." unit = "s"; ' + listed(list(fields)),
+                ' [signals.time_s] field = "..." unit = "s"; ' + columns_message(list(fields)),
                 path,
             )
     if name is None:
         raise LogError(
             'no time column; name it in a map ([signals.time_s] field = "..." unit = "s", ms, us'
-            f" or ns; times like 2024-05-01T12:00:00.02 need no unit); {listed(list(fields))}",
+            f" or ns; times like 2024-05-01T12:00:00.02 need no unit); {columns_message(list(fields))}",
             path,
         )
     values = readable[name]
@@ -348,16 +350,16 @@ def _values(values: NDArray[Any]) -> FloatArray | None:
 
 
 def _increases(values: FloatArray) -> bool:
-    good = values[np.isfinite(values)]
-    steps = np.diff(good)
-    if not np.any(steps > 0.0) or float(np.mean(steps >= 0.0)) <= _INCREASING:
+    finite = values[np.isfinite(values)]
+    steps = np.diff(finite)
+    if not np.any(steps > 0.0) or float(np.mean(steps >= 0.0)) <= _MIN_INCREASING:
         return False
     # Single damaged stamps are left out later, but a clock that begins again and again does not get
     # on.
-    return float(good[-1] - good[0]) > 0.4 * steps.size * float(np.median(steps))
+    return float(finite[-1] - finite[0]) > 0.4 * steps.size * float(np.median(steps))
 
 
-def _written_times(fields: Mapping[str, NDArray[Any]]) -> str | None:
+def _text_time_column(fields: Mapping[str, NDArray[Any]]) -> str | None:
     """The one column of text that reads as increasing times; None for none or several."""
     texts = {n: v for n, v in fields.items() if v.dtype == object and len(v) >= 10}
     times = [
@@ -368,21 +370,21 @@ def _written_times(fields: Mapping[str, NDArray[Any]]) -> str | None:
 
 def _even_column(fields: Mapping[str, NDArray[Any]]) -> str | None:
     """The one column whose steps are all alike and forward; None for none or several."""
-    even = []
+    even_columns = []
     for name, values in fields.items():
         if values.dtype == object or len(values) < 10:
             continue
         steps = np.diff(values)
         middle = float(np.median(steps))
-        if middle > 0.0 and bool(np.all(np.abs(steps - middle) < _EVEN * middle)):
-            even.append(name)
-    return even[0] if len(even) == 1 else None
+        if middle > 0.0 and bool(np.all(np.abs(steps - middle) < _EVEN_TOLERANCE * middle)):
+            even_columns.append(name)
+    return even_columns[0] if len(even_columns) == 1 else None
 
 
 _METADATA_KEY = b"flight_record"
 _CSV_MARK = "# flight_record"
 _MESSAGE = "csv"
-_ROWS_LOOKED_AT = 100
+_CHECKED_ROWS = 100
 _QUOTED = re.compile(rb'"[^"]*"')
 # Suffix of a JSBSim property -> factor into SI. Angles keep the suffix's unit (a map's scale turns
 # them).
@@ -420,7 +422,7 @@ def si_factor(name: str) -> float:
 
 def read_csv(
     path: Path,
-    wanted: FieldSelection | None = None,
+    selection: FieldSelection | None = None,
     jsbsim: bool = False,
     time: TimeColumn | None = None,
 ) -> RawLog:
@@ -430,67 +432,79 @@ def read_csv(
     jsbsim  property names lose a leading /fdm/jsbsim/ and are turned into SI by their suffix
     time    the column of times, as a map names it; None to recognise it
     """
-    written = _check_csv(path)
-    with _readable("CSV table", path):
+    table_format = _check_csv(path)
+    with _as_log_error("CSV table", path):
         # All columns, for pandas says nothing of lines that are too long when it is to leave some
         # out.
-        frame = pd.read_csv(path, **_options(written, path))
+        frame = pd.read_csv(path, **_pandas_options(table_format, path))
     names = [_plain(name, jsbsim) for name in frame.columns]
-    kept = _kept(names, wanted, time, path)
+    columns_read = _columns_to_read(names, selection, time, path)
     columns = [(name, frame.iloc[:, k]) for k, name in enumerate(names)]
-    first_line = 2 if written is None else written.first_row_line + 1
+    first_line = 2 if table_format is None else table_format.first_row_line + 1
     table = _from_columns(
-        columns, len(frame), path, kept=kept, jsbsim=jsbsim, time=time, line=first_line
+        columns,
+        len(frame),
+        path,
+        columns_read=columns_read,
+        jsbsim=jsbsim,
+        time=time,
+        line=first_line,
     )
-    units = {} if written is None or not written.units else _facts_of_units(names, written.units)
+    units = (
+        {}
+        if table_format is None or not table_format.units
+        else _facts_of_units(names, table_format.units)
+    )
     return replace(table, facts={**table.facts, "columns": "\n".join(names), **units})
 
 
 def read_parquet(
     path: Path,
-    wanted: FieldSelection | None = None,
-    most_bytes: int | None = None,
+    selection: FieldSelection | None = None,
+    max_bytes: int | None = None,
     time: TimeColumn | None = None,
 ) -> RawLog:
-    """As `read_csv`, for Parquet; `most_bytes` of memory may be asked for."""
+    """As `read_csv`, for Parquet; `max_bytes` of memory may be asked for."""
     with open_regular(path) as handle:
         file = _opened(handle, path)
         names = [str(name).strip() for name in file.schema_arrow.names]
-        kept = _kept(names, wanted, time, path)
+        columns_read = _columns_to_read(names, selection, time, path)
         chosen = [
             (name, column)
             for name, column in zip(names, file.schema_arrow.names, strict=True)
-            if name in kept
+            if name in columns_read
         ]
-        columns = _read_columns(file, [column for _, column in chosen], path, most_bytes)
-        named = [(name, values) for (name, _), values in zip(chosen, columns, strict=True)]
-        table = _from_columns(named, file.metadata.num_rows, path, time=time)
+        columns = _read_columns(file, [column for _, column in chosen], path, max_bytes)
+        named_columns = [(name, values) for (name, _), values in zip(chosen, columns, strict=True)]
+        table = _from_columns(named_columns, file.metadata.num_rows, path, time=time)
         return replace(table, facts={**table.facts, "columns": "\n".join(names)})
 
 
-def _options(written: TableFormat | None, path: Path) -> dict[str, Any]:
+def _pandas_options(table_format: TableFormat | None, path: Path) -> dict[str, Any]:
     """Arguments of pandas' read_csv for a table that is written so."""
-    if written is None:
+    if table_format is None:
         return {"comment": "#", "skipinitialspace": True, "low_memory": False}
-    unit_line = [written.header_line + 1] if written.units else []
+    unit_line = [table_format.header_line + 1] if table_format.units else []
     # A number sign within a name or a cell is no comment; one at the beginning of a later line is.
-    comments = not any("#" in name for name in written.names) and _has_comments(path, written)
+    comments = not any("#" in name for name in table_format.names) and _has_comments(
+        path, table_format
+    )
     return {
-        "sep": r"\s+" if written.separator == " " else written.separator,
-        "decimal": written.decimal,
-        "encoding": written.encoding,
-        "skiprows": [*range(written.header_line), *unit_line],
+        "sep": r"\s+" if table_format.separator == " " else table_format.separator,
+        "decimal": table_format.decimal,
+        "encoding": table_format.encoding,
+        "skiprows": [*range(table_format.header_line), *unit_line],
         "comment": "#" if comments else None,
         "skipinitialspace": True,
         "low_memory": False,
-        **({"index_col": False} if written.trailing else {}),
+        **({"index_col": False} if table_format.trailing else {}),
     }
 
 
-def _has_comments(path: Path, written: TableFormat) -> bool:
+def _has_comments(path: Path, table_format: TableFormat) -> bool:
     """Whether a line below the names begins with a number sign."""
     with open_regular(path) as handle:
-        for _ in range(written.first_row_line):
+        for _ in range(table_format.first_row_line):
             handle.readline(MAX_COMMENT_BYTES + 1)
         last = b"\n"
         while block := handle.read(1 << 20):
@@ -504,14 +518,14 @@ def _facts_of_units(names: Sequence[str], units: Sequence[str]) -> dict[str, str
     return {f"unit {name}": unit for name, unit in zip(names, units, strict=False) if unit}
 
 
-def read_record(path: Path, most_bytes: int | None = None) -> tuple[dict[str, NDArray[Any]], str]:
+def read_record(path: Path, max_bytes: int | None = None) -> tuple[dict[str, NDArray[Any]], str]:
     """Columns and metadata (JSON) of a flight record, recognised by content.
 
     Raises LogError naming file and column.
     """
     with open_regular(path) as handle:
         packed = handle.read(4) == b"PAR1"
-    columns, metadata = _record_parquet(path, most_bytes) if packed else _record_csv(path)
+    columns, metadata = _record_parquet(path, max_bytes) if packed else _record_csv(path)
     columns = with_air_data(columns)
     if not len(next(iter(columns.values()), ())):
         raise LogError("it has a header and no rows; write the record again", path)
@@ -524,14 +538,14 @@ def read_small_table(path: Path) -> dict[str, NDArray[Any]]:
     Raises LogError.
     """
     _check_csv(path)
-    with _readable("CSV table", path):
+    with _as_log_error("CSV table", path):
         frame = pd.read_csv(path, dtype={"manoeuvre": str, "flight": str})
     return {str(name): _plain_values(frame[name]) for name in frame.columns}
 
 
 def _record_csv(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
-    options = _options(_check_csv(path), path)
-    with _readable("flight record", path):
+    options = _pandas_options(_check_csv(path), path)
+    with _as_log_error("flight record", path):
         with path.open(encoding=options.get("encoding", "utf-8")) as handle:
             first = handle.readline()
         metadata = first.removeprefix(_CSV_MARK).strip() if first.startswith(_CSV_MARK) else ""
@@ -549,16 +563,14 @@ def _record_csv(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
     }, metadata
 
 
-def _record_parquet(path: Path, most_bytes: int | None) -> tuple[dict[str, NDArray[Any]], str]:
+def _record_parquet(path: Path, max_bytes: int | None) -> tuple[dict[str, NDArray[Any]], str]:
     with open_regular(path) as handle:
         file = _opened(handle, path)
         names = file.schema_arrow.names
         _refuse_unknown(names, path)
         columns = {
             name: _record_column(values, name, path)
-            for name, values in zip(
-                names, _read_columns(file, names, path, most_bytes), strict=True
-            )
+            for name, values in zip(names, _read_columns(file, names, path, max_bytes), strict=True)
         }
         return columns, (file.schema_arrow.metadata or {}).get(_METADATA_KEY, b"").decode(
             "utf-8", "replace"
@@ -571,7 +583,7 @@ def _refuse_unknown(names: Sequence[Any], path: Path) -> None:
     if unknown is not None:
         raise LogError(
             f"unknown column '{str(unknown)[:80]}': a table without a map has columns of the"
-            f" vocabulary alone ({', '.join(SIGNALS)}); {listed(names)}",
+            f" vocabulary alone ({', '.join(SIGNALS)}); {columns_message(names)}",
             path,
         )
 
@@ -579,9 +591,9 @@ def _refuse_unknown(names: Sequence[Any], path: Path) -> None:
 def _record_column(series: pd.Series, name: str, path: Path) -> NDArray[Any]:
     if name in LABELS:
         return series.fillna("").astype(str).to_numpy(dtype=object)
-    numbers, bad = _numbers(series)
-    if bool(bad.any()):
-        row = int(np.argmax(bad))
+    numbers, is_text = _numbers(series)
+    if bool(is_text.any()):
+        row = int(np.argmax(is_text))
         raise LogError(
             f"column {name} holds '{series.iloc[row]}', which is not a number",
             path,
@@ -608,7 +620,7 @@ def _numbers(series: pd.Series) -> tuple[NDArray[np.float64], NDArray[np.bool_]]
 
 
 @contextmanager
-def _readable(kind: str, path: Path) -> Iterator[None]:
+def _as_log_error(kind: str, path: Path) -> Iterator[None]:
     """What a library raises for damage, as a LogError.
 
     Want of memory is told otherwise: see `limited`.
@@ -626,8 +638,8 @@ def _readable(kind: str, path: Path) -> Iterator[None]:
         OverflowError,
         RecursionError,
     ) as error:
-        why = one_line(error)
-        raise LogError(f"not a readable {kind} ({type(error).__name__}: {why})", path) from None
+        reason = one_line(error)
+        raise LogError(f"not a readable {kind} ({type(error).__name__}: {reason})", path) from None
 
 
 def _check_csv(path: Path) -> TableFormat | None:
@@ -636,18 +648,18 @@ def _check_csv(path: Path) -> TableFormat | None:
     Raises LogError for a table that is wider, or whose lines are longer, than any flight's, and for
     one whose cells would fill the memory."""
     with open_regular(path) as handle:
-        written = sniff(handle.read(SNIFFED_BYTES))
+        table_format = sniff(handle.read(SNIFFED_BYTES))
         handle.seek(0)
-        separator = b"," if written is None else written.separator.encode()
-        header = 0 if written is None else written.header_line
+        separator = b"," if table_format is None else table_format.separator.encode()
+        header = 0 if table_format is None else table_format.header_line
         columns = number = rows_seen = 0
         cells: dict[int, int] = {}
-        while rows_seen < _ROWS_LOOKED_AT and (line := handle.readline(MAX_COMMENT_BYTES + 1)):
+        while rows_seen < _CHECKED_ROWS and (line := handle.readline(MAX_COMMENT_BYTES + 1)):
             number += 1
-            most = MAX_COMMENT_BYTES if line.startswith(b"#") else MAX_LINE_BYTES
-            if len(line) > most:
+            max_bytes = MAX_COMMENT_BYTES if line.startswith(b"#") else MAX_LINE_BYTES
+            if len(line) > max_bytes:
                 raise LogError(
-                    f"has more than {in_words(most)}; a table's lines are shorter",
+                    f"has more than {in_words(max_bytes)}; a table's lines are shorter",
                     path,
                     f"line {number}",
                 )
@@ -659,12 +671,12 @@ def _check_csv(path: Path) -> TableFormat | None:
                     cells[number] = _QUOTED.sub(b"", line).count(separator) + 1
         if columns > MAX_COLUMNS:
             raise LogError(f"has {columns} columns; at most {MAX_COLUMNS} are read", path)
-        (_, named), (first, found) = [*cells.items(), (0, 0), (0, 0)][:2]
-        if found > named:
+        (_, header_cells), (first, row_cells) = [*cells.items(), (0, 0), (0, 0)][:2]
+        if row_cells > header_cells:
             # The reader would take what is too much for names of rows, and every column for its
             # neighbour.
             raise LogError(
-                f"has {found} cells, the header {named}; give every column a name",
+                f"has {row_cells} cells, the header {header_cells}; give every column a name",
                 path,
                 f"line {first}",
             )
@@ -676,12 +688,12 @@ def _check_csv(path: Path) -> TableFormat | None:
     needed, allowed = 8 * rows * columns, LIMITS["csv"].bytes(size) // 2
     if needed > allowed:
         raise LogError(memory_refusal(f"{rows} lines of {columns} columns", needed, allowed), path)
-    return written
+    return table_format
 
 
 def _opened(handle: Any, path: Path) -> pq.ParquetFile:
     """The file with its texts as dictionaries: what repeats is held once."""
-    with _readable("Parquet file", path):
+    with _as_log_error("Parquet file", path):
         schema = pq.read_schema(handle)
         if len(schema.names) > MAX_COLUMNS:
             raise LogError(f"has {len(schema.names)} columns; at most {MAX_COLUMNS} are read", path)
@@ -697,12 +709,12 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _read_columns(
-    file: pq.ParquetFile, names: Sequence[str], path: Path, most_bytes: int | None
+    file: pq.ParquetFile, names: Sequence[str], path: Path, max_bytes: int | None
 ) -> Iterator[pd.Series]:
     """One column after another, so that packed and unpacked are never both there as a whole."""
-    twice = next((name for name in names if file.schema_arrow.names.count(name) > 1), None)
-    if twice is not None:
-        raise LogError(f"has several columns '{twice}'; export it with one", path)
+    duplicate = next((name for name in names if file.schema_arrow.names.count(name) > 1), None)
+    if duplicate is not None:
+        raise LogError(f"has several columns '{duplicate}'; export it with one", path)
     for name in names:
         kind = file.schema_arrow.field(name).type
         if pa.types.is_nested(kind):
@@ -712,14 +724,14 @@ def _read_columns(
     rows = file.metadata.num_rows
     needed, allowed = (
         8 * rows * len(names),
-        (LIMITS["parquet"].bytes(0) if most_bytes is None else most_bytes) // 2,
+        (LIMITS["parquet"].bytes(0) if max_bytes is None else max_bytes) // 2,
     )
     if needed > allowed:
         raise LogError(
             memory_refusal(f"{rows} rows of {len(names)} columns", needed, allowed), path
         )
     for name in names:
-        with _readable("Parquet file", path):
+        with _as_log_error("Parquet file", path):
             column = file.read(columns=[name], use_threads=False).column(name)
             if len(column) != rows:
                 raise LogError(
@@ -750,20 +762,21 @@ def _plain(name: Any, jsbsim: bool) -> str:
     return text.removeprefix("/fdm/jsbsim/") if jsbsim else text
 
 
-def _kept(
-    names: Sequence[str], wanted: FieldSelection | None, time: TimeColumn | None, path: Path
+def _columns_to_read(
+    names: Sequence[str], selection: FieldSelection | None, time: TimeColumn | None, path: Path
 ) -> set[str]:
     """The names that are to be read. Raises LogError where there can be no time."""
     if time is not None:
         if time.field not in names:
             raise LogError(
-                f"no column '{time.field}', which [signals.time_s] names; {listed(names)}", path
+                f"no column '{time.field}', which [signals.time_s] names; {columns_message(names)}",
+                path,
             )
         times = [time.field]
     else:
         times = time_names(names)
     # Where no name is a time's, its numbers have to show which it is.
-    return set(names) if wanted is None or not times else {*times, *wanted.get(_MESSAGE, ())}
+    return set(names) if selection is None or not times else {*times, *selection.get(_MESSAGE, ())}
 
 
 def _from_columns(
@@ -771,7 +784,7 @@ def _from_columns(
     rows: int,
     path: Path,
     *,
-    kept: set[str] | None = None,
+    columns_read: set[str] | None = None,
     jsbsim: bool = False,
     time: TimeColumn | None = None,
     line: int = 2,
@@ -786,15 +799,15 @@ def _from_columns(
     fields: dict[str, NDArray[Any]] = {}
     findings = []
     for name, series in columns:
-        numbers, wrong = _numbers(series)
-        bad = int(wrong.sum())
-        if bad == rows or (bad and bad > rows // 2):
+        numbers, is_text = _numbers(series)
+        text_cells = int(is_text.sum())
+        if text_cells == rows or (text_cells and text_cells > rows // 2):
             fields[name] = series.astype(str).to_numpy(dtype=object)
             continue
-        if bad and (kept is None or name in kept):
-            row = int(np.argmax(wrong)) + line
+        if text_cells and (columns_read is None or name in columns_read):
+            row = int(np.argmax(is_text)) + line
             text = (
-                f"{bad} cells of column {name} are no numbers (the first,"
+                f"{text_cells} cells of column {name} are no numbers (the first,"
                 f" '{series.iloc[row - line]!s:.40}', in line {row}); they count as dropouts"
             )
             findings.append(
@@ -803,23 +816,25 @@ def _from_columns(
                     name,
                     "warning",
                     text,
-                    {"cells": float(bad), "line": float(row)},
+                    {"cells": float(text_cells), "line": float(row)},
                 )
             )
         fields[name] = numbers * (si_factor(name) if jsbsim else 1.0)
-    column, time_s, about_time = times_of(fields, time, path)
+    column, time_s, time_findings = times_of(fields, time, path)
     del fields[column.field]
-    good = np.isfinite(time_s)
-    if good.sum() < 2:
+    has_time = np.isfinite(time_s)
+    if has_time.sum() < 2:
         raise LogError(f"the time column {column.field} holds fewer than two numbers", path)
-    fields = {n: v[good] for n, v in fields.items() if kept is None or n in kept}
+    fields = {
+        n: v[has_time] for n, v in fields.items() if columns_read is None or n in columns_read
+    }
     dialect = "jsbsim-csv" if jsbsim else "csv"
-    table = MessageTable(time_s[good], fields)
+    table = MessageTable(time_s[has_time], fields)
     return RawLog(
         dialect,
         {(_MESSAGE, 0): table},
         {_MESSAGE: rows},
         vehicle="JSBSim" if jsbsim else "",
-        findings=(*about_time, *findings),
+        findings=(*time_findings, *findings),
         facts={"time column": column.field, "time unit": column.unit},
     )

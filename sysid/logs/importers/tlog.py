@@ -58,17 +58,17 @@ _BOOT_FIELDS = (("time_boot_ms", 1e-3), ("time_usec", 1e-6), ("time_us", 1e-6))
 
 
 class _Tlog:
-    def __init__(self, wanted: FieldSelection | None) -> None:
+    def __init__(self, selection: FieldSelection | None) -> None:
         # `mavlink.mavlink_map` is keyed by packet number; MAVLink classes know their fields.
-        everything = {cls.msgname: number for number, cls in mavlink.mavlink_map.items()}
-        names = set(everything if wanted is None else wanted) | {
+        packet_numbers = {cls.msgname: number for number, cls in mavlink.mavlink_map.items()}
+        names = set(packet_numbers if selection is None else selection) | {
             "HEARTBEAT",
             "STATUSTEXT",
             "PARAM_VALUE",
         }
-        self.wanted = wanted
-        self.names = {everything[n]: n for n in names if n in everything}
-        self.all_names = {number: n for n, number in everything.items()}
+        self.wanted = selection
+        self.names = {packet_numbers[n]: n for n in names if n in packet_numbers}
+        self.all_names = {number: n for n, number in packet_numbers.items()}
         self.parser = mavlink.MAVLink(None)
         self.receipt: dict[str, array[float]] = defaultdict(lambda: array("d"))
         self.place: dict[str, array[float]] = defaultdict(lambda: array("d"))
@@ -158,22 +158,22 @@ class _Tlog:
 
 
 def read(
-    path: Path, wanted: FieldSelection | None = None, progress: ProgressCallback | None = None
+    path: Path, selection: FieldSelection | None = None, callback: ProgressCallback | None = None
 ) -> RawLog:
     """Read a .tlog; message times are the vehicle's own (time since boot) where a message carries
     one, otherwise between those of the messages before and behind it in the file: radios deliver in
     bursts. Raises LogError when no packet can be read."""
-    state = _Tlog(wanted)
-    rest, done = b"", 0
+    state = _Tlog(selection)
+    unread, done = b"", 0
     with open_regular(path) as handle:
         size = max(1, os.fstat(handle.fileno()).st_size)
         while True:
             fresh = handle.read(BLOCK_BYTES)
-            data = rest + fresh
+            data = unread + fresh
             used = state.block(data, last=not fresh)
-            rest, done = data[used:], done + used
-            if progress is not None:
-                progress(done / size)
+            unread, done = data[used:], done + used
+            if callback is not None:
+                callback(done / size)
             if not fresh:
                 break
     if not state.receipt:
@@ -280,9 +280,11 @@ def _vehicle_clock(
     """
     place, stamp = [], []
     for s in streams.values():
-        good = np.isfinite(s.boot_s) & (np.abs(s.boot_s - (s.receipt_s - offset)) < _SAME_CLOCK_S)
-        place.append(s.place[good].astype(np.float64))
-        stamp.append(s.boot_s[good])
+        on_clock = np.isfinite(s.boot_s) & (
+            np.abs(s.boot_s - (s.receipt_s - offset)) < _SAME_CLOCK_S
+        )
+        place.append(s.place[on_clock].astype(np.float64))
+        stamp.append(s.boot_s[on_clock])
     at, when = np.concatenate(place), np.concatenate(stamp)
     order = np.argsort(at, kind="stable")
     at, when = at[order], np.maximum.accumulate(when[order]) if len(when) else when

@@ -43,7 +43,7 @@ _PART = 1 << 40  # places of one part of a file with several logs; no log has as
 
 
 def read(
-    path: Path, wanted: FieldSelection | None = None, progress: ProgressCallback | None = None
+    path: Path, selection: FieldSelection | None = None, callback: ProgressCallback | None = None
 ) -> RawLog:
     """Read a ULog file. Raises LogError when pyulog cannot make sense of it or nothing useful is
     inside.
@@ -54,13 +54,15 @@ def read(
             handle.seek(0)
             content = handle.read()
     if len(starts) == 1:
-        raw = _read(partial(open_regular, path), path, wanted, 0)
+        raw = _read(partial(open_regular, path), path, selection, 0)
     else:
         ends = [*starts[1:], len(content)]
         parts = [content[start:end] for start, end in zip(starts, ends, strict=True)]
-        raw = _joined([_read(partial(io.BytesIO, p), path, wanted, n) for n, p in enumerate(parts)])
-    if progress is not None:
-        progress(1.0)
+        raw = _concatenate_logs(
+            [_read(partial(io.BytesIO, p), path, selection, n) for n, p in enumerate(parts)]
+        )
+    if callback is not None:
+        callback(1.0)
     if not raw.messages:
         raise LogError(
             "no topic with flight data could be read; the log holds nothing this importer knows",
@@ -81,30 +83,30 @@ def _headers(handle: BinaryIO) -> list[int]:
             if base + at > 0 and kind in (b"B", b"F", b"I", b"P") and base + at not in starts:
                 starts.append(base + at)
             at = data.find(_MAGIC, at + 1)
-        kept = min(len(data), 2 * _HEADER_BYTES)
-        base, tail = base + len(data) - kept, data[len(data) - kept :]
+        overlap = min(len(data), 2 * _HEADER_BYTES)
+        base, tail = base + len(data) - overlap, data[len(data) - overlap :]
     return starts
 
 
 def _read(
-    opened: Callable[[], BinaryIO], path: Path, wanted: FieldSelection | None, number: int
+    open_log: Callable[[], BinaryIO], path: Path, selection: FieldSelection | None, number: int
 ) -> RawLog:
-    """One log of a file, opened by ``opened``; ``number`` counts the logs before it."""
+    """One log of a file, opened by ``open_log``; ``number`` counts the logs before it."""
     chatter = io.StringIO()
-    names = None if wanted is None else sorted(wanted)
+    names = None if selection is None else sorted(selection)
     try:
         # pyulog prints what it finds corrupt; it belongs into the findings, not onto the terminal.
         # Given an open file, since pyulog leaves a file open that it opened itself and could not
         # read.
         with contextlib.redirect_stdout(chatter), np.errstate(all="ignore"):
-            with opened() as handle:
+            with open_log() as handle:
                 log = ULog(handle, names, disable_str_exceptions=True)
             stamps = [d.data["timestamp"] for d in log.data_list if "timestamp" in d.data]
             places = {}
             if any(_steps_back(stamp) for stamp in stamps):
                 # Only then the order of records over all topics is needed, and the file is read
                 # again.
-                with opened() as handle:
+                with open_log() as handle:
                     ordered = _OrderedULog(handle, names, disable_str_exceptions=True)
                 places = {k: np.array(v, dtype=np.int64) for k, v in ordered.places.items()}
     except MemoryError:
@@ -150,7 +152,7 @@ def _read(
     )
 
 
-def _joined(parts: list[RawLog]) -> RawLog:
+def _concatenate_logs(parts: list[RawLog]) -> RawLog:
     """Several logs of one file as one, in which places keep them apart."""
     messages: dict[tuple[str, int], MessageTable] = {}
     for key in dict.fromkeys(key for part in parts for key in part.messages):
@@ -238,15 +240,15 @@ def _vehicle(log: ULog, messages: dict[tuple[str, int], MessageTable]) -> str:
 def _findings(log: ULog, chatter: str) -> list[Finding]:
     out = []
     if log.dropouts:
-        lost = sum(d.duration for d in log.dropouts) * 1e-3
-        text = f"the logger reports {len(log.dropouts)} dropouts, {lost:.2f} s together"
+        lost_s = sum(d.duration for d in log.dropouts) * 1e-3
+        text = f"the logger reports {len(log.dropouts)} dropouts, {lost_s:.2f} s together"
         out.append(
             Finding(
                 "logger-dropouts",
                 "",
                 "warning",
                 text,
-                {"count": float(len(log.dropouts)), "seconds": lost},
+                {"count": float(len(log.dropouts)), "seconds": lost_s},
             )
         )
     if log.file_corruption:
