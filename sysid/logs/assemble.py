@@ -1,8 +1,9 @@
-"""RawLog + signal map + airframe card -> FlightRecord on one grid. Pure: no files are touched here.
+"""Assemble a flight record from a raw log, a signal map and an airframe card.
 
-The grid is uniform at the usual rate of the fastest of the rate and acceleration channels (for
-tables: their own times). Commands are held onto it, everything else is interpolated, nothing across
-a gap."""
+The grid is uniform at the rate of the fastest rate or acceleration channel; tables keep their own
+times. Commands are held onto the grid, all other signals are interpolated, and nothing is bridged
+across a gap. `bridge` fills short dropouts of a finished record. No files are read here.
+"""
 
 from __future__ import annotations
 
@@ -48,17 +49,34 @@ def assemble(
     sha256: str = "",
     run_checks: bool = True,
 ) -> FlightRecord:
-    """Build the record of a whole log, with everything the checks found in its metadata.
+    """Build the record of a whole log, with the findings of all checks in its metadata.
 
-    judged  False leaves the checks of the finished record out; `with_checks` makes up for it
-    Raises LogError when the log has none of the channels a record is made of.
+    Parameters
+    ----------
+    raw : RawLog
+        Content of the log.
+    signal_map : SignalMap
+        Sources of the signals.
+    card : AirframeCard or None
+        Servo tables; without a card no surface deflection can be computed from servo outputs.
+    source, sha256 : str
+        File name and digest, for the metadata.
+    run_checks : bool
+        False leaves out the checks of the finished record; `with_checks` adds them.
+
+    Raises
+    ------
+    LogError
+        If the log has none of the channels that a record is made of.
     """
+    # A copy whose messages are dropped one by one as the record grows.
     raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
     sensors = Sensors(raw, signal_map.sensors)
     start = _start(raw, sensors)
     loiters = loiter_commands(raw, start)
     times = Times(raw)
     servos, servo_controls, findings = _servo_channels(raw, signal_map.servos, card, times)
+    # Each signal has a function that makes its channel: a log field, else a servo output.
     sources: dict[str, Callable[[], Channel | None]] = {
         name: partial(resolve, raw, name, candidates, times, sensors)
         for name, candidates in signal_map.entries.items()
@@ -73,8 +91,8 @@ def assemble(
     mode_changes = np.array([])
     last_use = _last_use(signal_map)
     for name in SIGNALS:
-        # One channel at a time, and what no later one needs is dropped: a big log must not be in
-        # memory as messages, channels and columns all at once.
+        # Make one channel at a time and drop messages that no later one needs: a large log must
+        # not be in memory as messages, channels and columns together.
         channel = sources[name]() if name in sources else None
         _drop(raw, last_use.get(name, ()))  # the channel holds its own copy
         if channel is None:
@@ -89,6 +107,7 @@ def assemble(
     labels = _manoeuvres(raw, grid)
     if labels is not None:
         columns["manoeuvre"] = labels
+    # Angles that count turns are put on one turn; they were not out of range.
     wrapped = wrap_angles(columns)
     columns.update(wrapped)
     findings = [f for f in findings if f.code != "out-of-range" or f.channel not in wrapped]
@@ -111,6 +130,7 @@ def assemble(
     )
     record = FlightRecord(columns, meta)
     findings += sensors.findings()
+    # A sensor may stand still on the ground.
     findings = [f for f in findings if f.code != "stuck" or _in_flight(f, phase.free_s)]
     findings = [
         *raw.findings,
@@ -128,7 +148,7 @@ def assemble(
 
 
 def with_checks(record: FlightRecord) -> FlightRecord:
-    """Add what the checks find in a record of `assemble`."""
+    """Add the findings of the record checks to a record of `assemble`."""
     meta = record.metadata
     fresh = check_record(record, next(iter(meta.free_flight_s), None))
     findings = one_per_cause([*meta.findings, *fresh])
@@ -139,9 +159,7 @@ def with_checks(record: FlightRecord) -> FlightRecord:
 
 
 def _in_flight(finding: Finding, free_s: tuple[float, float] | None) -> bool:
-    """Whether what the finding is about lasted in free flight; on the ground a sensor may stand
-    still.
-    """
+    """Return whether the span of a finding overlaps free flight."""
     return (
         free_s is not None
         and finding.numbers["start_s"] < free_s[1]
@@ -152,15 +170,13 @@ def _in_flight(finding: Finding, free_s: tuple[float, float] | None) -> bool:
 def _first_of(
     from_message: Callable[[], Channel | None] | None, from_servo: Callable[[], Channel | None]
 ) -> Channel | None:
-    """A surface's own message if the log carries it, else what its servo output says."""
+    """Return the channel of a surface's own message, else that of its servo output."""
     channel = from_message() if from_message is not None else None
     return channel if channel is not None else from_servo()
 
 
 def _last_use(signal_map: SignalMap) -> dict[str, list[str]]:
-    """signal -> messages that no later signal of the vocabulary's order may need (servo outputs
-    stay).
-    """
+    """Return signal to messages that no later signal needs; servo outputs are never listed."""
     last: dict[str, str] = {}
     for name in SIGNALS:
         for entry in signal_map.entries.get(name, ()):
@@ -179,6 +195,7 @@ def _last_use(signal_map: SignalMap) -> dict[str, list[str]]:
 
 
 def _drop(raw: RawLog, messages: Iterable[str]) -> None:
+    """Delete messages from the log, to free memory."""
     remaining = raw.messages
     assert isinstance(remaining, dict)
     for key in [k for k in remaining if k[0] in messages]:
@@ -188,6 +205,9 @@ def _drop(raw: RawLog, messages: Iterable[str]) -> None:
 def _grid(
     raw: RawLog, sources: Mapping[str, Callable[[], Channel | None]], signal_map: SignalMap
 ) -> FloatArray:
+    """Return the grid times: those of a table, or a uniform grid at the rate of the fastest
+    channel.
+    """
     best: Channel | None = None
     for names in (_GRID_CHANNELS, tuple(n for n in SIGNALS if n not in (*_GRID_CHANNELS, "mode"))):
         for name in names:
@@ -204,22 +224,21 @@ def _grid(
     if not np.isfinite(step) or step <= 0:
         raise LogError("no channel has two samples; the log is too short to use")
     span = best.time_s[-1] - best.time_s[0]
-    # Gaps become rows: a few stamps a microsecond apart and far from the others would ask for any
-    # amount of memory.
+    # Gaps become rows of NaN. A few stamps that are a microsecond apart and far from the others
+    # would otherwise fill the memory.
     max_rows = min(_MAX_ROWS, _MIN_ROW_LIMIT + _ROWS_PER_SAMPLE * len(best.time_s))
     if span / step > max_rows:
         raise LogError(
-            f"{span:.0f} s at {1 / step:.0f} Hz would be more than {max_rows} rows; cut the log into"
-            " parts or correct its times"
+            f"{span:.0f} s at {1 / step:.0f} Hz would be more than {max_rows} rows; cut the log"
+            " into parts or correct its times"
         )
-    # Stamps jitter by microseconds: a step of a round number of microseconds keeps the grid on the
-    # samples.
+    # Stamps jitter by microseconds; a step of whole microseconds keeps the grid on the samples.
     step = round(step, 6) or step
     return np.round(best.time_s[0] + step * np.arange(int(np.floor(span / step + 0.25)) + 1), 9)
 
 
 def _no_signal(raw: RawLog, signal_map: SignalMap) -> str:
-    """Why no signal of the map could be made from the log, and what to do."""
+    """Return why no signal of the map is in the log, and what to do."""
     for (message, _), table in raw.messages.items():
         mapped = {
             f
@@ -247,6 +266,7 @@ def _no_signal(raw: RawLog, signal_map: SignalMap) -> str:
 
 
 def _on_grid(c: Channel, grid: FloatArray) -> NDArray[Any]:
+    """Put a channel on the grid by the method of its kind."""
     if c.name == "mode":
         at = np.searchsorted(c.time_s, grid, side="right") - 1
         return np.where(at >= 0, c.values[np.maximum(at, 0)], np.nan)
@@ -260,8 +280,10 @@ def _on_grid(c: Channel, grid: FloatArray) -> NDArray[Any]:
 
 
 def _interpolate_angle(name: str, c: Channel, grid: FloatArray) -> FloatArray:
+    """Interpolate an angle on the circle; NaN where the samples are NaN."""
     sine = interpolate(c.time_s, np.sin(c.values), c.clean.gaps, grid)
     is_finite = np.isfinite(c.values)
+    # Unwrap, interpolate, and wrap again onto the turn of the vocabulary.
     turned = c.values.copy()
     turned[is_finite] = np.unwrap(c.values[is_finite])
     out = interpolate(c.time_s, turned, c.clean.gaps, grid)
@@ -272,6 +294,7 @@ def _interpolate_angle(name: str, c: Channel, grid: FloatArray) -> FloatArray:
 def _servo_channels(
     raw: RawLog, outputs: ServoOutputs | None, card: AirframeCard | None, times: Times
 ) -> tuple[dict[str, Callable[[], Channel | None]], dict[str, Control], list[Finding]]:
+    """Return the functions that make channels from servo outputs, their controls and findings."""
     if outputs is None or (outputs.message, outputs.instance) not in raw.messages:
         return {}, {}, []
     key = (outputs.message, outputs.instance)
@@ -297,9 +320,7 @@ def _servo_channels(
 def _servo_tables(
     servo_controls: Mapping[str, Control], labels: Mapping[str, str]
 ) -> list[Finding]:
-    """Which tables were used and where they are from, of the columns that were made from servo
-    outputs.
-    """
+    """Return findings on the servo tables that were used and on conflicts between card and log."""
     used = [c for n, c in servo_controls.items() if labels.get(n, "").endswith(c.label)]
     descriptions, conflicts = (
         "; ".join(filter(None, parts))
@@ -315,6 +336,7 @@ def _servo_tables(
 def _servo_channel(
     raw: RawLog, outputs: ServoOutputs, times: Times, name: str, control: Control
 ) -> Channel | None:
+    """Return one command from the servo outputs, by the weights and tables of its control."""
     key = (outputs.message, outputs.instance)
     table, cleaned = raw.messages[key], times.of(key)
     fields = [servo_field(outputs, raw, channel) for channel, _, _ in control.parts]
@@ -341,8 +363,9 @@ def _servo_channel(
 
 
 def servo_field(outputs: ServoOutputs, raw: RawLog, channel: int) -> str | None:
-    """Field of servo output `channel` (counted from 1; PX4 counts from 0) in this log; None where
-    it has none.
+    """Return the field of a servo output in this log; None if it is absent.
+
+    ``channel`` counts from 1; PX4 counts from 0.
     """
     names = outputs.fields_of(channel - 1 if raw.dialect == "ulog" else channel)
     return next(
@@ -362,6 +385,7 @@ def _phase(
     times: Times,
     mode_changes_s: FloatArray,
 ) -> flight_phase.FlightPhase:
+    """Find free flight from speed, height, pitch rate and elevator, whichever the log has."""
     grid = columns["time_s"]
     speed = columns.get("V_mps")
     if speed is None and "vn_mps" in columns and "ve_mps" in columns:
@@ -391,6 +415,7 @@ def _phase(
 
 
 def _mode_names(numbers: FloatArray, raw: RawLog) -> NDArray[Any]:
+    """Return flight modes as text: ArduPlane's names, or "mode N" for other vehicles."""
     plane = raw.dialect.startswith("dataflash") or raw.facts.get("mav_type") == 1.0
     mode_names = PLANE_MODES if plane else {}
     unique, inverse = np.unique(np.where(np.isfinite(numbers), numbers, -1), return_inverse=True)
@@ -399,8 +424,10 @@ def _mode_names(numbers: FloatArray, raw: RawLog) -> NDArray[Any]:
 
 
 def _manoeuvres(raw: RawLog, grid: FloatArray) -> NDArray[Any] | None:
-    """Labels from texts such as "manoeuvre pitch-doublet" ... "manoeuvre end", which our own logs
-    carry.
+    """Return labels from texts such as "manoeuvre pitch-doublet" and "manoeuvre end"; None
+    without any.
+
+    `dataflash_writer` writes such texts.
     """
     marks = [
         (t, text.removeprefix(MANOEUVRE_TEXT))
@@ -415,6 +442,7 @@ def _manoeuvres(raw: RawLog, grid: FloatArray) -> NDArray[Any] | None:
 
 
 def _start(raw: RawLog, sensors: Sensors) -> dict[str, float]:
+    """Return the first GPS fix as lat_deg, lon_deg and alt_m; empty without one."""
     for message, lat, lon, alt, scale in (
         ("GPS", "Lat", "Lng", "Alt", 1.0),
         ("GLOBAL_POSITION_INT", "lat", "lon", "alt", 1e-7),
@@ -436,13 +464,12 @@ def _start(raw: RawLog, sensors: Sensors) -> dict[str, float]:
     return {}
 
 
-# Lost rows and samples: short ones are bridged, long ones stay what they are.
+# Short dropouts are bridged; long gaps stay.
 
 MAX_BRIDGED_S = 0.1
 MAX_BRIDGED_SHARE = 0.2
-"""Share of a channel's samples that may be bridged.
-
-Each counts as a measurement: standard errors 10 % too small at worst.
+"""Share of a channel's samples that may be bridged. Bridged samples count as measurements, so that
+standard errors are at most 10 % too small.
 """
 
 
@@ -452,12 +479,31 @@ def bridge(
     held_channels: Collection[str] = (),
     longest_s: float = MAX_BRIDGED_S,
 ) -> tuple[FlightRecord, list[str]]:
-    """The record without its short dropouts, and sentences with numbers.
+    """Fill the short dropouts of a record.
 
-    Rows lost over at most ``longest_s`` seconds are put back, evenly spaced in time; then NaN over
-    at most that long, between two samples, in the channels ``names`` become straight lines, or the
-    value before in those of ``held_channels`` (commands hold). A channel that would be bridged in more than
-    a fifth stays as it is, and so does every longer gap: nothing is integrated across one."""
+    Rows that are missing over at most ``longest_s`` are inserted, evenly spaced in time. Then NaN
+    over at most that long is interpolated linearly in the channels ``names``, or held in those of
+    ``held_channels``. A channel with more than MAX_BRIDGED_SHARE to fill stays as it is, and so
+    does every longer gap.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        Record with dropouts.
+    names : sequence of str
+        Channels to fill.
+    held_channels : collection of str
+        Channels that keep the last value instead (commands).
+    longest_s : float
+        Longest dropout that is filled, s.
+
+    Returns
+    -------
+    record : FlightRecord
+        The filled record.
+    notes : list of str
+        A sentence with numbers for each kind of repair.
+    """
     record, restored_rows = _restore_rows(record, longest_s)
     notes = (
         [f"{restored_rows} lost row(s) were put back, each gap at most {longest_s:g} s long"]
@@ -471,7 +517,7 @@ def bridge(
             continue
         values = np.array(record[name], dtype=np.float64)
         finite_rows = np.flatnonzero(np.isfinite(values))
-        # The step from one finite sample to the next, for the samples in between.
+        # Dropouts: steps between finite samples that skip rows, within the allowed time.
         jumps = np.flatnonzero(
             (np.diff(finite_rows) > 1) & (np.diff(time[finite_rows]) <= longest_s + record.dt_s)
         )
@@ -490,19 +536,21 @@ def bridge(
         if inside.size > restored_rows:
             method = "held" if name in held_channels else "bridged in straight lines"
             notes.append(
-                f"{inside.size} of {finite_rows.size + inside.size} samples of {name} are missing and were"
-                f" {method}"
+                f"{inside.size} of {finite_rows.size + inside.size} samples of {name} are missing"
+                f" and were {method}"
             )
     return (record.with_columns(columns) if columns else record), notes
 
 
 def _restore_rows(record: FlightRecord, longest_s: float) -> tuple[FlightRecord, int]:
-    """Rows of NaN where time jumps by more than 1.5 and at most longest_s + one step; labels as
-    those before.
+    """Insert rows of NaN where time skips a few steps; return the record and their number.
+
+    Labels repeat the row before.
     """
     time, dt = record["time_s"], record.dt_s
     steps = np.diff(time)
     at = np.flatnonzero((steps > 1.5 * dt) & (steps <= longest_s + dt))
+    # Rows that fit into the step, apart from its end.
     missing = np.rint(steps[at] / dt).astype(int) - 1
     at, missing = at[missing > 0], missing[missing > 0]
     missing_rows = int(missing.sum())

@@ -1,9 +1,10 @@
-"""A FlightRecord as a genuine DataFlash .bin, with ArduPlane's message names, columns and units.
+"""Write a FlightRecord as a DataFlash .bin, with ArduPlane's message names, columns and units.
 
-Quantisation: servo outputs are whole microseconds (0.5 us is 0.025 deg at 20 deg per 400 us),
-positions 1e-7 degrees (1.1 cm), times whole microseconds, everything else 32-bit floats. A record
-whose alpha and beta were measured also gets a message VANE (Alpha, Beta in degrees), since AOA
-means an estimate."""
+Tests and simulated flights use it to make logs that pass through the whole import. Servo outputs
+are whole microseconds (0.5 us is 0.025 deg at 20 deg per 400 us), positions 1e-7 degrees (1.1 cm),
+times whole microseconds, everything else 32-bit floats. Measured alpha and beta also go into a
+message VANE (degrees), because ArduPlane's AOA is an estimate.
+"""
 
 from __future__ import annotations
 
@@ -49,6 +50,7 @@ _LAYOUT = {
 
 
 def _format(name: str) -> Format:
+    """Return the format of a message of _LAYOUT."""
     characters, columns = _LAYOUT[name]
     layout = Format(10 + list(_LAYOUT).index(name), 0, name, characters, tuple(columns.split(",")))
     return Format(layout.type, layout.dtype.itemsize + 3, name, characters, layout.columns)
@@ -56,16 +58,14 @@ def _format(name: str) -> Format:
 
 @dataclass
 class _Message:
-    """Rows of one message type, collected as columns: values in the field's unit, scalars for all
-    rows alike.
-    """
+    """Rows of one message type as columns in the field's unit; scalars count for all rows."""
 
     name: str
     time_us: NDArray[np.int64]
     values: dict[str, Any] = field(default_factory=dict)
 
     def bytes(self) -> NDArray[np.uint8]:
-        """(n, length) whole records, header included."""
+        """Return the records as bytes, shape (n, length), headers included."""
         fmt = _format(self.name)
         n = len(self.time_us)
         header = np.dtype([("magic", "S2"), ("type", "u1")])
@@ -80,13 +80,13 @@ class _Message:
 
 
 def _stored(values: NDArray[Any], kind: str, multiplier: float) -> NDArray[Any]:
+    """Convert values to the stored type of a field."""
     if kind.startswith("S"):
         return np.array([str(v).encode("latin-1", "replace") for v in np.atleast_1d(values)])
     if kind[1] == "f":
         return values.astype(kind)
     info = np.iinfo(kind)
-    # A NaN has no integer; 0 is what the autopilot writes for an output or position it does not
-    # have.
+    # NaN has no integer; an autopilot writes 0 for an output or position that it does not have.
     integers = np.rint(np.nan_to_num(values.astype(np.float64) / multiplier, nan=0.0))
     return np.clip(integers, info.min, info.max).astype(kind)
 
@@ -99,14 +99,33 @@ def write_dataflash(
     vehicle: str = "ArduPlane (written by uqharness)",
     surfaces: bool = False,
 ) -> tuple[str, ...]:
-    """Write `record` to `path`; returns the columns that DataFlash has no message for and that were
-    left out.
+    """Write a record as a binary DataFlash log.
 
-    card        turns surfaces into PWM by its servo tables (needed when the record has surfaces)
-    parameters  further PARM records
-    surfaces    write the commands as they were too (message SURF), for a simulated flight, whose
-    surfaces saw no PWM Raises LogError for a record whose time is negative, surfaces without a
-    card, or a card without their tables."""
+    Parameters
+    ----------
+    record : FlightRecord
+        Record to write.
+    path : Path
+        File to create.
+    card : AirframeCard, optional
+        Servo tables, required if the record has surface or throttle commands.
+    parameters : mapping, optional
+        Further PARM records.
+    vehicle : str
+        Text of the first message to the pilot.
+    surfaces : bool
+        Also write the exact commands (message SURF), for simulated flights without PWM.
+
+    Returns
+    -------
+    tuple of str
+        Columns that DataFlash has no message for, and that were left out.
+
+    Raises
+    ------
+    LogError
+        If a time is negative, the card is missing, or it lacks a servo table.
+    """
     time = record["time_s"]
     if len(time) and time[0] < 0:
         raise LogError(
@@ -123,6 +142,7 @@ def write_dataflash(
         messages.append(_Message("RCOU", time_us, {f"C{n}": pwm for n, pwm in outputs.items()}))
     if outputs and surfaces:
         messages.append(_surfaces(record, time_us))
+    # The first message names the vehicle, as an autopilot does at start.
     texts = [
         (int(time_us[0]) if len(time_us) else 0, vehicle),
         *_manoeuvre_texts(record, time_us, stored),
@@ -148,6 +168,8 @@ def write_dataflash(
 
 
 def _sensors(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str]) -> list[_Message]:
+    """Return the messages of sensors and estimates; add their columns to ``stored``."""
+
     def column(name: str, factor: float = 1.0) -> FloatArray | float:
         if name not in record:
             return 0.0
@@ -160,6 +182,7 @@ def _sensors(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str])
     degrees = 180.0 / np.pi
     n = len(time_us)
     out = []
+    # Airspeed sensors show equivalent airspeed: true airspeed over EAS2TAS.
     ratio: FloatArray = np.ones(n)
     if "rho_kgpm3" in record:
         ratio = np.sqrt(1.225 / np.where(record["rho_kgpm3"] > 0, record["rho_kgpm3"], np.nan))
@@ -212,6 +235,7 @@ def _sensors(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str])
 
 
 def _gps(record: FlightRecord, time_us: NDArray[np.int64], column: Any) -> _Message:
+    """Return GPS messages: positions on the WGS 84 ellipsoid about the start point."""
     start = {**_DEFAULT_START, **record.metadata.start}
     lat0 = np.radians(start["lat_deg"])
     w = 1.0 - 6.69437999014e-3 * np.sin(lat0) ** 2
@@ -240,6 +264,7 @@ def _servo_outputs(
     stored: set[str],
     path: Path,
 ) -> dict[int, FloatArray]:
+    """Return servo channel to PWM, and add their SERVOn parameters."""
     commands = {n: f"{n}_deg" if n != "throttle" else "throttle_pct" for n in _USUAL_CHANNEL}
     commands = {n: c for n, c in commands.items() if c in record}
     if not commands:
@@ -271,9 +296,7 @@ def _servo_outputs(
 
 
 def _surfaces(record: FlightRecord, time_us: NDArray[np.int64]) -> _Message:
-    """Commands as they were. A servo output holds whole microseconds, a twentieth of a degree,
-    which no simulated surface saw.
-    """
+    """Return the exact commands, which PWM rounds to a twentieth of a degree."""
     columns = {
         "Elev": "elevator_deg",
         "Ail": "aileron_deg",
@@ -289,6 +312,7 @@ def _surfaces(record: FlightRecord, time_us: NDArray[np.int64]) -> _Message:
 def _panels(
     mix: Mix, first: FloatArray, second: FloatArray, parameters: dict[str, float]
 ) -> dict[int, FloatArray]:
+    """Return the PWM of the two panels of a v-tail or of elevons."""
     out = {}
     for servo, deflection, function in zip(
         (mix.left, mix.right),
@@ -303,10 +327,11 @@ def _panels(
 
 
 def _describe(channel: int, function: int, servo: Servo, parameters: dict[str, float]) -> None:
+    """Add the SERVOn parameters of one output."""
     pwm = [p for p, _ in servo.table]
     middle = float(pwm_of(np.zeros(1), servo)[0]) if function != _FUNCTION["throttle"] else pwm[0]
-    # The autopilot's positive elevator is nose up and its rudder nose right, a record's the other
-    # way round.
+    # ArduPilot's positive elevator is nose up and its rudder nose right; a record has opposite
+    # signs.
     rising = servo.table[-1][1] > servo.table[0][1]
     reversed_ = rising if function in (_FUNCTION["elevator"], _FUNCTION["rudder"]) else not rising
     settings = {
@@ -320,9 +345,10 @@ def _describe(channel: int, function: int, servo: Servo, parameters: dict[str, f
 
 
 def pwm_of(deflection: FloatArray, servo: Servo) -> FloatArray:
-    """(n,) deflection to PWM: the table inverted, its end slopes continued; NaN stays NaN.
+    """Convert deflection, shape (n,), to PWM between 800 and 2200 us by the inverse of a servo
+    table.
 
-    Within 800 to 2200 us.
+    The end slopes are continued; NaN stays NaN. Raises LogError if the table is not monotone.
     """
     pwm, angle = (np.array(v) for v in zip(*servo.table, strict=True))
     if angle[-1] < angle[0]:
@@ -330,6 +356,7 @@ def pwm_of(deflection: FloatArray, servo: Servo) -> FloatArray:
     if np.any(np.diff(angle) <= 0):
         raise LogError(f"the servo table {servo.table} is not monotone and cannot be inverted")
     out = np.interp(deflection, angle, pwm)
+    # Continue the first and last slope beyond the ends of the table.
     low = pwm[0] + (deflection - angle[0]) * (pwm[1] - pwm[0]) / (angle[1] - angle[0])
     high = pwm[-1] + (deflection - angle[-1]) * (pwm[-1] - pwm[-2]) / (angle[-1] - angle[-2])
     out = np.where(deflection < angle[0], low, np.where(deflection > angle[-1], high, out))
@@ -339,6 +366,7 @@ def pwm_of(deflection: FloatArray, servo: Servo) -> FloatArray:
 def _manoeuvre_texts(
     record: FlightRecord, time_us: NDArray[np.int64], stored: set[str]
 ) -> list[tuple[int, str]]:
+    """Return messages to the pilot that mark the begin and end of manoeuvres."""
     if "manoeuvre" not in record:
         return []
     stored.add("manoeuvre")
@@ -353,6 +381,7 @@ def _manoeuvre_texts(
 
 
 def _modes(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str]) -> _Message:
+    """Return the messages of changes of the flight mode."""
     stored.add("mode")
     modes = record["mode"]
     changes = np.flatnonzero(np.concatenate([[True], modes[1:] != modes[:-1]]))
@@ -361,6 +390,7 @@ def _modes(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str]) -
 
 
 def _formats() -> bytes:
+    """Return the FMT records of all messages."""
     out = []
     for fmt in (_FMT, *(_format(n) for n in _LAYOUT)):
         body = np.zeros(1, dtype=_FMT.dtype)
@@ -371,11 +401,12 @@ def _formats() -> bytes:
 
 
 def _interleave(messages: list[_Message]) -> bytes:
-    """All records in order of time; of one time in the order of `messages`."""
+    """Return all records in order of time; records of one time in the order of ``messages``."""
     blocks = [m.bytes() for m in messages if len(m.time_us)]
     times = np.concatenate([m.time_us for m in messages if len(m.time_us)])
     lengths = np.concatenate([np.full(len(b), b.shape[1]) for b in blocks])
     order = np.argsort(times, kind="stable")
+    # Byte offset of every record in the file, then copy message by message.
     starts = np.empty(len(order), dtype=np.int64)
     starts[order] = np.concatenate([[0], np.cumsum(lengths[order])[:-1]])
     out = np.empty(int(lengths.sum()), dtype=np.uint8)

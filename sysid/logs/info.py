@@ -1,4 +1,8 @@
-"""What a log is good for, purpose by purpose, with the reason. Pure: from a record to a report."""
+"""Report what a log can be used for: loiter metrics, replay, identification.
+
+`log_info` checks channels, rates and findings of a record for each purpose and gives a reason for
+each verdict. It reads no files; `uqharness log info` prints the result.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +33,8 @@ _NOT_AEROPLANES = re.compile(
 
 @dataclass(frozen=True)
 class Purpose:
-    """name  loiter-metrics | replay | identification; serves  the verdict; reason  why (not), in a
-    sentence.
+    """A purpose (loiter-metrics, replay or identification), whether the log serves it, and the
+    reason.
     """
 
     name: str
@@ -40,9 +44,7 @@ class Purpose:
 
 @dataclass(frozen=True)
 class LogInfo:
-    """The report of `log info`: times in seconds, rates in Hz by channel, manoeuvres as found in
-    the commands.
-    """
+    """The report of `uqharness log info`; fields as in the metadata of the record."""
 
     source: str
     dialect: str
@@ -62,11 +64,11 @@ class LogInfo:
 
     @property
     def serves(self) -> bool:
-        """True when at least one purpose is served."""
+        """Whether the log serves at least one purpose."""
         return any(p.serves for p in self.purposes)
 
     def as_dict(self) -> dict[str, Any]:
-        """For --json."""
+        """Return a dictionary for JSON."""
         return {
             "source": self.source,
             "dialect": self.dialect,
@@ -90,12 +92,24 @@ class LogInfo:
 
 
 def log_info(record: FlightRecord) -> LogInfo:
-    """Judge a record of a whole log (as `import_log` returns it)."""
+    """Evaluate the record of a whole log, as `import_log` returns it.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        Record with its metadata.
+
+    Returns
+    -------
+    LogInfo
+        Purposes with reasons, channels with rates, findings, manoeuvres and loiters.
+    """
     meta = record.metadata
     time = record["time_s"]
     flight_s = meta.free_flight_s[0] if meta.free_flight_s else None
     if flight_s is None and meta.dialect in ("record", ""):
         flight_s = float(time[0]), float(time[-1])  # a record holds the part that was flown
+    # A log without flight serves no purpose.
     obstacle = _no_flight(record)
     flight = record if flight_s is None else record.between(*flight_s)
     judges = {"loiter-metrics": _loiter, "replay": _replay, "identification": _identification}
@@ -124,15 +138,13 @@ def log_info(record: FlightRecord) -> LogInfo:
 
 
 def no_aeroplane(record: FlightRecord) -> str:
-    """The sentence that refuses a log which is no aeroplane's, by what the log says of its vehicle;
-    "" where it may be one.
-    """
+    """Return the message that refuses a log of another kind of vehicle; "" for an aeroplane."""
     vehicle = record.metadata.vehicle
     return f"no aeroplane: the log is of '{vehicle}'" if _NOT_AEROPLANES.search(vehicle) else ""
 
 
 def _no_flight(record: FlightRecord) -> str:
-    """Reason for which nothing can be served, "" when there is none."""
+    """Return why the log serves no purpose at all; "" if nothing prevents it."""
     meta = record.metadata
     if refused := no_aeroplane(record):
         return refused
@@ -144,21 +156,22 @@ def _no_flight(record: FlightRecord) -> str:
 
 
 def _phase_text(record: FlightRecord) -> str:
+    """Return the message about flight phases."""
     return _finding(record, "flight-phase") or "no part of it is free flight"
 
 
 def _finding(record: FlightRecord, code: str) -> str:
+    """Return the message of the first finding with a code; "" if there is none."""
     return next((f.message for f in record.metadata.findings if f.code == code), "")
 
 
 def _missing(record: FlightRecord, names: tuple[str, ...]) -> list[str]:
+    """Return the channels that are absent or never finite."""
     return [n for n in names if n not in record or not np.isfinite(record[n]).any()]
 
 
 def _rate(record: FlightRecord, names: tuple[str, ...]) -> float:
-    """Slowest native rate among `names` that are there; the grid's own rate where the log does not
-    say.
-    """
+    """Return the slowest native rate of the channels that exist, Hz."""
     native = record.metadata.native_hz
     return min(
         (native.get(n, 1.0 / record.dt_s) for n in names if n in record), default=float("nan")
@@ -166,12 +179,14 @@ def _rate(record: FlightRecord, names: tuple[str, ...]) -> float:
 
 
 def _loiter(record: FlightRecord) -> tuple[bool, str]:
+    """Return whether the record serves loiter metrics, and why."""
     path = ("cross_track_m",) if not _missing(record, ("cross_track_m",)) else ("north_m", "east_m")
     missing = _missing(record, (*path, "h_m", "V_mps"))
     if missing:
         return False, f"no {', '.join(missing)}"
     if error := _first_error(record, (*path, "h_m", "V_mps")):
         return False, error
+    # The slowest channel limits the resolution of a loiter metric.
     rate = _rate(record, (*path, "h_m", "V_mps"))
     if rate < 0.9 * LOITER_MIN_HZ:
         return (
@@ -200,8 +215,9 @@ def _loiter(record: FlightRecord) -> tuple[bool, str]:
 
 
 def _loiter_seconds(record: FlightRecord) -> float:
-    """Time in the mode LOITER (or CIRCLE), else time on turns of one sense that go round at least
-    three times.
+    """Return the duration of circling flight, s.
+
+    It is the time in mode LOITER or CIRCLE, else the time on at least three turns of one sense.
     """
     if "mode" in record:
         inside = (record["mode"] == "LOITER") | (record["mode"] == "CIRCLE")
@@ -218,6 +234,7 @@ def _loiter_seconds(record: FlightRecord) -> float:
 
 
 def _moving(record: FlightRecord) -> list[str]:
+    """Return the surfaces that move by more than MIN_MOVING_DEG."""
     spans = {
         n: float(np.nanmax(record[n]) - np.nanmin(record[n]))
         for n in (*SURFACES, *(n.replace("_deg", "_pos_deg") for n in SURFACES))
@@ -227,9 +244,10 @@ def _moving(record: FlightRecord) -> list[str]:
 
 
 def _surfaces(record: FlightRecord) -> str:
-    """Reason for which the surfaces do not serve, "" when they do."""
+    """Return why the surfaces cannot be used; "" if they can."""
     positions = {n: n.replace("_deg", "_pos_deg") for n in SURFACES}
     measured = [n for n in SURFACES if not _missing(record, (positions[n],))]
+    # Measured positions make the commands unnecessary.
     if len(measured) == len(SURFACES):
         return ""
     missing = [n for n in _missing(record, SURFACES) if n not in measured]
@@ -247,7 +265,7 @@ def _surfaces(record: FlightRecord) -> str:
 
 
 def _used_surfaces(record: FlightRecord) -> list[str]:
-    """Surfaces as a replay takes them: the measured position where there is one, else the
+    """Return the channels that a replay uses: the measured position if there is one, else the
     command.
     """
     positions = {n: n.replace("_deg", "_pos_deg") for n in SURFACES}
@@ -255,7 +273,7 @@ def _used_surfaces(record: FlightRecord) -> list[str]:
 
 
 def _first_error(record: FlightRecord, channels: Iterable[str]) -> str:
-    """The first error of one of these channels and how many more there are, "" without any."""
+    """Return the first error of these channels and name the others; "" without errors."""
     used = {*channels, "time_s"}
     errors = [f for f in record.metadata.findings if f.severity == "error" and f.channel in used]
     other_channels = list(
@@ -270,17 +288,19 @@ def _first_error(record: FlightRecord, channels: Iterable[str]) -> str:
 
 
 def _lacks(record: FlightRecord, missing: list[str]) -> str:
-    """All that is not there in one sentence, "" where everything is."""
+    """Return all that is missing as one sentence; "" if nothing is."""
     return "; ".join(
         filter(None, (f"no {', '.join(missing)}" if missing else "", _surfaces(record)))
     )
 
 
 def _replay(record: FlightRecord) -> tuple[bool, str]:
+    """Return whether the record serves a replay, and why."""
     needed = ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "h_m")
     missing = _missing(record, (*needed, "throttle_pct"))
     if reason := _lacks(record, missing):
         return False, reason
+    # A channel that the replay uses must have no error.
     used = (*needed, "alpha_rad", "beta_rad", "psi_rad", "throttle_pct", *_used_surfaces(record))
     if error := _first_error(record, used):
         return False, error
@@ -301,6 +321,7 @@ def _replay(record: FlightRecord) -> tuple[bool, str]:
 
 
 def _identification(record: FlightRecord) -> tuple[bool, str]:
+    """Return whether the record serves identification, and why."""
     rates = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
     missing = _missing(record, (*rates, "V_mps"))
     if reason := _lacks(record, missing):
@@ -317,6 +338,7 @@ def _identification(record: FlightRecord) -> tuple[bool, str]:
     angles = ("phi_rad", "theta_rad", "alpha_rad", "beta_rad")
     if error := _first_error(record, (*rates, *_used_surfaces(record), "V_mps", *angles)):
         return False, error
+    # Estimated angles do not exclude identification, but restrict it to calm air.
     estimates = [n for n in record.metadata.estimates if n in ("alpha_rad", "beta_rad")]
     if estimates:
         note = f"; {' and '.join(estimates)} are estimates: good in calm air only"

@@ -1,6 +1,7 @@
-"""A log file to a FlightRecord: detect, read, assemble, keep in the cache.
+"""Import a log file: detect the format, read it, assemble the record, cache it.
 
-The only place that joins IO and computing.
+`import_log` is the entry point for commands and scripts. This is the only module of the package
+that combines file access with the computations of the others.
 """
 
 from __future__ import annotations
@@ -30,15 +31,14 @@ from sysid.logs.time_base import split
 from sysid.record import Boot, FlightRecord
 from sysid.vocabulary import SIGNALS
 
-# Where imported logs are kept: the user's cache folder, by the content of log, map and card.
-#
-# Never beside the log, which may be on a medium that is read-only or somebody else's.
+# The cache holds records by the content of log, map and card. It is in the user's cache folder
+# and never next to the log, which may be on a read-only medium.
 
 _FORMAT = "5"  # raise it when importing the same log gives another record
 
 
 def default_cache() -> Path:
-    """The user's cache folder for records: UQ_CACHE, XDG_CACHE_HOME or ~/.cache (Library/Caches on
+    """Return the cache folder: UQ_CACHE, else XDG_CACHE_HOME or ~/.cache (Library/Caches on
     macOS).
     """
     if folder := os.environ.get("UQ_CACHE"):
@@ -55,8 +55,23 @@ def cached_file(
     card: AirframeCard | None,
     flight_number: int | None = None,
 ) -> Path:
-    """The file in ``cache`` for the record of a log with SHA-256 ``digest``, read with that map and
-    card. Raises OSError.
+    """Return the cache file of a record.
+
+    Parameters
+    ----------
+    cache : Path
+        Cache folder.
+    digest : str
+        SHA-256 of the log.
+    map_path, card : Path or None, AirframeCard or None
+        Map and card that it is read with.
+    flight_number : int or None
+        Requested boot.
+
+    Raises
+    ------
+    OSError
+        If the map cannot be read.
     """
     parts = [_FORMAT, digest, "" if map_path is None else read_regular_text(map_path), repr(card)]
     parts += [] if flight_number is None else [str(flight_number)]
@@ -65,8 +80,9 @@ def cached_file(
 
 
 def store(record: FlightRecord, file: Path) -> None:
-    """Write under a temporary name so that a reader never meets half a file; a full disk only costs
-    the cache.
+    """Write a record into the cache; a full disk is no error.
+
+    It is written under a temporary name, so that another process never reads half a file.
     """
     temporary = file.with_name(f"{file.stem}.{os.getpid()}.parquet")
     try:
@@ -89,16 +105,34 @@ def import_log(
 ) -> FlightRecord:
     """Read any supported log into a record of its whole length.
 
-    A log may hold several boots of the autopilot, whose clocks each begin anew. One of them is
-    read: `flight_number`, counted from 1, or the one with the longest free flight.
+    A log may hold several boots of the autopilot, each with its own clock. One of them is read.
 
-    map_path   a user's signal map, laid over the dialect's own
-    card_path  airframe.toml or the folder that holds it; turns PWM into angles
-    cache      folder for the cached record; None reads without a cache
-    progress   called with the share read, 0..1
+    Parameters
+    ----------
+    path : Path
+        DataFlash, MAVLink telemetry, ULog, table (CSV, Parquet) or flight record.
+    map_path : Path, optional
+        User's signal map, which overlays the map of the dialect.
+    card_path : Path, optional
+        airframe.toml or its folder; turns PWM into angles.
+    flight_number : int, optional
+        Boot to read, counted from 1; by default the one with the longest free flight.
+    cache : Path, optional
+        Folder for cached records; None reads without a cache.
+    callback : callable, optional
+        Called with the share read, 0 to 1.
 
-    `FlightRecord.metadata.free_flight_s` says which part is free flight. Raises LogError for
-    anything unusable."""
+    Returns
+    -------
+    FlightRecord
+        ``metadata.free_flight_s`` gives the part in free flight, ``metadata.findings`` the results
+        of the checks.
+
+    Raises
+    ------
+    LogError
+        If the file, the map or the card cannot be used.
+    """
     dialect = detect(path)
     user_map = None if map_path is None else read_map(map_path)
     card = None if card_path is None else read_card(card_path)
@@ -110,6 +144,7 @@ def import_log(
         try:
             record = FlightRecord.read(stored)
         except LogError:
+            # An interrupted run left half a file: import again.
             stored.unlink(missing_ok=True)  # cut short by an interrupted run: make it anew
         else:
             return _with_current_checks(
@@ -130,10 +165,11 @@ def _assemble(
     flight_number: int | None,
     callback: ProgressCallback | None,
 ) -> FlightRecord:
+    """Read the log with its map and assemble the record of the requested boot."""
     base = map_of_dialect(dialect)
     signal_map = base if user_map is None else base.overlaid(user_map)
     try:
-        # Handed over, not kept: the messages are dropped one by one as the record grows.
+        # The list is the only reference: messages are freed one by one as the record grows.
         boots = split(read_raw(path, dialect, signal_map, callback))
         if len(boots) == 1:
             record = assemble(boots.pop(), signal_map, card, path.name, digest)
@@ -151,7 +187,7 @@ def _assemble(
 
 
 def _with_findings(record: FlightRecord, findings: list[Finding]) -> FlightRecord:
-    """The record with more findings in front of those that it has."""
+    """Return the record with more findings before its own."""
     all_findings = (*findings, *record.metadata.findings)
     return (
         replace(record, metadata=replace(record.metadata, findings=all_findings))
@@ -161,6 +197,7 @@ def _with_findings(record: FlightRecord, findings: list[Finding]) -> FlightRecor
 
 
 def _not_in_log(signal: str, candidates: tuple[Entry, ...]) -> Finding:
+    """Return the finding for a signal of the user's map that the log does not have."""
     labels = " or ".join(entry.label for entry in candidates)
     text = f"the map makes {signal} of {labels}, which this log does not have"
     mend = (
@@ -171,7 +208,7 @@ def _not_in_log(signal: str, candidates: tuple[Entry, ...]) -> Finding:
 
 
 def _require_flight(record: FlightRecord, flight_number: int | None, path: Path) -> FlightRecord:
-    """The record; LogError where another flight than the one it holds is asked for."""
+    """Return the record; raise LogError if it is not the requested flight."""
     if flight_number not in (None, record.metadata.flight_number):
         raise LogError(
             f"--flight-number {flight_number}: the file holds one flight, number"
@@ -189,7 +226,7 @@ def _assemble_boot(
     digest: str,
     flight_number: int | None,
 ) -> FlightRecord:
-    """The record of one of several boots, with all of them listed in its metadata."""
+    """Return the record of one of several boots, with all of them in its metadata."""
     count = len(boots)
     if flight_number is not None and not 1 <= flight_number <= count:
         raise LogError(
@@ -202,10 +239,11 @@ def _assemble_boot(
     problems: dict[int, str] = {}
     for number, boot in enumerate(boots, start=1):
         times = np.concatenate([t.time_s[np.isfinite(t.time_s)] for t in boot.messages.values()])
-        # Quantiles, since a single stamp may be wrong.
+        # Quantiles, because single stamps may be wrong.
         start_s, end_s = np.quantile(times, [0.001, 0.999]).tolist() if len(times) else (0.0, 0.0)
         free_s: tuple[float, float] | None = None
         try:
+            # Checks take most of the time and run on the chosen boot only.
             record = assemble(boot, signal_map, card, path.name, digest, run_checks=False)
         except LogError as error:
             problems[number] = str(error)
@@ -234,7 +272,7 @@ def _assemble_boot(
 
 
 def _restart_finding(listed: list[Boot], chosen: Boot, flight_number: int | None) -> Finding:
-    """Which flights the file holds and which one is read; a warning where nobody chose it."""
+    """Return the finding that lists the flights of a file; a warning unless the user chose one."""
     basis = "as asked" if flight_number else "the longest"
     flights = ", ".join(
         f"{boot.number} ({boot.start_s:.1f} to {boot.end_s:.1f} s, "
@@ -261,14 +299,26 @@ _MAP_OF = {
 
 
 def map_of_dialect(dialect: str) -> SignalMap:
-    """The signal map that comes with the package for a dialect; an empty one for tables."""
+    """Return the package's map of a dialect; an empty one for tables."""
     return shipped_map(_MAP_OF[dialect]) if dialect in _MAP_OF else SignalMap(dialect, {})
 
 
 def read_raw(
     path: Path, dialect: str, signal_map: SignalMap | None, callback: ProgressCallback | None = None
 ) -> RawLog:
-    """The log's own messages; only what `signal_map` asks for, or everything with None."""
+    """Read the messages of a log.
+
+    Parameters
+    ----------
+    path : Path
+        Log file.
+    dialect : str
+        Result of `detect`.
+    signal_map : SignalMap or None
+        Selects the messages that are read; None reads all.
+    callback : callable, optional
+        Called with the share read, 0 to 1.
+    """
     selection = None if signal_map is None else signal_map.field_selection()
     match dialect:
         case "dataflash":
@@ -280,6 +330,7 @@ def read_raw(
 
 
 def _record_file(path: Path) -> FlightRecord:
+    """Read a table that has the names of the vocabulary."""
     record = FlightRecord.read(path)
     record = record.with_columns(wrap_angles(record.columns))
     if not set(record.columns) & (set(SIGNALS) - {"time_s", "manoeuvre", "mode"}):
@@ -292,8 +343,9 @@ def _record_file(path: Path) -> FlightRecord:
 
 
 def _with_current_checks(record: FlightRecord) -> FlightRecord:
-    """The record with what today's checks find in it: it may have been imported before a fault was
-    known.
+    """Return the record with the findings of the current checks.
+
+    It may have been imported by a version that lacked some of them.
     """
     findings = recheck(record)
     estimates = estimated_channels(record.metadata.estimates, findings)

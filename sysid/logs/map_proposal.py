@@ -1,10 +1,10 @@
-"""A signal map proposed for a log: which field is which signal, in which unit and with which sign,
-and the evidence for it.
+"""Propose a signal map for a log: field, unit and sign of each signal, with the evidence.
 
-Fields are matched to signals by name. A unit comes from the name, from a line of units or from the
-size of the values; units and signs are then tested by the relations that hold between the channels
-of any aircraft (`sysid.logs.checking.physics`), and what these contradict is changed. The result is
-text to be read and edited, one line of evidence for each signal."""
+Fields are matched to signals by name. The unit comes from the name, from a line of units or from
+the size of the values. Units and signs are then tested by the kinematic relations between channels
+(`sysid.logs.checking.physics`), and corrected where they contradict them. The result is TOML to be
+read and edited, with a comment on the evidence for each signal.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ _SUFFIXES = frozenset(u for units in _UNITS.values() for u in units if u.isalnum
 
 
 def _axes(signals: Sequence[str], patterns: str, names: Sequence[Sequence[str]]) -> dict[str, str]:
-    """Patterns of three signals that differ by the words of their axis."""
+    """Return patterns of three signals that differ in the words of their axis."""
     return {
         signal: "|".join(patterns.replace("AXIS", f"(?:{'|'.join(words)})").split())
         for signal, words in zip(signals, names, strict=True)
@@ -135,24 +135,21 @@ _LATITUDE, _LONGITUDE = (
     r"lon|lng|long|longitude|gps_lon(?:gitude)?",
 )
 _PAIR_FIELDS = frozenset({"north_m", "east_m"})
-# Before a capital that begins a word: RollRate, accX, GPSAlt; in AoA, AoS and RoC it belongs to the
-# same word.
+# Before a capital that begins a word: RollRate, accX, GPSAlt; but not within AoA, AoS and RoC.
 _CAMEL = re.compile(r"(?<=[a-z])(?<![A-Z][a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})")
 _INDICATED = re.compile(r"ias|cas|eas|indicated")
 _FOREIGN_SIGNALS = ("V_mps", "alpha_rad", "beta_rad", "rpm", "thrust_N")
 _NO_SENSORS = re.compile(
     r"innov|test|ratio|setpoint|status|estimator|variance|PID|TUNE|^X?[NX]K", re.IGNORECASE
 )
-"""Messages of logs whose fields have the names of signals and hold errors, demands or ratios of
-them.
-"""
+"""Messages whose fields have the names of signals but hold errors, demands or ratios of them."""
 _ROUNDS = 4
 _STANDARD = 1e-3  # relative, by which a scale may miss one that is a unit's
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """One signal of a proposed map, what speaks for it and what is unsure."""
+    """One signal of a proposed map, its evidence, and what is uncertain about it."""
 
     signal: str
     entry: Entry
@@ -189,8 +186,8 @@ class MapProposal:
     from_servos: tuple[str, ...] = ()
 
     def to_toml(self) -> str:
-        """The map as text: each signal with a comment on the evidence and, marked by "unsure", on
-        what to look at.
+        """Return the map as TOML, with comments on the evidence; uncertain points are marked
+        "unsure".
         """
         lines = [
             (
@@ -252,6 +249,7 @@ def propose_map(
     card = None if card_path is None else read_card(card_path)
     raw = read_raw(path, dialect, None, callback)
     base = map_of_dialect(dialect)
+    # First the dialect's own map, then names, then corrections by kinematics.
     proposals = _by_dialect(raw, base)
     proposals.update(_by_name(raw, proposals))
     proposals, record = _by_kinematics(raw, base, proposals, card, path.name)
@@ -273,12 +271,13 @@ def propose_map(
 
 
 def _time_of(raw: RawLog) -> TimeColumn | None:
+    """Return the time column of a table; None for other logs."""
     column = raw.facts.get("time column")
     return None if column is None else TimeColumn(str(column), str(raw.facts["time unit"]))
 
 
 def _by_dialect(raw: RawLog, base: SignalMap) -> dict[str, Proposal]:
-    """The entries of the dialect's own map for which the log has the fields."""
+    """Return the entries of the dialect's map whose fields the log has."""
     times, sensors, out = Times(raw), Sensors(raw, base.sensors), {}
     for signal, candidates in base.entries.items():
         if signal in LABELS:
@@ -291,9 +290,9 @@ def _by_dialect(raw: RawLog, base: SignalMap) -> dict[str, Proposal]:
 
 
 def _by_name(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal]:
-    """Fields whose name is a signal's.
+    """Return proposals for fields whose name is that of a signal.
 
-    In a log with messages of its own short names mean anything and are left alone.
+    In logs that have messages of their own, short names are ambiguous and are left out.
     """
     table = any(message == "csv" for message, _ in raw.messages)
     used_fields = {(p.entry.message, f) for p in present.values() for f in p.entry.fields}
@@ -310,6 +309,7 @@ def _by_name(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal
                 if signal not in present and not foreign:
                     matches.setdefault(signal, []).append((rank, message, field))
     out: dict[str, Proposal] = {}
+    # The best pattern wins; other matches are listed as uncertain.
     for signal, fields in matches.items():
         _, message, field = min(fields, key=lambda match: match[0])
         alternatives = [f for _, m, f in fields if (m, f) != (message, field)]
@@ -319,13 +319,14 @@ def _by_name(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal
 
 
 def _split(field: str) -> tuple[str, str | None]:
-    """Words of a field's name joined by "_", and the unit that it ends with or has in brackets."""
+    """Return the words of a field name joined by "_", and the unit at its end or in brackets."""
     unit = None
     bracket = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$", field)
     if bracket and not bracket.group(1).isdigit():
         unit, field = bracket.group(1).lower(), field[: bracket.start()]
     words = re.findall(r"[a-z]+\d*|\d+", _CAMEL.sub(" ", re.sub(r"[{}]", "", field)).lower())
     if unit is None:
+        # Units of several words such as "m/s" are tried first.
         for count in (3, 2, 1):
             suffix = "/".join(words[-count:])
             suffix_unit = (
@@ -340,7 +341,7 @@ def _split(field: str) -> tuple[str, str | None]:
 
 
 def _signals_of(base: str, field: str) -> Iterable[tuple[str, int]]:
-    """Signals that a name may mean, each with the rank of the pattern that it meets (the lower the
+    """Yield the signals that a name may mean, with the rank of the matching pattern (lower is
     likelier).
     """
     if field in SIGNALS and field not in LABELS:
@@ -365,7 +366,7 @@ def _signals_of(base: str, field: str) -> Iterable[tuple[str, int]]:
 
 
 def _alternatives(pattern: str) -> list[str]:
-    """The alternatives of a pattern at its outermost level."""
+    """Split a pattern at its outermost "|"."""
     out, depth, begin = [], 0, 0
     for k, c in enumerate(pattern):
         depth += (c == "(") - (c == ")")
@@ -376,6 +377,7 @@ def _alternatives(pattern: str) -> list[str]:
 
 
 def _usable(values: NDArray[np.generic]) -> bool:
+    """Return whether a field holds numbers."""
     return (
         values.dtype != object
         and values.ndim == 1
@@ -384,6 +386,7 @@ def _usable(values: NDArray[np.generic]) -> bool:
 
 
 def _values(raw: RawLog, message: str, field: str) -> FloatArray:
+    """Return the finite values of a field."""
     values = raw.messages[message, 0].fields[field].astype(np.float64)
     return values[np.isfinite(values)]
 
@@ -391,9 +394,7 @@ def _values(raw: RawLog, message: str, field: str) -> FloatArray:
 def _propose_field(
     signal: str, message: str, field: str, raw: RawLog, alternatives: Sequence[str], table: bool
 ) -> Proposal:
-    """The signal of one field, with the scale that its name, the line of units or its size
-    suggests.
-    """
+    """Return the proposal for one field: scale by name, line of units, or size of the values."""
     base, unit = _split(field)
     unit = str(raw.facts.get(f"unit {field}", unit or "")).strip("[]() ").lower() or None
     values = _values(raw, message, field)
@@ -401,6 +402,7 @@ def _propose_field(
     evidence, unsure = [f'named "{field}"; {_size(values)}'], []
     scale, function = 1.0, "value"
     pwm: tuple[tuple[float, float], ...] = ()
+    # A unit by name counts most; without one the size of the values decides.
     if unit is not None and unit in _UNITS.get(signal_unit, {}):
         scale = _UNITS[signal_unit][unit]
         evidence.append(
@@ -439,7 +441,7 @@ def _propose_field(
 
 
 def _scale_by_size(signal_unit: str, signal: str, values: FloatArray) -> tuple[float, str]:
-    """Scale of a field without a unit, by the size of its values, and a note on it."""
+    """Return the scale of a field without a unit, by the size of its values, and a note."""
     size = float(np.quantile(np.abs(values), 0.99)) if values.size else 0.0
     middle = float(np.median(values)) if values.size else 0.0
     limit = {"theta_rad": 1.65, "phi_rad": 3.3, "psi_rad": 6.6, "alpha_rad": 1.65, "beta_rad": 1.65}
@@ -470,6 +472,7 @@ def _scale_by_size(signal_unit: str, signal: str, values: FloatArray) -> tuple[f
 
 
 def _size(values: FloatArray) -> str:
+    """Return median and range of values as text."""
     if not values.size:
         return "no numbers"
     low, middle, high = np.quantile(values, [0.01, 0.5, 0.99])
@@ -477,7 +480,7 @@ def _size(values: FloatArray) -> str:
 
 
 def _places(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal]:
-    """North and east of the start from latitude and longitude in a table."""
+    """Return proposals for north and east from latitude and longitude columns of a table."""
     content = raw.messages.get(("csv", 0))
     if content is None or _PAIR_FIELDS & set(present):
         return {}
@@ -506,7 +509,7 @@ def _places(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal]
 
 
 def _accelerations_alike(proposals: dict[str, Proposal], raw: RawLog) -> dict[str, Proposal]:
-    """Accelerations without a unit take that of the vertical one, in which gravity shows."""
+    """Give accelerations without a unit the unit of the vertical one, which shows gravity."""
     vertical = proposals.get("az_mps2")
     if vertical is None:
         return proposals
@@ -527,7 +530,9 @@ def _by_kinematics(
     card: AirframeCard | None,
     source: str,
 ) -> tuple[dict[str, Proposal], FlightRecord | None]:
-    """Units and signs changed where the channels contradict one another, and what they confirm."""
+    """Correct units and signs that the relations between channels contradict, and add
+    confirmations.
+    """
     out, record = dict(proposals), None
     for _ in range(_ROUNDS):
         entries = {n: (p.entry,) for n, p in out.items()}
@@ -536,6 +541,8 @@ def _by_kinematics(
         except LogError:
             return out, None
         changed = False
+        # Each finding on a unit or sign of a mapped channel changes its scale; repeat until
+        # none is left.
         for f in record.metadata.findings:
             p = out.get(f.channel)
             slope = f.numbers.get("slope", math.nan)
@@ -563,9 +570,7 @@ def _by_kinematics(
 
 
 def _without_undone(evidence: tuple[str, ...], factor: float, message: str) -> tuple[str, ...]:
-    """The evidence with one more change of scale, or without the change that this one takes
-    back.
-    """
+    """Return the evidence with a change of scale added, or removed if this change reverses it."""
     opposite = f"scale changed by {1.0 / factor:.6g}: "
     if evidence and evidence[-1].startswith(opposite):
         return evidence[:-1]
@@ -573,7 +578,7 @@ def _without_undone(evidence: tuple[str, ...], factor: float, message: str) -> t
 
 
 def _confirmed(proposals: dict[str, Proposal], record: FlightRecord) -> dict[str, Proposal]:
-    """The proposals with the relations that hold; what they confirm is no longer unsure."""
+    """Add the relations that hold to the evidence; what they confirm is no longer uncertain."""
     free = record.metadata.free_flight_s
     flight = record.between(*free[0]) if free else record
     out = dict(proposals)
@@ -588,6 +593,7 @@ def _confirmed(proposals: dict[str, Proposal], record: FlightRecord) -> dict[str
         sure = tuple(x for x in p.unsure if "no unit" in x)
         unsure = tuple(x for x in p.unsure if "no unit" not in x)
         out[h.law.subject] = replace(p, evidence=(*p.evidence, *sure, text), unsure=unsure)
+    # Errors that remain are shown with the signal.
     for f in record.metadata.findings:
         if f.channel in out and f.severity == "error":
             p = out[f.channel]
@@ -596,6 +602,7 @@ def _confirmed(proposals: dict[str, Proposal], record: FlightRecord) -> dict[str
 
 
 def _unused(raw: RawLog, used: set[tuple[str, str]]) -> dict[str, str]:
+    """Return the fields that no signal uses, with their sizes, at most 200."""
     out = {}
     for (message, _), table in raw.messages.items():
         for field, values in table.fields.items():
@@ -607,20 +614,24 @@ def _unused(raw: RawLog, used: set[tuple[str, str]]) -> dict[str, str]:
 
 
 def _first(table: MessageTable, field: str) -> str:
+    """Return the first text of a field."""
     values = table.fields[field]
     return f"text such as '{str(values[0])[:40]}'" if len(values) else "empty"
 
 
 def _comments(prefix: str, texts: Iterable[str]) -> list[str]:
+    """Return comment lines of a map."""
     return [f"# {prefix}{' '.join(text.split())}" for text in texts]
 
 
 def _quoted(text: str) -> str:
+    """Return a text as a TOML string."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\t", "\\t")
     return f'"{escaped}"'
 
 
 def _entry_lines(signal: str, entry: Entry) -> list[str]:
+    """Return the TOML lines of one entry."""
     lines = [f"[signals.{signal}]", f"message = {_quoted(entry.message)}"]
     if entry.instance:
         lines.append(f"instance = {entry.instance}")

@@ -1,9 +1,10 @@
-"""Servo PWM to surface deflection: by the card's tables, with v-tails and elevons taken apart. Pure
-numerics.
+"""Servo outputs: PWM to surface deflection, and steps of commands between logged samples.
 
-Channel, neutral and sense come from the autopilot's parameters (`sysid.logs.servo`) where the log
-has them, else from the card, else channels from the usual order (1 aileron, 2 elevator, 3 throttle,
-4 rudder). Degrees come from the card."""
+Channel, neutral and sense come from the autopilot's parameters if the log has them, else from the
+card; without either, the usual order applies (1 aileron, 2 elevator, 3 throttle, 4 rudder).
+Degrees come from the card. V-tails and elevons are separated into elevator and rudder or aileron.
+`place_steps` re-times slowly logged command steps by the gyro. All functions are pure.
+"""
 
 from __future__ import annotations
 
@@ -19,20 +20,19 @@ from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.logs.card import AirframeCard, Mix, Servo, Table
 
-# What an autopilot's parameters say of its servo outputs: channel, PWM at the ends and at
-# neutral, and the sense. Pure numerics.
+# Parameters of the autopilot: channel, PWM at both ends and at neutral, and sense.
 #
-# ArduPilot: SERVOn_FUNCTION, _MIN, _MAX, _TRIM, _REVERSED; before version 3.8 RCn_MIN, _MAX,
-# _TRIM, _REV in the usual order. A positive demand, which raises the PWM unless reversed, rolls
-# right, pitches up and yaws right. PX4: PWM_MAIN_FUNCn, _MINn, _MAXn, _REV and CA_SV_CSi_TYPE,
-# _TRQ_R, _TRQ_P, _TRQ_Y, _TRIM; torques are positive right wing down, nose up and nose right.
+# ArduPilot: SERVOn_FUNCTION, _MIN, _MAX, _TRIM, _REVERSED; before version 3.8 RCn_MIN, _MAX, _TRIM,
+# _REV in the usual order. A positive demand raises the PWM unless reversed; it rolls right, pitches
+# up and yaws right. PX4: PWM_MAIN_FUNCn, _MINn, _MAXn, _REV and CA_SV_CSi_TYPE, _TRQ_R, _TRQ_P,
+# _TRQ_Y, _TRIM; torques are positive right wing down, nose up and nose right.
 
 USUAL_CHANNELS = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
 FUNCTIONS = {4: "aileron", 19: "elevator", 21: "rudder", 70: "throttle"}
 """SERVOn_FUNCTION numbers as ArduPilot documents them."""
 _SENSE = {"aileron": 1.0, "elevator": -1.0, "rudder": -1.0, "throttle": 1.0}
-"""Of a flight record's sign over the autopilot's: + elevator is nose down there, + rudder nose
-left.
+"""Sign of a flight record over that of ArduPilot: in a record, positive elevator is nose down and
+positive rudder is nose left.
 """
 _PX4_SURFACES = {
     1: ("aileron", "R", -1.0),
@@ -46,12 +46,19 @@ _PX4_MOTOR, _PX4_SERVO = 101, 201
 
 @dataclass(frozen=True)
 class Output:
-    """A servo output.
+    """A servo output as the log's parameters describe it.
 
-    channel  counted from 1          low, neutral, high  PWM, us; NaN where the parameters do not
-    say
-    sense    +1 where more PWM is + in a flight record, -1 where it is -, 0 where the parameters do
-    not say source   the parameters' names, for messages"""
+    Attributes
+    ----------
+    channel : int
+        Counted from 1.
+    low, neutral, high : float
+        PWM, us; NaN if unknown.
+    sense : float
+        +1 if more PWM is positive in a flight record, -1 if negative, 0 if unknown.
+    source : str
+        Names of the parameters, for messages.
+    """
 
     channel: int
     low: float
@@ -67,17 +74,18 @@ class Output:
 
 
 def functions(parameters: Mapping[str, float]) -> dict[int, int]:
-    """SERVOn_FUNCTION of a log: channel -> function number, the disabled ones left out."""
+    """Return channel to SERVOn_FUNCTION number, without disabled channels."""
     by_channel = {n: parameters.get(f"SERVO{n}_FUNCTION", 0.0) for n in range(1, 33)}
     return {n: int(v) for n, v in by_channel.items() if v and math.isfinite(v)}
 
 
 def outputs(parameters: Mapping[str, float]) -> dict[str, tuple[Output, ...]]:
-    """aileron, elevator, rudder, throttle -> the outputs that move it, in equal parts; without a
-    name where none is described.
+    """Return input (aileron, elevator, rudder, throttle) to the outputs that move it.
+
+    Inputs that no parameter describes are absent. Several outputs of one input share it equally.
     """
     by_name: dict[str, list[Output]] = {}
-    # A damaged log may hold any number, also none.
+    # A damaged log may hold parameters that are not finite.
     parameters = {key: value for key, value in parameters.items() if math.isfinite(value)}
     for name, output in (
         _ardupilot(parameters)
@@ -89,6 +97,7 @@ def outputs(parameters: Mapping[str, float]) -> dict[str, tuple[Output, ...]]:
 
 
 def _ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
+    """Yield inputs and outputs by SERVOn parameters (ArduPilot 3.8 and later)."""
     names = set()
     for n, function in functions(parameters).items():
         name = FUNCTIONS.get(function)
@@ -108,8 +117,9 @@ def _ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
 
 
 def _old_ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
+    """Yield inputs and outputs by RCn parameters (ArduPilot before 3.8)."""
     if any(key == "SYS_AUTOSTART" or key.startswith("RC_MAP_") for key in parameters):
-        # PX4: its RCn_MIN and the like calibrate the receiver's inputs and say nothing of servos
+        # PX4: its RCn_MIN and similar calibrate the receiver and do not describe servos.
         return
     for name, usual in USUAL_CHANNELS.items():
         n = int(
@@ -138,6 +148,7 @@ def _old_ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Outpu
 
 
 def _px4(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
+    """Yield inputs and outputs by PWM_MAIN and CA_SV parameters (PX4)."""
     for n in range(1, 17):
         function = int(parameters.get(f"PWM_MAIN_FUNC{n}", 0.0))
         low, high = (
@@ -164,6 +175,7 @@ def _px4(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
         if kind is None:
             continue
         name, axis, usual = kind
+        # Without a torque in the parameters the usual sign of the surface type applies.
         torque = parameters.get(f"CA_SV_CS{k}_TRQ_{axis}", 0.0) or usual
         neutral = 0.5 * (low + high) + 0.5 * (high - low) * parameters.get(f"CA_SV_CS{k}_TRIM", 0.0)
         sense = _SENSE[name] * turned * math.copysign(1.0, torque)
@@ -181,20 +193,28 @@ def _px4(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
 
 
 def _number(word: str) -> float:
-    """Read a number as ArduPilot does: Python's underscores and digits of other scripts are
-    none.
-    """
+    """Return a number as ArduPilot reads it: no underscores, no digits of other scripts."""
     if "_" in word or not word.isascii():
         raise ValueError(word)
     return float(word)
 
 
 def parse_parameters(text: str) -> dict[str, float]:
-    """Parameters of a `.parm` or `.param` file: a name and a value a line, with blanks, a comma or
-    tabs between; # comments.
+    r"""Parse a `.parm` or `.param` file: one name and value a line, # comments.
 
-    QGroundControl's lines have vehicle and component in front of the name and a type behind the
-    value. Raises ValueError with the line's number and text for a line that is neither."""
+    Lines of QGroundControl, which have vehicle and component before the name and a type after the
+    value, are accepted too.
+
+    Raises
+    ------
+    ValueError
+        With line number and text, for any other line, and for a file without parameters.
+
+    Examples
+    --------
+    >>> parse_parameters("SERVO2_TRIM 1500\nSERVO2_REVERSED,1")
+    {'SERVO2_TRIM': 1500.0, 'SERVO2_REVERSED': 1.0}
+    """
     parameters: dict[str, float] = {}
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split("#")[0].replace(",", " ").split()
@@ -234,12 +254,19 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Control:
-    """How one command column is made: weights times the deflection of servo channels.
+    """How one command column is computed: weights times the deflections of servo channels.
 
-    parts    ((channel, servo, weight), ...)       basis  where the channel is from, in a word or
-    two
-    told     channel, table and where each is from, in a sentence       against  what the card says
-    otherwise"""
+    Attributes
+    ----------
+    parts : tuple of (channel, Servo, weight)
+        Terms of the sum.
+    basis : str
+        Source of the channel, in a few words.
+    description : str
+        Channel, table and their sources, for a finding.
+    conflicts : str
+        Differences between card and log; "" if none.
+    """
 
     parts: tuple[tuple[int, Servo, float], ...]
     basis: str
@@ -248,7 +275,7 @@ class Control:
 
     @property
     def label(self) -> str:
-        """For the record's metadata."""
+        """Label for the metadata of a record."""
         return (
             " ".join(f"{w:+g}*servo{c}" if w != 1.0 else f"servo{c}" for c, _, w in self.parts)
             + f" ({self.basis})"
@@ -256,8 +283,15 @@ class Control:
 
 
 def deflection(pwm: FloatArray, servo: Servo) -> FloatArray:
-    """(n,) PWM in us to deflection, end slopes continued to the stops; NaN where the output was off
-    (<= 500).
+    """Convert PWM [us], shape (n,), to deflection, limited to the stops.
+
+    NaN where the output was off (500 us or less).
+
+    Examples
+    --------
+    >>> servo = Servo(((1000.0, -20.0), (2000.0, 20.0)))
+    >>> deflection(np.array([1500.0, 0.0]), servo)
+    array([ 0., nan])
     """
     out = extrapolating_table(pwm, servo.table)
     out = np.clip(out, *servo.limits)
@@ -265,9 +299,7 @@ def deflection(pwm: FloatArray, servo: Servo) -> FloatArray:
 
 
 def extrapolating_table(x: FloatArray, table: Table) -> FloatArray:
-    """Piecewise linear function through `table`, its first and last slope continued beyond the
-    ends.
-    """
+    """Evaluate a piecewise linear table, its first and last slope continued beyond the ends."""
     xs, ys = (np.array(v, dtype=np.float64) for v in zip(*table, strict=True))
     out = np.interp(x, xs, ys)
     first = (ys[1] - ys[0]) / (xs[1] - xs[0])
@@ -282,9 +314,10 @@ def extrapolating_table(x: FloatArray, table: Table) -> FloatArray:
 def controls(
     card: AirframeCard | None, parameters: Mapping[str, float]
 ) -> tuple[dict[str, Control], list[Finding]]:
-    """Column -> how to make it; what the log's own parameters say counts before the card.
+    """Return command column to its control, and findings.
 
-    Degrees are the card's: no parameter has them. Without a card only the throttle can be had.
+    Parameters of the log have priority over the card; degrees are always the card's. Without a
+    card only the throttle can be computed.
     """
     described, by_channel = outputs(parameters), functions(parameters)
     out: dict[str, Control] = {}
@@ -303,6 +336,7 @@ def controls(
             )
             if control is not None:
                 out[COLUMNS[name]] = control
+    # Throttle needs no degrees: MIN and MAX are 0 and 100 %.
     if "throttle_pct" not in out and "throttle" in described:
         output = described["throttle"][0]
         low, high = _or_default(output.low, 1000.0), _or_default(output.high, 2000.0)
@@ -315,12 +349,16 @@ def controls(
 
 
 def _or_default(value: float, default: float) -> float:
+    """Return the value, or a default for NaN."""
     return default if math.isnan(value) else value
 
 
 def _assumed_mixes(
     card: AirframeCard, by_channel: Mapping[int, int], out: dict[str, Control]
 ) -> list[Finding]:
+    """Add mixes that SERVOn_FUNCTION declares and the card lacks; return findings on the
+    assumption.
+    """
     findings = []
     for kind, panel_functions in _LEFT_RIGHT.items():
         channels = [
@@ -341,7 +379,9 @@ def _assumed_mixes(
 
 
 def _control_by_card(card: AirframeCard, name: str, has_functions: bool) -> Control | None:
-    """A log without parameters: the card's table on the card's channel, or on the usual one."""
+    """Return the control by the card alone, on the card's or the usual channel; None if
+    impossible.
+    """
     servo = card.servos.get(name)
     if servo is None or (has_functions and not servo.channel):
         return None  # the autopilot says what its outputs do, and none of them does this
@@ -355,7 +395,9 @@ def _control_by_card(card: AirframeCard, name: str, has_functions: bool) -> Cont
 
 
 def _control_by_log(card: AirframeCard, name: str, members: tuple[Output, ...]) -> Control | None:
-    """A surface whose outputs the log's parameters describe."""
+    """Return the control of an input whose outputs the log's parameters describe; None if
+    impossible.
+    """
     parts, descriptions, conflicts = [], [], []
     for output in members:
         table = _table(card, name, output)
@@ -373,10 +415,11 @@ def _control_by_log(card: AirframeCard, name: str, members: tuple[Output, ...]) 
 
 
 def _table(card: AirframeCard, name: str, output: Output) -> tuple[Servo, str] | None:
-    """PWM to deflection, and where the degrees are from.
+    """Return the servo table of an output, and where its degrees come from.
 
-    The card's own table keeps its slope, since an autopilot's MIN and MAX may leave some of the
-    throw unused."""
+    The card's table keeps its slope, because MIN and MAX of an autopilot may not use the full
+    throw.
+    """
     card_servo, throw = card.servos.get(name), card.throws.get(name)
     limits = card_servo.limits if card_servo is not None else (-math.inf, math.inf)
     if name == "throttle":
@@ -399,6 +442,7 @@ def _table(card: AirframeCard, name: str, output: Output) -> tuple[Servo, str] |
         )
     if card_servo is None:
         return None
+    # The card's table, moved to the log's neutral and mirrored if the log reverses it.
     neutral = _neutral(card_servo)
     shift = _or_default(output.neutral, neutral) - neutral
     turn = 1.0 if sense * (card_servo.table[-1][1] - card_servo.table[0][1]) > 0.0 else -1.0
@@ -412,7 +456,7 @@ def _table(card: AirframeCard, name: str, output: Output) -> tuple[Servo, str] |
 
 
 def _neutral(servo: Servo) -> float:
-    """PWM of no deflection."""
+    """Return the PWM of zero deflection, us."""
     rows = sorted(servo.table, key=lambda row: row[1])
     return float(np.interp(0.0, [angle for _, angle in rows], [pwm for pwm, _ in rows]))
 
@@ -421,7 +465,7 @@ _SAME_NEUTRAL_US = 5.0
 
 
 def _conflicts(card_servo: Servo | None, used: Servo, output: Output) -> list[str]:
-    """What the card says otherwise than the log, in words."""
+    """Return the differences between the card's servo and the one in use, as sentences."""
     if card_servo is None:
         return []
     conflicts = []
@@ -443,12 +487,14 @@ def _conflicts(card_servo: Servo | None, used: Servo, output: Output) -> list[st
 
 
 def _as_words(name: str, channel: int, servo: Servo) -> str:
+    """Describe channel and table of an input."""
     pwm = "/".join(f"{p:g}" for p, _ in servo.table)
     angles = "/".join(f"{a:g}" for _, a in servo.table)
     return f"{name} is servo {channel}, {pwm} us = {angles} {'%' if name == 'throttle' else 'deg'}"
 
 
 def _mixed(mix: Mix, basis: str, out: dict[str, Control]) -> None:
+    """Add the two controls of a v-tail or of elevons."""
     first, second = mix.outputs
     left_channel, right_channel = mix.left.channel or 0, mix.right.channel or 0
     out[COLUMNS[first]] = Control(
@@ -460,31 +506,26 @@ def _mixed(mix: Mix, basis: str, out: dict[str, Control]) -> None:
 
 
 def elevator_channel(parameters: Mapping[str, float]) -> int:
-    """Servo output that pitches the aircraft, for checks that need its activity and not its
-    angle.
-    """
+    """Return the servo output that pitches the aircraft, for checks that need its activity only."""
     for n, function in functions(parameters).items():
         if function in (19, 77, 79):
             return n
     return USUAL_CHANNELS["elevator"]
 
 
-# Steps of commands that were logged more slowly than they were carried out, placed by what the
-# gyro saw. Pure.
-#
-# A servo output logged at 25 Hz is known to 40 ms: a step stands at the first logged sample
-# that has it, and happened some time since the one before. A step of a control surface is a
-# kink in its axis' rate, and the gyro says between which samples. Gyros filter, so all kinks
-# come late by one time; it is found from all steps together, or it would put half of them on
-# the wrong side.
+# Re-timing of command steps. A servo output logged at 25 Hz is known to 40 ms: a step happened
+# at some time between the last sample without it and the first sample with it. It causes a kink
+# in the angular rate of its axis, which the gyro locates. Filters delay all kinks by one common
+# time, which is estimated from all steps together; otherwise about half of them would be placed
+# on the wrong side.
 
 MIN_STEP_DEG = 1.0
-"""deg: smaller steps leave no kink worth looking for."""
+"""Steps below this size, deg, cause no visible kink."""
 MAX_LATE_S = 0.05
-"""By how much the gyro's kinks may come after the steps: its filter, and a servo that lags."""
+"""Longest delay of the kinks after the steps, s: gyro filter and servo lag."""
 _AROUND_S = 0.08  # on either side that the kink is fitted to
 _MIN_ROWS = 4  # rows on either side
-# noise variances within which two times by which the gyro may be late are as good as each other
+# Delays whose sums of squares differ by less than this many noise variances are equally good.
 _MISFIT_TOLERANCE = 4.0
 _FINE_S = 0.001
 _KINK_PARAMETERS = 4  # numbers that a rate with a kink is fitted by
@@ -493,8 +534,16 @@ _PLACED_PROBABILITY = 0.9  # share of likelihood at which a step counts as place
 
 @dataclass(frozen=True)
 class PlacedSteps:
-    """command (n,) deg; steps that are placed for sure; late_s: by which the rate turns after them,
-    NaN without a step.
+    """Result of `place_steps`.
+
+    Attributes
+    ----------
+    command : ndarray of shape (n,)
+        Re-timed command, deg.
+    steps : int
+        Steps that were placed with a probability above 0.9.
+    late_s : float
+        Delay of the kinks after the steps, s; NaN without steps.
     """
 
     command: FloatArray
@@ -504,8 +553,10 @@ class PlacedSteps:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step first logged at ``row``. misfit (places, offsets): sum of squares left by a kink an
-    offset after a place.
+    """A step first logged at ``row``.
+
+    ``misfit`` has shape (places, offsets): the sum of squares of a fit with a kink that much after
+    each possible place.
     """
 
     row: int
@@ -516,14 +567,26 @@ class _Step:
 def place_steps(
     command: FloatArray, logged: NDArray[np.bool_], rate: FloatArray, noise: float, dt_s: float
 ) -> PlacedSteps:
-    """The command between its logged rows, what is known of its steps.
+    """Estimate a command between its logged rows from the angular rate of its axis.
 
-    logged (n,): rows whose command was logged; between them it stands held. noise: standard
-    deviation of the rate, rad/s. A step alone happened at one of the rows since the logged sample
-    before it, each as likely as a kink of the rate (n,) rad/s fits there, late by the one time that
-    suits all steps best; rows between have what is expected of them. All else goes straight from
-    one logged sample to the next: a command that moves all the time does so in the mean, and held
-    it would come late."""
+    An isolated step happened at one of the rows since the logged sample before it. The probability
+    of each row follows from the fit of a kink of the rate there, delayed by the one time that fits
+    all steps best; the command between is its expected value. All other rows are interpolated
+    linearly: for a command that moves all the time, a held value would be late on average.
+
+    Parameters
+    ----------
+    command : ndarray of shape (n,)
+        Command, held between logged rows, deg.
+    logged : ndarray of bool, shape (n,)
+        Rows at which it was logged.
+    rate : ndarray of shape (n,)
+        Angular rate of its axis, rad/s.
+    noise : float
+        Standard deviation of the rate, rad/s.
+    dt_s : float
+        Step of the rows, s.
+    """
     rows = np.flatnonzero(logged)
     out = (
         np.interp(np.arange(len(command)), rows, command[rows])
@@ -535,11 +598,13 @@ def place_steps(
     steps = list(_steps(command, rows.tolist(), rate, offsets, around))
     if not steps:
         return PlacedSteps(out, 0, float("nan"))
+    # The smallest delay that is not significantly worse than the best one, common to all steps.
     total_misfit = np.sum([s.misfit.min(axis=0) for s in steps], axis=0)
     late = int(np.flatnonzero(total_misfit <= total_misfit.min() + _MISFIT_TOLERANCE * noise**2)[0])
     placed = 0
     for s in steps:
         misfit = s.misfit[:, late]
+        # Probability of each place from a Gaussian likelihood.
         variance = max(noise**2, float(misfit.min()) / (2 * around - _KINK_PARAMETERS))
         likelihood = np.exp(-0.5 * (misfit - misfit.min()) / variance)
         likelihood /= likelihood.sum()
@@ -550,9 +615,24 @@ def place_steps(
 
 
 def logged_rows(command: FloatArray, stride: int) -> NDArray[np.bool_]:
-    """(n,) rows at which a command, held and logged about every ``stride`` rows, was logged: those
-    at which it changes, and those ``stride`` before, at which it had not. Where it stands still
-    nothing hangs on it, and no clock has to be regular."""
+    """Return the rows at which a held command was logged, about every ``stride`` rows.
+
+    These are the rows at which it changes, and the rows ``stride`` before, at which it had not
+    changed. While the command is constant the choice of rows has no effect, and no regular clock
+    is assumed.
+
+    Parameters
+    ----------
+    command : ndarray of shape (n,)
+        Command, held between its samples.
+    stride : int
+        Rows between two logged samples.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        True at logged rows.
+    """
     changes = np.flatnonzero(np.diff(command) != 0.0) + 1
     last = np.concatenate([[0], changes[:-1]])
     out = np.zeros(len(command), dtype=bool)
@@ -563,7 +643,7 @@ def logged_rows(command: FloatArray, stride: int) -> NDArray[np.bool_]:
 def _steps(
     command: FloatArray, rows: list[int], rate: FloatArray, offsets: FloatArray, around: int
 ) -> Iterator[_Step]:
-    """The steps with nothing else near them."""
+    """Yield the isolated steps, with the misfit of a kink at each possible place and delay."""
     for before, row in pairwise(rows):
         size = command[row] - command[before]
         first, last = before - around + 1, row + around + 1
@@ -573,6 +653,7 @@ def _steps(
         other_steps = np.abs(
             np.diff(np.concatenate([command[first : before + 1], command[row + 1 : last]]))
         )
+        # The step itself must be one jump: nothing may follow within its interval.
         other_steps[before - first] = abs(command[min(row + 1, len(command) - 1)] - command[row])
         if not np.isfinite(axis_rate).all() or other_steps.max(initial=0.0) > MIN_STEP_DEG:
             continue
@@ -587,8 +668,9 @@ def _steps(
 
 
 def _misfit(at: FloatArray, rate: FloatArray, kink: float) -> float:
-    """Sum of squares left by a straight line and, from ``kink`` on, a parabola: a rate that has
-    begun to turn is soon damped.
+    """Return the sum of squares of the rate about a line that turns into a parabola at ``kink``.
+
+    The parabola allows for damping after the turn.
     """
     after = np.maximum(at - kink, 0.0)
     design = np.column_stack([np.ones_like(at), at - kink, after, after**2])

@@ -1,6 +1,9 @@
-"""What real logs get wrong, found and reported with numbers.
+"""Run all checks of a log and report them as findings with numbers.
 
-Pure numerics on channels and records.
+`check_channel` looks at one channel on its own time stamps, `check_record` at a finished record,
+`check_motion` at the channels of free flight against each other, and `recheck` repeats the checks
+on a record that is read from a file. The tests themselves are in `signals`, `physics`,
+`kinematics`, `timing` and `surface_signs`.
 """
 
 from __future__ import annotations
@@ -38,15 +41,22 @@ _EDGE_SHARE = 1e-3  # channels start and end a few samples apart: no dropout wor
 
 
 def check_channel(c: Channel, grid_step_s: float, reported: set[str]) -> list[Finding]:
-    """Times, gaps, holds, wraps, range and origin of one channel.
+    """Check times, gaps, holds, wraps, range and origin of one channel.
 
-    seen  messages whose times were reported already; this channel's is added
+    Parameters
+    ----------
+    c : Channel
+        Channel on its own time stamps.
+    grid_step_s : float
+        Step of the record, s.
+    reported : set of str
+        Messages whose times were reported already; this channel's message is added.
     """
     out: list[Finding] = []
     message = c.label.split(".")[0].split(" ")[0]
     if message not in reported and c.name != "mode":
         reported.add(message)
-        # Guidance messages come and go with the flight mode; their gaps harm nobody.
+        # Guidance messages come and go with the flight mode; their gaps are harmless.
         severity = "info" if c.name in _GUIDANCE else "warning"
         out += _times(message, c) + _gaps(message, c, severity)
     out += (
@@ -66,6 +76,7 @@ def check_channel(c: Channel, grid_step_s: float, reported: set[str]) -> list[Fi
 
 
 def _times(message: str, c: Channel) -> list[Finding]:
+    """Return findings on times that run backwards or repeat."""
     out = []
     if c.clean.backwards:
         text = (
@@ -83,6 +94,7 @@ def _times(message: str, c: Channel) -> list[Finding]:
 
 
 def _gaps(message: str, c: Channel, severity: str) -> list[Finding]:
+    """Return a finding on the gaps of a message."""
     gaps = c.clean.gaps
     if not len(gaps):
         return []
@@ -103,8 +115,9 @@ def _gaps(message: str, c: Channel, severity: str) -> list[Finding]:
 
 
 def _hold(name: str, c: Channel, grid_step_s: float) -> list[Finding]:
-    """A channel slower than the grid: either logged slower, or logged fast while its values are
-    held.
+    """Return a finding on a channel that is slower than the grid.
+
+    It is either logged slower, or logged fast with values that are held.
     """
     if name == "mode" or name in _GUIDANCE:
         return []
@@ -125,8 +138,9 @@ def _hold(name: str, c: Channel, grid_step_s: float) -> list[Finding]:
 
 
 def _resolution_findings(name: str, c: Channel) -> list[Finding]:
-    """A channel that was logged fast and yet has fewer values, or coarser ones, than samples."""
+    """Return a finding on a channel with fewer or coarser values than samples."""
     if name in COMMANDS or name == "rho_kgpm3":  # a density is computed, and hardly changes
+        # Commands are held by nature; a density is computed and hardly changes.
         return []
     repetition = sample_hold(c.values)
     if repetition is not None and repetition.is_held:
@@ -181,16 +195,18 @@ _MAY_STAND_STILL = frozenset(
         *_GUIDANCE,
     }
 )
-"""Channels that may stand still in flight; of them noise has to tell a sensor that has stopped."""
+"""Channels that may be constant in flight. A constant value is a stopped sensor only if noise
+moved the channel before.
+"""
 
 
 def has_factor(label: str) -> bool:
-    """Whether another message's field multiplies the channel of this label."""
+    """Return whether the channel of this label is multiplied by a field of another message."""
     return " x " in label
 
 
 def _stuck_before_factor(c: Channel) -> list[Finding]:
-    """A sensor that stood still beneath a factor that does not."""
+    """Return a finding on a sensor that stood still, hidden by a factor that did not."""
     if c.raw is None or not has_factor(c.label) or c.name in COMMANDS:
         return []
     span = stuck_span(c.raw, c.clean.step_s, noisy=c.name in _MAY_STAND_STILL)
@@ -202,6 +218,7 @@ def _stuck_before_factor(c: Channel) -> list[Finding]:
 
 
 def _stuck_finding(name: str, value: float, span_s: tuple[float, float]) -> Finding:
+    """Return the finding on a channel that stood still for a time."""
     begin, end = (float(t) for t in span_s)
     text = (
         f"{name} stands at {value:.4g} from {begin:.2f} to {end:.2f} s, among samples that all"
@@ -213,7 +230,9 @@ def _stuck_finding(name: str, value: float, span_s: tuple[float, float]) -> Find
 
 
 def _stuck(record: FlightRecord) -> list[Finding]:
-    """Channels that stood still for seconds while their noise moves them with every sample else."""
+    """Return findings on channels that stood still for seconds, though noise usually moves every
+    sample.
+    """
     out = []
     for name, values in record.columns.items():
         if (
@@ -234,8 +253,10 @@ def _stuck(record: FlightRecord) -> list[Finding]:
 
 
 def _components_interpolated(flight: FlightRecord) -> list[Finding]:
-    """Airspeed and angles of flow of which somebody has interpolated u, v and w: they themselves
-    lie on no straight lines.
+    """Return findings on airspeed, alpha and beta whose components u, v, w were interpolated.
+
+    Linear components do not make V, alpha and beta linear, so that these must be transformed
+    first.
     """
     if not all(n in flight for n in AIR):
         return []
@@ -263,7 +284,7 @@ def _components_interpolated(flight: FlightRecord) -> list[Finding]:
 
 
 def _wrap(name: str, c: Channel) -> list[Finding]:
-    """Steps of a whole integer range in the logged number: a counter or scaled integer that
+    """Return a finding on jumps by a whole integer range: a counter or scaled integer that
     wrapped.
     """
     if c.raw is None or name in LABELS or SIGNALS[name].kind == "heading":
@@ -286,6 +307,7 @@ def _wrap(name: str, c: Channel) -> list[Finding]:
 def _range(
     name: str, label: str, values: FloatArray, meta: Metadata | None = None
 ) -> list[Finding]:
+    """Return a finding on values outside the plausible range, with the correction for degrees."""
     signal = SIGNALS[name]
     finite = values[np.isfinite(values)]
     if not len(finite) or name in LABELS:
@@ -310,19 +332,18 @@ def _range(
 
 
 def estimated_channels(mapped: tuple[str, ...], findings: Sequence[Finding]) -> tuple[str, ...]:
-    """Channels that no sensor measured: those that the map says, and angles of flow that were
-    computed from other channels.
-    """
+    """Return the channels that no sensor measured, by the map or by the checks."""
     computed = (f.channel for f in findings if f.code == "estimate" and f.channel in AIR[1:])
     return tuple(dict.fromkeys((*mapped, *computed)))
 
 
 def one_per_cause(findings: Sequence[Finding]) -> list[Finding]:
-    """The findings without those that another one explains.
+    """Remove findings that another finding explains.
 
-    A wrong unit or sign takes a channel out of its range and makes an airspeed negative; a channel
-    in degrees, or one that stands still, fails every relation that it has a part in, and its sign
-    cannot be judged."""
+    A wrong unit or sign takes a channel out of its range and makes an airspeed negative. A channel
+    in degrees, or one that stands still, violates every relation in which it occurs, and its sign
+    cannot be determined.
+    """
     wrong_units = {f.channel for f in findings if f.code in ("unit", "sign")}
     frozen = {f.channel for f in findings if f.code == "frozen" and f.severity == "error"}
     by_size = {f.channel for f in findings if f.code == "out-of-range" and f.mend}
@@ -342,8 +363,14 @@ def one_per_cause(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> list[Finding]:
-    """Dropouts, speeds below zero, frozen channels and kinematic consistency, over free flight
-    where there is one.
+    """Check dropouts, speeds below zero, frozen channels and kinematic consistency.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        Finished record.
+    free_s : tuple or None
+        Free flight, s; None checks the whole record and leaves the kinematic checks out.
     """
     flight = record if free_s is None else record.between(*free_s)
     out: list[Finding] = []
@@ -381,8 +408,10 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
 
 
 def check_motion(flight: FlightRecord) -> list[Finding]:
-    """Channels of free flight against one another: units, signs, lateness, the surfaces' effects,
-    the accelerometers' place.
+    """Check channels of free flight against each other.
+
+    The checks are of units, signs, delays, effects of the surfaces and position of the
+    accelerometers.
     """
     if len(flight) < 3:
         return []
@@ -391,11 +420,12 @@ def check_motion(flight: FlightRecord) -> list[Finding]:
         for n, v in flight.columns.items()
         if n not in LABELS and n != "time_s"
     }
+    # Damaged samples must not dominate the sums of squares.
     flight = flight.with_columns(
         {n: v for n, v in plausible.items() if not np.array_equal(v, flight[n], equal_nan=True)}
     )
     findings = check_physics(flight)
-    # A surface's effect shows in a rate: one that is reversed would reverse the surface.
+    # Correct units and signs first: a reversed rate would make its surface look reversed.
     corrected_columns = {
         f.channel: flight[f.channel] / f.numbers["slope"]
         for f in findings
@@ -403,8 +433,7 @@ def check_motion(flight: FlightRecord) -> list[Finding]:
     }
     corrected = flight.with_columns(corrected_columns)
     findings += [*check_surfaces(corrected), *check_estimates(corrected)]
-    # With a unit or a sign wrong, or angles that were not measured, what is left over would pass
-    # for a lever arm.
+    # A wrong unit or sign, or angles that were not measured, would look like a lever arm.
     has_error = any(
         f.severity == "error" or (f.code == "estimate" and f.channel in AIR) for f in findings
     )
@@ -419,11 +448,12 @@ _MOVING_TOGETHER = (
     ("V_mps", "alpha_rad", "theta_rad", "q_radps", "ax_mps2", "az_mps2", "h_m"),
     ("beta_rad", "phi_rad", "psi_rad", "p_radps", "r_radps", "ay_mps2"),
 )
-"""Channels of which none stands still while another moves."""
+"""Groups of channels of which none is constant while another moves."""
 _MIN_SPAN = 1e-9
 
 
 def _frozen(flight: FlightRecord) -> list[Finding]:
+    """Return findings on constant channels; errors if a related channel moves."""
     out = []
     spans = {
         n: np.ptp(v[np.isfinite(v)])
@@ -459,7 +489,7 @@ def _frozen(flight: FlightRecord) -> list[Finding]:
 
 
 def check_units(record: FlightRecord) -> list[Finding]:
-    """Ranges, units and signs of a table's channels, by themselves and by each other."""
+    """Check ranges, units and signs of a table's channels."""
     out = check_ranges(record)
     if len(record) > 1:
         out += [f for f in check_motion(record) if f.code in ("unit", "sign")]
@@ -467,7 +497,7 @@ def check_units(record: FlightRecord) -> list[Finding]:
 
 
 def check_ranges(record: FlightRecord) -> list[Finding]:
-    """Channels outside the vocabulary's ranges."""
+    """Return findings on channels outside the vocabulary's ranges."""
     groups = [
         _range(n, record.metadata.channels.get(n, "column"), v, record.metadata)
         for n, v in record.columns.items()
@@ -494,12 +524,13 @@ _RECORD_CODES = frozenset(
         "quantised",
     }
 )
-"""Findings that a record itself shows, whatever was known when it was made."""
+"""Codes of findings that depend on the record alone."""
 
 
 def recheck(record: FlightRecord) -> list[Finding]:
-    """The findings of a record as they are known today: those of its log stay, all that it shows
-    itself is new.
+    """Return the findings of a record by the current checks.
+
+    Findings about the log that it was made from are kept; all that the record itself shows is new.
     """
     if len(record) < 3:
         return list(record.metadata.findings)
@@ -521,8 +552,9 @@ def recheck(record: FlightRecord) -> list[Finding]:
 
 
 def _samples(record: FlightRecord) -> list[Finding]:
-    """Held, coarse and interpolated channels of a record, those left out that its maker filled in
-    himself.
+    """Return findings on held, coarse and interpolated channels of a record.
+
+    Channels that the import itself interpolated are left out.
     """
     out = []
     rate = 1.0 / record.dt_s if len(record) > 1 else float("nan")
@@ -546,7 +578,9 @@ def _samples(record: FlightRecord) -> list[Finding]:
 
 
 def in_degrees(finding: Finding) -> bool:
-    """Does this finding say that a channel is off by the factor between degrees and radians?"""
+    """Return whether a finding says that a channel is in degrees instead of radians, or the
+    reverse.
+    """
     ratio = abs(finding.numbers.get("slope", 1.0))
     largest = max(abs(finding.numbers.get("low", 0.0)), abs(finding.numbers.get("high", 0.0)))
     by_range = (

@@ -1,9 +1,9 @@
-"""Wrong units, signs and late channels, by the laws that a flight's channels must obey whatever the
-aircraft.
+"""Detect wrong units, signs and delays by relations that hold for any aircraft.
 
-A law that does not hold says that one of its channels is wrong, not which. The explanation is
-looked for among all slips that are made with a channel's unit or sign: the one with which most laws
-hold that did not, and that breaks none."""
+A violated relation says that one of its channels is wrong, but not which. `check_physics`
+therefore tests every unit and sign error that is common for each channel, and selects the one that
+repairs most violated relations and breaks none. Delays are estimated from the corrected channels.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +36,7 @@ from sysid.record import FlightRecord, Metadata
 from sysid.units import FT_M, G0_MPS2, KT_MPS
 from sysid.vocabulary import LABELS, SIGNALS, SURFACES
 
-# What a channel in a wrong unit or of the wrong sign would spoil, and the lines of a signal map
-# that mend it.
+# Results that a wrong unit or sign affects, and the lines of a signal map that correct it.
 
 _SPOILS = {
     "V_mps": (
@@ -58,7 +57,7 @@ _SPOILS = {
 
 
 def affected_results(channel: str) -> str:
-    """What comes out wrong with this channel."""
+    """Return the results that are wrong if this channel is."""
     if channel in _SPOILS:
         return _SPOILS[channel]
     if channel.endswith("_radps"):
@@ -71,7 +70,7 @@ def affected_results(channel: str) -> str:
 
 
 def map_correction(channel: str, factor: float, meta: Metadata) -> str:
-    """Lines of a signal map after which the channel is ``factor`` times what it is now."""
+    """Return lines of a signal map that multiply a channel by ``factor``."""
     label = meta.channels.get(channel, "")
     shipped = (
         shipped_map(meta.dialect.removesuffix("-text"))
@@ -79,8 +78,7 @@ def map_correction(channel: str, factor: float, meta: Metadata) -> str:
         else None
     )
     entries = () if shipped is None else shipped.entries.get(channel, ())
-    # A label such as "ARSP[1].Airspeed" names the instance that was read, "ARSP[0,1]" those read in
-    # turn.
+    # A label such as "ARSP[1].Airspeed" names the instance; "ARSP[0,1]" names several in turn.
     name = re.match(r"(\w+)\[([\d,]+)\](\..*)", label)
     shipped_label = label if name is None else name[1] + name[3]
     instance = name[2] if name is not None and "," not in name[2] else ""
@@ -112,12 +110,13 @@ def map_correction(channel: str, factor: float, meta: Metadata) -> str:
 
 
 def _listed(names: tuple[str, ...]) -> str:
+    """Return names as a TOML list."""
     return "[" + ", ".join(f'"{n}"' for n in names) + "]"
 
 
 SAME = 1.33
-"""Factor within which a scale passes for right: sensors that are out by less are a matter of
-calibration, not of units.
+"""Factor within which a scale counts as right: a smaller error is a matter of calibration, not of
+units.
 """
 _SHARP = 2.0  # high over low of a relation that tells anything
 _MAX_FAULTS = 4
@@ -152,21 +151,22 @@ _FAMILIES: tuple[tuple[tuple[str, ...], Mapping[float, str], str], ...] = (
 
 
 _MIN_LATE_S, _MIN_LATE_RATIO = 0.01, 4.0
-# of a relation that is reported without an explanation: side forces of gusts pass for turns below
-# it
+# Least coherence of a relation that is reported without an explanation; below it, side forces of
+# gusts look like turns.
 _COHERENT = 0.7
 _LATE_COHERENCE = 0.7  # of a relation whose motion alone tells lateness
 _MAX_LATE_S = 0.45
 _GUST_S = 0.1
-"""Lateness of a law that takes the air for still, beyond which it shows gusts; vanes and filters
-are late by 0.04 s at most.
+"""Delay of a relation that assumes still air, above which it shows gusts, s. Vanes and filters
+are late by at most 0.04 s.
 """
 
 
 @dataclass(frozen=True)
 class ChannelFault:
-    """Channels that are ``factor`` times what they should be, and what they hold in words. rank:
-    the likelier, the lower.
+    """A possible error: ``channels`` are ``factor`` times their true values.
+
+    ``words`` describes it; a lower ``rank`` is likelier.
     """
 
     channels: tuple[str, ...]
@@ -175,7 +175,7 @@ class ChannelFault:
     rank: int
 
     def corrected(self, record: FlightRecord) -> FlightRecord:
-        """The record without it."""
+        """Return the record without the error."""
         return record.with_columns(
             {c: record[c] / self.factor for c in self.channels if c in record}
         )
@@ -183,29 +183,28 @@ class ChannelFault:
 
 @dataclass(frozen=True)
 class LawResult:
-    """What a flight says of one law."""
+    """A law and its relation as estimated from a flight."""
 
     law: Law
     relation: Relation
 
     @property
     def assumes_still_air(self) -> bool:
-        """The law takes the air for still: in gusts the air's own acceleration, which the aircraft
-        answers, passes for a scale.
+        """Whether the law neglects the acceleration of the air. In gusts, to which the aircraft
+        responds, that acceleration looks like a scale.
         """
         return {"alpha_rad", "beta_rad"} <= set(self.law.uses)
 
     @property
     def has_evidence(self) -> bool:
-        """Whether the law has evidence.
-
-        One band alone, in which the air is taken for still, may be one gust's.
+        """Whether enough bands count. A law that assumes still air needs two, because one may be
+        a single gust.
         """
         return self.relation.bands > (1 if self.assumes_still_air else 0)
 
     @property
     def agrees(self) -> bool:
-        """The scale is 1 as far as can be told, and it can."""
+        """Whether the scale is known and equal to 1 within SAME."""
         r = self.relation
         return (
             self.has_evidence
@@ -216,20 +215,31 @@ class LawResult:
 
     @property
     def differs(self) -> bool:
-        """The scale cannot be 1. A gust turns the air before the aircraft answers; no unit and no
-        sign makes a channel late.
+        """Whether the scale cannot be 1.
+
+        Gusts reach the air data before the aircraft responds, so that a law with a delay proves
+        nothing; a wrong unit or sign causes no delay.
         """
         gust = self.assumes_still_air and abs(self.relation.late_s) > _GUST_S
         return self.has_evidence and not gust and not self.relation.allows(1.0, SAME - 1.0)
 
 
 def check_physics(record: FlightRecord) -> list[Finding]:
-    """Units, signs and lateness of the channels of a flight.
+    """Return findings on units, signs and delays of the channels of a flight.
 
-    Noise, however much of it, is no finding.
+    Parameters
+    ----------
+    record : FlightRecord
+        Free flight.
+
+    Returns
+    -------
+    list of Finding
+        Codes "unit", "sign", "kinematics-disagree" and "delay". Noise of any size is no finding.
     """
     corrected, late_s = _align_ground_velocity(_to_radians(_thinned(record)))
     out: list[Finding] = []
+    # Remove one error after the other, the best explanation first.
     for _ in range(_MAX_FAULTS):
         results = evaluate_laws(corrected)
         if not any(h.differs for h in results):
@@ -251,7 +261,7 @@ def check_physics(record: FlightRecord) -> list[Finding]:
 
 
 def evaluate_laws(record: FlightRecord) -> list[LawResult]:
-    """Every law that the record has the channels for, and what the flight says of it."""
+    """Return the relation of every law for which the record has the channels."""
     return [
         LawResult(law, estimate_relation(law, parts))
         for law in all_laws()
@@ -262,7 +272,7 @@ def evaluate_laws(record: FlightRecord) -> list[LawResult]:
 def _evaluate_corrected(
     record: FlightRecord, results: Sequence[LawResult], fault: ChannelFault
 ) -> list[LawResult]:
-    """As `heard`, for the record without a slip; laws without its channels say what they said."""
+    """Return the results with an error corrected; laws without its channels keep their result."""
     corrected = fault.corrected(record)
     out = []
     for h in results:
@@ -274,9 +284,7 @@ def _evaluate_corrected(
 
 
 def _thinned(record: FlightRecord) -> FlightRecord:
-    """At most _MOST_HZ rows a second, each the mean of some: the laws are about motion far below
-    that.
-    """
+    """Return at most _MAX_HZ rows a second, each a mean: the laws concern much slower motion."""
     n = math.floor(1.0 / (record.dt_s * _MAX_HZ) + 1e-6)
     if n < 2:
         return record
@@ -286,7 +294,7 @@ def _thinned(record: FlightRecord) -> FlightRecord:
         if name in LABELS:
             columns[name] = values[:rows:n]
         elif SIGNALS[name].kind == "heading" or name == "phi_rad":
-            # Means of angles on the circle, of what goes round with them.
+            # The mean direction on the circle.
             parts = [part(values[:rows]).reshape(-1, n).mean(axis=1) for part in (np.sin, np.cos)]
             turned = np.arctan2(*parts)
             columns[name] = np.mod(turned, 2.0 * np.pi) if name == "psi_rad" else turned
@@ -296,10 +304,11 @@ def _thinned(record: FlightRecord) -> FlightRecord:
 
 
 def _align_ground_velocity(record: FlightRecord) -> tuple[FlightRecord, float]:
-    """The ground velocity moved to when it was true, and by how much it was late, s.
+    """Return the record with the ground velocity shifted by its delay, and the delay, s.
 
-    In a turn the path's change and gravity nearly cancel along the wings: a tenth of a second
-    between them would pass for a scale. Along the lift it is the path's change alone that varies.
+    In a turn, the acceleration of the path and gravity nearly cancel along the wings: a delay of
+    0.1 s between them would look like a scale. Along the lift only the acceleration of the path
+    varies.
     """
     law = next(x for x in all_laws() if x.subject == "az_mps2" and set(GROUND) <= set(x.uses))
     parts = stretches(record, law)
@@ -315,8 +324,9 @@ def _align_ground_velocity(record: FlightRecord) -> tuple[FlightRecord, float]:
 
 
 def _to_radians(record: FlightRecord) -> FlightRecord:
-    """Angles that leave their range by far are degrees, which the check of ranges says; the laws
-    are about radians.
+    """Return the record with angles far outside their range converted from degrees.
+
+    The range check reports them; the laws require radians.
     """
     converted = {
         name: record[name] / _DEG
@@ -336,15 +346,15 @@ MAX_RAD = {
     "q_radps": 20.0,
     "r_radps": 20.0,
 }
-"""Angles [rad] and rates [rad/s] that no flight exceeds in one sample of a hundred."""
+"""Angles [rad] and rates [rad/s] that fewer than 1 % of the samples of any flight exceed."""
 
 
 def degrees_by_size(name: str, values: FloatArray) -> bool:
-    """Whether a channel's size says that it is in degrees: it goes beyond what radians can be, and
-    gets there by moving.
+    """Return whether the size of a channel shows that it is in degrees.
 
-    Damaged samples leap there; a channel in degrees passes the limit in steps as small as its
-    others."""
+    It exceeds the limit for radians, in steps as small as its others. Damaged samples jump there
+    instead.
+    """
     finite = values[np.isfinite(values)]
     limit = MAX_RAD[name]
     if finite.size < 3 or float(np.quantile(np.abs(finite), 0.99)) <= limit:
@@ -362,9 +372,9 @@ def degrees_by_size(name: str, values: FloatArray) -> bool:
 def _candidate_faults(
     record: FlightRecord, violated: Sequence[LawResult]
 ) -> Iterator[ChannelFault]:
-    """Every slip that would touch a law which does not hold.
+    """Yield every error that affects a violated law.
 
-    Sensors of one kind share a unit if they share their noise.
+    Sensors of one kind share a unit if they have the same noise.
     """
     touched = {n for h in violated for n in h.law.uses}
     for family, units, signal_unit in _FAMILIES:
@@ -399,8 +409,8 @@ def _candidate_faults(
 
 
 def _same_noise(record: FlightRecord, channels: tuple[str, ...]) -> bool:
-    """Whether the channels' noise is of one size, as far as they show any (third differences, which
-    motion hardly enters).
+    """Return whether the noise of the channels has one size, as far as they show any (third
+    differences).
     """
     if not all(n in record for n in channels):
         return False
@@ -410,24 +420,27 @@ def _same_noise(record: FlightRecord, channels: tuple[str, ...]) -> bool:
 
 
 def _points(laws: Sequence[LawResult]) -> int:
+    """Return the score of a set of laws: +1 for each that agrees, -2 for each that is violated."""
     return sum(1 if h.agrees else -2 if h.differs else 0 for h in laws)
 
 
 def _explanation(
     record: FlightRecord, results: Sequence[LawResult]
 ) -> tuple[ChannelFault, list[ChannelFault]] | None:
-    """The slip that mends most, and others that mend as much; None where none mends anything."""
+    """Return the error that repairs most, and others that repair as much; None if none repairs
+    anything.
+    """
     violated = [h for h in results if h.differs]
     base = _points(results)
     scored = []
     for fault in _candidate_faults(record, violated):
         if not any(h.agrees for h in _evaluate_corrected(record, violated, fault)):
-            # It mends nothing: what the laws that hold say of it need not be asked.
+            # It repairs nothing: the other laws need not be evaluated.
             continue
         corrected = _evaluate_corrected(record, results, fault)
         gain = _points(corrected) - base
         if gain > 0:
-            # As near as the measured scales are to 1 afterwards, of what mends as much.
+            # Among equal gains prefer scales close to 1 after the correction.
             log_scales = [abs(math.log(abs(h.relation.scale))) for h in corrected if h.agrees]
             scored.append(
                 (
@@ -457,7 +470,7 @@ def _fault_findings(
     before: Sequence[LawResult],
     after: Sequence[LawResult],
 ) -> Iterator[Finding]:
-    """A finding for each channel of a slip."""
+    """Yield a finding for each channel of an error."""
     results_after = {h.law: h for h in after}
     repaired_or_confirmed = [
         h for h in before if h.law in results_after and results_after[h.law].agrees and not h.agrees
@@ -469,6 +482,7 @@ def _fault_findings(
         or repaired_or_confirmed
         or violated
     )
+    # Quote the law with the narrowest limits of the scale.
     best = min(
         relevant,
         key=lambda h: (
@@ -489,8 +503,8 @@ def _fault_findings(
     for channel in fault.channels:
         text = (
             f"{channel} is {size} times {best.law.statement} (between {low:.3g} and {high:.3g},"
-            f" coherence {relation.coherence:.2f}): {fault.words}; without it {len(repaired)} of the"
-            f" {len(violated)} relations that do not hold do{either}"
+            f" coherence {relation.coherence:.2f}): {fault.words}; without it {len(repaired)} of"
+            f" the {len(violated)} relations that do not hold do{either}"
         )
         numbers = {
             "slope": fault.factor,
@@ -513,6 +527,7 @@ def _fault_findings(
 
 
 def _unexplained(h: LawResult) -> Finding:
+    """Return the finding on a violated law that no single error explains."""
     r = h.relation
     text = (
         f"{h.law.subject} is {r.scale:.3g} times {h.law.statement} (between {r.low:.3g} and"
@@ -536,8 +551,9 @@ def _unexplained(h: LawResult) -> Finding:
 
 
 def _delays(record: FlightRecord, laws: Sequence[LawResult], ground_late_s: float) -> list[Finding]:
-    """Channels that come late: the attitude against the rates, the ground velocity and the air data
-    against the accelerations.
+    """Return findings on delays of attitude, ground velocity and air data.
+
+    References are the rates, and the rates with the accelerations.
     """
     path = [h for h in laws if h.law.subject in ACCELERATIONS and set(GROUND) <= set(h.law.uses)]
     out = [
@@ -568,11 +584,13 @@ def _delays(record: FlightRecord, laws: Sequence[LawResult], ground_late_s: floa
 def _common_delay(
     channel: str, reference: str, members: Sequence[LawResult], corrected_s: float
 ) -> Iterator[Finding]:
-    """Delay that several laws have in common, into none of which gusts enter; ``corrected_s``: the part
-    already corrected.
+    """Yield a finding on the delay that several laws share, none of which gusts enter.
+
+    ``corrected_s`` is the part that was corrected before.
     """
     relations = [h.relation for h in members if h.agrees and h.relation.coherence > _LATE_COHERENCE]
     if relations:
+        # Weighted mean by inverse variance.
         weight = np.array([r.late_std_s**-2 for r in relations])
         late = corrected_s - float(weight @ [r.late_s for r in relations]) / float(weight.sum())
         std = float(weight.sum()) ** -0.5
@@ -583,19 +601,18 @@ def _common_delay(
 
 
 def surely_late(late_s: float, std_s: float) -> bool:
-    """Whether an estimated lateness counts as one: more than 10 ms and more than four standard
-    errors, less than 0.45 s.
+    """Return whether an estimated delay counts: above 10 ms and four standard errors, below 0.45
+    s.
 
     Parameters
     ----------
     late_s, std_s : float
-        The lateness and its standard error [s], as a finding ``delay`` gives them. NaN is no
-        lateness.
+        Delay and standard error [s], as in a finding ``delay``. NaN is no delay.
 
     Returns
     -------
     bool
-        Whether the channel is to be called late, and may be moved.
+        Whether the channel is late and may be shifted.
 
     Examples
     --------
@@ -610,6 +627,7 @@ def surely_late(late_s: float, std_s: float) -> bool:
 def _delay(
     channel: str, reference: str, late_s: float, std_s: float, coherence: float, by: str
 ) -> Finding:
+    """Return the finding on a delay; a warning from 50 ms on."""
     basis = "in what the controls moved" if by == "controls" else f"coherence {coherence:.2f}"
     side = "after" if late_s > 0 else "before"
     text = (

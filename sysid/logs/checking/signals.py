@@ -1,6 +1,7 @@
-"""What was done to a channel's samples: held, interpolated, quantised, stuck, wrapped.
+"""Detect what was done to the samples of a channel: held, interpolated, quantised, stuck, wrapped.
 
-Pure numerics.
+`check_estimates` detects channels that pass for measurements but were computed from other
+channels. All functions are pure.
 """
 
 from __future__ import annotations
@@ -49,8 +50,16 @@ _WRAPS = tuple(
 
 @dataclass(frozen=True)
 class SampleHold:
-    """run: samples from one change to the next; quantum: size of the smallest step; held: the value
-    was kept, not merely coarse.
+    """How a channel repeats its values.
+
+    Attributes
+    ----------
+    run : float
+        Mean number of samples from one change to the next.
+    quantum : float
+        Size of the smallest step.
+    is_held : bool
+        True if values were held, False if the channel is merely coarse.
     """
 
     run: float
@@ -59,10 +68,21 @@ class SampleHold:
 
 
 def sample_hold(values: FloatArray) -> SampleHold | None:
-    """How a channel repeats its values; None where it changes with most samples, or hardly moves.
+    """Detect repeated values.
 
-    A coarse channel repeats its value while it moves by less than a step, and then moves by one
-    step. A held channel moves by what has gathered, or all its changes fall on one beat."""
+    A coarse channel keeps its value while it moves by less than a step, and then changes by one
+    step. A held channel changes by all that has accumulated, or all its changes fall on one beat.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+        Samples; NaN is ignored.
+
+    Returns
+    -------
+    SampleHold or None
+        None if the channel changes with most samples, or hardly moves.
+    """
     finite = values[np.isfinite(values)]
     if len(finite) < _MIN_SAMPLES:
         return None
@@ -74,19 +94,22 @@ def sample_hold(values: FloatArray) -> SampleHold | None:
     if len(moving) < _MIN_CHANGES or float(moving.mean()) < 1.8:
         return None
     sizes = steps[changes]
+    # A quantile, since rounding makes single steps smaller.
     quantum = float(np.quantile(sizes, 0.01))
-    # A coarse channel comes back to the values that it has; one that is held meets new ones,
-    # however its steps differ.
+    # A coarse channel returns to its levels; a held one meets new values.
     levels = len(np.unique(np.round(finite / max(0.1 * quantum, np.finfo(np.float64).tiny))))
     gathered = float(np.mean(sizes > 1.5 * quantum)) > 0.3 and levels > 0.5 * len(changes)
+    # All changes on one beat: a value that is refreshed every few samples.
     beat = int(np.median(moving))
     on_beat = beat >= 2 and max(np.bincount(changes % beat)) > _COMMON * len(changes)
     return SampleHold(float(moving.mean()), quantum, gathered or bool(on_beat))
 
 
 def interpolation_interval(values: FloatArray) -> float | None:
-    """Samples from one measured value to the next where the ones between lie on straight lines;
-    None where they do not.
+    """Return the mean number of samples between measured values if those between are interpolated
+    linearly.
+
+    None if they are not.
     """
     finite = values[np.isfinite(values)]
     if len(finite) < _MIN_SAMPLES:
@@ -97,6 +120,7 @@ def interpolation_interval(values: FloatArray) -> float | None:
     tolerance = max(
         8.0 * float(np.finfo(np.float32).eps) * float(np.abs(finite).max()), 1e-4 * usual
     )
+    # Second differences vanish inside straight lines and not at measured values.
     kinks = bend > tolerance
     starts = np.flatnonzero(kinks & ~np.concatenate([[False], kinks[:-1]]))
     if (
@@ -118,10 +142,22 @@ def interpolation_interval(values: FloatArray) -> float | None:
 
 
 def stuck_span(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, int] | None:
-    """First and last sample of the longest stand-still of a channel that moves with nearly every
-    sample else.
+    """Return first and last sample of the longest standstill of a channel that otherwise always
+    moves.
 
-    noisy  its noise has to move it: for channels that may stand still in flight
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+        Samples.
+    step_s : float
+        Their step, s.
+    noisy : bool
+        Require noise around the standstill, for channels that may be constant in flight.
+
+    Returns
+    -------
+    tuple of int or None
+        None without such a standstill of at least 2 s.
     """
     if len(values) < _MIN_SAMPLES:
         return None
@@ -129,7 +165,7 @@ def stuck_span(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[i
     moving = steps[steps > 0.0]
     if not len(moving):
         return None
-    # Samples are equal up to the rounding of what a unit or an interpolation made of them.
+    # Samples count as equal within the rounding error of a unit conversion or an interpolation.
     tolerance = _ROUNDING * float(np.nanmax(np.abs(values)))
     moving = moving[moving > tolerance]
     quantum = _step_of_lattice(moving)
@@ -142,6 +178,7 @@ def stuck_span(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[i
     begins, ends = edges[::2], edges[1::2]
     longest = int(np.argmax(ends - begins))
     first, last = int(begins[longest]), int(ends[longest])
+    # The samples around must move; of an instrument with noise, by noise.
     around = max(20, round(1.0 / step_s))
     before, after = values[max(0, first - around) : first + 1], values[last : last + around + 1]
     sides = [side for side in (before, after) if len(side) > 10]
@@ -151,8 +188,7 @@ def stuck_span(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[i
     if noisy:
         is_noisy_around = is_noisy_around and all(_has_white_noise(side) for side in sides)
     if len(sides) == 1:
-        # It stood still to an end of the log. A simulation without noise does so too, in its steady
-        # flight.
+        # Constant to one end of the log. A simulation without noise is so too in steady flight.
         is_noisy_around = is_noisy_around and _noise(sides[0]) > _MIN_NOISE * _median(
             np.abs(np.diff(sides[0]))
         )
@@ -168,8 +204,8 @@ def stuck_span(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[i
 
 
 def _noise(values: FloatArray) -> float:
-    """Standard deviation of the channel's noise, from sixth differences, which motion hardly
-    enters.
+    """Return the standard deviation of noise from sixth differences, to which motion hardly
+    contributes.
     """
     return _median(np.abs(np.diff(values[np.isfinite(values)], 6))) / (
         0.6745 * _SIXTH_DIFFERENCE_GAIN
@@ -177,16 +213,17 @@ def _noise(values: FloatArray) -> float:
 
 
 def _median(values: FloatArray) -> float:
+    """Return the median; 0 for no values."""
     return float(np.median(values)) if len(values) else 0.0
 
 
 def _step_of_lattice(steps: FloatArray) -> float:
-    """The step of which all steps are whole multiples, 0 where there is none."""
+    """Return the step of which all steps are multiples; 0 if there is none."""
     if not len(steps):
         return 0.0
     smallest = float(steps.min())
-    # The smallest step may be some units; the median of what the small ones say is free of their
-    # rounding.
+    # The smallest step may be several units. The median over small steps removes their rounding
+    # errors.
     for units in range(1, 11):
         unit = smallest / units
         small = steps[steps < 20.0 * smallest]
@@ -198,8 +235,9 @@ def _step_of_lattice(steps: FloatArray) -> float:
 
 
 def _has_white_noise(values: FloatArray) -> bool:
-    """Whether noise rather than motion makes the steps from sample to sample: of white noise each
-    undoes half of the one before.
+    """Return whether noise rather than motion causes the steps between samples.
+
+    Each step of white noise undoes half of the one before: correlation -0.5.
     """
     steps = np.diff(values)
     steps = steps[np.isfinite(steps)]
@@ -208,8 +246,8 @@ def _has_white_noise(values: FloatArray) -> bool:
 
 
 def _integer_ranges(steps: FloatArray) -> list[tuple[float, str]]:
-    """Ranges of a number of 8 or 16 bits in the unit of the smallest step, where all steps are
-    whole multiples of it.
+    """Return ranges of 8 and 16 bits in the unit of the smallest step, if all steps are multiples
+    of it.
     """
     if not len(steps):
         return []
@@ -223,10 +261,21 @@ def _integer_ranges(steps: FloatArray) -> list[tuple[float, str]]:
 
 
 def detect_wraps(raw: FloatArray) -> tuple[int, float, str] | None:
-    """Jumps of a whole integer range, their number, the range and what it is; None without any.
+    """Detect jumps by a whole integer range.
 
-    A number that wraps leaves its range at one end and comes back at the other, and put together
-    again it moves as it usually does."""
+    A number that wraps leaves its range at one end and returns at the other; with the range added
+    it moves as usual.
+
+    Parameters
+    ----------
+    raw : ndarray of shape (n,)
+        Logged numbers.
+
+    Returns
+    -------
+    tuple or None
+        Number of jumps, range and description of the integer type; None without jumps.
+    """
     values = raw[np.isfinite(raw)]
     if len(values) < 20:
         return None
@@ -243,6 +292,7 @@ def detect_wraps(raw: FloatArray) -> tuple[int, float, str] | None:
             else 0.0
         )
         margin = max(2.0 * usual, 0.01 * span)
+        # Before and after a wrap the number is near opposite ends of its range.
         ends = np.minimum(values[jumps], values[jumps + 1]) - low < margin
         ends &= high - np.maximum(values[jumps], values[jumps + 1]) < margin
         returns = np.abs(np.abs(steps[jumps]) - span) <= margin
@@ -251,13 +301,11 @@ def detect_wraps(raw: FloatArray) -> tuple[int, float, str] | None:
     return None
 
 
-# Channels that pass for a sensor's and were computed from other channels. Pure numerics on a
-# record.
-#
-# A sensor has noise that no other channel knows. Rates that equal the attitude's derivative
-# have none; an airspeed whose change from sample to sample is what the accelerometers say,
-# without the steps back that a sensor's white noise makes, has none; and angles of flow that
-# share the attitude's noise were computed from attitude and ground velocity.
+# Estimates that pass for measurements. Noise of a sensor is independent of all other channels.
+# Rates that equal the derivative of the attitude have none. An airspeed whose change from
+# sample to sample equals the accelerometers' value, without the steps back of white noise, has
+# none. Angles of flow that share the noise of the attitude were computed from attitude and
+# ground velocity.
 
 _SAME_RATE = 0.005  # of a rate's size, by which it may miss the attitude's derivative
 _MAX_RESIDUAL_SHARE = (
@@ -281,9 +329,9 @@ _SPOILS = "standard errors; in gusts an estimate misses the gust, and derivative
 
 
 def check_estimates(flight: FlightRecord) -> list[Finding]:
-    """Rates, airspeed and angles of flow that no sensor measured.
+    """Return findings on rates, airspeed and angles of flow that no sensor measured.
 
-    Nothing is said where no channel shows noise (a simulation).
+    Nothing is reported if no accelerometer shows noise (a simulation).
     """
     declared = set(flight.metadata.estimates)
     if len(flight) < _MIN_ESTIMATE_SAMPLES or not any(
@@ -330,6 +378,7 @@ def check_estimates(flight: FlightRecord) -> list[Finding]:
 
 
 def _estimates_noisy(flight: FlightRecord, name: str) -> bool:
+    """Return whether an accelerometer shows white noise."""
     return (
         name in flight
         and _high_frequency_size(flight[name][:: _stride(flight, name)])
@@ -339,13 +388,13 @@ def _estimates_noisy(flight: FlightRecord, name: str) -> bool:
 
 
 def _stride(flight: FlightRecord, name: str) -> int:
-    """Rows from one logged sample of a channel to the next."""
+    """Return the number of rows from one logged sample of a channel to the next."""
     native = flight.metadata.native_hz.get(name, 1.0 / flight.dt_s)
     return max(1, int(np.ceil(1.0 / (flight.dt_s * native) - 1e-3)))
 
 
 def _sample_stride(flight: FlightRecord, name: str) -> int:
-    """Rows after which a logged sample of a channel falls on a row again."""
+    """Return the rows after which the samples of a channel fall on rows again."""
     ratio = 1.0 / (flight.dt_s * flight.metadata.native_hz.get(name, 1.0 / flight.dt_s))
     for samples in range(1, _MAX_BEAT + 1):
         if abs(samples * ratio - round(samples * ratio)) < _ON_ROW * samples * ratio:
@@ -354,7 +403,7 @@ def _sample_stride(flight: FlightRecord, name: str) -> int:
 
 
 def _steps_back(values: FloatArray) -> float:
-    """Correlation of each step with the one before; NaN where there are too few."""
+    """Return the correlation of neighbouring steps: -0.5 for white noise, 0 or more for motion."""
     steps = np.diff(values)
     pairs = np.isfinite(steps[1:]) & np.isfinite(steps[:-1])
     a, b = steps[1:][pairs], steps[:-1][pairs]
@@ -366,10 +415,12 @@ def _steps_back(values: FloatArray) -> float:
 
 
 def _has(flight: FlightRecord, names: Sequence[str]) -> bool:
+    """Return whether all channels have enough finite samples."""
     return all(n in flight and np.isfinite(flight[n]).sum() > _MIN_ESTIMATE_SAMPLES for n in names)
 
 
 def _computed_rates(flight: FlightRecord) -> list[str]:
+    """Return the rates that equal the derivative of the logged attitude."""
     if not _has(flight, ATTITUDE):
         return []
     phi, theta, psi = (flight[n] for n in ATTITUDE)
@@ -383,7 +434,7 @@ def _computed_rates(flight: FlightRecord) -> list[str]:
         )
         if usable.sum() > _MIN_ESTIMATE_SAMPLES:
             size = float(np.std(flight[name][usable]))
-            # The middle of the differences: ends of gaps and the heading's turns differ.
+            # The median, because ends of gaps and turns of the heading differ.
             if (
                 size > 0.0
                 and float(np.median(np.abs(flight[name][usable] - attitude_rate[usable])))
@@ -394,6 +445,7 @@ def _computed_rates(flight: FlightRecord) -> list[str]:
 
 
 def _smooth_speed(flight: FlightRecord) -> bool:
+    """Return whether the airspeed has no noise apart from that of the accelerometers."""
     names = (*AIR, *ATTITUDE[:2], *ACCELERATIONS)
     if not _has(flight, names):
         return False
@@ -403,18 +455,20 @@ def _smooth_speed(flight: FlightRecord) -> bool:
     residual = (flight["V_mps"] - integrated)[::rows]
     if not _steps_back(residual) > _STEPS_BACK:
         return False
-    # A sensor whose noise is filtered takes no steps back either, but it has more of it than the
-    # accelerometers explain.
+    # Filtered sensor noise shows no steps back either, but it exceeds what the accelerometers
+    # explain.
     means = change[: change.size // rows * rows].reshape(-1, rows).mean(axis=1)
     explained = _high_frequency_size(means) / _THIRD_DIFFERENCE_GAIN * rows * flight.dt_s
     return _median_size(np.diff(residual)) < _MAX_EXPLAINED * explained
 
 
 def _computed_angles(flight: FlightRecord) -> list[str]:
+    """Return the angles of flow whose noise is that of attitude and ground velocity."""
     if not _has(flight, (*AIR, *ATTITUDE, *GROUND)):
         return []
     computed: dict[str, list[FloatArray]] = {"alpha_rad": [], "beta_rad": []}
-    # A filter smooths what a receiver gives: its velocity's noise would pass for the angle's own.
+    # An estimator smooths the receiver's velocity, whose noise would otherwise hide the
+    # relation.
     for window in (1, max(1, round(_SMOOTHED_S / flight.dt_s))):
         ground = np.stack([moving_mean(flight[n], window) for n in GROUND])
         u, v, w = to_body({n: flight[n] for n in ATTITUDE}, ground)
@@ -423,7 +477,7 @@ def _computed_angles(flight: FlightRecord) -> list[str]:
     out = []
     for name, versions in computed.items():
         rows = _sample_stride(flight, name)
-        # Between its own samples an interpolated channel has less noise than at them.
+        # Use the rows of measured samples: between them an interpolated channel has less noise.
         first = max(
             range(rows), key=lambda k: np.nan_to_num(_high_frequency_size(flight[name][k::rows]))
         )
@@ -437,10 +491,11 @@ def _computed_angles(flight: FlightRecord) -> list[str]:
 
 
 def _high_frequency_size(values: FloatArray) -> float:
-    """Size of third differences, which motion hardly enters."""
+    """Return the size of third differences, to which motion hardly contributes."""
     return _median_size(np.diff(values, 3))
 
 
 def _median_size(steps: FloatArray) -> float:
+    """Return the median absolute value; NaN for few values."""
     steps = steps[np.isfinite(steps)]
     return float(np.median(np.abs(steps))) if steps.size > _MIN_ESTIMATE_SAMPLES else float("nan")

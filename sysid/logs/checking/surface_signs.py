@@ -1,10 +1,11 @@
-"""The sign of each surface, by the angular acceleration that it makes.
+"""Check the sign of each surface by the angular acceleration that it causes.
 
-+ elevator pitches the nose down, + aileron rolls right, + rudder yaws the nose left. The angular
-acceleration about the surface's axis is regressed on the surface, the other surface of the plane,
-the rates and the angles of flow: what an autopilot does against a gust goes with the motion, what a
-surface does comes beside it. A surface moves as it was told to, and the aircraft a little later:
-the lag is the one that explains most."""
+Positive elevator pitches the nose down, positive aileron rolls right, positive rudder yaws the
+nose left. The angular acceleration is regressed on the surface, the other surface of the plane,
+the rates and the angles of flow. The latter account for an autopilot's response to gusts, which
+follows the motion. A surface follows its command with a lag, and the aircraft too; the lag that
+explains most is used.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +28,7 @@ _MIN_S, _MAX_S = 8.0, 300.0
 _MIN_HZ = 18.0
 _MIN_RATIO = 6.0  # standard errors of a sign
 _MIN_SHARE = 0.15  # of what is left of the angular acceleration that the surface must explain
-# of that share, explained before with the other sign: a quick aircraft swings back within the lags
-# tried
+# Share explained earlier with the opposite sign: a quick aircraft swings back within the lags.
 _MAX_OPPOSITE = 0.3
 _MOVING_DEG = 0.3  # rms in the band
 _TURNING = "angular acceleration"
@@ -36,7 +36,7 @@ _TURNING = "angular acceleration"
 
 @dataclass(frozen=True)
 class Axis:
-    """A surface, the rate [rad/s] that it drives, the sign of its effect, and what else drives that
+    """A surface, the rate [rad/s] that it drives, the sign of its effect, and covariates of that
     rate.
     """
 
@@ -55,10 +55,18 @@ AXES = (
 
 @dataclass(frozen=True)
 class Effect:
-    """Angular acceleration a degree, 1/s2, its standard error, the surface's lag and the share of
-    variance that it explains.
+    """Effect of a surface on the angular acceleration.
 
-    against  the largest share that an earlier lag explains, at which the effect has the other sign
+    Attributes
+    ----------
+    slope, std : float
+        Angular acceleration a degree, 1/s2, and standard error.
+    late_s : float
+        Lag of the surface, s.
+    share : float
+        Share of the variance that it explains.
+    against : float
+        Largest share that an earlier lag explains with the opposite sign.
     """
 
     slope: float
@@ -69,7 +77,7 @@ class Effect:
 
     @property
     def certain(self) -> bool:
-        """Whether the flight tells the sign."""
+        """Whether the flight determines the sign."""
         return (
             abs(self.slope) > _MIN_RATIO * self.std
             and self.share > _MIN_SHARE
@@ -78,7 +86,13 @@ class Effect:
 
 
 def effect(record: FlightRecord, axis: Axis) -> Effect | None:
-    """What a surface does to its axis' rate; None where it does not move, or is not logged."""
+    """Estimate the effect of a surface on its axis.
+
+    Returns
+    -------
+    Effect or None
+        None if the surface does not move, is not logged, or is logged too slowly.
+    """
     column = _column(record, axis.surface)
     if column is None or axis.rate not in record or len(record) < 3:
         return None
@@ -87,16 +101,16 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
         (record.metadata.native_hz.get(n, 1.0 / dt) for n in (column, axis.rate)), default=1.0 / dt
     )
     if native < _MIN_HZ:
-        # an autopilot answers a gust within a sample: what it does and what that does cannot be
-        # told apart
+        # An autopilot responds to a gust within a sample: its action and the effect of that
+        # cannot be separated.
         return None
     high = min(_BAND_HZ[1], 0.2 * native)
     covariates = tuple(
         n for n in axis.covariates if n in record and np.isfinite(record[n]).mean() > 0.5
     )
     if "alpha_rad" in covariates and "alpha_rad" not in record.metadata.estimates:
-        # Lift is that of alpha and of the elevator: beside a measured alpha it would stand for the
-        # elevator itself.
+        # Lift depends on alpha and elevator: with a measured alpha it would stand for the
+        # elevator.
         covariates = tuple(n for n in covariates if n != "az_mps2")
     parts = _parts(record, (column, axis.rate, *covariates), dt)
     if not parts or high < 2.0 * _BAND_HZ[0]:
@@ -114,6 +128,7 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
     ]
     if not effects:
         return None
+    # The lag that explains most, and the largest share of an earlier lag with the opposite sign.
     best = max(effects, key=lambda e: e.share)
     opposite_shares = [
         e.share for e in effects if e.late_s < best.late_s and e.slope * best.slope < 0.0
@@ -122,7 +137,7 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
 
 
 def check_surfaces(record: FlightRecord) -> list[Finding]:
-    """Surfaces whose effect has the wrong sign for sure."""
+    """Return findings on surfaces whose effect certainly has the wrong sign."""
     out = []
     for axis in AXES:
         surface_effect = effect(record, axis)
@@ -139,8 +154,9 @@ def check_surfaces(record: FlightRecord) -> list[Finding]:
             "rudder_deg": "yaws the nose right",
         }
         text = (
-            f"+ {column} {opposite_effects[axis.surface]}: {axis.rate} changes by {surface_effect.slope:+.3g} +-"
-            f" {surface_effect.std:.2g} rad/s2 a degree, {surface_effect.late_s * 1e3:.0f} ms later"
+            f"+ {column} {opposite_effects[axis.surface]}: {axis.rate} changes by"
+            f" {surface_effect.slope:+.3g} +- {surface_effect.std:.2g} rad/s2 a degree,"
+            f" {surface_effect.late_s * 1e3:.0f} ms later"
             f" ({100 * surface_effect.share:.0f} % of what else is left): its sign is reversed"
         )
         numbers = {
@@ -165,7 +181,7 @@ def check_surfaces(record: FlightRecord) -> list[Finding]:
 
 
 def _column(record: FlightRecord, surface: str) -> str | None:
-    """The measured position where it was measured, else the command."""
+    """Return the measured position if there is one, else the command."""
     position = surface.replace("_deg", "_pos_deg")
     return next(
         (n for n in (position, surface) if n in record and np.isfinite(record[n]).mean() > 0.5),
@@ -174,6 +190,7 @@ def _column(record: FlightRecord, surface: str) -> str | None:
 
 
 def _parts(record: FlightRecord, names: tuple[str, ...], dt: float) -> list[dict[str, FloatArray]]:
+    """Return the longest stretches without gaps, up to _MAX_S in total."""
     rows_left, out = round(_MAX_S / dt), []
     for part in sorted(record.segments(names, _MIN_S), key=lambda s: s.start - s.stop):
         stop = min(part.stop, part.start + rows_left)
@@ -187,8 +204,9 @@ def _parts(record: FlightRecord, names: tuple[str, ...], dt: float) -> list[dict
 def _regress(
     rows: list[dict[str, FloatArray]], column: str, covariates: tuple[str, ...], lag: int, dt: float
 ) -> Effect | None:
-    """Regression with the surface ``lag`` samples earlier; errors from sums over some seconds
-    (Liang and Zeger 1986).
+    """Regress with the surface ``lag`` samples earlier.
+
+    Standard errors are cluster-robust over blocks of seconds (Liang and Zeger 1986).
     """
     targets, designs, blocks, first = [], [], [], 0
     for c in rows:
@@ -203,6 +221,7 @@ def _regress(
         blocks.append(block)
         first = int(block[-1]) + 1
     y, a, block = np.concatenate(targets), np.vstack(designs), np.concatenate(blocks)
+    # Partial out the covariates from surface and acceleration.
     design = a[:, 1:] / np.maximum(a[:, 1:].std(axis=0), 1e-12)
     pair = np.column_stack([a[:, 0], y])
     surface, acceleration = (pair - design @ np.linalg.lstsq(design, pair, rcond=1e-9)[0]).T

@@ -1,8 +1,10 @@
-"""ArduPilot DataFlash .bin: one pass in blocks, each message type decoded as a whole by numpy.
+"""Read ArduPilot DataFlash logs, binary (.bin) and text (.log).
 
-Memory: one block, plus the wanted fields in their stored width. A record is found by following the
-lengths that the FMT records announce; where the chain breaks the reader looks for the next pair of
-records that fit together and reports the bytes it skipped."""
+`read` passes once through a binary log in blocks and decodes each message type with numpy; memory
+is one block plus the selected fields in their stored width. Records are found by the lengths that
+FMT records announce. Where this chain breaks, the reader searches for the next two records that
+fit together and reports the bytes it skipped. `read_text` reads the text form line by line.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +25,13 @@ from sysid.errors import Finding, LogError
 from sysid.foreign.raw import FieldSelection, MessageTable, ProgressCallback, RawLog
 from sysid.foreign.regular_files import open_regular
 
-# The DataFlash record format: what an FMT record says, as numpy types (for binary reader, text
-# reader and writer).
+# Record format: FMT records as numpy types, for both readers and the writer.
 
 MAGIC = b"\xa3\x95"
 FMT_TYPE = 128
 FMT_LENGTH = 89
 
-# Format character -> (numpy type, multiplier that turns the stored integer into the field's unit).
+# Format character to numpy type and multiplier from the stored integer to the field's unit.
 CHARACTERS: dict[str, tuple[str, float]] = {
     "a": ("<i2", 1.0),
     "b": ("<i1", 1.0),
@@ -59,8 +60,8 @@ INSTANCE_NAMES = ("I", "C", "Instance", "Inst")
 
 @dataclass(frozen=True)
 class Format:
-    """One FMT record: type number, total length in bytes, name, format characters and
-    column names.
+    """One FMT record: type number, length in bytes with header, name, format characters, column
+    names.
     """
 
     type: int
@@ -71,7 +72,7 @@ class Format:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Structured type of the payload (without the three header bytes)."""
+        """Structured type of the payload, without the three header bytes."""
         fields: list[Any] = []
         for column, character in zip(self.columns, self.characters, strict=True):
             base = CHARACTERS[character][0]
@@ -80,9 +81,7 @@ class Format:
 
     @property
     def instance_column(self) -> str | None:
-        """The column that numbers instances of one sensor, by its usual names; None when there is
-        none.
-        """
+        """Column that numbers the instances of a sensor; None without one."""
         for column, character in zip(self.columns, self.characters, strict=True):
             if column in INSTANCE_NAMES and character in "bBhHiI":
                 return column
@@ -90,10 +89,11 @@ class Format:
 
     @property
     def time_column(self) -> tuple[str, float] | None:
-        """(column, seconds per unit) of the time stamp, or None.
+        """Time column and seconds per unit; None without one.
 
-        In the GPS message of logs before version 3.4 TimeMS is the GPS time of week; T is the
-        autopilot's clock."""
+        In the GPS message of logs before version 3.4, TimeMS is the GPS time of week and T the
+        clock of the autopilot.
+        """
         if self.name.startswith("GPS") and "TimeUS" not in self.columns and "T" in self.columns:
             return "T", 1e-3
         for name, scale in (("TimeUS", 1e-6), ("TimeMS", 1e-3)):
@@ -103,8 +103,8 @@ class Format:
 
 
 def make_format(kind: int, length: int, name: str, characters: str, columns: str) -> Format | None:
-    """Build a Format; None when it contradicts itself (a damaged FMT record must not steer the
-    reader).
+    """Return a Format; None if the record contradicts itself, since damage must not misguide the
+    reader.
     """
     names = tuple(columns.split(",")) if columns else ()
     printable = name.isascii() and name.isidentifier() and len(name) <= 4
@@ -122,9 +122,7 @@ def make_format(kind: int, length: int, name: str, characters: str, columns: str
 
 
 def scaled(values: NDArray[Any], character: str) -> NDArray[Any]:
-    """Field values in the field's unit: multiplied where the format says so, text decoded, the rest
-    unchanged.
-    """
+    """Return values in the field's unit: multiplied if the format says so, text decoded."""
     kind, multiplier = CHARACTERS[character]
     if kind.startswith("S"):
         return np.array(
@@ -134,15 +132,14 @@ def scaled(values: NDArray[Any], character: str) -> NDArray[Any]:
 
 
 def text(raw: bytes) -> str:
-    """Text of a fixed-length field up to its first NUL."""
+    """Return the text of a field of fixed length up to its first NUL."""
     return raw.split(b"\0", 1)[0].decode("latin-1")
 
 
-# From the columns of a DataFlash log, binary or text, to a RawLog: instances split, parameters,
-# texts, vehicle.
+# Assembly of a RawLog from the columns of a binary or text log.
 
 Columns = dict[str, NDArray[Any]]
-# Messages that identify the vehicle, its parameters and its modes; small in every log.
+# ALWAYS are messages that identify vehicle, parameters and modes; they are small in every log.
 MAX_INSTANCES = 256  # of one kind of message
 ALWAYS = frozenset({"PARM", "MSG", "MODE", "VER", "ARM", "EV", "ORGN"})
 # VER.BU, the number of the firmware's build type.
@@ -178,11 +175,30 @@ def assemble(
     places: Mapping[str, NDArray[np.int64]] | None = None,
     headers: tuple[int, ...] = (),
 ) -> RawLog:
-    """Split instances and pull out parameters, texts and vehicle. Raises LogError when nothing
-    carries a time.
+    """Build the RawLog: separate instances and extract parameters, texts and vehicle.
 
-    places   position in the file of each record, by message      headers  positions of further
-    headers of a log"""
+    Parameters
+    ----------
+    dialect : str
+        dataflash or dataflash-text.
+    columns : dict
+        Message to field to values; emptied on the way to save memory.
+    formats, counts : mapping
+        Format and number of records of each message.
+    findings : list of Finding
+        Damage found by the reader.
+    path : Path
+        File, for messages.
+    places : mapping, optional
+        Message to the position of each record in the file.
+    headers : tuple of int
+        Positions of further log headers.
+
+    Raises
+    ------
+    LogError
+        If no message has a time stamp.
+    """
     places = places or {}
     messages: dict[tuple[str, int], MessageTable] = {}
     for name in list(columns):
@@ -235,8 +251,8 @@ def assemble(
 
 
 def _instances(table: Columns, column: str | None) -> list[tuple[int, Any]]:
-    """(instance, its rows); a column of more numbers than any vehicle has sensors counts something
-    else.
+    """Return (instance, rows); one instance if the column has more values than any vehicle has
+    sensors.
     """
     if column is None or column not in table:
         return [(0, slice(None))]
@@ -252,6 +268,7 @@ def _instances(table: Columns, column: str | None) -> list[tuple[int, Any]]:
 
 
 def _texts(messages: Mapping[tuple[str, int], MessageTable]) -> tuple[tuple[float, str], ...]:
+    """Return (time, text) of the messages to the pilot."""
     table = messages.get(("MSG", 0))
     if table is None or "Message" not in table.fields:
         return ()
@@ -261,6 +278,7 @@ def _texts(messages: Mapping[tuple[str, int], MessageTable]) -> tuple[tuple[floa
 
 
 def _parameters(columns: dict[str, Columns]) -> dict[str, float]:
+    """Return the parameters, last value logged."""
     table = columns.get("PARM", {})
     if "Name" not in table or "Value" not in table:
         return {}
@@ -272,8 +290,8 @@ def _vehicle(
     columns: dict[str, Columns],
     parameters: Mapping[str, float],
 ) -> str:
-    """What the log calls itself, else what its parameters are of; an aeroplane that takes off on
-    rotors says VTOL.
+    """Return the vehicle as the log names it, else by its parameters; "VTOL" is added for
+    Q_ENABLE.
     """
     vehicle = _firmware_name(texts, columns)
     if not vehicle:
@@ -289,6 +307,7 @@ def _vehicle(
 
 
 def _firmware_name(texts: tuple[tuple[float, str], ...], columns: dict[str, Columns]) -> str:
+    """Return the firmware's name by a message to the pilot or the build type."""
     build = columns.get("VER", {}).get("BU")
     for _, message in texts:
         if _VEHICLE.match(message):
@@ -305,14 +324,14 @@ _FMT_FORMAT = Format(
 
 
 class _BinaryReader:
-    """State that lives from block to block: known formats, collected columns, damage met."""
+    """State between blocks: known formats, collected columns, damage."""
 
     def __init__(self, selection: FieldSelection | None) -> None:
         self.wanted = selection
         self.formats: dict[int, Format] = {FMT_TYPE: _FMT_FORMAT}
         self.lengths = [0] * 256
         self.lengths[FMT_TYPE] = FMT_LENGTH
-        # One growing buffer per field: thousands of small arrays would leave the memory in pieces.
+        # One growing buffer per field: thousands of small arrays would fragment the memory.
         self.collected: dict[str, dict[str, bytearray]] = defaultdict(
             lambda: defaultdict(bytearray)
         )
@@ -321,7 +340,7 @@ class _BinaryReader:
         self.headers: list[int] = []
         self.base = 0
         # The format that a message's columns were collected by.
-        self.kept: dict[str, Format] = {}
+        self.collected_formats: dict[str, Format] = {}
         self.counts: dict[str, int] = defaultdict(int)
         self.skipped_bytes = 0
         self.skips = 0
@@ -329,8 +348,9 @@ class _BinaryReader:
         self.bad_formats = 0
 
     def block(self, data: bytes, base: int, last: bool) -> int:
-        """Decode the whole records of `data` (file offset `base`); return the number of
-        bytes used.
+        """Decode the complete records of ``data``, which begins at file offset ``base``.
+
+        Returns the number of bytes used; the rest belongs to the next block.
         """
         self.base = base
         offsets: list[list[int]] = [[] for _ in range(256)]
@@ -360,6 +380,7 @@ class _BinaryReader:
         return pos
 
     def _learn(self, record: bytes, offsets: list[list[int]], data: bytes) -> None:
+        """Register the format of an FMT record."""
         kind, length = record[3], record[4]
         new_format = make_format(
             kind, length, text(record[5:9]), text(record[9:25]), text(record[25:89])
@@ -369,15 +390,15 @@ class _BinaryReader:
             return
         old_format = self.formats.get(kind)
         if old_format is not None and old_format != new_format:
-            # Two logs in one file: what was collected under the old format must be decoded with it.
+            # Two logs in one file: decode the records collected so far with the old format.
             self._decode_type(data, offsets[kind], old_format)
             offsets[kind].clear()
         self.formats[kind] = new_format
         self.lengths[kind] = length
 
     def _resynchronise(self, data: bytes, pos: int, base: int) -> int:
-        """Next position at which a known record is followed by another header (or the block
-        ends).
+        """Return the next position where a known record is followed by a header, or by the end of
+        the block.
         """
         start = pos
         pos = data.find(MAGIC, pos + 1)
@@ -394,31 +415,35 @@ class _BinaryReader:
         return pos
 
     def _note_skip(self, offset: int, count: int) -> None:
+        """Count bytes that could not be read."""
         if self.first_skip < 0:
             self.first_skip = offset
         self.skips += 1
         self.skipped_bytes += count
 
     def _decode(self, data: bytes, offsets: list[list[int]]) -> None:
+        """Decode all records of a block."""
         for kind, kind_offsets in enumerate(offsets):
             if kind_offsets:
                 self._decode_type(data, kind_offsets, self.formats[kind])
 
     def _decode_type(self, data: bytes, offsets: list[int], fmt: Format) -> None:
+        """Append the selected fields of the records of one type."""
         self.counts[fmt.name] += len(offsets)
         keep = self._fields(fmt)
         if not keep or not offsets:
             return
         columns = self.collected[fmt.name]
-        old_format = self.kept.setdefault(fmt.name, fmt)
+        old_format = self.collected_formats.setdefault(fmt.name, fmt)
         if (old_format.characters, old_format.columns) != (fmt.characters, fmt.columns):
-            # the format changed: an array of one field must not fall out of step with the others
+            # The format changed: columns of different lengths must not be mixed.
             columns.clear()
             self.places[fmt.name].clear()
-        self.kept[fmt.name] = fmt
+        self.collected_formats[fmt.name] = fmt
         buffer = np.frombuffer(data, dtype=np.uint8)
         starts = np.asarray(offsets, dtype=np.int64) + 3
         self.places[fmt.name] += (starts + self.base).astype("<i8").tobytes()
+        # Gather the bytes of one field of all records by fancy indexing.
         for column in keep:
             base, offset = fmt.dtype.fields[column][:2]  # type: ignore[index]
             columns[column] += buffer[
@@ -426,6 +451,7 @@ class _BinaryReader:
             ].tobytes()
 
     def _fields(self, fmt: Format) -> list[str]:
+        """Return the columns of a message to keep: those selected, its time and its instance."""
         if fmt.name in ALWAYS or self.wanted is None:
             return list(fmt.columns)
         if fmt.name not in self.wanted:
@@ -434,17 +460,23 @@ class _BinaryReader:
         return [c for c in fmt.columns if c in fields]
 
     def tables(self) -> dict[str, Columns]:
-        """Message name -> field -> scaled array."""
+        """Return message to field to values in the field's unit."""
         out: dict[str, Columns] = {}
         for name, columns in self.collected.items():
-            characters = dict(zip(self.kept[name].columns, self.kept[name].characters, strict=True))
+            characters = dict(
+                zip(
+                    self.collected_formats[name].columns,
+                    self.collected_formats[name].characters,
+                    strict=True,
+                )
+            )
             out[name] = {
                 c: scaled(_array(data, characters[c]), characters[c]) for c, data in columns.items()
             }
         return out
 
     def findings(self, size: int) -> list[Finding]:
-        """What was damaged, with the place of the first damage."""
+        """Return findings on damage, with the place of the first."""
         out = []
         if self.skipped_bytes:
             out.append(
@@ -477,6 +509,7 @@ class _BinaryReader:
 
 
 def _array(data: bytearray, character: str) -> NDArray[Any]:
+    """Return the values of a collected field; arrays have 32 elements a record."""
     values = np.frombuffer(data, dtype=CHARACTERS[character][0])
     return values.reshape(-1, 32) if character == "a" else values
 
@@ -486,41 +519,54 @@ def read(
 ) -> RawLog:
     """Read a binary DataFlash log.
 
-    wanted  message -> fields to keep (None keeps everything); messages that the checks need are
-    kept always. Raises LogError when no record can be read."""
-    walker = _BinaryReader(selection)
+    Parameters
+    ----------
+    path : Path
+        File.
+    selection : mapping or None
+        Message to fields; None keeps all. Messages that the checks need are always kept.
+    callback : callable, optional
+        Called with the share read, 0 to 1.
+
+    Raises
+    ------
+    LogError
+        If no record can be read.
+    """
+    reader = _BinaryReader(selection)
     with open_regular(path) as handle:
         size = os.fstat(handle.fileno()).st_size
-        _blocks(handle, walker, size, callback)
-    if sum(walker.counts.values()) - walker.counts["FMT"] <= 0:
+        _blocks(handle, reader, size, callback)
+    if sum(reader.counts.values()) - reader.counts["FMT"] <= 0:
         raise LogError(
-            f"no DataFlash record could be read in {size} bytes ({walker.counts['FMT']} FMT records"
+            f"no DataFlash record could be read in {size} bytes ({reader.counts['FMT']} FMT records"
             " found); the log is empty, cut off in its header, or damaged: copy it from the"
             " autopilot again",
             path,
         )
     return assemble(
         "dataflash",
-        walker.tables(),
-        walker.kept,
-        walker.counts,
-        walker.findings(size),
+        reader.tables(),
+        reader.collected_formats,
+        reader.counts,
+        reader.findings(size),
         path,
-        {name: np.frombuffer(data, dtype="<i8") for name, data in walker.places.items()},
-        tuple(walker.headers),
+        {name: np.frombuffer(data, dtype="<i8") for name, data in reader.places.items()},
+        tuple(reader.headers),
     )
 
 
 def _blocks(
-    handle: BinaryIO, walker: _BinaryReader, size: int, callback: ProgressCallback | None
+    handle: BinaryIO, reader: _BinaryReader, size: int, callback: ProgressCallback | None
 ) -> None:
+    """Read the file block by block."""
     unread, base = b"", 0
     while True:
         fresh = handle.read(BLOCK_BYTES)
         data = unread + fresh
         if not data:
             return
-        used = walker.block(data, base, last=not fresh)
+        used = reader.block(data, base, last=not fresh)
         unread, base = data[used:], base + used
         if callback is not None:
             with contextlib.suppress(ZeroDivisionError):
@@ -529,8 +575,7 @@ def _blocks(
             return
 
 
-# ArduPilot DataFlash as text (.log): one line a record, values already in the field's unit.
-# Streamed line by line.
+# Text logs: one record a line, values in the field's unit, read line by line.
 
 _MAX_LINE = 4096
 _MAX_FORMATS = 1000  # the binary form can number 256
@@ -538,6 +583,8 @@ _INTEGER_CHARACTERS = frozenset("bBhHiIqQM")
 
 
 class _Collector:
+    """Columns of one message of a text log."""
+
     def __init__(self, fmt: Format, keep: list[str]) -> None:
         self.where = [fmt.columns.index(c) for c in keep]
         self.text = [CHARACTERS[fmt.characters[i]][0].startswith("S") for i in self.where]
@@ -547,7 +594,7 @@ class _Collector:
         self.place = array("q")
 
     def add(self, cells: list[str], place: int) -> bool:
-        """Append one record; False, and nothing appended, when a number cannot be read."""
+        """Append one record; return False, and append nothing, if a number cannot be read."""
         row: list[Any] = []
         try:
             for i, text, is_integer in zip(self.where, self.text, self.whole, strict=True):
@@ -563,6 +610,7 @@ class _Collector:
         return True
 
     def columns(self) -> Columns:
+        """Return field to values."""
         pairs = zip(self.keep, self.values, self.text, strict=True)
         return {
             c: np.array(v, dtype=object) if text else np.frombuffer(v, dtype=np.float64)
@@ -573,7 +621,7 @@ class _Collector:
 def read_text(
     path: Path, selection: FieldSelection | None = None, callback: ProgressCallback | None = None
 ) -> RawLog:
-    """Read a text DataFlash log; arguments and errors as in `dataflash_binary.read`."""
+    """Read a text DataFlash log; parameters and errors as for `read`."""
     formats: dict[str, Format] = {}
     collectors: dict[str, _Collector | None] = {}
     counts: dict[str, int] = defaultdict(int)
@@ -604,7 +652,7 @@ def read_text(
                 is_valid = fmt is not None
             elif name in formats:
                 collector = collectors[name]
-                # The last column takes what is left: a text message may hold commas.
+                # The last column takes the remainder: a message to the pilot may contain commas.
                 cells = content.split(",", len(formats[name].columns) - 1)
                 is_valid = collector is None or collector.add(cells, line_number)
             else:
@@ -639,6 +687,7 @@ def read_text(
 
 
 def _keep(fmt: Format, selection: FieldSelection | None) -> list[str]:
+    """Return the columns of a message to keep."""
     if selection is None or fmt.name in ALWAYS:
         return [c for c, k in zip(fmt.columns, fmt.characters, strict=True) if k != "a"]
     if fmt.name not in selection:
@@ -648,6 +697,7 @@ def _keep(fmt: Format, selection: FieldSelection | None) -> list[str]:
 
 
 def _format(content: str) -> Format | None:
+    """Return the format of an FMT line; None if it contradicts itself."""
     cells = [c.strip() for c in content.split(",")]
     if len(cells) < 4 or not cells[0].isdigit() or not cells[1].isdigit():
         return None

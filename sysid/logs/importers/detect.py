@@ -1,5 +1,6 @@
-"""Which importer a file needs, told by its content: logs get renamed, and a .bin may be
-anything.
+"""Detect the format of a log by its content.
+
+File names are not used: logs get renamed, and a .bin may be anything.
 """
 
 from __future__ import annotations
@@ -47,13 +48,26 @@ JSBSIM_HEADINGS = frozenset(
         "F_{Total x} (lbs)",
     }
 )
-"""One heading at least of each group of JSBSim's <output> (FGOutputTextFile.cpp, version 1.3.3)."""
+"""At least one heading of each group of JSBSim's <output> (FGOutputTextFile.cpp, version 1.3.3)."""
 
 
 def detect(path: Path) -> str:
-    """dataflash | dataflash-text | tlog | ulog | parquet | jsbsim-csv | csv.
+    """Return the dialect of a log file.
 
-    LogError for anything else.
+    Parameters
+    ----------
+    path : Path
+        Log file.
+
+    Returns
+    -------
+    str
+        dataflash, dataflash-text, tlog, ulog, parquet, jsbsim-csv or csv.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read or is none of these; the message names what it is, if known.
     """
     try:
         with open_regular(path) as handle:
@@ -78,6 +92,7 @@ def detect(path: Path) -> str:
 
 
 def _not_recognised(head: bytes) -> str:
+    """Return the message for a file of unknown format."""
     content = decoded(head)
     line = next((x for x in content[0].splitlines() if x.strip(" #")), "") if content else ""
     if line:
@@ -93,6 +108,7 @@ def _not_recognised(head: bytes) -> str:
 
 
 def _binary(head: bytes) -> str | None:
+    """Return the dialect of a binary log by its first bytes; None for others."""
     if head.startswith(b"PAR1"):
         return "parquet"
     if head.startswith(b"ULog\x01\x12\x35"):
@@ -103,8 +119,8 @@ def _binary(head: bytes) -> str | None:
 
 
 def _tlog_frames(head: bytes) -> int:
-    """Longest run of frames (8 bytes of time, then a MAVLink packet) that follow one another near
-    the beginning.
+    """Return the longest run of consecutive frames (8 bytes of time, then a MAVLink packet) near
+    the begin.
     """
     best = 0
     for start in range(min(600, len(head) - 16)):
@@ -121,18 +137,21 @@ def _tlog_frames(head: bytes) -> int:
 
 
 def frame_length(data: bytes, pos: int) -> int:
-    """Length of the MAVLink packet at `pos` by its header (version 1 or 2, signed or not)."""
+    """Return the length of the MAVLink packet at ``pos`` by its header (version 1 or 2, signed or
+    not).
+    """
     if data[pos] == 0xFE:
         return 8 + data[pos + 1]
     return 12 + data[pos + 1] + (13 if data[pos + 2] & 1 else 0)
 
 
 def frame_time(data: bytes, pos: int) -> float:
-    """The 8-byte big-endian time in front of a packet, in seconds since 1970."""
+    """Return the big-endian time of 8 bytes before a packet, s since 1970."""
     return float(struct.unpack_from(">Q", data, pos)[0]) * 1e-6
 
 
 def _text(head: bytes) -> str | None:
+    """Return the dialect of a text log or table; None for other text."""
     content = decoded(head)
     if content is None:
         return None
@@ -156,5 +175,5 @@ def _text(head: bytes) -> str | None:
 
 
 def is_jsbsim_name(name: str) -> bool:
-    """Whether a column has the name of a JSBSim property, or a heading of JSBSim's <output>."""
+    """Return whether a column is named as a JSBSim property or a heading of its <output>."""
     return "/" in name.split(" (")[0] or "fdm" in name or name in JSBSIM_HEADINGS

@@ -1,10 +1,11 @@
-"""The process that `limited` starts: it reads one file after another, each within the memory it was
-told, and sends data.
+"""The reader process that `sysid.foreign.limited` starts.
 
-An order is a line of JSON on standard input. An answer is a row of frames on standard output: a
-letter, a length of 8 bytes, so many bytes. r: reading begins; p: share done; c: a part, as
-`sysid.foreign.typed_files` writes it; d: done; e: refused, the sentence; m: out of memory; x:
-failed, a traceback."""
+It reads one file after another, each within its memory limit, and sends data only. An order is a
+line of JSON on standard input. An answer is a sequence of frames on standard output: one letter, a
+length of 8 bytes, and as many bytes. The letters are r (reading begins), p (share done), c (a
+part, as `sysid.foreign.typed_files` writes it), d (done), e (refused, with a message), m (out of
+memory) and x (failed, with a traceback).
+"""
 
 from __future__ import annotations
 
@@ -33,10 +34,10 @@ _PROGRESS_S = 0.1
 
 
 def main() -> None:
-    """Serve orders until standard input ends, which it does with the parent."""
-    # Ctrl-C reaches the whole group; the parent decides what it means.
+    """Serve orders until standard input ends, which happens when the parent ends."""
+    # Ctrl-C reaches the whole process group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # What a library prints must not come between the frames.
+    # Text that a library prints must not mix with the frames.
     answers = os.fdopen(os.dup(1), "wb")
     devnull = os.open(os.devnull, os.O_WRONLY)
     os.dup2(devnull, 1)
@@ -47,15 +48,16 @@ def main() -> None:
 
 
 def _receive(orders: queue.Queue[bytes]) -> None:
-    """Take orders; end this process, whatever it is at, when there can be no more."""
+    """Queue orders; end this process, even in the middle of a file, when standard input ends."""
     for line in sys.stdin.buffer:
         orders.put(line)
     os._exit(0)
 
 
 def _serve(order: Mapping[str, Any], answers: BinaryIO) -> None:
+    """Read one file and send its parts, or the reason why it cannot be read."""
     try:
-        # Loading the libraries counts neither as time nor as memory of the file.
+        # The time and memory for loading the libraries do not count for the file.
         module, read = _READERS[order["kind"]]
         importer = importlib.import_module(f"sysid.logs.importers.{module}")
         _frame(answers, b"r")
@@ -75,12 +77,14 @@ def _serve(order: Mapping[str, Any], answers: BinaryIO) -> None:
 
 
 def _frame(answers: BinaryIO, kind: bytes, content: bytes = b"") -> None:
+    """Write one frame of an answer."""
     answers.write(kind + struct.pack("<Q", len(content)))
     answers.write(content)
     answers.flush()
 
 
 def _progress(answers: BinaryIO) -> ProgressCallback:
+    """Return a callback that sends the share done, at most every _PROGRESS_S."""
     last = time.monotonic()
 
     def send_progress(share: float) -> None:
@@ -98,10 +102,12 @@ Parts = Iterator[tuple[Any, ...]]
 def _messages(
     importer: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback
 ) -> Parts:
+    """Read a ULog or telemetry log."""
     return _log_parts(importer.read(path, _selection(order), callback))
 
 
 def _csv(tables: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback) -> Parts:
+    """Read a CSV table."""
     return _log_parts(
         tables.read_csv(path, _selection(order), order["kind"] == "jsbsim-csv", _time(order))
     )
@@ -110,11 +116,13 @@ def _csv(tables: Any, path: Path, order: Mapping[str, Any], callback: ProgressCa
 def _parquet(
     tables: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback
 ) -> Parts:
+    """Read a Parquet table."""
     memory = int(order["memory"])
     return _log_parts(tables.read_parquet(path, _selection(order), memory, _time(order)))
 
 
 def _record(tables: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback) -> Parts:
+    """Read a flight record."""
     columns, metadata = tables.read_record(path, int(order["memory"]))
     for name, values in columns.items():
         yield "column", name, values
@@ -122,6 +130,7 @@ def _record(tables: Any, path: Path, order: Mapping[str, Any], callback: Progres
 
 
 def _table(tables: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback) -> Parts:
+    """Read a small CSV table."""
     for name, values in tables.read_small_table(path).items():
         yield "column", name, values
 
@@ -138,6 +147,7 @@ _READERS: dict[str, tuple[str, Callable[..., Parts]]] = {
 
 
 def _selection(order: Mapping[str, Any]) -> dict[str, frozenset[str]] | None:
+    """Return the message fields that an order asks for; None for all."""
     selection = order["selection"]
     return (
         None
@@ -147,11 +157,13 @@ def _selection(order: Mapping[str, Any]) -> dict[str, frozenset[str]] | None:
 
 
 def _time(order: Mapping[str, Any]) -> TimeColumn | None:
+    """Return the time column that an order names; None to detect it."""
     time = order.get("time")
     return None if time is None else TimeColumn(*time)
 
 
 def _log_parts(raw: RawLog) -> Parts:
+    """Yield the tables of a log, then everything else about it."""
     for (name, instance), table in raw.messages.items():
         place = np.zeros(0, dtype=np.int64) if table.place is None else table.place
         yield "table", name, instance, table.time_s, dict(table.fields), place
@@ -178,6 +190,7 @@ def _log_parts(raw: RawLog) -> Parts:
 
 
 def _texts(texts: Any) -> np.ndarray[Any, Any]:
+    """Return texts as an object array, which a data file stores as one buffer."""
     items = list(texts)
     out = np.empty(len(items), dtype=object)
     out[:] = items

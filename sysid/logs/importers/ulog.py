@@ -1,5 +1,7 @@
-"""PX4 ULog (.ulg) by pyulog, which keeps the wanted topics in memory and reports dropouts
-itself.
+"""Read PX4 ULog files (.ulg) with pyulog.
+
+pyulog keeps the selected topics in memory and reports dropouts. One file may hold several logs,
+which are read one by one and concatenated; `time_base.split` separates them again.
 """
 
 from __future__ import annotations
@@ -45,8 +47,21 @@ _PART = 1 << 40  # places of one part of a file with several logs; no log has as
 def read(
     path: Path, selection: FieldSelection | None = None, callback: ProgressCallback | None = None
 ) -> RawLog:
-    """Read a ULog file. Raises LogError when pyulog cannot make sense of it or nothing useful is
-    inside.
+    """Read a ULog file.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+    selection : mapping or None
+        Topic name to fields; None reads all topics.
+    callback : callable, optional
+        Called once with 1.0 at the end.
+
+    Raises
+    ------
+    LogError
+        If pyulog cannot read the file, or it has no topic with data.
     """
     with open_regular(path) as handle:
         starts = _headers(handle)
@@ -56,6 +71,7 @@ def read(
     if len(starts) == 1:
         raw = _read(partial(open_regular, path), path, selection, 0)
     else:
+        # Concatenated logs are cut at their headers.
         ends = [*starts[1:], len(content)]
         parts = [content[start:end] for start, end in zip(starts, ends, strict=True)]
         raw = _concatenate_logs(
@@ -72,13 +88,14 @@ def read(
 
 
 def _headers(handle: BinaryIO) -> list[int]:
-    """Offsets at which a log begins: several logs may stand in one file."""
+    """Return the offsets at which logs begin in the file."""
     starts, base, tail = [0], 0, b""
     while block := handle.read(_BLOCK_BYTES):
         data = tail + block
         at = data.find(_MAGIC)
         while at >= 0:
-            # The kind of the first message, flags or a definition, makes chance bytes unlikely.
+            # Require the kind of a first message (flags or a definition), so that equal bytes
+            # inside data are not taken for a header.
             kind = data[at + _HEADER_BYTES + 2 : at + _HEADER_BYTES + 3]
             if base + at > 0 and kind in (b"B", b"F", b"I", b"P") and base + at not in starts:
                 starts.append(base + at)
@@ -91,14 +108,14 @@ def _headers(handle: BinaryIO) -> list[int]:
 def _read(
     open_log: Callable[[], BinaryIO], path: Path, selection: FieldSelection | None, number: int
 ) -> RawLog:
-    """One log of a file, opened by ``open_log``; ``number`` counts the logs before it."""
+    """Read one log of a file, opened by ``open_log``; ``number`` counts the logs before it."""
     chatter = io.StringIO()
     names = None if selection is None else sorted(selection)
     try:
-        # pyulog prints what it finds corrupt; it belongs into the findings, not onto the terminal.
-        # Given an open file, since pyulog leaves a file open that it opened itself and could not
-        # read.
+        # pyulog prints what it finds damaged, which belongs into the findings. It receives an
+        # open file, because it would leave one open that it cannot read.
         with contextlib.redirect_stdout(chatter), np.errstate(all="ignore"):
+            # The file as it is first read.
             with open_log() as handle:
                 log = ULog(handle, names, disable_str_exceptions=True)
             stamps = [d.data["timestamp"] for d in log.data_list if "timestamp" in d.data]
@@ -153,7 +170,7 @@ def _read(
 
 
 def _concatenate_logs(parts: list[RawLog]) -> RawLog:
-    """Several logs of one file as one, in which places keep them apart."""
+    """Concatenate several logs of one file; places in the file keep them apart."""
     messages: dict[tuple[str, int], MessageTable] = {}
     for key in dict.fromkeys(key for part in parts for key in part.messages):
         tables = [part.messages[key] for part in parts if key in part.messages]
@@ -182,13 +199,14 @@ def _concatenate_logs(parts: list[RawLog]) -> RawLog:
 
 
 def _steps_back(timestamp: NDArray[Any]) -> bool:
+    """Return whether time steps back by more than RESTART_S (``timestamp`` in us)."""
     return len(timestamp) > 1 and bool(
         np.min(np.diff(timestamp.astype(np.float64))) < -1e6 * RESTART_S
     )
 
 
 class _OrderedULog(ULog):
-    """A log that also says in which order the records of all topics stand in the file."""
+    """A ULog that records the order of the records of all topics in the file."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.places: dict[tuple[str, int], list[int]] = {}
@@ -211,6 +229,7 @@ class _OrderedULog(ULog):
 
 
 def _parameters(log: ULog) -> dict[str, float]:
+    """Return the numeric parameters."""
     out = {}
     for name, value in log.initial_parameters.items():
         with contextlib.suppress(TypeError, ValueError):
@@ -219,6 +238,7 @@ def _parameters(log: ULog) -> dict[str, float]:
 
 
 def _vehicle(log: ULog, messages: dict[tuple[str, int], MessageTable]) -> str:
+    """Return the vehicle type by vehicle_status or MAV_TYPE."""
     status: Any = messages.get(("vehicle_status", 0))
     name = "PX4"
     if (
@@ -238,6 +258,7 @@ def _vehicle(log: ULog, messages: dict[tuple[str, int], MessageTable]) -> str:
 
 
 def _findings(log: ULog, chatter: str) -> list[Finding]:
+    """Return findings on dropouts and damage."""
     out = []
     if log.dropouts:
         lost_s = sum(d.duration for d in log.dropouts) * 1e-3
