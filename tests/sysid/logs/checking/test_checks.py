@@ -231,16 +231,17 @@ def test_ground_tow_and_free_flight_are_told_apart() -> None:
 def test_what_never_flew_says_so() -> None:
     t = np.arange(0, 60, 0.1)
     assert (
-        "never flew" in find_free_flight(t, np.full(600, 3.0), None, None, None, np.array([])).why
+        "never flew"
+        in find_free_flight(t, np.full(600, 3.0), None, None, None, np.array([])).reason
     )
     taxi = np.concatenate([np.zeros(50), np.full(550, 12.0)])
     assert (
         "never left the ground"
-        in find_free_flight(t, taxi, np.zeros(600), None, None, np.array([])).why
+        in find_free_flight(t, taxi, np.zeros(600), None, None, np.array([])).reason
     )
     assert (
         "cannot be said"
-        in find_free_flight(t, np.full(600, np.nan), None, None, None, np.array([])).why
+        in find_free_flight(t, np.full(600, np.nan), None, None, None, np.array([])).reason
     )
 
 
