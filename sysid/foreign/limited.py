@@ -236,6 +236,7 @@ class _Deadline:
         self._timer.daemon = True
 
     def _end(self) -> None:
+        """Kill the reader."""
         self.expired = True
         self._child.process.kill()
 
@@ -391,6 +392,7 @@ def _reader_process(path: Path) -> _ReaderProcess:
 
 
 def _not_started(path: Path) -> LogError:
+    """Return the error for a reader process that does not start."""
     return LogError(
         "the process that reads this format could not be started; free some memory and try again",
         path,
@@ -398,6 +400,7 @@ def _not_started(path: Path) -> LogError:
 
 
 def _end_children() -> None:
+    """Kill the reader of this process, if there is one."""
     child = _children.pop(os.getpid(), None)
     if child is not None:
         child.end()
@@ -450,6 +453,7 @@ def _address_limit() -> tuple[int, int] | None:
 
 
 def _set_address_limit(limit: tuple[int, int]) -> None:
+    """Set soft and hard limit of the address space."""
     import resource
 
     resource.setrlimit(resource.RLIMIT_AS, limit)

@@ -401,6 +401,7 @@ class Reader:
         return keys
 
     def _none(self) -> tuple[Any, Sequence[int]]:
+        """Build None; like all builders, return a value and the nodes that it contains."""
         return None, ()
 
     def _bool(self, value: Any) -> tuple[Any, Sequence[int]]:
@@ -442,6 +443,7 @@ class Reader:
         return _require_distinct(frozenset(self._keys(numbers)), numbers), numbers
 
     def _dict(self, keys: Any, values: Any) -> tuple[Any, Sequence[int]]:
+        """Build a dictionary."""
         mapping = dict(zip(self._keys(keys), self._at(values), strict=True))
         return _require_distinct(mapping, keys), keys + values
 
@@ -450,6 +452,7 @@ class Reader:
         return MappingProxyType(mapping), children
 
     def _scalar(self, dtype: Any, value: Any) -> tuple[Any, Sequence[int]]:
+        """Build a numpy scalar from its dtype and its bytes in hexadecimal."""
         kind, content = dtype_from(dtype), bytes.fromhex(value)
         if len(content) != kind.itemsize:
             raise ValueError("a scalar's bytes are not those of its type")
@@ -469,6 +472,7 @@ class Reader:
     def _array(
         self, shape: Any, order: Any, writeable: Any, dtype: Any, number: Any
     ) -> tuple[Any, Sequence[int]]:
+        """Build an array of plain items from its bytes."""
         kind, content = dtype_from(dtype), self._buffer(number)
         if _count(shape) * kind.itemsize != len(content) or (kind.itemsize == 0 and _count(shape)):
             raise ValueError("an array's bytes are not those of its shape and type")
@@ -824,12 +828,14 @@ class _Writer:
         return ["objects", *layout, items], items
 
     def _dtype(self, dtype: np.dtype[Any]) -> Any:
+        """Describe a dtype; raise DataFileError with the place of the array."""
         try:
             return describe_dtype(dtype)
         except ValueError as error:
             raise DataFileError(f"a data file cannot hold {error}{self._place()}") from None
 
     def _buffer(self, content: Any) -> int:
+        """Add a buffer and return its number."""
         self._buffers.append(content)
         return len(self._buffers) - 1
 
@@ -843,10 +849,12 @@ class _Writer:
         return numbers
 
     def _place(self) -> str:
+        """Return where in the value an error occurred, for messages."""
         return f", at {'.'.join(self._trail)}" if self._trail else ""
 
 
 def _json(value: Any) -> str:
+    """Return compact JSON; NaN is refused."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from sysid.arrays import FloatArray
 from sysid.errors import Finding, LogError
 from sysid.foreign.raw import RawLog
-from sysid.logs import manoeuvres as flight_phase
 from sysid.logs.card import AirframeCard
 from sysid.logs.channels import CIRCLE_FROM, Channel, Times, resolve, wrap_angles
 from sysid.logs.checking.checks import (
@@ -28,7 +27,7 @@ from sysid.logs.checking.checks import (
     one_per_cause,
 )
 from sysid.logs.importers.tables import columns_message
-from sysid.logs.manoeuvres import find_loiters, loiter_commands
+from sysid.logs.manoeuvres import FlightPhase, find_free_flight, find_loiters, loiter_commands
 from sysid.logs.sensors import Sensors
 from sysid.logs.servo import Control, controls, deflection, elevator_channel
 from sysid.logs.signal_map import Entry, ServoOutputs, SignalMap
@@ -384,7 +383,7 @@ def _phase(
     outputs: ServoOutputs | None,
     times: Times,
     mode_changes_s: FloatArray,
-) -> flight_phase.FlightPhase:
+) -> FlightPhase:
     """Find free flight from speed, height, pitch rate and elevator, whichever the log has."""
     grid = columns["time_s"]
     speed = columns.get("V_mps")
@@ -404,7 +403,7 @@ def _phase(
             elevator = hold(
                 raw.messages[key].time_s[cleaned.keep], pwm, cleaned.gaps, grid, cleaned.step_s
             )
-    return flight_phase.find_free_flight(
+    return find_free_flight(
         grid,
         np.full(len(grid), np.nan) if speed is None else speed,
         columns.get("h_m"),

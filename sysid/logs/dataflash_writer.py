@@ -20,12 +20,11 @@ from sysid.arrays import FloatArray
 from sysid.errors import LogError
 from sysid.logs.card import AirframeCard, Mix, Servo
 from sysid.logs.importers.dataflash import CHARACTERS, FMT_LENGTH, FMT_TYPE, MAGIC, Format
+from sysid.logs.servo import FUNCTIONS, PANEL_FUNCTIONS, USUAL_CHANNELS
 from sysid.record import FlightRecord
 from sysid.vocabulary import MANOEUVRE_TEXT, MODE_NUMBERS
 
-_USUAL_CHANNEL = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
-_FUNCTION = {"aileron": 4, "elevator": 19, "throttle": 70, "rudder": 21}
-_PANEL_FUNCTION = {"elevon": (77, 78), "vtail": (79, 80)}
+_FUNCTION = {name: number for number, name in FUNCTIONS.items()}
 _DEFAULT_START = {"lat_deg": 45.0, "lon_deg": 0.0, "alt_m": 0.0}
 
 _FMT = Format(FMT_TYPE, FMT_LENGTH, "FMT", "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
@@ -171,12 +170,14 @@ def _sensors(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str])
     """Return the messages of sensors and estimates; add their columns to ``stored``."""
 
     def column(name: str, factor: float = 1.0) -> FloatArray | float:
+        """Return a column in the unit of the field and mark it as stored; 0 if it is absent."""
         if name not in record:
             return 0.0
         stored.add(name)
         return record[name] * factor
 
     def any_of(*names: str) -> bool:
+        """Return whether the record has any of these columns."""
         return any(n in record for n in names)
 
     degrees = 180.0 / np.pi
@@ -265,7 +266,7 @@ def _servo_outputs(
     path: Path,
 ) -> dict[int, FloatArray]:
     """Return servo channel to PWM, and add their SERVOn parameters."""
-    commands = {n: f"{n}_deg" if n != "throttle" else "throttle_pct" for n in _USUAL_CHANNEL}
+    commands = {n: f"{n}_deg" if n != "throttle" else "throttle_pct" for n in USUAL_CHANNELS}
     commands = {n: c for n, c in commands.items() if c in record}
     if not commands:
         return {}
@@ -288,7 +289,7 @@ def _servo_outputs(
                 f"{column} has no [inputs.{name}] servo_pwm in {card.path or card.name}; add it",
                 path,
             )
-        channel = servo.channel or _USUAL_CHANNEL[name]
+        channel = servo.channel or USUAL_CHANNELS[name]
         out[channel] = pwm_of(record[column], servo)
         _describe(channel, _FUNCTION[name], servo, parameters)
         stored.add(column)
@@ -317,7 +318,7 @@ def _panels(
     for servo, deflection, function in zip(
         (mix.left, mix.right),
         (first + second, first - second),
-        _PANEL_FUNCTION[mix.kind],
+        PANEL_FUNCTIONS[mix.kind],
         strict=True,
     ):
         channel = servo.channel or 0

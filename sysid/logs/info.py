@@ -18,9 +18,8 @@ from sysid.logs.manoeuvres import Manoeuvre, find_manoeuvres
 from sysid.record import Boot, FlightRecord, Loiter
 from sysid.vocabulary import SURFACES
 
-IDENTIFICATION_MIN_HZ = (
-    20.0  # short periods of small aircraft lie near 1 Hz: twenty samples a cycle
-)
+# Twenty samples a cycle of the short period, which is near 1 Hz for small aircraft.
+IDENTIFICATION_MIN_HZ = 20.0
 REPLAY_MIN_HZ = 10.0
 LOITER_MIN_HZ = 1.0
 LOITER_MIN_S = 300.0

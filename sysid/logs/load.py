@@ -24,7 +24,6 @@ from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import wrap_angles
 from sysid.logs.checking.checks import estimated_channels, recheck
 from sysid.logs.importers import dataflash
-from sysid.logs.importers import dataflash as dataflash_binary
 from sysid.logs.importers.detect import detect
 from sysid.logs.signal_map import Entry, SignalMap, read_map, shipped_map
 from sysid.logs.time_base import split
@@ -34,7 +33,7 @@ from sysid.vocabulary import SIGNALS
 # The cache holds records by the content of log, map and card. It is in the user's cache folder
 # and never next to the log, which may be on a read-only medium.
 
-_FORMAT = "5"  # raise it when importing the same log gives another record
+_FORMAT = "5"  # increase it when the same log gives another record
 
 
 def default_cache() -> Path:
@@ -150,7 +149,9 @@ def import_log(
             return _with_current_checks(
                 replace(record, metadata=replace(record.metadata, source=path.name))
             )
-    record = _assemble(path, dialect, user_map, card, digest, flight_number, callback)
+    record = _assemble(
+        path, dialect, user_map, card, digest, flight_number=flight_number, callback=callback
+    )
     if stored is not None:
         store(record, stored)
     return record
@@ -162,6 +163,7 @@ def _assemble(
     user_map: SignalMap | None,
     card: AirframeCard | None,
     digest: str,
+    *,
     flight_number: int | None,
     callback: ProgressCallback | None,
 ) -> FlightRecord:
@@ -322,7 +324,7 @@ def read_raw(
     selection = None if signal_map is None else signal_map.field_selection()
     match dialect:
         case "dataflash":
-            return dataflash_binary.read(path, selection, callback)
+            return dataflash.read(path, selection, callback)
         case "dataflash-text":
             return dataflash.read_text(path, selection, callback)
     time = None if signal_map is None else signal_map.time

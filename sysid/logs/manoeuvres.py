@@ -98,27 +98,23 @@ AXES = {
 }
 _MIN_PULSE = {"elevator_deg": 0.8, "aileron_deg": 0.8, "rudder_deg": 0.8, "throttle_pct": 5.0}
 """Smallest pulse in the command's unit: sixteen steps of a servo pulse of 1 us."""
-_BASE_S = 14.0  # the median over so long is the command without the manoeuvre
-_LONGEST_S, _SHORTEST_S = 12.0, 0.12  # of a manoeuvre, of a pulse
-_PAUSE_S = 0.35  # between pulses that follow one another at once
+_BASE_S = 14.0  # window of the median that is the command without manoeuvres
+_LONGEST_S, _SHORTEST_S = 12.0, 0.12  # longest manoeuvre, shortest pulse
+_PAUSE_S = 0.35  # longest pause between the pulses of a manoeuvre
 # Hz; a command that is logged more slowly shows no edges, and corrections in gusts look like
 # pulses.
 _MIN_HZ = 15.0
-_SINGLE_S = 0.3  # shortest single pulse: less is a spike of a mode's change
+_SINGLE_S = 0.3  # shortest single pulse; changes of mode cause shorter spikes
 # Mean of a pulse over its peak; an exponential decay has 0.4, a half sine 0.64.
 _FLAT = 0.8
-_EDGE = 0.5  # of a pulse's largest value, where it begins and ends
-_REST_S, _REST_SHARE = (
-    0.5,
-    0.2,
-)  # the command before a manoeuvre moves by less than this share of the first pulse
-_EDGE_S = 0.1  # in which it then reaches half of the pulse: a servo's, or a hand's
-_SIMILAR = 1.7  # factor between the durations, and the sizes, of the pulses of a doublet
+_EDGE = 0.5  # share of the peak at which a pulse begins and ends
+# Before a manoeuvre the command is constant for this time, within this share of the first pulse.
+_REST_S, _REST_SHARE = 0.5, 0.2
+_EDGE_S = 0.1  # time to reach half of the peak
+_SIMILAR = 1.7  # factor between durations, and between sizes, of the pulses of a doublet
 _THREE_TWO_ONE_ONE = np.array([3.0, 2.0, 1.0, 1.0])
-_BEFORE_S, _AFTER_S = (
-    1.0,
-    3.0,
-)  # of a labelled manoeuvre: the state that it begins from, and the answer
+# A label covers the initial state before the input and the response after it.
+_BEFORE_S, _AFTER_S = 1.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -264,9 +260,7 @@ def _base(values: FloatArray, dt_s: float) -> FloatArray:
     from scipy.ndimage import median_filter
 
     # Every 0.1 s is enough for a median over many seconds.
-    few = max(
-        1, round(0.1 / dt_s)
-    )  # a tenth of a second apart is close enough for a median over many
+    few = max(1, round(0.1 / dt_s))
     slow = values[::few]
     width = min(max(3, round(_BASE_S / (few * dt_s))), slow.size) | 1
     return np.interp(

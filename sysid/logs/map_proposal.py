@@ -144,7 +144,6 @@ _NO_SENSORS = re.compile(
 )
 """Messages whose fields have the names of signals but hold errors, demands or ratios of them."""
 _ROUNDS = 4
-_STANDARD = 1e-3  # relative, by which a scale may miss one that is a unit's
 
 
 @dataclass(frozen=True)

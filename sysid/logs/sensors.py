@@ -208,6 +208,7 @@ class Sensors:
         valid, reasons = np.ones(len(time_s), dtype=bool), []
 
         def require(rows: BoolArray, reason: str) -> None:
+            """Exclude the rows that do not meet a condition, and note the condition."""
             nonlocal valid
             if not rows.all():
                 reasons.append(reason)

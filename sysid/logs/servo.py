@@ -28,6 +28,7 @@ from sysid.logs.card import AirframeCard, Mix, Servo, Table
 # _TRQ_Y, _TRIM; torques are positive right wing down, nose up and nose right.
 
 USUAL_CHANNELS = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
+"""Servo output of each input, unless parameters or card name another."""
 FUNCTIONS = {4: "aileron", 19: "elevator", 21: "rudder", 70: "throttle"}
 """SERVOn_FUNCTION numbers as ArduPilot documents them."""
 _SENSE = {"aileron": 1.0, "elevator": -1.0, "rudder": -1.0, "throttle": 1.0}
@@ -243,7 +244,8 @@ def parse_parameters(text: str) -> dict[str, float]:
     return parameters
 
 
-_LEFT_RIGHT = {"elevon": (77, 78), "vtail": (79, 80)}
+PANEL_FUNCTIONS = {"elevon": (77, 78), "vtail": (79, 80)}
+"""SERVOn_FUNCTION of the left and the right panel of a mix."""
 COLUMNS = {
     "elevator": "elevator_deg",
     "aileron": "aileron_deg",
@@ -360,7 +362,7 @@ def _assumed_mixes(
     assumption.
     """
     findings = []
-    for kind, panel_functions in _LEFT_RIGHT.items():
+    for kind, panel_functions in PANEL_FUNCTIONS.items():
         channels = [
             next((n for n, f in by_channel.items() if f == side), None) for side in panel_functions
         ]
@@ -523,13 +525,13 @@ MIN_STEP_DEG = 1.0
 """Steps below this size, deg, cause no visible kink."""
 MAX_LATE_S = 0.05
 """Longest delay of the kinks after the steps, s: gyro filter and servo lag."""
-_AROUND_S = 0.08  # on either side that the kink is fitted to
-_MIN_ROWS = 4  # rows on either side
+_AROUND_S = 0.08  # time on either side of the step to which the kink is fitted
+_MIN_ROWS = 4  # least rows on either side
 # Delays whose sums of squares differ by less than this many noise variances are equally good.
 _MISFIT_TOLERANCE = 4.0
 _FINE_S = 0.001
-_KINK_PARAMETERS = 4  # numbers that a rate with a kink is fitted by
-_PLACED_PROBABILITY = 0.9  # share of likelihood at which a step counts as placed
+_KINK_PARAMETERS = 4
+_PLACED_PROBABILITY = 0.9  # probability from which a step counts as placed
 
 
 @dataclass(frozen=True)

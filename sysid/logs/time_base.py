@@ -20,8 +20,8 @@ from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.foreign.raw import MessageTable, RawLog
 
-JUMP_S = 3600.0  # a step this long inside one log is a wrong clock, not a dropout
-SAME_S = 2e-6  # times this close are one: stamps are whole microseconds
+JUMP_S = 3600.0  # a longer step inside one log is a wrong clock, not a dropout
+SAME_S = 2e-6  # closer times are equal: stamps are whole microseconds
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 """Unit of a time -> seconds."""
 _UNIT_WORDS = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}

@@ -38,9 +38,9 @@ _BANDS, _MIN_BINS = 12, 6
 # Probability that a band of pure noise counts, over all bands. It is small because the search
 # for delay and sign favours chance.
 _CHANCE = 1e-5
-_FLOOR = 0.01  # relative: no two sensors agree better
+_FLOOR = 0.01  # relative accuracy of the best sensors
 _MAX_LATE_S, _LATE_STEP_S = 0.5, 0.005
-_TAPER = 0.2  # share of a stretch at either end
+_TAPER = 0.2  # share of a stretch that is tapered at either end
 TAPERED = 1.26
 """Factor by which the taper raises the variance of sums over frequencies: mean w^4 / (mean w^2)^2.
 """
@@ -294,9 +294,8 @@ def _coarse_lateness(
             float(np.sum(np.abs(fx[group]) ** 2)) * float(np.sum(np.abs(fy[group]) ** 2))
         )
         if size > 0.0:
-            correlation = (
-                np.real((turns[:, group] * cross).sum(axis=1)) / size
-            )  # no BLAS, whose threads cost more than they do
+            # Without BLAS: its threads cost more than they save.
+            correlation = np.real((turns[:, group] * cross).sum(axis=1)) / size
             total += np.count_nonzero(group) * correlation * np.abs(correlation)
     # Among equal correlations prefer the smallest delay.
     total *= 1.0 - 1e-3 * np.abs(late)
@@ -309,7 +308,7 @@ def _coarse_lateness(
 Columns = Mapping[str, FloatArray]
 Pair = tuple[FloatArray, FloatArray]
 BAND_HZ = (0.08, 2.5)
-_SLOW_HZ = 0.15  # below it an aircraft's angle of attack hardly changes
+_SLOW_HZ = 0.15  # below it the angle of attack hardly changes
 # Share of a channel's own rate up to which linear interpolation loses less than 8 %.
 _OF_NATIVE = 0.15
 _MIN_S, _MAX_S = 8.0, 200.0
@@ -657,10 +656,8 @@ def _means(values: FloatArray, dt_s: float) -> FloatArray:
     return values[: values.size // n * n].reshape(-1, n).mean(axis=1)
 
 
-_WIND_MPS, _WIND_SHARE = (
-    5.0,
-    0.3,
-)  # what a wind may be before anything is measured, one standard deviation
+# Prior standard deviation of the wind: absolute, and as a share of the ground speed.
+_WIND_MPS, _WIND_SHARE = 5.0, 0.3
 
 
 def against_wind(stretch_set: Stretches) -> Relation:
@@ -713,11 +710,8 @@ def all_laws() -> Sequence[Law]:
 
 LEVER_ARM_BAND_HZ = (0.08, 2.0)
 _MIN_SEGMENT_S = 20.0
-_MIN_ROWS = 20  # a log so slow that the band is not in it has nothing to compare
+_MIN_ROWS = 20  # a slower log does not contain the band
 _MAX_STRETCH_S = 600.0
-_ATTITUDE = ("phi_rad", "theta_rad", "psi_rad")
-_RATES = ("p_radps", "q_radps", "r_radps")
-_ACCELERATIONS = ("ax_mps2", "ay_mps2", "az_mps2")
 
 
 def _longest_stretch(record: FlightRecord, names: tuple[str, ...]) -> FlightRecord | None:
@@ -743,7 +737,7 @@ def _band(x: FloatArray, dt_s: float) -> FloatArray:
 
 
 _LEVER_ARM_BLOCK_S, _MIN_BLOCKS = 4.0, 8
-_MAX_STD_M = 0.3  # a flight that hardly turns regresses noise on noise, and its error says so
+_MAX_STD_M = 0.3  # a flight without turns regresses noise on noise and has a large error
 _MIN_RATIO = 4.5  # standard errors: three axes in every log, a few dozen blocks behind each error
 
 
@@ -782,7 +776,7 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
     LeverArm or None
         None if a channel is missing or estimated, or the stretch is too short.
     """
-    names = ("V_mps", "alpha_rad", "beta_rad", *_ATTITUDE, *_RATES, *_ACCELERATIONS)
+    names = ("V_mps", "alpha_rad", "beta_rad", *ATTITUDE, *RATES, *ACCELERATIONS)
     if any(n in record.metadata.estimates for n in ("alpha_rad", "beta_rad")):
         return None
     part = _longest_stretch(record, names)
@@ -791,7 +785,7 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
     dt = part.dt_s
     speed, alpha, beta = part["V_mps"], part["alpha_rad"], part["beta_rad"]
     phi, theta = part["phi_rad"], part["theta_rad"]
-    p, q, r = (part[n] for n in _RATES)
+    p, q, r = (part[n] for n in RATES)
     v = np.stack(
         [
             speed * np.cos(alpha) * np.cos(beta),
@@ -805,7 +799,7 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
     omega = np.stack([p, q, r])
     # Specific force at the CG.
     acceleration = np.gradient(v, dt, axis=1) + np.cross(omega, v, axis=0) - g
-    measured = np.stack([part[n] for n in _ACCELERATIONS])
+    measured = np.stack([part[n] for n in ACCELERATIONS])
     dp, dq, dr = np.gradient(omega, dt, axis=1)
     # Coefficients of r: (omega_dot x) + omega x (omega x).
     rows = np.array(

@@ -118,10 +118,10 @@ SAME = 1.33
 """Factor within which a scale counts as right: a smaller error is a matter of calibration, not of
 units.
 """
-_SHARP = 2.0  # high over low of a relation that tells anything
+_SHARP = 2.0  # largest ratio of the limits of an informative scale
 _MAX_FAULTS = 4
 _MAX_HZ = 40.0
-_ALIKE = 8.0  # factor within which the noise of sensors of one kind is the same
+_ALIKE = 8.0  # factor between noise levels of sensors of one kind
 _DEG = 180.0 / math.pi
 
 _SPEEDS = {

@@ -26,21 +26,25 @@ from sysid.logs.checking.kinematics import (
 from sysid.logs.manoeuvres import moving_mean
 from sysid.record import FlightRecord
 
-_MIN_SAMPLES = 60  # samples
+_MIN_SAMPLES = 60
 _MIN_CHANGES = 20
-_STANDSTILL_SAMPLES = 50  # samples in a row after which a value stands still rather than is held
+# Equal samples in a row; fewer are a held value, more a standstill.
+_STANDSTILL_SAMPLES = 50
 _COMMON = 0.9  # share of changes on one beat
-_SAME_SIZE = 1.5  # over the smallest corners, the usual one where all are of one size
-_STUCK_S = 2.0
+# Median over smallest size of the corners of lines, below which all corners have one size.
+_SAME_SIZE = 1.5
+_STUCK_S = 2.0  # shortest standstill that is reported
 _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
-_SIXTH_DIFFERENCE_GAIN = (
-    924.0**0.5
-)  # sixth differences over white noise: 1 + 36 + 225 + 400 + 225 + 36 + 1 in variance
-_COARSE_SHARE = 1e-4  # of the usual step, beyond which a channel's own step hides a quiet motion
-_MAX_OTHER_STANDSTILL = 0.25  # of the longest stand-still that any other may last
-_MIN_NOISE = 0.2  # of the usual step from sample to sample; motion alone stays far below it
+# Sixth differences over white noise; in variance 1 + 36 + 225 + 400 + 225 + 36 + 1.
+_SIXTH_DIFFERENCE_GAIN = 924.0**0.5
+# Quantum over the usual step, above which coarse steps hide a quiet motion.
+_COARSE_SHARE = 1e-4
+# Second longest standstill over the longest; a channel with more of them often stands still.
+_MAX_OTHER_STANDSTILL = 0.25
+# Noise over the usual step between samples; motion alone has far less.
+_MIN_NOISE = 0.2
 _BITS = (8, 16)
-_ON_LATTICE = 1e-3  # of a step, by which a logged number may miss a whole multiple
+_ON_LATTICE = 1e-3  # tolerance of a multiple, in steps
 _WRAPS = tuple(
     (span * unit, f"{bits}-bit" + ("" if unit == 1.0 else f", 1/{1 / unit:.0f}"))
     for bits, span in ((16, 65536.0), (8, 256.0))
@@ -307,23 +311,27 @@ def detect_wraps(raw: FloatArray) -> tuple[int, float, str] | None:
 # none. Angles of flow that share the noise of the attitude were computed from attitude and
 # ground velocity.
 
-_SAME_RATE = 0.005  # of a rate's size, by which it may miss the attitude's derivative
-_MAX_RESIDUAL_SHARE = (
-    0.5  # of the fast part of an angle of flow, what attitude and ground velocity leave of it
-)
-_SMOOTHED_S = 0.5  # over which a filter takes the mean of a receiver's velocities, about
-_STEPS_BACK = -0.25  # correlation of neighbouring steps: -0.5 for white noise, 0 or more without
-_NOISE = -0.55  # the same of third differences, which motion hardly enters: -0.75 for white noise
-_THIRD_DIFFERENCE_GAIN = 20.0**0.5  # third differences over white noise, 1 + 9 + 9 + 1 in variance
+# Difference of a computed rate from the derivative of the attitude, in its standard deviations.
+_SAME_RATE = 0.005
+# High-frequency residual of an angle of flow against attitude and ground velocity, over its own.
+_MAX_RESIDUAL_SHARE = 0.5
+_SMOOTHED_S = 0.5  # time constant of an estimator for the receiver's velocity
+# Correlation of neighbouring steps: -0.5 for white noise, 0 or more without noise.
+_STEPS_BACK = -0.25
+# Correlation of neighbouring third differences: -0.75 for white noise.
+_NOISE = -0.55
+# Third differences over white noise; in variance 1 + 9 + 9 + 1.
+_THIRD_DIFFERENCE_GAIN = 20.0**0.5
 _MAX_EXPLAINED = 10.0
-"""Steps of an airspeed over those that accelerometer noise makes: 1 to 3 of estimates, 37 or more
-of ArduPlane's sensor.
+"""Steps of an airspeed over the steps that accelerometer noise causes: 1 to 3 for estimates, 37 or
+more for ArduPlane's sensor.
 """
 _MIN_NOISE_MPS2 = 1e-4
-"""Below any accelerometer's noise (a hundredth of a milligravity), and ten times what a
-simulation's integrators leave.
+"""Below the noise of any accelerometer (0.01 mg), and ten times the error of a simulation's
+integrators.
 """
-_MAX_BEAT, _ON_ROW = 4, 0.01  # of a channel until one falls on a row of the grid, and how near
+# Samples of a channel until one falls on a row of the grid, and the tolerance, in rows.
+_MAX_BEAT, _ON_ROW = 4, 0.01
 _MIN_ESTIMATE_SAMPLES = 100
 _SPOILS = "standard errors; in gusts an estimate misses the gust, and derivatives from it are wrong"
 

@@ -26,11 +26,11 @@ _MIN_BLOCKS = 5
 _MAX_LAG_S = 0.16
 _MIN_S, _MAX_S = 8.0, 300.0
 _MIN_HZ = 18.0
-_MIN_RATIO = 6.0  # standard errors of a sign
-_MIN_SHARE = 0.15  # of what is left of the angular acceleration that the surface must explain
+_MIN_RATIO = 6.0  # |effect| over standard error
+_MIN_SHARE = 0.15  # of the angular acceleration without the covariates' part
 # Share explained earlier with the opposite sign: a quick aircraft swings back within the lags.
 _MAX_OPPOSITE = 0.3
-_MOVING_DEG = 0.3  # rms in the band
+_MOVING_DEG = 0.3  # least rms of the surface in the band
 _TURNING = "angular acceleration"
 
 

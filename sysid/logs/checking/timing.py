@@ -58,15 +58,15 @@ _LOG_SCALES = 0.05 * np.arange(-12.0, 13.0)
 _FINE_LOG_SCALES = 0.02 * np.arange(-40.0, 41.0)
 # Prior standard deviation of the logarithm of the scale; a larger error is a finding of its own.
 _SCALE_STD = 0.15
-_FLOOR = 0.01  # relative: no two sensors agree better
+_FLOOR = 0.01  # relative accuracy of the best sensors
 _REFINEMENT, _REFINEMENTS = 5.0, 3
-_OVERIDENTIFICATION_LEVEL = 0.05  # chance at which restrictions that hold pass for broken
+_OVERIDENTIFICATION_LEVEL = 0.05  # level of the test of overidentifying restrictions
 _DEPENDENT = 1e-6
 # Share of a row: a jump of a control acts on the acceleration of its own row, and in the mean
 # half a row early on the derivative. A tenth of the lift jumps.
 _ROW = 0.05
 _MIN_STRENGTH = 10.0
-_GUST_S = 5.0  # within which what is left over is taken for one gust
+_GUST_S = 5.0  # residuals within this time count as one gust
 
 
 @dataclass(frozen=True)

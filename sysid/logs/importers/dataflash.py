@@ -172,6 +172,7 @@ def assemble(
     counts: Mapping[str, int],
     findings: list[Finding],
     path: Path,
+    *,
     places: Mapping[str, NDArray[np.int64]] | None = None,
     headers: tuple[int, ...] = (),
 ) -> RawLog:
@@ -551,8 +552,8 @@ def read(
         reader.counts,
         reader.findings(size),
         path,
-        {name: np.frombuffer(data, dtype="<i8") for name, data in reader.places.items()},
-        tuple(reader.headers),
+        places={name: np.frombuffer(data, dtype="<i8") for name, data in reader.places.items()},
+        headers=tuple(reader.headers),
     )
 
 
@@ -682,7 +683,14 @@ def read_text(
         if c is not None and counts[name]
     }
     return assemble(
-        "dataflash-text", columns, formats, dict(counts), findings, path, places, tuple(headers)
+        "dataflash-text",
+        columns,
+        formats,
+        dict(counts),
+        findings,
+        path,
+        places=places,
+        headers=tuple(headers),
     )
 
 

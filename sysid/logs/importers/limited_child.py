@@ -88,6 +88,7 @@ def _progress(answers: BinaryIO) -> ProgressCallback:
     last = time.monotonic()
 
     def send_progress(share: float) -> None:
+        """Send the share done unless one was sent a moment ago."""
         nonlocal last
         if time.monotonic() - last >= _PROGRESS_S:
             last = time.monotonic()

@@ -28,7 +28,7 @@ from sysid.logs.importers.detect import frame_length, frame_time
 from sysid.logs.time_base import boundaries
 
 BLOCK_BYTES = 4 << 20
-_SAME_CLOCK_S = 60.0  # a stamp further from its receipt is another clock's
+_SAME_CLOCK_S = 60.0  # a stamp that differs more from its receipt is of another clock
 _AUTOPILOT_TYPES = {
     1: "fixed wing",
     2: "quadrotor",
@@ -46,14 +46,8 @@ _AUTOPILOT_TYPES = {
     21: "VTOL tiltrotor",
     22: "VTOL",
 }
-_NOT_VEHICLES = {
-    5,
-    6,
-    18,
-    26,
-    27,
-    30,
-}  # antenna tracker, ground station, onboard controller, gimbal, ADSB, camera
+# MAV_TYPE of antenna tracker, ground station, onboard controller, gimbal, ADSB and camera.
+_NOT_VEHICLES = {5, 6, 18, 26, 27, 30}
 _BOOT_CLOCKS = ("ATTITUDE", "GLOBAL_POSITION_INT", "SYSTEM_TIME", "SCALED_IMU2")
 _BOOT_FIELDS = (("time_boot_ms", 1e-3), ("time_usec", 1e-6), ("time_us", 1e-6))
 
@@ -318,6 +312,7 @@ def _vehicle_clock(
     at, when = at[order], np.maximum.accumulate(when[order]) if len(when) else when
 
     def clock(places: FloatArray, arrived: FloatArray) -> FloatArray:
+        """Return times of unstamped messages, or their receipt times outside the stamped ones."""
         if len(at) < 2:
             return arrived
         between = (places >= at[0]) & (places <= at[-1])

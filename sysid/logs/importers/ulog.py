@@ -41,7 +41,7 @@ _VEHICLE_TYPES = {1: "rotary wing", 2: "fixed wing", 3: "rover", 4: "airship"}
 _MAGIC = b"ULog\x01\x12\x35"
 _HEADER_BYTES = 16
 _BLOCK_BYTES = 4 << 20
-_PART = 1 << 40  # places of one part of a file with several logs; no log has as many records
+_PART = 1 << 40  # offset of places between logs of one file; no log has as many records
 
 
 def read(
