@@ -133,33 +133,39 @@ def read_raw(
     )
     details = {"selection": names, "time": None if time is None else [time.field, time.unit]}
     messages: dict[tuple[str, int], MessageTable] = {}
-    about: dict[str, Any] = {}
+    properties: dict[str, Any] = {}
     for kind, *content in _request(path, dialect, details, callback):
         if kind == "table":
             name, instance, time_s, fields, place = content
             rows = place if len(place) else None
             messages[name, instance] = MessageTable(time_s, fields, rows)
         else:
-            (about,) = content
+            (properties,) = content
     return RawLog(
-        dialect=about["dialect"],
+        dialect=properties["dialect"],
         messages=messages,
-        counts=dict(zip(about["count_names"].tolist(), about["counts"].tolist(), strict=True)),
-        parameters=dict(zip(about["parameters"].tolist(), about["values"].tolist(), strict=True)),
-        texts=tuple(zip(about["text_time_s"].tolist(), about["texts"].tolist(), strict=True)),
-        vehicle=about["vehicle"],
-        facts=about["facts"],
-        findings=tuple(finding_from_dict(row) for row in about["findings"]),
-        headers=tuple(about["headers"].tolist()),
+        counts=dict(
+            zip(properties["count_names"].tolist(), properties["counts"].tolist(), strict=True)
+        ),
+        parameters=dict(
+            zip(properties["parameters"].tolist(), properties["values"].tolist(), strict=True)
+        ),
+        texts=tuple(
+            zip(properties["text_time_s"].tolist(), properties["texts"].tolist(), strict=True)
+        ),
+        vehicle=properties["vehicle"],
+        facts=properties["facts"],
+        findings=tuple(finding_from_dict(row) for row in properties["findings"]),
+        headers=tuple(properties["headers"].tolist()),
         parameter_log=tuple(
             zip(
-                about["parameter_place"].tolist(),
-                about["parameter_name"].tolist(),
-                about["parameter_value"].tolist(),
+                properties["parameter_place"].tolist(),
+                properties["parameter_name"].tolist(),
+                properties["parameter_value"].tolist(),
                 strict=True,
             )
         ),
-        text_places=tuple(about["text_place"].tolist()),
+        text_places=tuple(properties["text_place"].tolist()),
     )
 
 

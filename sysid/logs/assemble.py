@@ -283,9 +283,9 @@ def _interpolate_angle(name: str, c: Channel, grid: FloatArray) -> FloatArray:
     sine = interpolate(c.time_s, np.sin(c.values), c.clean.gaps, grid)
     is_finite = np.isfinite(c.values)
     # Unwrap, interpolate, and wrap again onto the turn of the vocabulary.
-    turned = c.values.copy()
-    turned[is_finite] = np.unwrap(c.values[is_finite])
-    out = interpolate(c.time_s, turned, c.clean.gaps, grid)
+    unwrapped = c.values.copy()
+    unwrapped[is_finite] = np.unwrap(c.values[is_finite])
+    out = interpolate(c.time_s, unwrapped, c.clean.gaps, grid)
     out = np.mod(out, 2 * np.pi) if name == "psi_rad" else np.mod(out + np.pi, 2 * np.pi) - np.pi
     return np.where(np.isfinite(sine), out, np.nan)
 

@@ -334,13 +334,13 @@ def _describe(channel: int, function: int, servo: Servo, parameters: dict[str, f
     # ArduPilot's positive elevator is nose up and its rudder nose right; a record has opposite
     # signs.
     rising = servo.table[-1][1] > servo.table[0][1]
-    reversed_ = rising if function in (_FUNCTION["elevator"], _FUNCTION["rudder"]) else not rising
+    is_reversed = rising if function in (_FUNCTION["elevator"], _FUNCTION["rudder"]) else not rising
     settings = {
         "FUNCTION": function,
         "MIN": pwm[0],
         "MAX": pwm[-1],
         "TRIM": middle,
-        "REVERSED": float(reversed_),
+        "REVERSED": float(is_reversed),
     }
     parameters.update({f"SERVO{channel}_{k}": float(v) for k, v in settings.items()})
 

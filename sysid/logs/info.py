@@ -145,12 +145,12 @@ def no_aeroplane(record: FlightRecord) -> str:
 def _no_flight(record: FlightRecord) -> str:
     """Return why the log serves no purpose at all; "" if nothing prevents it."""
     meta = record.metadata
-    if refused := no_aeroplane(record):
-        return refused
+    if wrong_vehicle := no_aeroplane(record):
+        return wrong_vehicle
     negative = _finding(record, "negative-airspeed")
-    never = "" if meta.free_flight_s or meta.dialect in ("record", "") else _phase_text(record)
+    no_flight = "" if meta.free_flight_s or meta.dialect in ("record", "") else _phase_text(record)
     vtol = f" ({meta.vehicle})" if "VTOL" in meta.vehicle else ""
-    reasons = [r for r in (never and never + vtol, negative) if r]
+    reasons = [r for r in (no_flight and no_flight + vtol, negative) if r]
     return "; ".join(reasons)
 
 
@@ -225,11 +225,11 @@ def _loiter_seconds(record: FlightRecord) -> float:
     if "psi_rad" not in record:
         return 0.0
     psi = record["psi_rad"]
-    turned = np.unwrap(psi[np.isfinite(psi)])
-    if not len(turned) or abs(turned[-1] - turned[0]) < 6 * np.pi:
+    unwrapped = np.unwrap(psi[np.isfinite(psi)])
+    if not len(unwrapped) or abs(unwrapped[-1] - unwrapped[0]) < 6 * np.pi:
         return 0.0
-    rate = abs(turned[-1] - turned[0]) / (len(turned) * record.dt_s)
-    return float(len(turned) * record.dt_s) if rate > 0.02 else 0.0
+    rate = abs(unwrapped[-1] - unwrapped[0]) / (len(unwrapped) * record.dt_s)
+    return float(len(unwrapped) * record.dt_s) if rate > 0.02 else 0.0
 
 
 def _moving(record: FlightRecord) -> list[str]:

@@ -202,11 +202,11 @@ def _not_in_log(signal: str, candidates: tuple[Entry, ...]) -> Finding:
     """Return the finding for a signal of the user's map that the log does not have."""
     labels = " or ".join(entry.label for entry in candidates)
     text = f"the map makes {signal} of {labels}, which this log does not have"
-    mend = (
+    correction = (
         f"in the map, [signals.{signal}]: the name of a field that the log has (`uqharness log map`"
         " lists them)"
     )
-    return Finding("not-in-log", signal, "warning", text, {}, "", mend)
+    return Finding("not-in-log", signal, "warning", text, {}, "", correction)
 
 
 def _require_flight(record: FlightRecord, flight_number: int | None, path: Path) -> FlightRecord:

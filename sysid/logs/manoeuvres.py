@@ -260,13 +260,13 @@ def _base(values: FloatArray, dt_s: float) -> FloatArray:
     from scipy.ndimage import median_filter
 
     # Every 0.1 s is enough for a median over many seconds.
-    few = max(1, round(0.1 / dt_s))
-    slow = values[::few]
-    width = min(max(3, round(_BASE_S / (few * dt_s))), slow.size) | 1
+    stride = max(1, round(0.1 / dt_s))
+    thinned = values[::stride]
+    width = min(max(3, round(_BASE_S / (stride * dt_s))), thinned.size) | 1
     return np.interp(
         np.arange(values.size),
-        np.arange(slow.size) * few,
-        median_filter(slow, size=width, mode="nearest"),
+        np.arange(thinned.size) * stride,
+        median_filter(thinned, size=width, mode="nearest"),
     )
 
 
@@ -602,26 +602,29 @@ def find_free_flight(
             None, None, None, "no airspeed and no ground speed: whether it flew cannot be said"
         )
     # The usual flying speed.
-    usual = float(np.quantile(finite_speed, 0.9))
-    if usual < MIN_SPEED_MPS:
+    usual_mps = float(np.quantile(finite_speed, 0.9))
+    if usual_mps < MIN_SPEED_MPS:
         text = (
-            f"it never flew: the speed stays below {usual:.1f} m/s for 90 % of the time (at least"
-            f" {MIN_SPEED_MPS:.0f})"
+            f"it never flew: the speed stays below {usual_mps:.1f} m/s for 90 % of the time"
+            f" (at least {MIN_SPEED_MPS:.0f})"
         )
         return FlightPhase(None, None, None, text)
-    flying = smooth > max(0.5 * usual, 5.0)
+    is_flying = smooth > max(0.5 * usual_mps, 5.0)
     # The speed may begin later than the first row.
     first = int(np.argmax(np.isfinite(smooth)))  # the speed may come later than the first row
     begins_at_rest = bool(np.nanmedian(smooth[first : first + max(1, round(1.0 / step))]) < 3.0)
     if height is not None and begins_at_rest and np.isfinite(height).any():
-        lifted = moving_mean(height, max(1, round(1.0 / step))) > MIN_CLIMB_M
-        if not lifted.any():
-            top = float(np.nanmax(height))
+        is_high = moving_mean(height, max(1, round(1.0 / step))) > MIN_CLIMB_M
+        if not is_high.any():
+            max_height_m = float(np.nanmax(height))
             return FlightPhase(
-                None, None, None, f"it never left the ground: the height stays below {top:.1f} m"
+                None,
+                None,
+                None,
+                f"it never left the ground: the height stays below {max_height_m:.1f} m",
             )
-        flying &= lifted | ~np.isfinite(height)
-    start, end = _longest(flying, round(5.0 / step))
+        is_flying &= is_high | ~np.isfinite(height)
+    start, end = _longest(is_flying, round(5.0 / step))
     if time_s[end - 1] - time_s[start] < 5.0:
         return FlightPhase(None, None, None, "it flew for less than 5 s")
     airborne = (float(time_s[start]), float(time_s[end - 1]))
@@ -657,11 +660,11 @@ def _tow(
         return None
     window = max(1, round(0.5 / step))
     # At its stop: beyond 85 % of the largest deflection from the median.
-    swing = np.abs(elevator - np.nanmedian(elevator))
-    stop = 0.85 * float(np.nanmax(swing))
-    is_towed = (swing >= stop) & (np.abs(moving_mean(pitch_rate, window)) < 0.05)
-    early = time_s < airborne[0] + 120.0
-    start, end = _longest(is_towed & early, round(1.0 / step))
+    elevator_deviation = np.abs(elevator - np.nanmedian(elevator))
+    stop = 0.85 * float(np.nanmax(elevator_deviation))
+    is_towed = (elevator_deviation >= stop) & (np.abs(moving_mean(pitch_rate, window)) < 0.05)
+    is_early = time_s < airborne[0] + 120.0
+    start, end = _longest(is_towed & is_early, round(1.0 / step))
     if (
         end <= start
         or time_s[end - 1] - time_s[start] < _TOW_MIN_S

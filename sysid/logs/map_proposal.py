@@ -347,8 +347,8 @@ def _signals_of(base: str, field: str) -> Iterable[tuple[str, int]]:
         yield field, -1  # the record's own name
         return
     for signal, pattern in _NAMES.items():
-        for rank, one in enumerate(_alternatives(pattern)):
-            if re.fullmatch(one, base):
+        for rank, alternative in enumerate(_alternatives(pattern)):
+            if re.fullmatch(alternative, base):
                 yield signal, rank
                 break
     if re.fullmatch(_CLIMB, base):
@@ -452,10 +452,13 @@ def _scale_by_size(signal_unit: str, signal: str, values: FloatArray) -> tuple[f
         for unit, factor in (("m/s2", 1.0), ("g", G0_MPS2), ("ft/s2", FT_M)):
             if 0.7 < abs(middle) * factor / G0_MPS2 < 1.4:
                 sign = -1.0 if middle > 0.0 else 1.0
-                turned = " with + up" if middle > 0.0 else ""
+                sign_note = " with + up" if middle > 0.0 else ""
                 return (
                     sign * factor,
-                    f"no unit in the name; a median of {middle:.3g} is gravity in {unit}{turned}",
+                    (
+                        f"no unit in the name; a median of {middle:.3g} is gravity in"
+                        f" {unit}{sign_note}"
+                    ),
                 )
     if signal_unit == "%" and size <= 1.5:
         return 100.0, f"no unit in the name; values up to {size:.3g} are 0 to 1"
@@ -589,9 +592,9 @@ def _confirmed(proposals: dict[str, Proposal], record: FlightRecord) -> dict[str
             f"{h.relation.scale:.2f} times {h.law.statement} ({h.relation.low:.2f} to"
             f" {h.relation.high:.2f})"
         )
-        sure = tuple(x for x in p.unsure if "no unit" in x)
+        confirmed = tuple(x for x in p.unsure if "no unit" in x)
         unsure = tuple(x for x in p.unsure if "no unit" not in x)
-        out[h.law.subject] = replace(p, evidence=(*p.evidence, *sure, text), unsure=unsure)
+        out[h.law.subject] = replace(p, evidence=(*p.evidence, *confirmed, text), unsure=unsure)
     # Errors that remain are shown with the signal.
     for f in record.metadata.findings:
         if f.channel in out and f.severity == "error":

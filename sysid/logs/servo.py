@@ -105,10 +105,10 @@ def _ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
         if name is None or name in names:
             continue
         names.add(name)
-        low, high, neutral, turned = (
+        low, high, neutral, reversed_ = (
             parameters.get(f"SERVO{n}_{k}", math.nan) for k in ("MIN", "MAX", "TRIM", "REVERSED")
         )
-        sense = 0.0 if math.isnan(turned) else _SENSE[name] * (-1.0 if turned else 1.0)
+        sense = 0.0 if math.isnan(reversed_) else _SENSE[name] * (-1.0 if reversed_ else 1.0)
         yield (
             name,
             Output(
@@ -132,7 +132,7 @@ def _old_ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Outpu
             )
         )
         if f"RC{n}_REV" in parameters:
-            low, high, neutral, turned = (
+            low, high, neutral, direction = (
                 parameters.get(f"RC{n}_{k}", math.nan) for k in ("MIN", "MAX", "TRIM", "REV")
             )
             yield (
@@ -142,7 +142,7 @@ def _old_ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Outpu
                     low,
                     neutral,
                     high,
-                    _SENSE[name] * math.copysign(1.0, turned),
+                    _SENSE[name] * math.copysign(1.0, direction),
                     f"RC{n}_MIN, _TRIM, _MAX, _REV",
                 ),
             )
@@ -156,7 +156,7 @@ def _px4(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
             parameters.get(f"PWM_MAIN_MIN{n}", 1000.0),
             parameters.get(f"PWM_MAIN_MAX{n}", 2000.0),
         )
-        turned = -1.0 if int(parameters.get("PWM_MAIN_REV", 0.0)) >> (n - 1) & 1 else 1.0
+        direction = -1.0 if int(parameters.get("PWM_MAIN_REV", 0.0)) >> (n - 1) & 1 else 1.0
         if function == _PX4_MOTOR:
             yield (
                 "throttle",
@@ -165,7 +165,7 @@ def _px4(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
                     low,
                     0.5 * (low + high),
                     high,
-                    turned,
+                    direction,
                     f"PWM_MAIN_FUNC{n}, _MIN{n}, _MAX{n}, _REV",
                 ),
             )
@@ -179,7 +179,7 @@ def _px4(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
         # Without a torque in the parameters the usual sign of the surface type applies.
         torque = parameters.get(f"CA_SV_CS{k}_TRQ_{axis}", 0.0) or usual
         neutral = 0.5 * (low + high) + 0.5 * (high - low) * parameters.get(f"CA_SV_CS{k}_TRIM", 0.0)
-        sense = _SENSE[name] * turned * math.copysign(1.0, torque)
+        sense = _SENSE[name] * direction * math.copysign(1.0, torque)
         yield (
             name,
             Output(

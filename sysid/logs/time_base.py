@@ -122,20 +122,20 @@ def time_unit_finding(column: str, step: float, *, converted: bool) -> Finding:
     """Return the finding for steps that cannot be seconds; a warning if they were converted."""
     unit = likely_time_unit(step)
     words = _UNIT_WORDS.get(unit, unit)
-    done = f"and are read as {words}" if converted else f"and look like {words}"
-    text = f"steps of {step:.6g} s: the times of {column} are no seconds {done}"
-    mend = f'[signals.time_s]\nfield = "{column}"\nunit = "{unit}"'
+    handling = f"and are read as {words}" if converted else f"and look like {words}"
+    text = f"steps of {step:.6g} s: the times of {column} are no seconds {handling}"
+    correction = f'[signals.time_s]\nfield = "{column}"\nunit = "{unit}"'
     spoils = "" if converted else "every rate, derivative and delay"
     severity = "warning" if converted else "error"
-    return Finding("time-unit", "time_s", severity, text, {"step": step}, spoils, mend)
+    return Finding("time-unit", "time_s", severity, text, {"step": step}, spoils, correction)
 
 
 def gaps_of(time_s: FloatArray, step_s: float) -> FloatArray:
     """Return start and end, shape (g, 2), of every step longer than GAP_STEPS times ``step_s``."""
     if len(time_s) < 3 or not np.isfinite(step_s):
         return np.zeros((0, 2))
-    wide = np.flatnonzero(np.diff(time_s) > GAP_STEPS * step_s)
-    return np.stack([time_s[wide], time_s[wide + 1]], axis=1)
+    gap_rows = np.flatnonzero(np.diff(time_s) > GAP_STEPS * step_s)
+    return np.stack([time_s[gap_rows], time_s[gap_rows + 1]], axis=1)
 
 
 def _longest_increasing(values: FloatArray) -> NDArray[np.int64]:
@@ -317,10 +317,10 @@ def _restarts(time_s: FloatArray) -> list[int]:
         rows_before = np.flatnonzero(level[begin:k] <= after)
         if len(rows_before):
             last = begin + int(rows_before[-1])
-            lasted = before - level[last + 1]
+            lost_s = before - level[last + 1]
             if (
                 level[last + 1] - level[last] > RESTART_S
-                and after - level[last] <= RESTART_S + lasted
+                and after - level[last] <= RESTART_S + lost_s
             ):
                 continue
         # Not a restart: a block that was written late ends with a jump to the earlier clock.

@@ -131,13 +131,13 @@ def relate(
     groups = groups_of(frequency, low_hz, high_hz)
     # Delay and sign on a grid first; the phases then give the rest of the delay.
     late, sign = _coarse_lateness(frequency, fx, fy, groups)
-    turned = sign * fy * np.exp(2j * np.pi * frequency * late)
+    aligned = sign * fy * np.exp(2j * np.pi * frequency * late)
     rows = []
     strongest = max(float(np.mean(np.abs(fx[group]) ** 2)) for group in groups)
     for group in groups:
         if float(np.mean(np.abs(fx[group]) ** 2)) < LEAK * strongest:
             continue
-        a, b, k = fx[group], turned[group], float(np.count_nonzero(group))
+        a, b, k = fx[group], aligned[group], float(np.count_nonzero(group))
         xx, yy, xy = (
             float(np.sum(np.abs(a) ** 2)),
             float(np.sum(np.abs(b) ** 2)),
@@ -465,8 +465,8 @@ def _alpha_change(c: Columns, dt: float) -> Pair:
     p, q, r = (c[n] for n in RATES)
     alpha, beta = c["alpha_rad"], c["beta_rad"]
     speed = np.maximum(np.abs(c["V_mps"]), 1.0)
-    turned = q - np.tan(beta) * (p * np.cos(alpha) + r * np.sin(alpha))
-    return turned + (force[2] * np.cos(alpha) - force[0] * np.sin(alpha)) / (
+    rotation_rate = q - np.tan(beta) * (p * np.cos(alpha) + r * np.sin(alpha))
+    return rotation_rate + (force[2] * np.cos(alpha) - force[0] * np.sin(alpha)) / (
         speed * np.cos(beta)
     ), np.gradient(alpha, dt)
 
@@ -476,9 +476,9 @@ def _beta_change(c: Columns, dt: float) -> Pair:
     force = np.stack([c[n] for n in ACCELERATIONS]) + gravity(c)
     alpha, beta = c["alpha_rad"], c["beta_rad"]
     speed = np.maximum(np.abs(c["V_mps"]), 1.0)
-    turned = c["p_radps"] * np.sin(alpha) - c["r_radps"] * np.cos(alpha)
+    rotation_rate = c["p_radps"] * np.sin(alpha) - c["r_radps"] * np.cos(alpha)
     across = np.stack([-np.sin(beta) * np.cos(alpha), np.cos(beta), -np.sin(beta) * np.sin(alpha)])
-    return turned + np.sum(across * force, axis=0) / speed, np.gradient(beta, dt)
+    return rotation_rate + np.sum(across * force, axis=0) / speed, np.gradient(beta, dt)
 
 
 def _weight(c: Columns, dt: float) -> Pair:

@@ -296,8 +296,8 @@ def _thinned(record: FlightRecord) -> FlightRecord:
         elif SIGNALS[name].kind == "heading" or name == "phi_rad":
             # The mean direction on the circle.
             parts = [part(values[:rows]).reshape(-1, n).mean(axis=1) for part in (np.sin, np.cos)]
-            turned = np.arctan2(*parts)
-            columns[name] = np.mod(turned, 2.0 * np.pi) if name == "psi_rad" else turned
+            direction = np.arctan2(*parts)
+            columns[name] = np.mod(direction, 2.0 * np.pi) if name == "psi_rad" else direction
         else:
             columns[name] = values[:rows].reshape(-1, n).mean(axis=1)
     return FlightRecord(columns, record.metadata)
@@ -363,10 +363,10 @@ def degrees_by_size(name: str, values: FloatArray) -> bool:
     if outside.all():
         return True
     steps = np.abs(np.diff(finite))
-    passing = steps[outside[1:] != outside[:-1]]
+    steps_across = steps[outside[1:] != outside[:-1]]
     inside = steps[~outside[1:] & ~outside[:-1]]
     usual = float(np.quantile(inside, 0.95)) if inside.size else 0.0
-    return float(np.median(passing)) < max(0.5 * limit, 5.0 * usual)
+    return float(np.median(steps_across)) < max(0.5 * limit, 5.0 * usual)
 
 
 def _candidate_faults(

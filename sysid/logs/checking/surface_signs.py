@@ -31,7 +31,7 @@ _MIN_SHARE = 0.15  # of the angular acceleration without the covariates' part
 # Share explained earlier with the opposite sign: a quick aircraft swings back within the lags.
 _MAX_OPPOSITE = 0.3
 _MOVING_DEG = 0.3  # least rms of the surface in the band
-_TURNING = "angular acceleration"
+_ANGULAR_ACCELERATION = "angular acceleration"
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
     if math.sqrt(float(np.mean(np.concatenate([c[column] for c in rows]) ** 2))) < _MOVING_DEG:
         return None
     for c in rows:
-        c[_TURNING] = np.gradient(c[axis.rate], dt)
+        c[_ANGULAR_ACCELERATION] = np.gradient(c[axis.rate], dt)
     lags = range(round(_MAX_LAG_S / dt) + 1)
     effects = [
         e
@@ -215,7 +215,7 @@ def _regress(
             c[column][:n],
             *(c[o][:n] if o.endswith("_deg") else c[o][lag:] for o in covariates),
         ]
-        targets.append(c[_TURNING][lag:])
+        targets.append(c[_ANGULAR_ACCELERATION][lag:])
         designs.append(np.column_stack(moved))
         block = first + (np.arange(n) * dt // _BLOCK_S).astype(int)
         blocks.append(block)

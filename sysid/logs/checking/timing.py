@@ -172,8 +172,8 @@ class _Band:
 
         The latter includes a floor for the accuracy of sensors.
         """
-        turned = np.exp(-1j * np.outer(late_s, self.omega)) * self.x
-        projection, on_base = np.conj(self.base.T) @ self.y, turned @ np.conj(self.base)
+        delayed = np.exp(-1j * np.outer(late_s, self.omega)) * self.x
+        projection, on_base = np.conj(self.base.T) @ self.y, delayed @ np.conj(self.base)
         k = scale[None, :]
         x_power = np.sum(np.abs(on_base) ** 2, axis=1)[:, None]
         on = (
@@ -183,7 +183,7 @@ class _Band:
         )
         total = (
             _power(self.y)
-            - 2.0 * k * np.real(np.conj(turned) @ self.y)[:, None]
+            - 2.0 * k * np.real(np.conj(delayed) @ self.y)[:, None]
             + k**2 * _power(self.x)
         )
         noise = (
@@ -194,11 +194,11 @@ class _Band:
 
     def at(self, late_s: float, scale: float) -> _BandInformation:
         """Return the information of the band at this delay and scale."""
-        turned = scale * self.x * np.exp(-1j * self.omega * late_s)
-        r = self.y - turned
+        delayed = scale * self.x * np.exp(-1j * self.omega * late_s)
+        r = self.y - delayed
         noise = float(self.powers(np.array([late_s]), np.array([scale]))[1][0, 0])
         # Derivatives of k exp(-i w tau) x by tau and by log k.
-        slope = np.stack([-1j * self.omega * turned, turned], axis=1)
+        slope = np.stack([-1j * self.omega * delayed, delayed], axis=1)
         on, off, across = self._on(slope), slope - self._on(slope), r - self._on(r)
         # The common part of slopes and residual outside the instruments belongs to gusts, not
         # to controls.
@@ -244,8 +244,8 @@ def _recorded(record: FlightRecord, control: str) -> str | None:
     """Return the column of a control, or of its position if no command was recorded; None without
     either.
     """
-    either = (control, control.replace("_deg", "_pos_deg"))
-    return next((n for n in either if n in record and np.isfinite(record[n]).any()), None)
+    candidates = (control, control.replace("_deg", "_pos_deg"))
+    return next((n for n in candidates if n in record and np.isfinite(record[n]).any()), None)
 
 
 def _late_by(stretch_set: Stretches, law: Law, controls: Sequence[str]) -> Lateness:
@@ -287,8 +287,8 @@ def _gusts_s(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]], late: L
     """
     turn, weight = 0.0, 0.0
     for b in _bands(parts, groups):
-        turned = late.scale * b.x * np.exp(-1j * b.omega * late.late_s)
-        share = _power(b.y - turned) / max(_power(turned), 1e-300)
+        delayed = late.scale * b.x * np.exp(-1j * b.omega * late.late_s)
+        share = _power(b.y - delayed) / max(_power(delayed), 1e-300)
         information = 1.0 / (share / (2.0 * b.count) + _FLOOR**2)
         omega = math.sqrt(float(np.mean(b.omega**2)))
         turn, weight = (

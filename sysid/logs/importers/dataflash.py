@@ -627,7 +627,7 @@ def read_text(
     collectors: dict[str, _Collector | None] = {}
     counts: dict[str, int] = defaultdict(int)
     headers: list[int] = []
-    bad_lines, first_bad, done, line_number = 0, 0, 0, 0
+    bad_lines, first_bad_line, done, line_number = 0, 0, 0, 0
     with open_regular(path) as handle:
         size = max(1, os.fstat(handle.fileno()).st_size)
         while raw := handle.readline(_MAX_LINE):
@@ -662,7 +662,7 @@ def read_text(
                 counts[name] += 1
             else:
                 bad_lines += 1
-                first_bad = first_bad or line_number
+                first_bad_line = first_bad_line or line_number
     if not any(n for name, n in counts.items() if name != "FMT"):
         raise LogError(
             f"no DataFlash record could be read in {line_number} lines; copy the log again", path
@@ -670,9 +670,10 @@ def read_text(
     findings = []
     if bad_lines:
         message = (
-            f"{bad_lines} of {line_number} lines could not be read (the first is line {first_bad})"
+            f"{bad_lines} of {line_number} lines could not be read (the first is line"
+            f" {first_bad_line})"
         )
-        numbers = {"lines": float(bad_lines), "first_line": float(first_bad)}
+        numbers = {"lines": float(bad_lines), "first_line": float(first_bad_line)}
         findings.append(Finding("damaged-lines", "", "warning", message, numbers))
     columns = {
         name: c.columns() for name, c in collectors.items() if c is not None and counts[name]

@@ -183,24 +183,24 @@ def _score_format(
     # The usual number of cells in the second half of the lines is the width of the table.
     width = Counter(len(row) for row in rows[len(rows) // 2 :]).most_common(1)[0][0]
     # A separator at the end of each row, but not of the names, adds an empty cell.
-    narrow = width - 1 if all(not row[-1] for row in rows[len(rows) // 2 :]) else width
-    top = next(
+    filled_width = width - 1 if all(not row[-1] for row in rows[len(rows) // 2 :]) else width
+    header_row = next(
         (
             k
             for k, (row, below) in enumerate(itertools.pairwise(rows))
-            if len(row) in (width, narrow) and len(below) == width
+            if len(row) in (width, filled_width) and len(below) == width
         ),
         None,
     )
-    if top is None or narrow < 2:
+    if header_row is None or filled_width < 2:
         return 0.0, None
     first = [cell.strip() for cell in rows[0] if cell.strip()]
-    if any(is_number(cell.strip(), decimal) for cell in rows[top]) and len(first) > 1:
+    if any(is_number(cell.strip(), decimal) for cell in rows[header_row]) and len(first) > 1:
         # A header with fewer names than cells is a header too; the reader reports the
         # difference.
-        top = top if any(is_number(cell, decimal) for cell in first) else 0
-    names = [cell.strip() for cell in rows[top]]
-    body = [row[:narrow] for row in rows[top + 1 :] if len(row) == width]
+        header_row = header_row if any(is_number(cell, decimal) for cell in first) else 0
+    names = [cell.strip() for cell in rows[header_row]]
+    body = [row[:filled_width] for row in rows[header_row + 1 :] if len(row) == width]
     units: tuple[str, ...] = ()
     # A line of text above columns of numbers holds units.
     if len(body) > 1:
@@ -220,11 +220,11 @@ def _score_format(
         separator,
         decimal,
         encoding,
-        lines[top][0],
+        lines[header_row][0],
         tuple(names),
         units,
         len(numeric) + clocks,
-        len(rows[top]) == narrow < width,
+        len(rows[header_row]) == filled_width < width,
     )
     return float(cells), table
 
@@ -318,8 +318,8 @@ def times_of(
         if name is not None:
             reason = "holds increasing times of day" if clock else "has equal steps"
             text = f"{name} {reason} and is taken for the time: no column is named as one"
-            mend = f'[signals.time_s]\nfield = "{name}"' + ("" if clock else '\nunit = "s"')
-            findings.append(Finding("time-column", "time_s", "warning", text, {}, "", mend))
+            correction = f'[signals.time_s]\nfield = "{name}"' + ("" if clock else '\nunit = "s"')
+            findings.append(Finding("time-column", "time_s", "warning", text, {}, "", correction))
             readable[name] = _values(fields[name])
     if name is None and candidates:
         name = candidates[0]

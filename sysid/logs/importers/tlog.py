@@ -107,8 +107,10 @@ class _Tlog:
 
     def _packet(self, data: bytes, pos: int, end: int) -> None:
         """Count a packet and decode it if it is of a selected kind."""
-        two = data[pos + 8] == 0xFD
-        number = int.from_bytes(data[pos + 15 : pos + 18], "little") if two else data[pos + 13]
+        is_version_2 = data[pos + 8] == 0xFD
+        number = (
+            int.from_bytes(data[pos + 15 : pos + 18], "little") if is_version_2 else data[pos + 13]
+        )
         self.counts[self.all_names.get(number, "unknown")] += 1
         name = self.names.get(number)
         if name is None:
@@ -307,16 +309,16 @@ def _vehicle_clock(
         )
         place.append(s.place[on_clock].astype(np.float64))
         stamp.append(s.boot_s[on_clock])
-    at, when = np.concatenate(place), np.concatenate(stamp)
+    at, stamp_s = np.concatenate(place), np.concatenate(stamp)
     order = np.argsort(at, kind="stable")
-    at, when = at[order], np.maximum.accumulate(when[order]) if len(when) else when
+    at, stamp_s = at[order], np.maximum.accumulate(stamp_s[order]) if len(stamp_s) else stamp_s
 
     def clock(places: FloatArray, arrived: FloatArray) -> FloatArray:
         """Return times of unstamped messages, or their receipt times outside the stamped ones."""
         if len(at) < 2:
             return arrived
         between = (places >= at[0]) & (places <= at[-1])
-        return np.where(between, np.interp(places, at, when), arrived)
+        return np.where(between, np.interp(places, at, stamp_s), arrived)
 
     return clock
 
