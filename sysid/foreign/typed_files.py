@@ -894,7 +894,7 @@ def _number(value: int) -> Any:
 
 def _real(value: float) -> Any:
     """Return a float, or its bits in hexadecimal if it is not finite: NaN has a payload."""
-    # NaN carries bits of its own.
+    # The payload bits of a NaN are preserved.
     return value if np.isfinite(value) else struct.pack(">d", value).hex()
 
 

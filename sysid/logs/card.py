@@ -128,7 +128,23 @@ class AirframeCard:
 
 
 def read_card(path: Path) -> AirframeCard:
-    """Read a card, given its path or its folder; raise LogError with file, table and key."""
+    """Read the card of an aircraft.
+
+    Parameters
+    ----------
+    path : Path
+        airframe.toml, or the folder that holds it.
+
+    Returns
+    -------
+    AirframeCard
+        Its servos, mixes, sensors and reference values.
+
+    Raises
+    ------
+    LogError
+        With file, table and key, if the file is missing or cannot be used.
+    """
     file = path / "airframe.toml" if path.is_dir() else path
     try:
         text = read_regular_text(file)

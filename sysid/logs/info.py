@@ -43,7 +43,31 @@ class Purpose:
 
 @dataclass(frozen=True)
 class LogInfo:
-    """The report of `uqharness log info`; fields as in the metadata of the record."""
+    """The report of `uqharness log info`.
+
+    Attributes
+    ----------
+    source, dialect, vehicle : str
+        File name, format and vehicle.
+    duration_s, start_s : float
+        Length of the record and its first time, s.
+    flight_s : tuple of float or None
+        Start and end of free flight, s.
+    grid_hz : float
+        Rate of the record, Hz.
+    rates_hz, channels : mapping
+        Logged rate [Hz] and log field of each channel.
+    findings : tuple of Finding
+        Results of the checks.
+    purposes : tuple of Purpose
+        Verdict and reason for each purpose.
+    manoeuvres : tuple of Manoeuvre
+        Manoeuvres detected in the commands.
+    loiters : tuple of Loiter
+        Commanded circles.
+    flights, flight_number : tuple of Boot, int
+        Boots of the log, and the one that was read.
+    """
 
     source: str
     dialect: str
@@ -137,7 +161,18 @@ def log_info(record: FlightRecord) -> LogInfo:
 
 
 def no_aeroplane(record: FlightRecord) -> str:
-    """Return the message that refuses a log of another kind of vehicle; "" for an aeroplane."""
+    """Return the message that refuses a log of another kind of vehicle.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        Its metadata names the vehicle.
+
+    Returns
+    -------
+    str
+        "" for an aeroplane, and if the log does not name its vehicle.
+    """
     vehicle = record.metadata.vehicle
     return f"no aeroplane: the log is of '{vehicle}'" if _NOT_AEROPLANES.search(vehicle) else ""
 

@@ -37,8 +37,13 @@ _FORMAT = "5"  # increase it when the same log gives another record
 
 
 def default_cache() -> Path:
-    """Return the cache folder: UQ_CACHE, else XDG_CACHE_HOME or ~/.cache (Library/Caches on
-    macOS).
+    """Return the folder for cached records.
+
+    Returns
+    -------
+    Path
+        UQ_CACHE if set, else ``uqharness`` in XDG_CACHE_HOME, or in ~/.cache (~/Library/Caches on
+        macOS).
     """
     if folder := os.environ.get("UQ_CACHE"):
         return Path(folder)

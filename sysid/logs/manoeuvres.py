@@ -209,9 +209,26 @@ def label_from_commands(record: FlightRecord) -> FlightRecord:
 
 
 def with_manoeuvres(record: FlightRecord, manoeuvres: Path, flight: str) -> FlightRecord:
-    """Label manoeuvres from a table, or from the commands if ``manoeuvres`` is FROM_COMMANDS.
+    """Label the manoeuvres of a record.
 
-    Raises LogError.
+    Parameters
+    ----------
+    record : FlightRecord
+        Record to label.
+    manoeuvres : Path
+        Table of times, or FROM_COMMANDS to detect manoeuvres in the commands.
+    flight : str
+        Name of the log without suffix, to select rows of the table.
+
+    Returns
+    -------
+    FlightRecord
+        With the column ``manoeuvre``.
+
+    Raises
+    ------
+    LogError
+        As `label_manoeuvres` and `label_from_commands`.
     """
     if str(manoeuvres) == FROM_COMMANDS:
         return label_from_commands(record)

@@ -186,7 +186,7 @@ class Sensors:
             if (name, 0) in self._raw.messages:
                 keys.setdefault(k, (name, 0))
         # A map that names the message of a further instance fixes that instance.
-        if entry.message != rule.message:  # the map names a message of an instance of its own
+        if entry.message != rule.message:
             number = names.index(entry.message)
             keys = {number: (entry.message, entry.instance or 0)}
             keys = {n: key for n, key in keys.items() if key in self._raw.messages}

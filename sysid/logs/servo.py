@@ -386,7 +386,8 @@ def _control_by_card(card: AirframeCard, name: str, has_functions: bool) -> Cont
     """
     servo = card.servos.get(name)
     if servo is None or (has_functions and not servo.channel):
-        return None  # the autopilot says what its outputs do, and none of them does this
+        # The autopilot declares its outputs, and none of them drives this input.
+        return None
     channel = servo.channel or USUAL_CHANNELS[name]
     basis = "card" if servo.channel else "usual order"
     return Control(
@@ -588,6 +589,11 @@ def place_steps(
         Standard deviation of the rate, rad/s.
     dt_s : float
         Step of the rows, s.
+
+    Returns
+    -------
+    PlacedSteps
+        Re-timed command, number of certain steps, and delay of the kinks.
     """
     rows = np.flatnonzero(logged)
     out = (

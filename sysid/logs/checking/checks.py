@@ -489,7 +489,18 @@ def _frozen(flight: FlightRecord) -> list[Finding]:
 
 
 def check_units(record: FlightRecord) -> list[Finding]:
-    """Check ranges, units and signs of a table's channels."""
+    """Check ranges, units and signs of a table's channels.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        Record made from the table.
+
+    Returns
+    -------
+    list of Finding
+        Codes "out-of-range", "unit" and "sign", one for each cause.
+    """
     out = check_ranges(record)
     if len(record) > 1:
         out += [f for f in check_motion(record) if f.code in ("unit", "sign")]
@@ -578,8 +589,13 @@ def _samples(record: FlightRecord) -> list[Finding]:
 
 
 def in_degrees(finding: Finding) -> bool:
-    """Return whether a finding says that a channel is in degrees instead of radians, or the
-    reverse.
+    """Return whether a finding says that a channel is wrong by the factor between degrees and
+    radians.
+
+    Parameters
+    ----------
+    finding : Finding
+        With the code "out-of-range" or "unit"; other codes give False.
     """
     ratio = abs(finding.numbers.get("slope", 1.0))
     largest = max(abs(finding.numbers.get("low", 0.0)), abs(finding.numbers.get("high", 0.0)))

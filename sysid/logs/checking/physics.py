@@ -154,7 +154,7 @@ _MIN_LATE_S, _MIN_LATE_RATIO = 0.01, 4.0
 # Least coherence of a relation that is reported without an explanation; below it, side forces of
 # gusts look like turns.
 _COHERENT = 0.7
-_LATE_COHERENCE = 0.7  # of a relation whose motion alone tells lateness
+_LATE_COHERENCE = 0.7  # least coherence of a relation that yields a delay
 _MAX_LATE_S = 0.45
 _GUST_S = 0.1
 """Delay of a relation that assumes still air, above which it shows gusts, s. Vanes and filters

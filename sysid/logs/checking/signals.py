@@ -174,7 +174,8 @@ def stuck_span(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[i
     moving = moving[moving > tolerance]
     quantum = _step_of_lattice(moving)
     if quantum > _COARSE_SHARE * _median(moving) and _noise(values) < quantum:
-        return None  # in coarse steps a quiet motion stands still, where no noise moves it
+        # In coarse steps a quiet motion stands still, unless noise moves it.
+        return None
     same = np.concatenate([[False], steps <= tolerance, [False]])
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
     if not len(edges):

@@ -56,7 +56,8 @@ INSTRUMENTS = {
 _LATE_S = 0.005 * np.arange(-100.0, 101.0)
 _LOG_SCALES = 0.05 * np.arange(-12.0, 13.0)
 _FINE_LOG_SCALES = 0.02 * np.arange(-40.0, 41.0)
-# Prior standard deviation of the logarithm of the scale; a larger error is a finding of its own.
+# Prior standard deviation of the logarithm of the scale; larger errors are reported by
+# `physics`.
 _SCALE_STD = 0.15
 _FLOOR = 0.01  # relative accuracy of the best sensors
 _REFINEMENT, _REFINEMENTS = 5.0, 3

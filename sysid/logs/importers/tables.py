@@ -596,9 +596,22 @@ def read_record(path: Path, max_bytes: int | None = None) -> tuple[dict[str, NDA
 
 
 def read_small_table(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the columns of a CSV table with a header; text where not all cells are numbers.
+    """Read a CSV table with a header.
 
-    Raises LogError.
+    Parameters
+    ----------
+    path : Path
+        File; the columns ``manoeuvre`` and ``flight`` are always text.
+
+    Returns
+    -------
+    dict
+        Column name to float64 array, or to an object array of str if not all cells are numbers.
+
+    Raises
+    ------
+    LogError
+        If the file is no readable table.
     """
     _check_csv(path)
     with _as_log_error("CSV table", path):
