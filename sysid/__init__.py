@@ -1,7 +1,10 @@
-"""Flight logs, identification and model-form uncertainty. Knows nothing of JSBSim.
+"""Flight logs, parameter identification and model-form uncertainty, without JSBSim.
 
-Names are loaded at their first use: what needs one small module does not wait for scipy, pandas and pyarrow. They stand in
-__init__.pyi.
+The package reads flight logs into records, estimates aerodynamic coefficients from them and bounds
+the error of the model form. It does not import JSBSim; `uqharness` joins the two.
+
+Public names are listed in ``__init__.pyi`` and loaded at first use, so that importing one small
+module does not load scipy, pandas and pyarrow.
 """
 
 import lazy_loader

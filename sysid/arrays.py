@@ -1,4 +1,10 @@
-"""What every estimator asks of its input: segments, names, bounds; refusals that say what to do."""
+"""Check and normalise the arguments of the estimators.
+
+Every estimator accepts one array or a list of segments, a start vector, parameter names, bounds
+and a choice of free parameters. These functions turn each of them into one canonical form (float
+arrays of two dimensions, tuples of names, boolean masks) and raise ValueError with the received
+value, the allowed values and the remedy.
+"""
 
 from __future__ import annotations
 
@@ -12,88 +18,183 @@ FloatArray = NDArray[np.float64]
 """Array of double precision, of any shape."""
 
 
-def as_array(value: ArrayLike, what: str) -> FloatArray:
-    """`value` as a float array; ValueError (never TypeError) when it is not numeric."""
+def as_array(value: ArrayLike, argument: str) -> FloatArray:
+    """Convert to a float array.
+
+    Parameters
+    ----------
+    value : array_like
+        Numbers of any shape.
+    argument : str
+        Name of the argument, for the message.
+
+    Raises
+    ------
+    ValueError
+        If `value` is not numeric or not rectangular (numpy may raise TypeError for this).
+
+    Examples
+    --------
+    >>> as_array([1, 2], "y")
+    array([1., 2.])
+    """
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{what} must be numeric and rectangular: {error}") from None
+        raise ValueError(f"{argument} must be numeric and rectangular: {error}") from None
 
 
-def is_many(value: Any) -> bool:
-    """Is this a list of segments (of arrays, or of nested lists two deep), not one array written as a list?"""
+def is_segment_list(value: Any) -> bool:
+    """Return whether `value` is a list of segments rather than one array written as nested lists.
+
+    A list of arrays is a list of segments; so is a list of lists of lists.
+    """
     if not isinstance(value, list | tuple) or len(value) == 0:
         return False
     first = value[0]
     return bool(first.ndim >= 1 if hasattr(first, "ndim") else np.ndim(first) == 2)
 
 
-def as_segments(value: Any, what: str, *, dropouts: bool) -> list[FloatArray]:
-    """Segments as (n, m) arrays from one array or a list of them; a 1-D array is one output.
+def as_segments(value: Any, argument: str, *, dropouts: bool) -> list[FloatArray]:
+    """Convert one array or a list of arrays to segments of equal width.
 
-    dropouts: NaN is allowed (a sample that was not measured). Infinite values never are.
-    Raises ValueError: not numeric, no sample, unequal columns, non-finite values.
+    Parameters
+    ----------
+    value : array_like or list of array_like
+        One segment, or several. A segment of shape (n,) is one channel and becomes (n, 1).
+    argument : str
+        Name of the argument, for the message.
+    dropouts : bool
+        Allow NaN, which marks a sample that was not measured. Infinite values are never allowed.
+
+    Returns
+    -------
+    list of ndarray
+        Segments of shape (n, m), with m equal for all.
+
+    Raises
+    ------
+    ValueError
+        If a value is not numeric, a segment has no sample, the number of columns differs between
+        segments, or a value is not finite.
     """
-    parts = [as_array(part, what) for part in (value if is_many(value) else [value])]
+    parts = [as_array(part, argument) for part in (value if is_segment_list(value) else [value])]
     parts = [part[:, None] if part.ndim == 1 else part for part in parts]
     for number, part in enumerate(parts):
-        where = f"{what}, segment {number}" if len(parts) > 1 else what
+        where = f"{argument}, segment {number}" if len(parts) > 1 else argument
         if part.ndim != 2 or part.shape[0] == 0 or part.shape[1] == 0:
             raise ValueError(
                 f"{where} has shape {part.shape}; give (n samples, m channels) with n, m >= 1"
             )
         if part.shape[1] != parts[0].shape[1]:
             raise ValueError(
-                f"{where} has {part.shape[1]} columns, segment 0 has {parts[0].shape[1]}; give all the same"
+                f"{where} has {part.shape[1]} columns, segment 0 has {parts[0].shape[1]}; give all"
+                " the same"
             )
-        bad = np.isinf(part) if dropouts else ~np.isfinite(part)
-        if bad.any():
-            row, column = np.argwhere(bad)[0]
-            cure = "mark dropouts as NaN" if dropouts else "repair or cut these samples"
+        # Report the first offending sample: that is what the caller has to look at.
+        is_invalid = np.isinf(part) if dropouts else ~np.isfinite(part)
+        if is_invalid.any():
+            row, column = np.argwhere(is_invalid)[0]
+            remedy = "mark dropouts as NaN" if dropouts else "repair or cut these samples"
             raise ValueError(
-                f"{where} holds {int(bad.sum())} value(s) that are not finite, first at row {row}, column {column}; {cure}"
+                f"{where} holds {int(is_invalid.sum())} value(s) that are not finite, first at"
+                f" row {row}, column {column}; {remedy}"
             )
     return parts
 
 
-def as_parameters(theta0: ArrayLike, what: str = "theta0") -> FloatArray:
-    """A finite (k,) vector, k >= 1. Raises ValueError otherwise."""
-    theta = np.atleast_1d(as_array(theta0, what)).copy()
+def as_parameters(theta0: ArrayLike, argument: str = "theta0") -> FloatArray:
+    """Convert a start vector to a finite array of shape (k,) with k >= 1, as a copy.
+
+    Raises ValueError for any other shape and for values that are not finite.
+    """
+    theta = np.atleast_1d(as_array(theta0, argument)).copy()
     if theta.ndim != 1 or theta.size == 0:
-        raise ValueError(f"{what} has shape {theta.shape}; give a vector of at least one parameter")
+        raise ValueError(
+            f"{argument} has shape {theta.shape}; give a vector of at least one parameter"
+        )
     if not np.isfinite(theta).all():
         raise ValueError(
-            f"{what} holds values that are not finite at {np.flatnonzero(~np.isfinite(theta)).tolist()}"
+            f"{argument} holds values that are not finite at"
+            f" {np.flatnonzero(~np.isfinite(theta)).tolist()}"
         )
     return theta
 
 
 def as_names(
-    names: Sequence[str] | None, count: int, prefix: str, what: str = "names"
+    names: Sequence[str] | None, count: int, prefix: str, argument: str = "names"
 ) -> tuple[str, ...]:
-    """`count` unique names, `prefix`0.. when none are given. Raises ValueError: wrong length, repeated."""
+    """Return `count` unique names; ``prefix0``, ``prefix1``, ... when `names` is None.
+
+    Parameters
+    ----------
+    names : sequence of str or None
+        Names chosen by the caller.
+    count : int
+        Number of parameters.
+    prefix : str
+        Beginning of the default names.
+    argument : str
+        Name of the argument, for the message.
+
+    Raises
+    ------
+    ValueError
+        If `names` is a single string, has another length, or repeats a name.
+
+    Examples
+    --------
+    >>> as_names(None, 2, "theta")
+    ('theta0', 'theta1')
+    """
     if names is None:
         return tuple(f"{prefix}{index}" for index in range(count))
     if isinstance(names, str):
-        raise ValueError(f"{what} is the single string {names!r}; give a list of {count} name(s)")
-    given = tuple(str(name) for name in names)
-    if len(given) != count:
         raise ValueError(
-            f"{what} has {len(given)} entries for {count} parameters; give one name for each"
+            f"{argument} is the single string {names!r}; give a list of {count} name(s)"
         )
-    repeated = sorted({name for name in given if given.count(name) > 1})
+    labels = tuple(str(name) for name in names)
+    if len(labels) != count:
+        raise ValueError(
+            f"{argument} has {len(labels)} entries for {count} parameters; give one name for each"
+        )
+    repeated = sorted({name for name in labels if labels.count(name) > 1})
     if repeated:
-        raise ValueError(f"{what} repeats {', '.join(repeated)}; names must be unique")
-    return given
+        raise ValueError(f"{argument} repeats {', '.join(repeated)}; names must be unique")
+    return labels
 
 
 def as_bounds(
     bounds: Any, theta0: FloatArray, names: tuple[str, ...]
 ) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper (k,) from None, k pairs (None = open end), two (k,) vectors or {name: (lo, hi)}.
+    """Convert bounds in any accepted form to a lower and an upper vector.
 
-    With k = 2 the form is read as pairs, one a parameter.
-    Raises ValueError: wrong form, lower >= upper, theta0 outside.
+    Parameters
+    ----------
+    bounds : None, sequence or dict
+        None (no bounds); k pairs ``(lower, upper)`` in which None is an open end; two vectors of
+        shape (k,); or a dictionary from name to pair. With k = 2 a sequence is read as pairs.
+    theta0 : ndarray of shape (k,)
+        Start values, which must lie inside the bounds.
+    names : tuple of str
+        The k parameter names.
+
+    Returns
+    -------
+    lower, upper : ndarray of shape (k,)
+        Open ends are -inf and inf.
+
+    Raises
+    ------
+    ValueError
+        If the form is wrong, a lower bound is not below its upper bound, or a start value lies
+        outside.
+
+    Examples
+    --------
+    >>> lower, upper = as_bounds({"b": (0.0, None)}, np.array([1.0, 2.0]), ("a", "b"))
+    >>> lower.tolist(), upper.tolist()
+    ([-inf, 0.0], [inf, inf])
     """
     count = theta0.size
     lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
@@ -107,6 +208,7 @@ def as_bounds(
             pairs = [bounds.get(name, (None, None)) for name in names]
         else:
             pairs = list(bounds)
+            # Two vectors of lower and upper bounds; a scalar in place of a vector counts for all.
             if len(pairs) == 2 and count != 2:
                 pairs = list(
                     zip(
@@ -117,7 +219,8 @@ def as_bounds(
                 )
         if len(pairs) != count or any(pair is not None and len(pair) != 2 for pair in pairs):
             raise ValueError(
-                f"bounds has {len(pairs)} entries for {count} parameters; give one (lower, upper) for each"
+                f"bounds has {len(pairs)} entries for {count} parameters; give one (lower, upper)"
+                " for each"
             )
         for index, pair in enumerate(pairs):
             low, high = pair if pair is not None else (None, None)
@@ -127,17 +230,42 @@ def as_bounds(
         low, high, start = lower[index], upper[index], theta0[index]
         if not low < high:
             raise ValueError(
-                f"bounds of {name} are ({low}, {high}); the lower must be below the upper (use free= to fix)"
+                f"bounds of {name} are ({low}, {high}); the lower must be below the upper (use"
+                " free= to fix)"
             )
         if not low <= start <= high:
             raise ValueError(
-                f"theta0 of {name} is {start}, outside its bounds ({low}, {high}); move the start or the bounds"
+                f"theta0 of {name} is {start}, outside its bounds ({low}, {high}); move the start"
+                " or the bounds"
             )
     return lower, upper
 
 
 def as_free(free: Any, names: tuple[str, ...]) -> NDArray[np.bool_]:
-    """(k,) mask of estimated parameters from None, names, indices or a boolean mask. Raises ValueError."""
+    """Return the mask of estimated parameters.
+
+    Parameters
+    ----------
+    free : None, sequence of str, of int or of bool
+        Names, indices or a mask of the parameters to estimate; None selects all.
+    names : tuple of str
+        The k parameter names.
+
+    Returns
+    -------
+    ndarray of bool, shape (k,)
+        True for a parameter that is estimated.
+
+    Raises
+    ------
+    ValueError
+        If a name or an index does not exist, a mask has another length, or nothing is selected.
+
+    Examples
+    --------
+    >>> as_free(["b"], ("a", "b")).tolist()
+    [False, True]
+    """
     count = len(names)
     if free is None:
         return np.ones(count, dtype=bool)

@@ -1,4 +1,7 @@
-"""SHA-256 of files and of bytes: what a result says it was made from."""
+"""SHA-256 digests of files and byte strings, for provenance and cache keys.
+
+Results record the digest of every input, so that a reader can check which file they came from.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,18 @@ from sysid.foreign.regular_files import open_regular
 
 
 def sha256_hex(content: bytes) -> str:
-    """SHA-256 of ``content`` as 64 hexadecimal digits."""
+    """Return the SHA-256 of ``content`` as 64 hexadecimal digits.
+
+    Examples
+    --------
+    >>> sha256_hex(b"")[:8]
+    'e3b0c442'
+    """
     return hashlib.sha256(content).hexdigest()
 
 
 def sha256_of_parts(parts: Iterable[bytes | memoryview]) -> str:
-    """The same of all parts one after the other, which need not be held at once."""
+    """Return the SHA-256 of the concatenation of ``parts`` without joining them in memory."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part)
@@ -23,9 +32,10 @@ def sha256_of_parts(parts: Iterable[bytes | memoryview]) -> str:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a regular file's content as 64 hexadecimal digits; a file of any size, read piece by piece.
+    """Return the SHA-256 of a regular file as 64 hexadecimal digits, read block by block.
 
-    Raises OSError for what is not there or not a regular file, as `sysid.foreign.regular_files.require_regular`.
+    Raises OSError if the file does not exist or is not a regular file, as
+    `sysid.foreign.regular_files.require_regular` does.
     """
     with open_regular(path) as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()

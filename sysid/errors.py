@@ -1,4 +1,8 @@
-"""What goes wrong with a log, said once: the error that ends a command and the finding that does not."""
+"""Errors and findings about flight logs.
+
+`LogError` ends a command: the log, map or card cannot be used. A `Finding` is a property of a log
+that the user must know; it is stored in the record's metadata and does not end anything.
+"""
 
 from __future__ import annotations
 
@@ -8,56 +12,79 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-MOST_CHARACTERS = 1000
-"""Of a line of an error: what a file holds is quoted, and a file may hold a word of a megabyte."""
+MAX_LINE_CHARACTERS = 1000
+"""Characters of one line of an error message. Messages quote files, and a file may hold a word of
+a megabyte.
+"""
 
 
-MOST_LINES = 40
-"""Of an error that lists mistakes."""
+MAX_LINES = 40
+"""Lines of an error message that lists mistakes."""
 
 
 def shortened(text: str) -> str:
-    """The text with the middle of every line of more than MOST_CHARACTERS left out, and what comes after MOST_LINES counted."""
-    if len(text) <= MOST_CHARACTERS:
+    """Return ``text`` with the middle of long lines left out and the lines after MAX_LINES
+    counted.
+    """
+    if len(text) <= MAX_LINE_CHARACTERS:
         return text
-    head, tail = MOST_CHARACTERS * 3 // 4, MOST_CHARACTERS // 5
+    head, tail = MAX_LINE_CHARACTERS * 3 // 4, MAX_LINE_CHARACTERS // 5
     lines = text.split("\n")
-    if len(lines) > MOST_LINES:
-        lines[MOST_LINES - 1 :] = [f"and {len(lines) - MOST_LINES + 1} more"]
+    if len(lines) > MAX_LINES:
+        lines[MAX_LINES - 1 :] = [f"and {len(lines) - MAX_LINES + 1} more"]
     return "\n".join(
-        x if len(x) <= MOST_CHARACTERS else f"{x[:head]} [...] {x[-tail:]}" for x in lines
+        x if len(x) <= MAX_LINE_CHARACTERS else f"{x[:head]} [...] {x[-tail:]}" for x in lines
     )
 
 
-def in_a_line(error: BaseException) -> str:
-    """What went wrong, short and without line ends."""
+def one_line(error: BaseException) -> str:
+    r"""Return the message of an error on one line of at most 200 characters; its class name if
+    empty.
+
+    Examples
+    --------
+    >>> one_line(ValueError("two\nlines")), one_line(KeyError())
+    ('two lines', 'KeyError')
+    """
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 class LogError(ValueError):
-    """A log, map or card that cannot be used. Says what was received, what is allowed, what to do next."""
+    """A log, signal map or card that cannot be used.
+
+    The message says what was received, what is allowed and what to do.
+    """
 
     def __init__(
         self, message: str, path: Path | str | None = None, where: str | None = None
     ) -> None:
-        """Join `path` (file) and `where` ("line 12", "offset 4711") in front of `message`."""
+        """Prefix ``message`` with ``path`` (a file) and ``where`` ("line 12")."""
         prefix = "" if path is None else f"{path}: "
         place = "" if where is None else f"{where}: "
-        # One line, whatever a file has put into it.
+        # Quoted content may hold line ends; the message stays on one line.
         super().__init__(shortened(" ".join((prefix + place + message).split("\n"))))
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing a log says about itself that a user must know.
+    """A property of a log that the user must know.
 
-    code      stable key, e.g. "sample-and-hold"
-    channel   signal or message name it concerns, "" for the whole log
-    severity  "info" (know it), "warning" (look at it), "error" (do not use this channel for that)
-    message   one sentence with the figures in it
-    numbers   the same figures for machines
-    spoils    what would come out wrong, "" where nothing would
-    mend      the lines of a signal map that put it right, "" where a map cannot
+    Attributes
+    ----------
+    code : str
+        Stable key, such as "sample-and-hold".
+    channel : str
+        Signal or message that it concerns; "" for the whole log.
+    severity : str
+        "info" (know it), "warning" (look at it) or "error" (do not use this channel for that).
+    message : str
+        One sentence with the figures in it.
+    numbers : mapping
+        The same figures by name.
+    spoils : str
+        Results that would be wrong; "" if none.
+    mend : str
+        Lines of a signal map that correct it; "" if a map cannot.
     """
 
     code: str
@@ -69,7 +96,7 @@ class Finding:
     mend: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain dictionary for JSON; figures that are not finite become None."""
+        """Return a dictionary for JSON, with None for figures that are not finite."""
         numbers = {k: (float(v) if math.isfinite(v) else None) for k, v in self.numbers.items()}
         return {
             "code": self.code,
@@ -83,7 +110,7 @@ class Finding:
 
 
 def finding_from_dict(data: Mapping[str, Any]) -> Finding:
-    """Inverse of `Finding.as_dict` (None becomes NaN)."""
+    """Return the finding that `Finding.as_dict` wrote; None becomes NaN."""
     numbers = {
         str(k): (math.nan if v is None else float(v))
         for k, v in dict(data.get("numbers", {})).items()

@@ -1,4 +1,9 @@
-"""Work that several processes may share: what a computation asks of them, and the one process that is always there."""
+"""The interface of a process pool, and a pool of one process.
+
+Computations take a pool as an argument (``pool(function, jobs)`` is an ordered map) and do not
+care whether its jobs run here or in several processes. `uqharness.parallel` has the pool of
+several processes.
+"""
 
 from __future__ import annotations
 
@@ -9,54 +14,57 @@ from typing import Any, Protocol
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
-"""Environment of a process that works beside others: its linear algebra would start a thread a core, and they would fight."""
+"""Environment of a worker process: one thread for linear algebra. Otherwise every worker would
+start one thread a core.
+"""
 
 
 class Shared(Protocol):
-    """A large value that jobs refer to: it travels to a process once, not with every job."""
+    """A large value that jobs refer to. It is sent to a worker process once, not with every job."""
 
     @property
     def value(self) -> Any:
-        """The value, read where the job is done."""
+        """The value, as seen by the process that runs the job."""
         ...
 
 
 class Processes(Protocol):
-    """An ordered map over ``count`` processes."""
+    """A pool: an ordered map over ``count`` processes."""
 
     @property
     def count(self) -> int:
-        """How many work side by side."""
+        """Number of processes that work at the same time."""
         ...
 
     def __call__(self, function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterable[Any]:
-        """What the function gives for each job, in the jobs' order."""
+        """Return ``function(job)`` for each job, in the order of the jobs."""
         ...
 
     def share(self, value: Any) -> Shared:
-        """A stand-in for the value that jobs may carry."""
+        """Return a handle to ``value`` that jobs may carry."""
         ...
 
 
 @dataclass(frozen=True)
-class Held:
-    """A value that stays in this process."""
+class LocalValue:
+    """A shared value in a pool of one process."""
 
     value: Any
 
 
-class Alone:
-    """This process and no other; or the built-in map in a guise that can share."""
+class SerialPool:
+    """A pool that runs all jobs in this process, one after the other."""
 
     count = 1
 
     def __call__(self, function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterable[Any]:
-        """One after the other."""
+        """Return the built-in ``map``."""
         return map(function, jobs)
 
-    def share(self, value: Any) -> Held:
-        """The value itself."""
-        return Held(value)
+    def share(self, value: Any) -> LocalValue:
+        """Return a handle that holds the value itself."""
+        return LocalValue(value)
 
 
-ALONE = Alone()
+SERIAL = SerialPool()
+"""The default pool."""

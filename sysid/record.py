@@ -1,6 +1,8 @@
-"""FlightRecord: the waist between logs and everything that works on flights. Columns as in the vocabulary, SI.
+"""FlightRecord: one flight on one time grid, in SI units.
 
-Parquet keeps the metadata in the file's schema; CSV keeps it in a comment line in front of the header.
+Importers produce records, and every estimator, replay and report consumes them. The columns are
+the signals of `sysid.vocabulary`. A record is stored as Parquet, with its metadata in the file's
+schema, or as CSV, with its metadata in a comment line above the header.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.errors import Finding, LogError, finding_from_dict, in_a_line
+from sysid.errors import Finding, LogError, finding_from_dict, one_line
 from sysid.foreign.limited import read_record
 from sysid.foreign.regular_files import parse_json
 from sysid.vocabulary import LABELS, SIGNALS
@@ -27,9 +29,20 @@ _CSV_ROWS = 200_000
 
 @dataclass(frozen=True)
 class Loiter:
-    """A circle that the autopilot was told to fly, from ``start_s`` to ``end_s``.
+    """A circle that the autopilot was commanded to fly.
 
-    north_m, east_m  centre, from the start point as the record's columns      radius_m  positive      source  what says so
+    Attributes
+    ----------
+    start_s, end_s : float
+        Log time, s.
+    north_m, east_m : float
+        Centre, from the start point of the record.
+    radius_m : float
+        Positive.
+    clockwise : bool
+        Sense, seen from above.
+    source : str
+        Log fields and parameters that it was read from.
     """
 
     start_s: float
@@ -43,7 +56,17 @@ class Loiter:
 
 @dataclass(frozen=True)
 class Boot:
-    """One of several boots of the autopilot in a log, on its own clock; ``free_flight_s`` is None where it holds no flight."""
+    """One of several boots of the autopilot in a log, on its own clock.
+
+    Attributes
+    ----------
+    number : int
+        Counted from 1 in the order of the file.
+    start_s, end_s : float
+        First and last time of this boot, s.
+    free_flight_s : tuple of float or None
+        Start and end of its free flight; None if it holds none.
+    """
 
     number: int
     start_s: float
@@ -52,26 +75,46 @@ class Boot:
 
     @property
     def flight_s(self) -> float:
-        """Length of its free flight, s."""
+        """Duration of its free flight, s; 0 if there is none."""
         return 0.0 if self.free_flight_s is None else self.free_flight_s[1] - self.free_flight_s[0]
 
 
 @dataclass(frozen=True)
 class Metadata:
-    """Where a record comes from and what is known to be wrong with it.
+    """Origin of a record and everything that the checks reported.
 
-    source       file name of the log (no folder, so that records compare across machines)
-    sha256       of the log's content, "" when not computed
-    dialect      dataflash | dataflash-text | tlog | ulog | record | jsbsim-csv | simulation
-    vehicle      what the log says it is, e.g. "ArduPlane V4.7.0"
-    start        {"lat_deg", "lon_deg", "alt_m", "unix_s"} of the start point where known
-    native_hz    rate at which each channel was logged; a value below the grid's rate means it was filled in between
-    channels     what each channel was made from, e.g. "IMU[0].GyrY"
-    estimates    channels that an estimator computed and no sensor measured (alpha, beta without vanes)
-    free_flight_s  stretches [start, end] of free flight
-    loiters      circles that the autopilot was told to fly
-    findings     everything the checks had to say
-    flights      the boots of a log that holds several; empty for one      flight_number  the one that the record is of
+    Attributes
+    ----------
+    source : str
+        File name of the log, without folder, so that records compare across machines.
+    sha256 : str
+        Digest of the log; "" if not computed.
+    dialect : str
+        dataflash, dataflash-text, tlog, ulog, record, jsbsim-csv or simulation.
+    vehicle : str
+        Vehicle as the log names it, such as "ArduPlane V4.7.0".
+    aircraft : str
+        Name on the airframe card; "" without a card.
+    grid_hz : float
+        Rate of the rows, Hz; NaN if unknown.
+    start : mapping
+        lat_deg, lon_deg, alt_m and unix_s of the start point, as far as known.
+    native_hz : mapping
+        Logged rate of each channel, Hz. Below ``grid_hz`` the channel was interpolated.
+    channels : mapping
+        Log field of each channel, such as "IMU[0].GyrY".
+    estimates : tuple of str
+        Channels that an estimator computed (alpha and beta without vanes).
+    free_flight_s : tuple of pairs
+        Start and end of each stretch of free flight, s.
+    findings : tuple of Finding
+        Results of the checks.
+    loiters : tuple of Loiter
+        Commanded circles.
+    flights : tuple of Boot
+        Boots of a log that holds several; empty for one.
+    flight_number : int
+        Number of the boot that the record was made from.
     """
 
     source: str = ""
@@ -96,7 +139,7 @@ class Metadata:
         return [f.message for f in self.findings if f.severity != "info"]
 
     def to_json(self) -> str:
-        """JSON text; NaN is written as null."""
+        """Return the metadata as JSON, with null for NaN."""
         data = {
             "source": self.source,
             "sha256": self.sha256,
@@ -121,7 +164,10 @@ class Metadata:
 
     @classmethod
     def from_json(cls, text: str) -> Metadata:
-        """Inverse of `to_json`; unknown keys are ignored so that newer files stay readable."""
+        """Return the metadata that `to_json` wrote.
+
+        Unknown keys are ignored, so that older versions read newer files.
+        """
         d: dict[str, Any] = parse_json(text)
         return cls(
             source=str(d.get("source", "")),
@@ -143,12 +189,14 @@ class Metadata:
 
 
 def _boot_from_dict(d: Mapping[str, Any]) -> Boot:
+    """Return a boot from its dictionary."""
     span = d["free_flight_s"]
     free_s = None if span is None else (float(span[0]), float(span[1]))
     return Boot(int(d["number"]), float(d["start_s"]), float(d["end_s"]), free_s)
 
 
 def _loiter_from_dict(d: Mapping[str, Any]) -> Loiter:
+    """Return a loiter from its dictionary."""
     start_s, end_s, north_m, east_m, radius_m = (
         float(d[n]) for n in ("start_s", "end_s", "north_m", "east_m", "radius_m")
     )
@@ -159,12 +207,28 @@ def _loiter_from_dict(d: Mapping[str, Any]) -> Loiter:
 class FlightRecord:
     """One flight on one time grid.
 
-    columns   name -> (n,) float array, (n,) object array of str for labels; `time_s` always present and increasing
-    metadata  provenance and findings
+    Channels that were not logged are absent. NaN marks dropouts and gaps; nothing may be
+    integrated or interpolated across one (`segments` returns the stretches between them). Arrays
+    are read-only.
 
-    Absent channels are absent. NaN marks dropouts and gaps: nothing may be integrated or interpolated across one
-    (`segments` gives the stretches without). Raises LogError for unknown names, unequal lengths or time that does not
-    increase.
+    Parameters
+    ----------
+    columns : mapping
+        Signal name to float array of shape (n,), or object array of str for labels. ``time_s`` is
+        required and increases strictly.
+    metadata : Metadata
+        Origin and findings.
+
+    Raises
+    ------
+    LogError
+        If a name is not in the vocabulary, lengths differ, or time does not increase.
+
+    Examples
+    --------
+    >>> record = FlightRecord({"time_s": np.arange(3) * 0.1, "V_mps": np.full(3, 20.0)})
+    >>> len(record), round(record.dt_s, 3), "V_mps" in record
+    (3, 0.1, True)
     """
 
     columns: Mapping[str, NDArray[Any]]
@@ -187,7 +251,8 @@ class FlightRecord:
             if values.shape != (n,):
                 raise LogError(f"column {name} has shape {values.shape}, time_s has ({n},)")
             if values.flags.writeable:
-                # A caller keeps its array; one that is read-only already is shared, which big logs need.
+                # A caller keeps its array; one that is read-only already is shared, which big logs
+                # need.
                 values = values.copy()
                 values.setflags(write=False)
             frozen[name] = values
@@ -212,22 +277,22 @@ class FlightRecord:
         return name in self.columns
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """The column; LogError names what is there when it is not."""
+        """Return a column; LogError lists the available ones if it is absent."""
         if name not in self.columns:
             raise LogError(f"this record has no {name}; it has {', '.join(self.columns)}")
         return self.columns[name]
 
     @cached_property
     def dt_s(self) -> float:
-        """Median step of the grid, s (NaN below two samples)."""
+        """Median step of the grid, s; NaN below two samples."""
         return float(np.median(np.diff(self["time_s"]))) if len(self) > 1 else float("nan")
 
     def rows(self, mask: NDArray[np.bool_] | slice) -> FlightRecord:
-        """The same record with the rows of `mask` only."""
+        """Return a record of the rows selected by ``mask``."""
         return FlightRecord({k: v[mask] for k, v in self.columns.items()}, self.metadata)
 
     def between(self, start_s: float, end_s: float) -> FlightRecord:
-        """Rows with start_s <= time_s <= end_s (sharing this record's memory)."""
+        """Return a record of the rows with start_s <= time_s <= end_s, without copying."""
         t = self["time_s"]
         return self.rows(
             slice(int(np.searchsorted(t, start_s, "left")), int(np.searchsorted(t, end_s, "right")))
@@ -236,33 +301,46 @@ class FlightRecord:
     def with_columns(
         self, columns: Mapping[str, NDArray[Any]], metadata: Metadata | None = None
     ) -> FlightRecord:
-        """A copy in which `columns` are added or replaced."""
+        """Return a record in which ``columns`` are added or replaced."""
         return FlightRecord({**self.columns, **columns}, metadata or self.metadata)
 
     def segments(self, names: tuple[str, ...], min_s: float = 0.0) -> list[slice]:
-        """Maximal stretches in which every channel of `names` is finite and time has no gap (step > 1.5 dt).
+        """Return the longest stretches without dropouts and gaps.
 
-        Returns slices of rows in order; stretches shorter than `min_s` seconds are left out.
+        Parameters
+        ----------
+        names : tuple of str
+            Channels that must be finite.
+        min_s : float
+            Shortest stretch that is returned, s.
+
+        Returns
+        -------
+        list of slice
+            Rows, in order of time. A step of the time above 1.5 ``dt_s`` is a gap.
         """
         t = self["time_s"]
-        good = np.ones(len(self), dtype=bool)
+        is_complete = np.ones(len(self), dtype=bool)
         for name in names:
-            good &= np.isfinite(self[name])
+            is_complete &= np.isfinite(self[name])
+        # Break where time jumps and where any channel becomes finite or stops being finite.
         breaks = np.zeros(len(self) + 1, dtype=bool)
         breaks[0] = breaks[-1] = True
         if len(self) > 1:
-            breaks[1:-1] = (np.diff(t) > 1.5 * self.dt_s) | (np.diff(good.astype(int)) != 0)
+            breaks[1:-1] = (np.diff(t) > 1.5 * self.dt_s) | (np.diff(is_complete.astype(int)) != 0)
         edges = np.flatnonzero(breaks)
         pairs = itertools.pairwise(edges)
-        return [slice(int(a), int(b)) for a, b in pairs if good[a] and t[b - 1] - t[a] >= min_s]
+        return [
+            slice(int(a), int(b)) for a, b in pairs if is_complete[a] and t[b - 1] - t[a] >= min_s
+        ]
 
     def write(self, path: Path) -> None:
-        """Write Parquet (.parquet) or CSV (.csv) by suffix; LogError for any other suffix."""
+        """Write Parquet or CSV, chosen by the suffix; LogError for any other suffix."""
         if path.suffix.lower() == ".parquet":
             import pyarrow as pa
             import pyarrow.parquet as pq
 
-            # From the arrays as they are: a DataFrame would be a second copy of a big log.
+            # Use the arrays directly: a DataFrame would be a second copy of a large log.
             table = pa.table(
                 {
                     n: pa.array(v) if n not in LABELS else pa.array(v, pa.string())
@@ -288,9 +366,10 @@ class FlightRecord:
 
     @classmethod
     def read(cls, path: Path) -> FlightRecord:
-        """Read what `write` wrote (or a plain table with the vocabulary's names), recognised by content.
+        """Read a file of `write`, or a plain table with the names of the vocabulary.
 
-        Raises LogError naming file and column for anything else.
+        The format is recognised by content. Raises LogError with file and column for anything
+        else.
         """
         columns, meta = read_record(path)
         try:
@@ -306,7 +385,7 @@ class FlightRecord:
             RecursionError,
         ) as e:
             raise LogError(
-                f"its metadata is damaged ({in_a_line(e)}); write the record again", path
+                f"its metadata is damaged ({one_line(e)}); write the record again", path
             ) from None
         try:
             return cls(columns, metadata)

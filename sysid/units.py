@@ -1,7 +1,9 @@
-"""What a unit outside the SI is in it: FT_M metres make a foot, RAD_DEG degrees a radian.
+"""Conversion factors to SI units, and numbers as text.
 
-A slug is a lbf s2/ft, a psf a lbf/ft2. Five values stand with fewer digits than a float holds, and the exact one beside them:
-flight records, fits and tables have been made with the short ones, and the exact ones would move their last digits.
+``FT_M`` is the number of metres in a foot, ``RAD_DEG`` the degrees in a radian; a slug is a lbf
+s2/ft and a psf a lbf/ft2. Five factors are rounded, with the exact value in a comment: existing
+records, fits and tables were made with the rounded ones, and the exact ones would change their
+last digits.
 """
 
 from __future__ import annotations
@@ -23,11 +25,11 @@ RAD_DEG = math.degrees(1.0)
 DEG_RAD = math.radians(1.0)
 SHORT_DEG_RAD = 0.017453293  # JSBSim's own, where a component takes an angle in degrees
 G0_MPS2 = 9.80665
-"""Standard gravity. JSBSim's own depends on the place."""
+"""Standard gravity, m/s2. The gravity of JSBSim depends on the place."""
 
 
 def significant(value: float, digits: int = 2) -> str:
-    """Write a number with so many significant digits and, for usual sizes, without an exponent.
+    """Format a number with `digits` significant digits, without an exponent for usual sizes.
 
     Parameters
     ----------
@@ -39,7 +41,7 @@ def significant(value: float, digits: int = 2) -> str:
     Returns
     -------
     str
-        ``100``, ``0.035``, ``1.3``; an exponent stands below 1e-4 and from 1e7 on only.
+        ``100``, ``0.035``, ``1.3``; an exponent only below 1e-4 and from 1e7 on.
 
     Examples
     --------
@@ -53,7 +55,7 @@ def significant(value: float, digits: int = 2) -> str:
 
 
 def percent(share: float, digits: int = 2) -> str:
-    """Write a share as a percentage: ``100 %``, ``0.34 %``.
+    """Format a share as a percentage: ``100 %``, ``0.34 %``.
 
     Examples
     --------
@@ -64,7 +66,7 @@ def percent(share: float, digits: int = 2) -> str:
 
 
 def counted(number: float, noun: str) -> str:
-    """Write a number with its noun in the singular or plural.
+    """Format a number with its noun in the singular or plural.
 
     Examples
     --------

@@ -1,7 +1,8 @@
-"""The one vocabulary: every signal a flight record may hold, its unit, sign and plausible range.
+"""The signals of a flight record: name, unit, sign and plausible range.
 
-Where a signal comes from in each log dialect stands in `signal_maps/*.toml`; `sysid.logs.signal_map`
-makes both the table of docs/log-reference.md.
+Every module uses these names. The fields of each log dialect that supply a signal are listed in
+``sysid/logs/signal_maps/*.toml``; `sysid.logs.signal_map` joins both to the table of
+docs/log-reference.md.
 """
 
 from __future__ import annotations
@@ -13,9 +14,18 @@ from dataclasses import dataclass
 class Signal:
     """One column of a flight record.
 
-    kind  "state" (interpolated), "heading" (interpolated on the circle), "command" (held) or "label" (text, held)
-    low, high  range outside which the value is taken for a wrong unit or a broken sensor, in the signal's own unit
-    core  True for the columns of the contract that every complete record has
+    Attributes
+    ----------
+    name, unit, meaning : str
+        Column name, its unit, and the quantity with its sign.
+    kind : str
+        "state" (interpolated), "heading" (interpolated on the circle), "command" (held) or "label"
+        (text, held).
+    low, high : float
+        Plausible range in the signal's unit. Values outside indicate a wrong unit or a broken
+        sensor.
+    core : bool
+        True for the columns that every complete record has.
     """
 
     name: str
@@ -117,14 +127,16 @@ _SIGNALS = (
 )
 
 SIGNALS: dict[str, Signal] = {s.name: s for s in _SIGNALS}
+"""Signals by name, in the order of the columns of a record."""
 LABELS = frozenset(s.name for s in _SIGNALS if s.kind == "label")
+"""Names of the columns of text."""
 COMMANDS = frozenset(s.name for s in _SIGNALS if s.kind == "command")
+"""Names of the columns that are held between samples."""
 SURFACES = ("elevator_deg", "aileron_deg", "rudder_deg")
+"""Commands of the control surfaces, deg."""
 
 
-# Names of flight modes, and the text by which a log names a manoeuvre.
-
-# ArduPlane's mode numbers (its documentation's table).
+# Flight modes and texts of ArduPilot. PLANE_MODES has the mode numbers of its documentation.
 PLANE_MODES = {
     0: "MANUAL",
     1: "CIRCLE",
@@ -149,5 +161,6 @@ PLANE_MODES = {
     24: "THERMAL",
 }
 MODE_NUMBERS = {name: number for number, name in PLANE_MODES.items()}
-# A text to the pilot that begins so names the manoeuvre from then on ("manoeuvre end": none).
+# A message to the pilot that begins with this text names the manoeuvre from then on;
+# "manoeuvre end" ends it.
 MANOEUVRE_TEXT = "manoeuvre "

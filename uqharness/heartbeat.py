@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
 
-from sysid.display import drawing, visible
+from sysid.display import cursor_stream, visible
 
 FIRST_S = 5.0
 """Time [s] before the first line."""
@@ -158,7 +158,7 @@ def heartbeat(
                     show(line)
                 elif redraws:
                     line_shown.set()
-                    _write(drawing(stream), f"\r\x1b[K{line}")
+                    _write(cursor_stream(stream), f"\r\x1b[K{line}")
                 else:
                     _write(stream, f"{line}\n")
             except (OSError, ValueError):  # nobody reads it
@@ -177,7 +177,7 @@ def heartbeat(
         if show is not None and line_shown.is_set():
             show("")
         elif line_shown.is_set():
-            _write(drawing(stream), "\r\x1b[K")
+            _write(cursor_stream(stream), "\r\x1b[K")
 
 
 def clock(seconds: float) -> str:

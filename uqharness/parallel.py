@@ -17,7 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from sysid.parallel import ALONE, Processes
+from sysid.parallel import SERIAL, Processes
 from uqharness.child_process import child_settings, main_not_imported
 from uqharness.files import scratch_folder
 
@@ -98,7 +98,7 @@ def worker_map(workers: int | None = None) -> Iterator[Processes]:
     """
     count = process_count(workers)
     if count == 1:
-        yield ALONE
+        yield SERIAL
         return
     with scratch_folder("shared") as folder, process_pool(count) as pool:
         yield _Workers(pool, count, folder.path)

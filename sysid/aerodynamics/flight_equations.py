@@ -349,9 +349,9 @@ class Loops(NamedTuple):
 @cache
 def loops() -> Loops:
     """Compiled when they are first called."""
-    from sysid.linalg import compiled, within
+    from sysid.linalg import compiled, jitable
 
     air = gust_lags_s, heading, heading_rates, level, rotation, turning, gust_rates
     for part in (sines, sines_near, *air, flow_rates, motion, _series):
-        within(part)
+        jitable(part)
     return Loops(compiled(_rated), compiled(_slopes), compiled(_stepped))

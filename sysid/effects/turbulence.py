@@ -28,7 +28,7 @@ from sysid.arrays import FloatArray
 from sysid.effects.catalogue import CERTAIN_T, DIFFERENT
 from sysid.effects.prediction import start_fitted
 from sysid.estimation import Process, Seen, carried, gains, slopes
-from sysid.parallel import ALONE, Processes, Shared
+from sysid.parallel import SERIAL, Processes, Shared
 
 # How likely flights are in an air, and the score: how that goes with the air's intensities and
 # the sensors' noise.
@@ -75,7 +75,7 @@ class AirLikelihood:
         steps: Sequence[Steps],
         measured: Sequence[FloatArray],
         which: Sequence[int],
-        by: Processes = ALONE,
+        by: Processes = SERIAL,
     ) -> None:
         self._by = by
         order = sorted(range(len(measured)), key=lambda k: -len(measured[k]))
@@ -260,7 +260,7 @@ def gust_intensity(
     flights: Sequence[str],
     states: GustStates,
     near: Gusts | None = None,
-    by: Processes = ALONE,
+    by: Processes = SERIAL,
     kinds: Sequence[str] = (),
 ) -> tuple[Gusts, FloatArray]:
     """The likeliest air of the segments, V their airspeeds, flights whose they are; found on at most ten of them, then of each

@@ -128,7 +128,7 @@ def coloured_information(
     Both are expected divided by the noise's square root, so that white residuals of unit variance return sum S'S.
     NaN in a residual marks a missing sample; its sensitivity must be zero.
     """
-    blocks = sensitivity if isinstance(sensitivity, Blocks) else Blocks.listed(sensitivity)
+    blocks = sensitivity if isinstance(sensitivity, Blocks) else Blocks.from_segments(sensitivity)
     m, k = residual[0].shape[1], blocks.k
     models, variances = residual_models(residual)
     size = fft.next_fast_len(2 * max(part.shape[0] for part in residual), real=True)

@@ -28,7 +28,7 @@ from sysid.arrays import (
     as_names,
     as_parameters,
     as_segments,
-    is_many,
+    is_segment_list,
 )
 from sysid.estimation.coloured_residuals import colour, colour_warnings, coloured_information
 from sysid.estimation.gauss_newton import Linearisation, Minimum, Told, minimise
@@ -72,7 +72,7 @@ def read_record(
                 f"t of segment {number} does not increase at every sample (or has fewer than 2); sort or split it"
             )
     each = (
-        is_many(x0) or np.ndim(x0) == 2
+        is_segment_list(x0) or np.ndim(x0) == 2
     )  # a vector a segment, be they arrays, lists or the rows of one array
     starts = [as_parameters(part, "x0") for part in (x0 if each else [x0] * len(lengths))]
     if len(starts) != len(lengths) or any(part.size != starts[0].size for part in starts):
@@ -794,14 +794,14 @@ def filter_error(
             "the filter diverges at theta0; start from other values, or from a larger noise_start"
         )
     best = _from(problem, start_point, low, high, tolerance, max_iterations)
-    fit = assemble(problem, best, labels, low, high, record, is_many(z))
+    fit = assemble(problem, best, labels, low, high, record, is_segment_list(z))
     if best.converged and not any(text.startswith("coloured") for text in fit.warnings):
         return fit
     other = _from_high_gain(problem, start_point, low, high, tried[-1], tolerance, max_iterations)
     return (
         fit
         if other is None or not other.cost < best.cost
-        else assemble(problem, other, labels, low, high, record, is_many(z))
+        else assemble(problem, other, labels, low, high, record, is_segment_list(z))
     )
 
 

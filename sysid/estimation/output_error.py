@@ -26,7 +26,7 @@ from sysid.arrays import (
     as_names,
     as_parameters,
     as_segments,
-    is_many,
+    is_segment_list,
 )
 from sysid.estimation.gaps import white_noise
 from sysid.estimation.gauss_newton import Linearisation, Minimum, Told, minimise
@@ -170,7 +170,8 @@ class SafeSimulation:
         """Outputs of any permitted form as one (N, m) array; a sentence if the form is wrong or values not finite."""
         try:
             parts = [
-                np.asarray(part, dtype=float) for part in (value if is_many(value) else [value])
+                np.asarray(part, dtype=float)
+                for part in (value if is_segment_list(value) else [value])
             ]
         except (TypeError, ValueError) as error:
             return f"simulate returned something not numeric: {error}"
@@ -287,7 +288,7 @@ def sensitivities(
         pending = sorted(again)
         if not pending:
             break
-    return Differences(Blocks.gathered(out, base.shape[1], edges), step, effect, runs)
+    return Differences(Blocks.from_columns(out, base.shape[1], edges), step, effect, runs)
 
 
 def forward_differences(
@@ -319,7 +320,7 @@ def forward_differences(
         out[shift.position] = _by_segment(
             _column([(shift.by, answer)], base, shift.rows), shift.rows, edges
         )
-    return Blocks.gathered(out, outputs, edges)
+    return Blocks.from_columns(out, outputs, edges)
 
 
 def _shifts(
@@ -544,13 +545,13 @@ class OutputErrorProblem:
         near = self._distance(theta) < NEARBY
         if not float(step @ along) > 0.0 or (central and not near):
             return None
-        change = outputs - self._last[1] - self.sensitivity.times(step)
+        change = outputs - self._last[1] - self.sensitivity.matvec(step)
 
         def updated(part: FloatArray, columns: Index, rows: slice) -> FloatArray:
             size = float(step[columns] @ along[columns])
             return part + change[rows, :, None] * (along[columns] / size) if size > 0.0 else part
 
-        self.sensitivity = self.sensitivity.each(updated)
+        self.sensitivity = self.sensitivity.map_parts(updated)
         self._updates += 1
         return near
 
@@ -601,7 +602,7 @@ class OutputErrorProblem:
             information[np.ix_(columns, columns)] += flat.T @ flat
 
         def predict(delta: FloatArray) -> float:
-            expected = residual - sensitivity.times(delta)
+            expected = residual - sensitivity.matvec(delta)
             return concentrated(expected, residual_noise(expected, self.floor, self.full))
 
         # M = sum S' R^-1 S,  g = sum S' R^-1 v: one Gauss-Newton step is M^-1 g
@@ -768,7 +769,14 @@ def output_error(
     if not errors:
         said = unjudged(problem.noise(again[1]), len(columns))
         return _assemble(
-            theta, columns, labels, best, problem, said, split(residual, edges), is_many(measured)
+            theta,
+            columns,
+            labels,
+            best,
+            problem,
+            said,
+            split(residual, edges),
+            is_segment_list(measured),
         )
     line = problem.settle(best.theta, again[1])
     findings = judge(
@@ -785,7 +793,14 @@ def output_error(
         method="output error",
     )
     return _assemble(
-        theta, columns, labels, best, problem, findings, split(residual, edges), is_many(measured)
+        theta,
+        columns,
+        labels,
+        best,
+        problem,
+        findings,
+        split(residual, edges),
+        is_segment_list(measured),
     )
 
 

@@ -349,7 +349,7 @@ def judge(
     held = outward(theta, gradient, lower, upper)
     inside = np.flatnonzero(~held)
     there = np.isfinite(residual)
-    sensitivity = sensitivity.taken(inside).each(
+    sensitivity = sensitivity.select_columns(inside).map_parts(
         lambda part, _, rows: np.where(there[rows, :, None], part, 0.0)
     )
 
@@ -413,4 +413,4 @@ def _scaled(noise: Noise, residual: FloatArray, sensitivity: Blocks) -> Blocks:
         assert scaled is not None
         return scaled
 
-    return sensitivity.each(over_noise)
+    return sensitivity.map_parts(over_noise)

@@ -1,1 +1,1 @@
-"""Files that anybody may have written: opened, limited in time and memory, read as data and never as code."""
+"""Readers of files that other people hand in: bounded in time and memory, without running code."""

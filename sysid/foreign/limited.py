@@ -1,8 +1,8 @@
-"""Foreign formats read in a child process with a time and a memory limit: pyulog, pymavlink, pandas and pyarrow meet a file there.
+"""Read foreign formats in a child process with a time limit and a memory limit.
 
-What they make of it comes back as data, never as code, so that a file that leads one of them astray can end the child and
-nothing else. The child is kept for the files that follow. Where the system has no limit of address space (Windows, macOS) the
-time limit holds alone.
+pyulog, pymavlink, pandas and pyarrow parse files only in that process. It returns data and no code
+(`typed_files`), so that a malicious file can at most end the child. The child stays alive for the
+next file. Systems without a limit of the address space (Windows, macOS) have the time limit alone.
 """
 
 from __future__ import annotations
@@ -23,25 +23,33 @@ from typing import Any
 from numpy.typing import NDArray
 
 from sysid.errors import LogError, finding_from_dict
-from sysid.foreign.raw import MessageTable, Progress, RawLog, TimeColumn, Wanted
+from sysid.foreign.raw import FieldSelection, MessageTable, ProgressCallback, RawLog, TimeColumn
 from sysid.foreign.regular_files import in_words, open_regular, require_regular
 from sysid.foreign.typed_files import DataFileError, load
 from sysid.parallel import ONE_THREAD
 
-# What reading a foreign file may cost: time and memory that grow with the file, so that a long
-# log is read and a bomb is not.
+# Limits on time and memory grow with the size of the file: a long log is read, a decompression
+# bomb is not.
 
-MOST_COLUMNS = 5_000
-"""Columns of a table. JSBSim's fullest output has about a thousand; a header of a million is no flight."""
-MOST_LINE = 1_000_000
-"""Bytes of a table's header and first rows, each."""
-MOST_COMMENT = 50_000_000
-"""Bytes of a comment before the header, where a flight record keeps what is known of it."""
+MAX_COLUMNS = 5_000
+"""Columns of a table. JSBSim writes about a thousand at most."""
+MAX_LINE_BYTES = 1_000_000
+"""Bytes of the header of a table, and of each of its first rows."""
+MAX_COMMENT_BYTES = 50_000_000
+"""Bytes of a comment above the header, where a flight record stores its metadata."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """base_s, bytes_per_s: time allowed; base_bytes, per_byte: memory above what the reader itself takes."""
+    """Time and memory that a reader may use.
+
+    Attributes
+    ----------
+    base_s, bytes_per_s : float
+        Allowed time: ``base_s + size / bytes_per_s``, s.
+    base_bytes, per_byte : float
+        Allowed memory above that of the reader itself: ``base_bytes + per_byte * size``.
+    """
 
     base_s: float
     bytes_per_s: float
@@ -49,38 +57,43 @@ class Limit:
     per_byte: float
 
     def seconds(self, size: int) -> float:
-        """Wall-clock time for a file of `size` bytes."""
+        """Return the allowed wall-clock time for a file of `size` bytes, s."""
         return self.base_s + size / self.bytes_per_s
 
     def bytes(self, size: int) -> int:
-        """Memory for a file of `size` bytes; the values that are handed over may take as much."""
+        """Return the allowed memory for a file of `size` bytes; the answer may be as large."""
         return int(self.base_bytes + self.per_byte * size)
 
 
 LIMITS = {
-    # pyulog reads 10 to 40 MB/s and holds each topic twice while it decodes; a damaged length held it for minutes.
+    # pyulog reads 10 to 40 MB/s and holds each topic twice while it decodes. A damaged length
+    # field can keep it busy for minutes.
     "ulog": Limit(10.0, 1e6, 400_000_000, 8.0),
     # pymavlink decodes 2 to 4 MB/s; a packet of 25 bytes becomes up to ten numbers of 8.
     "tlog": Limit(10.0, 0.25e6, 300_000_000, 8.0),
-    # pandas reads 20 to 100 MB/s; a cell of two characters becomes a number of 8 bytes, and is held twice on the way.
+    # pandas reads 20 to 100 MB/s. A cell of two characters becomes a number of 8 bytes, of
+    # which pandas holds two copies for a while.
     "csv": Limit(10.0, 2e6, 400_000_000, 16.0),
-    # Parquet packs: ten times is usual for a flight, thousands of times is a bomb.
+    # Parquet compresses: a factor of ten is usual for a flight, a factor of thousands is a bomb.
     "parquet": Limit(10.0, 1e6, 600_000_000, 40.0),
 }
 
 
-def too_much(what: str, needed: float, allowed: float) -> str:
-    """The sentence for a file that asks for more memory than one of its size should."""
+def memory_refusal(content: str, needed: float, allowed: float) -> str:
+    """Return the message for a file that needs more memory than its size justifies."""
     return (
-        f"{what} would take {in_words(needed)} of memory; a file of its size may take {in_words(allowed)}: "
-        "it is damaged or made to fill the memory; keep fewer rows and columns, or export it again"
+        f"{content} would take {in_words(needed)} of memory; a file of its size may take"
+        f" {in_words(allowed)}: it is damaged or made to fill the memory; keep fewer rows and"
+        " columns, or export it again"
     )
 
 
+# The child loads its libraries only, so that a long wait means a slow disk.
 _START_S = 120.0  # nothing of a stranger's is read yet: only a busy disk makes this long
 _HOME = Path(__file__).parents[2]
-# The package is found where this one is, and its folder is on the path for no longer than that takes.
-_BEGIN = (
+# Import sysid from the folder of this file, and leave that folder on the path no longer than
+# needed.
+_READER_CODE = (
     "import sys; sys.path.insert(0, sys.argv[1]); import sysid; del sys.path[0]; "
     "from sysid.logs.importers.limited_child import main; main()"
 )
@@ -89,54 +102,81 @@ _BEGIN = (
 def read_raw(
     path: Path,
     dialect: str,
-    wanted: Wanted | None,
-    progress: Progress | None = None,
+    selection: FieldSelection | None,
+    callback: ProgressCallback | None = None,
     time: TimeColumn | None = None,
 ) -> RawLog:
-    """A log of dialect ulog, tlog, csv, jsbsim-csv or parquet; `wanted` and `time` as in the importers.
+    """Read a log in the child process.
 
-    Raises LogError for what cannot be read, and for what takes more time or memory than a file of its size should.
+    Parameters
+    ----------
+    path : Path
+        File of one of the dialects ulog, tlog, csv, jsbsim-csv and parquet.
+    dialect : str
+        Its dialect.
+    selection : mapping or None
+        Message name to field names that are returned; None returns everything.
+    callback : callable, optional
+        Called with the share that has been read, 0 to 1.
+    time : TimeColumn, optional
+        Column of the times of a table; None lets the reader choose.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read, or needs more time or memory than its size justifies.
     """
     names = (
-        None if wanted is None else {message: sorted(fields) for message, fields in wanted.items()}
+        None
+        if selection is None
+        else {message: sorted(fields) for message, fields in selection.items()}
     )
-    order = {"wanted": names, "time": None if time is None else [time.field, time.unit]}
+    details = {"selection": names, "time": None if time is None else [time.field, time.unit]}
     messages: dict[tuple[str, int], MessageTable] = {}
-    about: dict[str, Any] = {}
-    for kind, *content in _ask(path, dialect, order, progress):
+    properties: dict[str, Any] = {}
+    for kind, *content in _request(path, dialect, details, callback):
         if kind == "table":
             name, instance, time_s, fields, place = content
             rows = place if len(place) else None
             messages[name, instance] = MessageTable(time_s, fields, rows)
         else:
-            (about,) = content
+            (properties,) = content
     return RawLog(
-        dialect=about["dialect"],
+        dialect=properties["dialect"],
         messages=messages,
-        counts=dict(zip(about["counted"].tolist(), about["counts"].tolist(), strict=True)),
-        parameters=dict(zip(about["parameters"].tolist(), about["values"].tolist(), strict=True)),
-        texts=tuple(zip(about["said_s"].tolist(), about["said"].tolist(), strict=True)),
-        vehicle=about["vehicle"],
-        facts=about["facts"],
-        findings=tuple(finding_from_dict(row) for row in about["findings"]),
-        headers=tuple(about["headers"].tolist()),
+        counts=dict(
+            zip(properties["count_names"].tolist(), properties["counts"].tolist(), strict=True)
+        ),
+        parameters=dict(
+            zip(properties["parameters"].tolist(), properties["values"].tolist(), strict=True)
+        ),
+        texts=tuple(
+            zip(properties["text_time_s"].tolist(), properties["texts"].tolist(), strict=True)
+        ),
+        vehicle=properties["vehicle"],
+        facts=properties["facts"],
+        findings=tuple(finding_from_dict(row) for row in properties["findings"]),
+        headers=tuple(properties["headers"].tolist()),
         parameter_log=tuple(
             zip(
-                about["logged_at"].tolist(),
-                about["logged"].tolist(),
-                about["logged_values"].tolist(),
+                properties["parameter_place"].tolist(),
+                properties["parameter_name"].tolist(),
+                properties["parameter_value"].tolist(),
                 strict=True,
             )
         ),
-        text_places=tuple(about["said_at"].tolist()),
+        text_places=tuple(properties["text_place"].tolist()),
     )
 
 
 def read_record(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
-    """Columns and metadata (JSON, "" where there is none) of a flight record's file. Raises LogError as `read_raw`."""
+    """Return columns and metadata (JSON; "" if absent) of a flight record's file.
+
+    Raises LogError as `read_raw`.
+    """
     columns: dict[str, NDArray[Any]] = {}
     metadata = ""
-    for kind, *content in _ask(path, "record", {}):
+    for kind, *content in _request(path, "record", {}):
         if kind == "column":
             name, values = content
             columns[name] = values
@@ -146,18 +186,21 @@ def read_record(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
 
 
 def read_table(path: Path) -> dict[str, NDArray[Any]]:
-    """Columns of a small CSV table, each of float64 or of texts. Raises LogError as `read_raw`."""
-    return {name: values for _, name, values in _ask(path, "table", {})}
+    """Return the columns of a small CSV table, each of float64 or of text.
+
+    Raises LogError as `read_raw`.
+    """
+    return {name: values for _, name, values in _request(path, "table", {})}
 
 
-class _Child:
-    """A reader process, and the pipes to and from it."""
+class _ReaderProcess:
+    """A reader process with the pipes to and from it."""
 
     def __init__(self) -> None:
         environment = {**os.environ, **ONE_THREAD, "ARROW_DEFAULT_MEMORY_POOL": "system"}
-        # It says nothing on the terminal: what is wrong comes back as a sentence.
+        # Its standard error is discarded: all errors come back in an answer.
         self.process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _BEGIN, str(_HOME)],
+            [sys.executable, "-P", "-c", _READER_CODE, str(_HOME)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -168,19 +211,21 @@ class _Child:
         self.orders, self.answers = self.process.stdin, self.process.stdout
 
     def frame(self) -> tuple[bytes, int]:
-        """Kind and length of the next answer. Raises _Ended when the child has ended."""
+        """Return kind (one byte) and length of the next part of the answer; raise _ReaderEnded."""
         head = self.content(9)
         return head[:1], struct.unpack("<Q", head[1:])[0]
 
     def content(self, length: int) -> bytes:
-        """That many bytes of the answer. Raises _Ended."""
-        found = self.answers.read(length)
-        if len(found) < length:
-            raise _Ended
-        return found
+        """Return the next `length` bytes of the answer; raise _ReaderEnded if the process has
+        ended.
+        """
+        received = self.answers.read(length)
+        if len(received) < length:
+            raise _ReaderEnded
+        return received
 
     def end(self) -> None:
-        """Kill it. Safe to call again."""
+        """Kill the process. A second call has no effect."""
         self.process.kill()
         for pipe in (self.orders, self.answers):
             with contextlib.suppress(OSError):
@@ -189,15 +234,16 @@ class _Child:
 
 
 class _Deadline:
-    """Kills a child that is not done in time."""
+    """Kills a reader process that has not finished after a time; `expired` says whether it did."""
 
-    def __init__(self, child: _Child, seconds: float) -> None:
-        self._child, self.passed = child, False
+    def __init__(self, child: _ReaderProcess, seconds: float) -> None:
+        self._child, self.expired = child, False
         self._timer = threading.Timer(seconds, self._end)
         self._timer.daemon = True
 
     def _end(self) -> None:
-        self.passed = True
+        """Kill the reader."""
+        self.expired = True
         self._child.process.kill()
 
     def __enter__(self) -> _Deadline:
@@ -208,34 +254,39 @@ class _Deadline:
         self._timer.cancel()
 
 
-_using = threading.Lock()
-_children: dict[int, _Child] = {}  # by process: a forked one must not talk to its parent's
+_lock = threading.Lock()
+_children: dict[int, _ReaderProcess] = {}  # by process: a forked one must not talk to its parent's
 
 
-def _ask(
-    path: Path, kind: str, details: Mapping[str, Any], progress: Progress | None = None
+def _request(
+    path: Path, kind: str, details: Mapping[str, Any], callback: ProgressCallback | None = None
 ) -> list[tuple[Any, ...]]:
-    """What the child has to say of one file, part by part."""
+    """Send one order to the reader and return the parts of its answer.
+
+    Raises LogError with a reason if the reader refuses the file, ends, or exceeds a limit.
+    """
     try:
         size = require_regular(path).st_size
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror}", path) from None
     limit = LIMITS[_limit_name(kind, path)]
-    # A path of its own kind: this process may have changed its folder since the child began.
+    # An absolute path: this process may have changed its folder since the child started.
     file = os.path.abspath(path)
     order = {"kind": kind, "path": file, "memory": limit.bytes(size), **details}
-    with _using:
-        child = _ready(path)
+    # One order at a time: the answers of a child come in the order of its requests.
+    with _lock:
+        child = _reader_process(path)
         try:
-            _begin(child, order, path)
+            _send_order(child, order, path)
             with _Deadline(child, limit.seconds(size)) as deadline:
-                parts, refusal = _answers(child, limit.bytes(size), progress)
+                parts, refusal = _answers(child, limit.bytes(size), callback)
+        # After any failure the pipes may hold half an answer: this child is not used again.
         except BaseException as error:
             _end_children()
-            if isinstance(error, _Ended):
-                raise LogError(_why_ended(error, child, deadline, limit, size), path) from None
+            if isinstance(error, _ReaderEnded):
+                raise LogError(_ending_message(error, child, deadline, limit, size), path) from None
             raise
-        if deadline.passed:
+        if deadline.expired:
             _end_children()
     if refusal:
         raise LogError(
@@ -244,16 +295,19 @@ def _ask(
     return parts
 
 
-class _Ended(Exception):
-    """The child has ended, or must: `reason` says why in words where it is known."""
+class _ReaderEnded(Exception):
+    """The reader process has ended, or must be ended; ``reason`` is text for the user, or ""."""
 
     def __init__(self, reason: str = "") -> None:
         self.reason = reason
 
 
-def _begin(child: _Child, order: Mapping[str, Any], path: Path) -> None:
-    """Give an order and wait until the reader has loaded what it needs. Raises LogError where it has not."""
-    with contextlib.suppress(OSError, _Ended), _Deadline(child, _START_S):
+def _send_order(child: _ReaderProcess, order: Mapping[str, Any], path: Path) -> None:
+    """Send an order and wait until the reader has loaded its libraries.
+
+    Raises LogError if it does not start within _START_S.
+    """
+    with contextlib.suppress(OSError, _ReaderEnded), _Deadline(child, _START_S):
         child.orders.write(json.dumps(order).encode() + b"\n")
         child.orders.flush()
         kind, length = child.frame()
@@ -266,67 +320,85 @@ def _begin(child: _Child, order: Mapping[str, Any], path: Path) -> None:
 
 
 def _answers(
-    child: _Child, most_bytes: int, progress: Progress | None
+    child: _ReaderProcess, max_bytes: int, callback: ProgressCallback | None
 ) -> tuple[list[tuple[Any, ...]], str]:
-    """The parts of an answer, and the sentence of a refusal ("" if there is none)."""
+    """Return the parts of an answer, and the message of a refusal ("" if there is none)."""
     parts: list[tuple[Any, ...]] = []
     received = 0
     while True:
+        # Kinds: p progress, c content, d done, e refusal, m memory exceeded, anything else a
+        # traceback.
         kind, length = child.frame()
         received += length
-        if received > most_bytes:
-            raise _Ended("memory")
+        if received > max_bytes:
+            raise _ReaderEnded("memory")
         content = child.content(length)
         if kind == b"p":
-            if progress is not None:
-                progress(struct.unpack("<d", content)[0])
+            if callback is not None:
+                callback(struct.unpack("<d", content)[0])
         elif kind == b"c":
             try:
                 parts.append(load(content))
             except DataFileError as error:
-                raise _Ended(str(error)) from None
+                raise _ReaderEnded(str(error)) from None
         elif kind == b"d":
             return parts, ""
         elif kind == b"e":
             return [], content.decode("utf-8", "surrogatepass")
         elif kind == b"m":
-            raise _Ended("memory")
+            raise _ReaderEnded("memory")
         else:
             raise RuntimeError(f"the reader of a log failed:\n{content.decode('utf-8', 'replace')}")
 
 
-def _why_ended(ended: _Ended, child: _Child, deadline: _Deadline, limit: Limit, size: int) -> str:
-    again = "it is damaged or made to do so; copy the log again"
-    if deadline.passed:
-        return f"reading took longer than the {limit.seconds(size):.0f} s that a file of {in_words(size)} may take: {again}"
+def _ending_message(
+    ended: _ReaderEnded, child: _ReaderProcess, deadline: _Deadline, limit: Limit, size: int
+) -> str:
+    """Return why the reader ended, for the user."""
+    advice = "it is damaged or made to do so; copy the log again"
+    if deadline.expired:
+        return (
+            f"reading took longer than the {limit.seconds(size):.0f} s that a file of"
+            f" {in_words(size)} may take: {advice}"
+        )
     if ended.reason == "memory":
         allowed = in_words(limit.bytes(size))
-        return f"reading took more than the {allowed} of memory that a file of {in_words(size)} may take: {again}"
-    why = ended.reason or f"code {child.process.returncode}"
-    return f"the reader of this format ended without an answer ({why}): the file is damaged; copy the log again"
+        return (
+            f"reading took more than the {allowed} of memory that a file of {in_words(size)} may"
+            f" take: {advice}"
+        )
+    reason = ended.reason or f"code {child.process.returncode}"
+    return (
+        f"the reader of this format ended without an answer ({reason}): the file is damaged; copy"
+        " the log again"
+    )
 
 
 def _limit_name(kind: str, path: Path) -> str:
+    """Return the key of LIMITS; a record is Parquet or CSV by its first bytes."""
     if kind in LIMITS:
         return kind
     with open_regular(path) as handle:
         return "parquet" if handle.read(4) == b"PAR1" else "csv"
 
 
-def _ready(path: Path) -> _Child:
-    """The reader of this process, started if there is none. Raises LogError where it cannot be."""
+def _reader_process(path: Path) -> _ReaderProcess:
+    """Return the reader of this process, started if there is none; raise LogError if it cannot
+    start.
+    """
     child = _children.get(os.getpid())
     if child is not None and child.process.poll() is None:
         return child
     _end_children()
     try:
-        child = _children[os.getpid()] = _Child()
+        child = _children[os.getpid()] = _ReaderProcess()
     except (OSError, MemoryError):
         raise _not_started(path) from None
     return child
 
 
 def _not_started(path: Path) -> LogError:
+    """Return the error for a reader process that does not start."""
     return LogError(
         "the process that reads this format could not be started; free some memory and try again",
         path,
@@ -334,6 +406,7 @@ def _not_started(path: Path) -> LogError:
 
 
 def _end_children() -> None:
+    """Kill the reader of this process, if there is one."""
     child = _children.pop(os.getpid(), None)
     if child is not None:
         child.end()
@@ -342,21 +415,24 @@ def _end_children() -> None:
 atexit.register(_end_children)
 
 
-# A limit on the memory that this process may take, for a child that works on a stranger's file.
+# Memory limit, for the child process itself.
 
 
 class MemoryLimit:
-    """Lets this process take so many bytes of address space more than it has, where the system can hold it to that."""
+    """Allow this process ``extra_bytes`` of address space above its present use, inside ``with``.
 
-    def __init__(self, more: int) -> None:
-        self._more = more
+    It has no effect on systems that cannot limit the address space.
+    """
+
+    def __init__(self, extra_bytes: int) -> None:
+        self._more = extra_bytes
 
     def __enter__(self) -> None:
         self._before = _address_limit()
         if self._before is not None:
             hard = self._before[1]
-            most = _address_space() + self._more
-            _set_address_limit((most if hard < 0 else min(most, hard), hard))
+            soft = _address_space() + self._more
+            _set_address_limit((soft if hard < 0 else min(soft, hard), hard))
 
     def __exit__(self, *_: object) -> None:
         if self._before is not None:
@@ -364,12 +440,15 @@ class MemoryLimit:
 
 
 def _address_space() -> int:
+    """Return the address space in use, bytes."""
     with open("/proc/self/statm", encoding="ascii") as handle:
         return int(handle.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def _address_limit() -> tuple[int, int] | None:
-    """Soft and hard limit; None where there is none, or where what is used already is not known."""
+    """Return soft and hard limit; None if the system has no limit or does not report the present
+    use.
+    """
     try:
         import resource
 
@@ -380,6 +459,7 @@ def _address_limit() -> tuple[int, int] | None:
 
 
 def _set_address_limit(limit: tuple[int, int]) -> None:
+    """Set soft and hard limit of the address space."""
     import resource
 
     resource.setrlimit(resource.RLIMIT_AS, limit)

@@ -1,4 +1,8 @@
-"""RawLog: what an importer hands over, before any unit, sign or grid is chosen. Pure data, no IO."""
+"""RawLog: the content of a log as an importer returns it.
+
+Messages keep the names, units and time stamps of the log. Signals, SI units, signs and a common
+time grid are chosen later, by `sysid.logs.assemble`.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +15,25 @@ from numpy.typing import NDArray
 
 from sysid.errors import Finding
 
-Progress = Callable[[float], None]  # called with the share done, 0..1
+ProgressCallback = Callable[[float], None]
+"""Called with the share of the work that is done, 0 to 1."""
 
 
 @dataclass(frozen=True)
 class MessageTable:
     """All records of one message type and instance.
 
-    time_s  (n,) log time of each record, s, as logged (it may repeat or run backwards: `time_base.clean` deals with it)
-    fields  name -> (n,) array, in the log's own units with the format's own multipliers applied
-    place   (n,) position of each record in the file, in any unit that orders all records of the log; None where it is not known
+    Attributes
+    ----------
+    time_s : ndarray of shape (n,)
+        Log time of each record, s, as logged. It may repeat or run backwards; `time_base.clean`
+        selects the usable records.
+    fields : mapping
+        Name to array of shape (n,), in the units of the log, with the format's multipliers
+        applied.
+    place : ndarray of shape (n,) or None
+        Position of each record in the file, in any unit that orders all records of the log; None
+        if unknown.
     """
 
     time_s: NDArray[np.float64]
@@ -32,17 +45,31 @@ class MessageTable:
 class RawLog:
     """Content of one log.
 
-    dialect     as in FlightRecord's metadata
-    messages    (message name, instance) -> table; only what was asked for
-    counts      message name -> number of records in the whole log, asked for or not
-    parameters  vehicle parameters, last value logged
-    texts       (time_s, text) of the log's messages to the pilot
-    vehicle     what the log calls itself, "" when it does not say
-    facts       anything else the checks need (e.g. "mav_type")
-    findings    damage met while reading
-    headers     places at which the header of a log stands again: several logs in one file
-    parameter_log  (place, name, value) of every parameter logged, and `text_places` the place of each of `texts`, by which
-                boots are told apart; empty where the dialect does not know them
+    Attributes
+    ----------
+    dialect : str
+        As in the metadata of a FlightRecord.
+    messages : mapping
+        (message name, instance) to table; only the requested ones.
+    counts : mapping
+        Message name to number of records in the log, requested or not.
+    parameters : mapping
+        Vehicle parameters, last logged value.
+    texts : tuple of (time_s, text)
+        Messages to the pilot.
+    vehicle : str
+        Name of the vehicle in the log; "" if there is none.
+    facts : mapping
+        Further values for the checks, such as "mav_type".
+    findings : tuple of Finding
+        Damage that the importer met.
+    headers : tuple of int
+        Places at which a log header occurs again: several logs in one file.
+    parameter_log : tuple of (place, name, value)
+        Every logged parameter; with ``text_places`` it separates the boots of the autopilot. Empty
+        if the dialect has no places.
+    text_places : tuple of int
+        Place of each of ``texts``.
     """
 
     dialect: str
@@ -60,10 +87,14 @@ class RawLog:
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """The column of a table that holds its times, and its unit: s, ms, us, ns, min or h; "iso" for text."""
+    """The column of a table that holds its times, and their unit.
+
+    The unit is one of s, ms, us, ns, min and h, or "iso" for times written as text.
+    """
 
     field: str
     unit: str = "s"
 
 
-Wanted = Mapping[str, frozenset[str]]  # message name -> field names to keep
+FieldSelection = Mapping[str, frozenset[str]]
+"""Message name to the fields that an importer returns."""

@@ -1,7 +1,9 @@
-"""Files that others hand in, opened so that none of them can hold the program up or fill its memory.
+"""Open and parse small files of unknown origin without blocking and without filling the memory.
 
-A pipe waits for a writer, a device never ends, and a file of a hundred gigabytes is a small one on paper. Each is refused here
-before a byte of it is read, with an OSError whose ``strerror`` ends a sentence ("cannot be read: is a pipe, not a regular file").
+A pipe blocks until somebody writes to it, a device never ends, and a sparse file of a hundred
+gigabytes is cheap to make. These functions reject each before reading a byte, with an OSError
+whose ``strerror`` completes a sentence ("cannot be read: is a pipe, not a regular file").
+`parse_toml` and `parse_json` reduce all errors of the standard parsers to ParseError.
 """
 
 from __future__ import annotations
@@ -16,8 +18,10 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-MOST_BYTES = 64_000_000
-"""What a text file (map, card, TOML, JSON) may hold: far above any that is written by hand or by this program."""
+MAX_TEXT_BYTES = 64_000_000
+"""Largest text file (map, card, TOML, JSON) that is read. Files written by hand or by this
+program are far smaller.
+"""
 
 _KINDS = (
     (stat.S_ISDIR, errno.EISDIR, "a folder"),
@@ -29,25 +33,30 @@ _KINDS = (
 
 
 def require_regular(path: Path) -> os.stat_result:
-    """What the system knows of a regular file, or of the one that a link leads to.
+    """Return the status of a regular file; links are followed.
 
     Raises
     ------
     OSError
-        For a pipe, folder, socket or device, or when there is no such file; ``strerror`` says which, ``filename`` is the path.
+        If there is no such file, or it is a pipe, folder, socket or device; ``strerror`` says
+        which and ``filename`` is the path.
     """
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except ValueError as error:  # a name with a NUL in it
         raise OSError(errno.EINVAL, f"is no file name ({error})", str(path)) from None
-    _refuse_others(found, path)
-    return found
+    _refuse_special(status, path)
+    return status
 
 
 def open_regular(path: Path) -> io.BufferedReader:
-    """A regular file opened for reading bytes; never waits for a pipe's other end. Raises OSError as `require_regular`."""
+    """Open a regular file for reading bytes, without waiting for the other end of a pipe.
+
+    Raises OSError as `require_regular`.
+    """
     require_regular(path)
-    # What stands there may change between the look and the opening: without waiting it is opened, then looked at again.
+    # Another process may replace the file between the check and the opening: open without
+    # blocking, then check the open file again.
     flags = (
         os.O_RDONLY
         | getattr(os, "O_NONBLOCK", 0)
@@ -56,34 +65,47 @@ def open_regular(path: Path) -> io.BufferedReader:
     )
     handle = os.open(path, flags)
     try:
-        _refuse_others(os.fstat(handle), path)
+        _refuse_special(os.fstat(handle), path)
     except OSError:
         os.close(handle)
         raise
     return io.BufferedReader(io.FileIO(handle, "rb"))
 
 
-def read_regular(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
-    """The whole content of a regular file of at most ``most_bytes`` bytes. Raises OSError as `require_regular`, and for size."""
+def read_regular(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
+    """Return the content of a regular file of at most ``max_bytes`` bytes.
+
+    Raises OSError as `require_regular`, and for a larger file.
+    """
     with open_regular(path) as handle:
         size = os.fstat(handle.fileno()).st_size
-        if size > most_bytes:
-            raise _too_big(size, most_bytes, path)
-        # A file may grow while it is read, and some systems' own files say that they are empty.
-        content = handle.read(most_bytes + 1)
-    if len(content) > most_bytes:
-        raise _too_big(len(content), most_bytes, path)
+        if size > max_bytes:
+            raise _too_big(size, max_bytes, path)
+        # A file may grow meanwhile, and files of /proc report a size of 0: limit the read as
+        # well.
+        content = handle.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        raise _too_big(len(content), max_bytes, path)
     return content
 
 
-def read_regular_text(path: Path, most_bytes: int = MOST_BYTES) -> str:
-    """The same as text in UTF-8 with every end of line as ``\\n``. Raises OSError, and UnicodeDecodeError for other bytes."""
-    text = read_regular(path, most_bytes).decode("utf-8")
+def read_regular_text(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> str:
+    r"""Return the content as UTF-8 text with ``\n`` as the only line end.
+
+    Raises OSError as `read_regular`, and UnicodeDecodeError for other bytes.
+    """
+    text = read_regular(path, max_bytes).decode("utf-8")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def in_words(size: float) -> str:
-    """A number of bytes as people say it: "3.2 GB", "62 KB"."""
+    """Format a number of bytes: "3.2 GB", "62 KB".
+
+    Examples
+    --------
+    >>> in_words(3.2e9), in_words(62000), in_words(12)
+    ('3.2 GB', '62 KB', '12 bytes')
+    """
     for unit, bytes_each in (("GB", 1e9), ("MB", 1e6), ("KB", 1e3)):
         if size >= bytes_each:
             return (
@@ -94,37 +116,38 @@ def in_words(size: float) -> str:
     return f"{size:g} bytes"
 
 
-def _refuse_others(found: os.stat_result, path: Path) -> None:
-    if stat.S_ISREG(found.st_mode):
+def _refuse_special(status: os.stat_result, path: Path) -> None:
+    """Raise OSError for anything but a regular file."""
+    if stat.S_ISREG(status.st_mode):
         return
     code, kind = next(
-        ((number, name) for test, number, name in _KINDS if test(found.st_mode)),
+        ((number, name) for test, number, name in _KINDS if test(status.st_mode)),
         (errno.EINVAL, "something else"),
     )
     raise OSError(code, f"is {kind}, not a regular file", str(path))
 
 
-def _too_big(size: int, most_bytes: int, path: Path) -> OSError:
+def _too_big(size: int, max_bytes: int, path: Path) -> OSError:
+    """Return the OSError for a file above the limit."""
     return OSError(
         errno.EFBIG,
-        f"has {in_words(size)}; at most {in_words(most_bytes)} are read here",
+        f"has {in_words(size)}; at most {in_words(max_bytes)} are read here",
         str(path),
     )
 
 
-# TOML and JSON from files that anybody may have written: plain types, or one error that says
-# what is wrong.
-#
-# The standard readers raise other things too: nesting thousands of levels deep ends in a
-# RecursionError, an integer of more than 4300 digits in a ValueError that speaks of an
-# interpreter setting.
+# TOML and JSON. The standard parsers also raise RecursionError for deep nesting and a ValueError
+# about an interpreter setting for an integer of more than 4300 digits.
 
 _TOO_DEEP = "its brackets are nested too deeply"
 _TOO_LONG = "it holds an integer of thousands of digits"
 
 
 class ParseError(ValueError):
-    """Text that is not what it should be. ``str`` completes a sentence; ``line`` counts from 1, None where it is not known."""
+    """Text that is not valid TOML or JSON.
+
+    ``str(error)`` completes a sentence; ``line`` counts from 1, or is None if unknown.
+    """
 
     def __init__(self, message: str, line: int | None = None) -> None:
         super().__init__(message)
@@ -132,14 +155,20 @@ class ParseError(ValueError):
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The tables of a TOML text. Raises ParseError."""
+    r"""Return the tables of a TOML text; raise ParseError.
+
+    Examples
+    --------
+    >>> parse_toml("[a]\nb = 1")
+    {'a': {'b': 1}}
+    """
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        position = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         at_end = text.count("\n") + 1
         raise ParseError(
-            f"not valid TOML: {error}", int(found.group(1)) if found else at_end
+            f"not valid TOML: {error}", int(position.group(1)) if position else at_end
         ) from None
     except RecursionError:
         raise ParseError(f"not usable as TOML: {_TOO_DEEP}") from None
@@ -148,7 +177,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """What a JSON text holds. Raises ParseError, also for bytes that are no UTF-8."""
+    """Return the value of a JSON text; raise ParseError, also for bytes that are not UTF-8."""
     try:
         return json.loads(text.decode("utf-8") if isinstance(text, bytes) else text)
     except UnicodeDecodeError:

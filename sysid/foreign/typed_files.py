@@ -1,4 +1,12 @@
-"""Does a value have the type that an annotation asks for?"""
+"""Store results as bytes and read them back exactly, without running code from the file.
+
+Files and pipes may have been written by others, so that pickle is not an option. A file is 8 bytes
+of magic and version, the SHA-256 of all that follows, the length of the header (8 bytes,
+little-endian), the header in JSON, then raw buffers at multiples of 64 bytes from the end of the
+header. The header lists every value as a node that refers to earlier nodes by number: reading does
+not recurse, and shared values stay shared. Values are plain Python types, numpy arrays, and
+dataclasses and named tuples of this project. `dump` and `load` are the interface.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +28,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 import numpy as np
 
 from sysid.digests import sha256_of_parts
-from sysid.errors import in_a_line
+from sysid.errors import one_line
 
 _NUMBERS: dict[Any, tuple[type, ...]] = {
     float: (float, int, np.floating, np.integer),
@@ -33,9 +41,15 @@ _MAPPINGS = (dict, Mapping, types.MappingProxyType)
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Whether the value is what the annotation says, items and all; an int serves as a float, a list as a tuple.
+    """Return whether a value has the type of an annotation, including its items.
 
-    Values of other classes count by their class alone. A callable is no data and fits nothing.
+    An int may stand for a float and a list for a tuple. Values of classes are compared by class
+    alone. A callable is not data and fits nothing.
+
+    Examples
+    --------
+    >>> fits((1, 2.5), tuple[float, ...]), fits("a", float | None)
+    (True, False)
     """
     if hint is Any or hint is object or isinstance(hint, TypeVar):
         return True
@@ -61,6 +75,7 @@ def fits(value: Any, hint: Any) -> bool:
 
 
 def _mapping_fits(value: Mapping[Any, Any], args: tuple[Any, ...]) -> bool:
+    """Return whether keys and values fit their annotations."""
     if not args:
         return True
     key, item = args
@@ -68,6 +83,9 @@ def _mapping_fits(value: Mapping[Any, Any], args: tuple[Any, ...]) -> bool:
 
 
 def _items_fit(value: Collection[Any], kind: Any, args: tuple[Any, ...]) -> bool:
+    """Return whether the items of a sequence or set fit; a set fits only annotations that allow
+    one.
+    """
     if (kind in (set, frozenset, Set)) != isinstance(value, set | frozenset) and kind not in (
         Collection,
         Iterable,
@@ -80,20 +98,31 @@ def _items_fit(value: Collection[Any], kind: Any, args: tuple[Any, ...]) -> bool
 
 
 def _is_protocol(kind: type) -> bool:
-    """Whether it says what methods a value has: data has none."""
+    """Return whether the annotation is a protocol: it describes methods, and data has none."""
     return bool(getattr(kind, "_is_protocol", False))
 
 
-# The classes whose values a data file may hold: dataclasses and named tuples of this project's
-# own packages.
+# Storable classes: dataclasses and named tuples of this project's packages.
 
 PACKAGES = ("sysid", "uqharness")
 _NAME = re.compile(rf"({'|'.join(PACKAGES)})((?:\.[a-z][a-z0-9_]*)+):([A-Za-z_][A-Za-z0-9_]*)")
 
 
 @dataclass(frozen=True)
-class OwnClass:
-    """A class, its name ("module:class"), its fields in order and their annotations."""
+class StorableClass:
+    """A class whose values a file may hold.
+
+    Attributes
+    ----------
+    kind : type
+        The class.
+    name : str
+        "module:class".
+    fields : tuple of str
+        Field names in order.
+    hints : tuple
+        Their annotations.
+    """
 
     kind: type
     name: str
@@ -101,51 +130,63 @@ class OwnClass:
     hints: tuple[Any, ...]
 
     def values(self, value: Any) -> list[Any]:
-        """What the fields hold."""
+        """Return the values of the fields."""
         return [getattr(value, name) for name in self.fields]
 
-    def misfit(self, values: Sequence[Any]) -> str:
-        """Which field's value is not of the type that is annotated, in words; "" if none."""
+    def mismatch(self, values: Sequence[Any]) -> str:
+        """Return a sentence about the first field whose value does not fit its annotation; "" if
+        all fit.
+        """
         if len(values) != len(self.fields):
             return f"{self.name} has {len(self.fields)} fields, not {len(values)}"
         for name, value, hint in zip(self.fields, values, self.hints, strict=True):
             if not fits(value, hint):
-                return f"{name} of {self.name} holds a {type(value).__name__} that its annotation does not allow"
+                return (
+                    f"{name} of {self.name} holds a {type(value).__name__} that its annotation does"
+                    " not allow"
+                )
         return ""
 
-    def made(self, values: Sequence[Any]) -> Any:
-        """An object with these values, of which no code has run."""
+    def build(self, values: Sequence[Any]) -> Any:
+        """Return an object with these field values without running ``__init__`` or
+        ``__post_init__``.
+        """
         if issubclass(self.kind, tuple):
             return tuple.__new__(self.kind, values)
-        given = dict(zip(self.fields, values, strict=True))
-        found: Any = object.__new__(self.kind)
-        for name, value in given.items():
-            object.__setattr__(found, name, value)
-        return found
+        fields = dict(zip(self.fields, values, strict=True))
+        instance: Any = object.__new__(self.kind)
+        for name, value in fields.items():
+            object.__setattr__(instance, name, value)
+        return instance
 
 
-def find_class(name: Any, fields: Any) -> OwnClass:
-    """The class of that name with exactly these fields. Only modules of this project are imported. Raises ValueError."""
+def find_class(name: Any, fields: Any) -> StorableClass:
+    """Return the class with that name and exactly these fields.
+
+    Only modules of this project are imported. Raises ValueError if there is no such class.
+    """
     parts = _NAME.fullmatch(name) if isinstance(name, str) else None
     if parts is None:
         raise ValueError(f"no class of this program: {str(name)[:80]!r}")
     module = parts[1] + parts[2]
     above = module.rpartition(".")[0]
-    # A folder without __init__.py is data, such as the campaigns and what reproduces them.
+    # A folder without __init__.py holds data, such as the campaigns; importing from it would
+    # run code of unknown origin.
     if any(
         not _is_package(".".join(above.split(".")[: n + 1])) for n in range(above.count(".") + 1)
     ):
         raise ValueError(f"no class of this program: {name}")
-    found = vars(importlib.import_module(module)).get(parts[3])
-    own = own_class(found) if isinstance(found, type) else None
-    if own is None or own.name != name:
+    target = vars(importlib.import_module(module)).get(parts[3])
+    storable = storable_class(target) if isinstance(target, type) else None
+    if storable is None or storable.name != name:
         raise ValueError(f"no class of this program whose values are data: {name}")
-    if fields != list(own.fields):
+    if fields != list(storable.fields):
         raise ValueError(f"{name} has other fields in this version of the program")
-    return own
+    return storable
 
 
 def _is_package(name: str) -> bool:
+    """Return whether a module name belongs to a package with an ``__init__.py``."""
     spec = importlib.util.find_spec(name)
     return (
         spec is not None and spec.origin is not None and spec.submodule_search_locations is not None
@@ -153,12 +194,15 @@ def _is_package(name: str) -> bool:
 
 
 @cache
-def own_class(kind: type) -> OwnClass | None:
-    """What is to be known of a class to store its values; None for any but a dataclass or named tuple of this project."""
+def storable_class(kind: type) -> StorableClass | None:
+    """Return how to store values of a class; None unless it is a dataclass or named tuple of this
+    project.
+    """
     name = f"{kind.__module__}:{kind.__qualname__}"
     if not _NAME.fullmatch(name):
+        # Not of this project.
         return None
-    # A dataclass that is a list or an error as well holds more than its fields.
+    # A dataclass that also inherits from list or an exception holds more than its fields.
     plain = dataclasses.is_dataclass(kind) and kind.__new__ is object.__new__
     if not plain and not _is_named_tuple(kind):
         return None
@@ -167,14 +211,13 @@ def own_class(kind: type) -> OwnClass | None:
     except NameError:
         # Annotated with what is imported for type checkers alone.
         return None
-    named: Any = kind
-    fields = (
-        tuple(field.name for field in dataclasses.fields(named)) if plain else tuple(named._fields)
-    )
-    return OwnClass(kind, name, fields, tuple(hints[field] for field in fields))
+    cls: Any = kind
+    fields = tuple(field.name for field in dataclasses.fields(cls)) if plain else tuple(cls._fields)
+    return StorableClass(kind, name, fields, tuple(hints[field] for field in fields))
 
 
 def _is_named_tuple(kind: type) -> bool:
+    """Return whether a class was made by typing.NamedTuple."""
     fields = getattr(kind, "_fields", None)
     return (
         kind.__bases__ == (tuple,)
@@ -183,35 +226,41 @@ def _is_named_tuple(kind: type) -> bool:
     )
 
 
-# Types of array items as plain lists of text, and back.
+# Types of array items (dtypes) as text.
 
 _PLAIN = re.compile(r"[<>|][biufcmMSUV][0-9]{0,9}(\[[0-9]{0,9}[a-zA-Zμ]{1,2}\])?")
-_DEEPEST = 8
+_MAX_DTYPE_DEPTH = 8
 
 
-def described(dtype: np.dtype[Any]) -> Any:
-    """A dtype as text or, if it has fields, lists of text. Raises ValueError for what has no such description."""
+def describe_dtype(dtype: np.dtype[Any]) -> Any:
+    """Return a dtype as text, or as lists of text if it has fields.
+
+    Raises ValueError if the text would not give the same dtype back.
+    """
     if dtype.kind not in "biufcmMSUV" or dtype.metadata is not None:
         raise ValueError(f"items of the type {dtype}")
-    found = _listed(np.lib.format.dtype_to_descr(dtype))
+    description = _listed(np.lib.format.dtype_to_descr(dtype))
     try:
-        same = dtype_from(found) == dtype
+        same = dtype_from(description) == dtype
     except ValueError:
         same = False
     if not same:
         raise ValueError(f"items of the type {dtype}")
-    return found
+    return description
 
 
 def dtype_from(description: Any) -> np.dtype[Any]:
-    """The dtype that `described` wrote. Raises ValueError or TypeError."""
-    found: np.dtype[Any] = np.lib.format.descr_to_dtype(_checked(description, 0))
-    if found.hasobject or found.subdtype is not None:
+    """Return the dtype that `describe_dtype` described; raise ValueError or TypeError for other
+    input.
+    """
+    dtype: np.dtype[Any] = np.lib.format.descr_to_dtype(_checked(description, 0))
+    if dtype.hasobject or dtype.subdtype is not None:
         raise ValueError("an array's items are not plain")
-    return found
+    return dtype
 
 
 def _listed(description: Any) -> Any:
+    """Convert nested tuples to lists, which JSON keeps."""
     return (
         [_listed(item) for item in description]
         if isinstance(description, list | tuple)
@@ -220,12 +269,15 @@ def _listed(description: Any) -> Any:
 
 
 def _checked(description: Any, depth: int) -> Any:
-    """The same with tuples where numpy wants them; only texts that name one plain type ever reach numpy."""
+    """Return a description with the tuples that numpy requires.
+
+    Only texts that name one plain type reach numpy, which would evaluate others.
+    """
     if isinstance(description, str):
         if not _PLAIN.fullmatch(description):
             raise ValueError(f"no type of items: {description[:40]!r}")
         return description
-    if depth > _DEEPEST:
+    if depth > _MAX_DTYPE_DEPTH:
         raise ValueError("types of items are nested too deep")
     fields = []
     for name, kind, *shape in description:
@@ -237,17 +289,16 @@ def _checked(description: Any, depth: int) -> Any:
     return fields
 
 
-# What bounds the values of a data file, whoever wrote it: how deep they are, how many, how long
-# it takes to look at them.
+# Limits on depth, number and checking time of the values, whoever wrote the file.
 
-DEEPEST = 100
+MAX_DEPTH = 100
 """Levels of values inside values."""
-# Values may be shared; this many, each counted as often as it is met, is more than any result holds.
-_MOST_VALUES = 50_000_000
-# A key's hash is computed by every part of it, recursively.
-_KEY_PARTS = 1000
-# Parts looked at for hashes and for types, each as often as it is.
-_MOST_LOOKS = 20_000_000
+# Shared values count as often as they occur. No result of this project is as large.
+_MAX_VALUES = 50_000_000
+# Hashing a key visits all of its parts, recursively.
+_MAX_KEY_PARTS = 1000
+# Visits for hashes and type checks, in all.
+_MAX_VISITS = 20_000_000
 MALFORMED = (
     ArithmeticError,
     AttributeError,
@@ -258,15 +309,15 @@ MALFORMED = (
     ValueError,
     struct.error,
 )
-"""What content that `dump` did not write may raise while it is read."""
+"""Exceptions that content not written by `dump` may raise while it is read."""
 
 
 class DataFileError(ValueError):
-    """Bytes that are no such file, a damaged one, or a value that such a file cannot hold."""
+    """Bytes that are not a data file, a damaged file, or a value that a file cannot hold."""
 
 
 class Sizes:
-    """How deep and how large each value is, counted with all inside it."""
+    """Depth and number of parts of each value, including everything inside it."""
 
     def __init__(self) -> None:
         self.height: list[int] = []
@@ -274,43 +325,46 @@ class Sizes:
         self._looks = 0
 
     def note(self, children: Iterable[int]) -> None:
-        """One more value, of these earlier ones."""
+        """Add one value that contains these earlier values; raise DataFileError beyond a limit."""
         height, parts = 0, 1
         for child in children:
             height = max(height, self.height[child])
             parts += self.parts[child]
-        if height >= DEEPEST:
+        if height >= MAX_DEPTH:
             raise DataFileError(
-                f"values are nested more than {DEEPEST} deep, or one is inside itself"
+                f"values are nested more than {MAX_DEPTH} deep, or one is inside itself"
             )
-        if parts > _MOST_VALUES:
-            raise DataFileError(f"it holds more than {_MOST_VALUES} values")
+        if parts > _MAX_VALUES:
+            raise DataFileError(f"it holds more than {_MAX_VALUES} values")
         self.height.append(height + 1)
         self.parts.append(parts)
 
     def check_keys(self, keys: Iterable[int]) -> None:
-        """Refuse keys whose hashing would take long."""
+        """Raise DataFileError for keys that would take long to hash."""
         keys = list(keys)
-        if any(self.parts[key] > _KEY_PARTS for key in keys):
-            raise DataFileError(f"a key has more than {_KEY_PARTS} parts")
-        self.look_at(keys)
+        if any(self.parts[key] > _MAX_KEY_PARTS for key in keys):
+            raise DataFileError(f"a key has more than {_MAX_KEY_PARTS} parts")
+        self.count_visits(keys)
 
-    def look_at(self, values: Iterable[int]) -> None:
-        """Count what it takes to go through these once more."""
+    def count_visits(self, values: Iterable[int]) -> None:
+        """Count one more visit of all parts; raise DataFileError beyond the limit."""
         self._looks += sum(self.parts[value] for value in values)
-        if self._looks > _MOST_LOOKS:
-            raise DataFileError(f"looking at its values takes more than {_MOST_LOOKS} steps")
+        if self._looks > _MAX_VISITS:
+            raise DataFileError(f"looking at its values takes more than {_MAX_VISITS} steps")
 
 
-# The nodes of a data file's header made into values. Nothing is run, and nothing grows beyond
-# what the file holds.
+# Reading. No code of a stored class runs, and memory stays in proportion to the file.
 
-# Keys of one hash are compared one by one.
-_ALIKE_HASHES = 64
+# Keys with equal hashes are compared with each other: many of them take quadratic time.
+_MAX_EQUAL_HASHES = 64
 
 
 class Reader:
-    """Values by the numbers of their nodes; ``buffers`` are the bytes behind the header, each of one node."""
+    """Builds the values of a file from the nodes of its header.
+
+    ``classes`` are pairs of class name and field names; ``buffers`` are the bytes behind the
+    header, each of which exactly one node uses.
+    """
 
     def __init__(self, classes: Any, buffers: list[memoryview]) -> None:
         self._classes = [find_class(name, fields) for name, fields in classes]
@@ -319,17 +373,18 @@ class Reader:
         self._values: list[Any] = []
 
     def values(self, nodes: Any) -> Any:
-        """The last of the values, which all others belong to."""
+        """Build all nodes in order and return the value of the last, which contains all others."""
         for number, (kind, *content) in enumerate(nodes):
             try:
                 value, children = _READERS[kind](self, *content)
             except MALFORMED as error:
-                raise DataFileError(f"malformed: value {number}: {in_a_line(error)}") from None
+                raise DataFileError(f"malformed: value {number}: {one_line(error)}") from None
             self._sizes.note(children)
             self._values.append(value)
         return self._values[-1]
 
     def _at(self, numbers: Any) -> list[Any]:
+        """Return the values of earlier nodes; raise ValueError for other numbers."""
         if type(numbers) is not list or not all(
             type(n) is int and 0 <= n < len(self._values) for n in numbers
         ):
@@ -337,34 +392,36 @@ class Reader:
         return [self._values[n] for n in numbers]
 
     def _keys(self, numbers: Any) -> list[Any]:
-        found = self._at(numbers)
+        """Return the keys of a set or dictionary, after checks of size and equal hashes."""
+        keys = self._at(numbers)
         self._sizes.check_keys(numbers)
-        hashes = sorted(hash(key) for key in found)
-        if any(a == b for a, b in zip(hashes, hashes[_ALIKE_HASHES:], strict=False)):
+        hashes = sorted(hash(key) for key in keys)
+        if any(a == b for a, b in zip(hashes, hashes[_MAX_EQUAL_HASHES:], strict=False)):
             raise ValueError("its keys would take long to tell apart")
-        return found
+        return keys
 
     def _none(self) -> tuple[Any, Sequence[int]]:
+        """Build None; like all builders, return a value and the nodes that it contains."""
         return None, ()
 
     def _bool(self, value: Any) -> tuple[Any, Sequence[int]]:
-        return _of(bool, value), ()
+        return _require_type(bool, value), ()
 
     def _int(self, value: Any) -> tuple[Any, Sequence[int]]:
-        return (int(value, 16) if type(value) is str else _of(int, value)), ()
+        return (int(value, 16) if type(value) is str else _require_type(int, value)), ()
 
     def _float(self, value: Any) -> tuple[Any, Sequence[int]]:
         return (
             struct.unpack(">d", bytes.fromhex(value))[0]
             if type(value) is str
-            else _of(float, value)
+            else _require_type(float, value)
         ), ()
 
     def _str(self, value: Any) -> tuple[Any, Sequence[int]]:
-        return _untext(value), ()
+        return _decoded_text(value), ()
 
     def _path(self, value: Any) -> tuple[Any, Sequence[int]]:
-        return Path(_untext(value)), ()
+        return Path(_decoded_text(value)), ()
 
     def _bytes(self, number: Any) -> tuple[Any, Sequence[int]]:
         return bytes(self._buffer(number)), ()
@@ -380,49 +437,57 @@ class Reader:
         return slice(start, stop, step), numbers
 
     def _set(self, numbers: Any) -> tuple[Any, Sequence[int]]:
-        return _all_of(set(self._keys(numbers)), numbers), numbers
+        return _require_distinct(set(self._keys(numbers)), numbers), numbers
 
     def _frozenset(self, numbers: Any) -> tuple[Any, Sequence[int]]:
-        return _all_of(frozenset(self._keys(numbers)), numbers), numbers
+        return _require_distinct(frozenset(self._keys(numbers)), numbers), numbers
 
     def _dict(self, keys: Any, values: Any) -> tuple[Any, Sequence[int]]:
-        found = dict(zip(self._keys(keys), self._at(values), strict=True))
-        return _all_of(found, keys), keys + values
+        """Build a dictionary."""
+        mapping = dict(zip(self._keys(keys), self._at(values), strict=True))
+        return _require_distinct(mapping, keys), keys + values
 
     def _mappingproxy(self, keys: Any, values: Any) -> tuple[Any, Sequence[int]]:
-        found, children = self._dict(keys, values)
-        return MappingProxyType(found), children
+        mapping, children = self._dict(keys, values)
+        return MappingProxyType(mapping), children
 
     def _scalar(self, dtype: Any, value: Any) -> tuple[Any, Sequence[int]]:
+        """Build a numpy scalar from its dtype and its bytes in hexadecimal."""
         kind, content = dtype_from(dtype), bytes.fromhex(value)
         if len(content) != kind.itemsize:
             raise ValueError("a scalar's bytes are not those of its type")
         return np.ndarray((), kind, content or b"\0")[()], ()
 
     def _object(self, number: Any, numbers: Any) -> tuple[Any, Sequence[int]]:
+        """Build a dataclass or named tuple after checking its field types."""
         if type(number) is not int or number < 0:
             raise ValueError("it has no class")
-        own, values = self._classes[number], self._at(numbers)
-        self._sizes.look_at(numbers)
-        wrong = own.misfit(values)
-        if wrong:
-            raise ValueError(wrong)
-        return own.made(values), numbers
+        storable, values = self._classes[number], self._at(numbers)
+        self._sizes.count_visits(numbers)
+        mismatch = storable.mismatch(values)
+        if mismatch:
+            raise ValueError(mismatch)
+        return storable.build(values), numbers
 
     def _array(
         self, shape: Any, order: Any, writeable: Any, dtype: Any, number: Any
     ) -> tuple[Any, Sequence[int]]:
+        """Build an array of plain items from its bytes."""
         kind, content = dtype_from(dtype), self._buffer(number)
         if _count(shape) * kind.itemsize != len(content) or (kind.itemsize == 0 and _count(shape)):
             raise ValueError("an array's bytes are not those of its shape and type")
         flat = np.frombuffer(content, np.uint8).view(kind) if len(content) else np.empty(0, kind)
-        # Copied, as it lies in the file at any address: sums of unaligned numbers are slower and may differ in the last digit.
+        # Copy: the buffer may be unaligned, where sums are slower and may differ in the last
+        # digit.
         return _shaped(flat.copy(), shape, order, writeable), ()
 
     def _texts(
-        self, shape: Any, order: Any, writeable: Any, lengths: Any, joined: Any
+        self, shape: Any, order: Any, writeable: Any, lengths: Any, encoded: Any
     ) -> tuple[Any, Sequence[int]]:
-        sizes, content = np.frombuffer(self._buffer(lengths), "<i8"), self._buffer(joined)
+        """Build an array of str and None from one buffer of lengths (-1 for None) and one of
+        UTF-8.
+        """
+        sizes, content = np.frombuffer(self._buffer(lengths), "<i8"), self._buffer(encoded)
         if (
             _count(shape) != len(sizes)
             or (sizes < -1).any()
@@ -430,15 +495,15 @@ class Reader:
         ):
             raise ValueError("an array's texts are not as long as it says")
         flat = np.empty(len(sizes), dtype=object)
-        # Labels repeat: the same text is one object.
-        known: dict[bytes, str] = {}
+        # Labels repeat: equal texts become one object.
+        decoded: dict[bytes, str] = {}
         begin = 0
         for i, size in enumerate(sizes.tolist()):
             if size >= 0:
                 raw = bytes(content[begin : begin + size])
-                text = known.get(raw)
+                text = decoded.get(raw)
                 flat[i] = (
-                    known.setdefault(raw, raw.decode("utf-8", "surrogatepass"))
+                    decoded.setdefault(raw, raw.decode("utf-8", "surrogatepass"))
                     if text is None
                     else text
                 )
@@ -448,6 +513,7 @@ class Reader:
     def _objects(
         self, shape: Any, order: Any, writeable: Any, numbers: Any
     ) -> tuple[Any, Sequence[int]]:
+        """Build an array of objects from earlier values."""
         values = self._at(numbers)
         if _count(shape) != len(values):
             raise ValueError("an array has not as many values as its shape says")
@@ -457,12 +523,13 @@ class Reader:
         return _shaped(flat, shape, order, writeable), numbers
 
     def _buffer(self, number: Any) -> memoryview:
-        found = self._buffers[number] if type(number) is int and number >= 0 else None
-        if found is None:
+        """Hand over a buffer to the one node that may use it."""
+        buffer = self._buffers[number] if type(number) is int and number >= 0 else None
+        if buffer is None:
             raise ValueError("it has no buffer, or that of another value")
-        # Copies of one by many values would fill the memory.
+        # Two nodes with one buffer would let a small file fill the memory with copies.
         self._buffers[number] = None
-        return found
+        return buffer
 
 
 _READERS: dict[str, Callable[..., tuple[Any, Sequence[int]]]] = {
@@ -488,28 +555,31 @@ _READERS: dict[str, Callable[..., tuple[Any, Sequence[int]]]] = {
 }
 
 
-def _of(kind: type, value: Any) -> Any:
+def _require_type(kind: type, value: Any) -> Any:
+    """Return the value if its type is exactly `kind`; raise TypeError otherwise."""
     if type(value) is not kind:
         raise TypeError(f"a {kind.__name__} is written as a {type(value).__name__}")
     return value
 
 
-def _untext(value: Any) -> str:
+def _decoded_text(value: Any) -> str:
+    """Return a text; a list of one hexadecimal text holds bytes that JSON cannot represent."""
     if type(value) is list:
         (value,) = value
         return bytes.fromhex(value).decode("utf-8", "surrogatepass")
-    found: str = _of(str, value)
-    return found
+    text: str = _require_type(str, value)
+    return text
 
 
-def _all_of(found: Any, numbers: Any) -> Any:
-    if len(found) != len(numbers):
+def _require_distinct(container: Any, numbers: Any) -> Any:
+    """Return the container if no equal keys were merged; raise ValueError otherwise."""
+    if len(container) != len(numbers):
         raise ValueError("two of its keys are equal")
-    return found
+    return container
 
 
 def _count(shape: Any) -> int:
-    """Items of an array of this shape."""
+    """Return the number of items of an array of this shape."""
     if (
         type(shape) is not list
         or len(shape) > 32
@@ -523,113 +593,144 @@ def _count(shape: Any) -> int:
 
 
 def _shaped(flat: Any, shape: Any, order: Any, writeable: Any) -> Any:
+    """Give a flat array its shape, memory order and write permission."""
     if order not in ("C", "F"):
         raise ValueError("an array has no order")
-    found = flat.reshape(shape, order=order)
-    found.flags.writeable = _of(bool, writeable)
-    return found
+    array = flat.reshape(shape, order=order)
+    array.flags.writeable = _require_type(bool, writeable)
+    return array
 
 
-# Results as bytes and back, exactly, without running what the bytes say: for files and pipes
-# that others may have written to.
-#
-# A file is: 8 bytes of magic and version, the SHA-256 of all that follows, the length of the
-# header (8 bytes, little-endian), the header in JSON, then raw buffers, each beginning at a
-# multiple of 64 bytes from the end of the header. The header lists every value as a node that
-# refers to earlier nodes by number, so that reading neither recurses nor copies what is shared.
-# Only plain values, numpy arrays and the dataclasses of this project's own packages can be
-# written or read.
+# Writing, and the file format.
 
 MAGIC = b"UQDATA\x00\x01"
-"""The last byte is the version of the format."""
-HEADER_MOST = 16 * 1024 * 1024
-"""Bytes of JSON that a file may begin with; parsed they take up to 30 times as many."""
+"""First bytes of a file. The last one is the version of the format."""
+MAX_HEADER_BYTES = 16 * 1024 * 1024
+"""Largest JSON header. Parsed, it takes up to 30 times as much memory."""
 _DIGEST = 32
 _ALIGNMENT = 64
 
 
 def dump(value: Any) -> bytes:
-    """The value as bytes.
+    """Return a value as bytes.
 
-    None, bool, int, float (every bit of it), str, bytes, list, tuple, dict, set, frozenset, slice, mapping proxy, Path, numpy
-    scalars and arrays, and dataclasses of ``sysid`` and ``uqharness``. What is met twice is written once. Raises
-    DataFileError for anything else, for a value inside itself, and for one of more than HEADER_MOST bytes beside its arrays.
+    Parameters
+    ----------
+    value : object
+        None, bool, int, float (bit for bit), str, bytes, list, tuple, dict, set, frozenset, slice,
+        mapping proxy, Path, numpy scalar or array, or a dataclass or named tuple of ``sysid`` and
+        ``uqharness``, nested to any depth up to MAX_DEPTH. A value that occurs twice is written
+        once.
+
+    Raises
+    ------
+    DataFileError
+        For any other value, a value inside itself, or more than MAX_HEADER_BYTES apart from
+        arrays.
+
+    Examples
+    --------
+    >>> load(dump({"a": (1, 2.5)}))
+    {'a': (1, 2.5)}
     """
     return b"".join(dump_parts(value))
 
 
 def dump_parts(value: Any) -> list[bytes | memoryview]:
-    """The same bytes in parts, one after the other: arrays are not copied."""
+    """Return the bytes of `dump` in parts to be written one after the other, without copying
+    arrays.
+    """
     writer = _Writer()
     writer.add(value)
     return writer.parts()
 
 
 def load(data: bytes, kind: Any = Any) -> Any:
-    """The value that `dump` wrote, equal to it bit for bit, with the same parts shared; an array is read-only if it was.
+    """Return the value that `dump` wrote, bit for bit, with the same parts shared.
 
-    A read-only array is a view of ``data``. Dataclasses are restored without their ``__init__`` and ``__post_init__``: the fields
-    are what those had left, and no code runs on values that nobody looked at yet. The type of every field is held against its
-    annotation, and the whole against ``kind``. Raises DataFileError.
+    Dataclasses are restored without their ``__init__`` and ``__post_init__``, so that no code runs
+    on unchecked values; the type of every field is checked against its annotation. A read-only
+    array is a view of ``data``.
+
+    Parameters
+    ----------
+    data : bytes
+        Content of a file.
+    kind : type or annotation
+        Type that the value must have.
+
+    Raises
+    ------
+    DataFileError
+        If the bytes are not such a file, are damaged, or hold a value of another type.
     """
     begin = len(MAGIC) + _DIGEST
     if len(data) < begin + 8 or data[: len(MAGIC)] != MAGIC:
         raise DataFileError("not a data file of this version of the program")
     content = memoryview(data)[begin:]
+    # The digest covers everything behind it, so that a damaged file is recognised before it is
+    # parsed.
     if bytes.fromhex(sha256_of_parts([content])) != data[len(MAGIC) : begin]:
         raise DataFileError("damaged: its content is not what its digest says")
     length = int.from_bytes(content[:8], "little")
-    if length > min(HEADER_MOST, len(content) - 8):
+    if length > min(MAX_HEADER_BYTES, len(content) - 8):
         raise DataFileError("malformed: its header is longer than allowed")
     try:
         header = json.loads(bytes(content[8 : 8 + length]))
-        found = Reader(
+        value = Reader(
             header["classes"], _buffers(header["buffers"], content[8 + length :])
         ).values(header["nodes"])
     except DataFileError:
         raise
     except MALFORMED as error:
-        raise DataFileError(f"malformed: {in_a_line(error)}") from None
-    if not fits(found, kind):
-        raise DataFileError(f"it holds a {type(found).__name__} that is not what is asked for")
-    return found
+        raise DataFileError(f"malformed: {one_line(error)}") from None
+    if not fits(value, kind):
+        raise DataFileError(f"it holds a {type(value).__name__} that is not what is asked for")
+    return value
 
 
 def _padding(length: int) -> int:
+    """Return the number of bytes up to the next multiple of the alignment."""
     return -length % _ALIGNMENT
 
 
 def _buffers(lengths: Any, content: memoryview) -> list[memoryview]:
-    found, begin = [], 0
+    """Split the bytes behind the header into buffers of these lengths."""
+    buffers, begin = [], 0
     for length in lengths:
         if type(length) is not int or length < 0:
             raise ValueError("a buffer has no length")
-        found.append(content[begin : begin + length])
+        buffers.append(content[begin : begin + length])
         begin += length + _padding(length)
     if begin != len(content):
         raise ValueError("the buffers do not fill the file")
-    return found
+    return buffers
 
 
 class _Writer:
+    """Collects nodes and buffers of a value and of everything inside it."""
+
     def __init__(self) -> None:
         self._nodes: list[str] = []
         self._classes: dict[type, int] = {}
         self._class_nodes: list[list[Any]] = []
         self._buffers: list[Any] = []
         self._sizes = Sizes()
-        # The values are held here too, for the number of one that is gone may be another's.
-        self._known: dict[Any, tuple[int, Any]] = {}
+        # The values are kept alive, because ``id`` of a deleted object may be reused.
+        self._numbers: dict[Any, tuple[int, Any]] = {}
         self._trail: list[str] = []
 
     def parts(self) -> list[bytes | memoryview]:
+        """Return the file in parts: magic, digest, header, padded buffers."""
         lengths = [len(buffer) for buffer in self._buffers]
         header = (
-            f'{{"classes":{_json(self._class_nodes)},"buffers":{_json(lengths)},"nodes":[{",".join(self._nodes)}]}}'
+            f'{{"classes":{_json(self._class_nodes)},"buffers":{_json(lengths)},'
+            f'"nodes":[{",".join(self._nodes)}]}}'
         ).encode()
-        if len(header) > HEADER_MOST:
+        if len(header) > MAX_HEADER_BYTES:
             raise DataFileError(
-                f"the value takes {len(header)} bytes beside its arrays; a data file allows {HEADER_MOST}"
+                f"the value takes {len(header)} bytes beside its arrays; a data file allows"
+                f" {MAX_HEADER_BYTES}"
             )
         parts = [len(header).to_bytes(8, "little"), header]
         for buffer in self._buffers:
@@ -637,22 +738,23 @@ class _Writer:
         return [MAGIC, bytes.fromhex(sha256_of_parts(parts)), *parts]
 
     def add(self, value: Any) -> int:
-        """The value's number, its own node written if there is none yet."""
+        """Return the number of a value's node, written now if it is new."""
         key = _identity(value)
-        if key in self._known:
-            return self._known[key][0]
-        if len(self._trail) > DEEPEST:
+        if key in self._numbers:
+            return self._numbers[key][0]
+        if len(self._trail) > MAX_DEPTH:
             raise DataFileError(
-                f"values are nested more than {DEEPEST} deep, or one is inside itself"
+                f"values are nested more than {MAX_DEPTH} deep, or one is inside itself"
             )
         node, children = self._node(value)
         self._sizes.note(children)
         self._nodes.append(_json(node))
         number = len(self._nodes) - 1
-        self._known[key] = number, value
+        self._numbers[key] = number, value
         return number
 
     def _node(self, value: Any) -> tuple[list[Any], list[int]]:
+        """Return a value's node and the numbers of the nodes that it refers to."""
         kind: Any = type(value)
         if kind in _SCALARS:
             return [kind.__name__, _SCALARS[kind](value)], []
@@ -678,78 +780,89 @@ class _Writer:
         if kind is np.ndarray:
             return self._array(value)
         if isinstance(value, np.generic):
-            alone = np.asarray(value)
-            return ["scalar", self._dtype(alone.dtype), alone.tobytes().hex()], []
-        own = own_class(kind)
-        if own is None:
+            scalar = np.asarray(value)
+            return ["scalar", self._dtype(scalar.dtype), scalar.tobytes().hex()], []
+        storable = storable_class(kind)
+        if storable is None:
             raise DataFileError(
                 f"a data file cannot hold a {kind.__module__}.{kind.__qualname__}{self._place()}"
             )
-        return self._object(own, value)
+        return self._object(storable, value)
 
-    def _object(self, own: OwnClass, value: Any) -> tuple[list[Any], list[int]]:
-        if own.kind not in self._classes:
-            self._classes[own.kind] = len(self._class_nodes)
-            self._class_nodes.append([own.name, list(own.fields)])
-        values = own.values(value)
-        wrong = own.misfit(values)
-        if wrong:
-            raise DataFileError(f"{wrong}{self._place()}")
-        items = self._all(zip(own.fields, values, strict=True))
-        self._sizes.look_at(items)
-        return ["object", self._classes[own.kind], items], items
+    def _object(self, storable: StorableClass, value: Any) -> tuple[list[Any], list[int]]:
+        """Write a dataclass or named tuple whose fields fit their annotations."""
+        if storable.kind not in self._classes:
+            self._classes[storable.kind] = len(self._class_nodes)
+            self._class_nodes.append([storable.name, list(storable.fields)])
+        values = storable.values(value)
+        mismatch = storable.mismatch(values)
+        if mismatch:
+            raise DataFileError(f"{mismatch}{self._place()}")
+        items = self._all(zip(storable.fields, values, strict=True))
+        self._sizes.count_visits(items)
+        return ["object", self._classes[storable.kind], items], items
 
     def _array(self, value: np.ndarray) -> tuple[list[Any], list[int]]:
+        """Write an array: plain items and texts as buffers, other objects as nodes."""
         order = "F" if value.flags.f_contiguous and not value.flags.c_contiguous else "C"
         flat = value.reshape(-1, order=order)  # type: ignore[call-overload]
-        about = [list(value.shape), order, value.flags.writeable]
+        layout = [list(value.shape), order, value.flags.writeable]
         if not value.dtype.hasobject:
             dtype = self._dtype(value.dtype)
             if value.dtype.itemsize == 0 and value.size:
                 raise DataFileError(
                     f"a data file cannot hold an array of items without bytes{self._place()}"
                 )
-            # Not all types offer their memory as it is; bytes do.
+            # Not all dtypes export their memory (datetime64 does not); a view of bytes always
+            # does.
             raw = np.ascontiguousarray(flat).view(np.uint8).data if value.size else b""
-            return ["array", *about, dtype, self._buffer(raw)], []
+            return ["array", *layout, dtype, self._buffer(raw)], []
         if value.dtype != object:
             raise DataFileError(f"a data file cannot hold an array of {value.dtype}{self._place()}")
         if all(item is None or type(item) is str for item in flat):
             texts = [None if item is None else _encoded(item) for item in flat]
             lengths = np.array([-1 if text is None else len(text) for text in texts], dtype="<i8")
-            joined = b"".join(text for text in texts if text)
-            return ["texts", *about, self._buffer(lengths.tobytes()), self._buffer(joined)], []
+            encoded = b"".join(text for text in texts if text)
+            return ["texts", *layout, self._buffer(lengths.tobytes()), self._buffer(encoded)], []
         items = self._all(enumerate(flat))
-        return ["objects", *about, items], items
+        return ["objects", *layout, items], items
 
     def _dtype(self, dtype: np.dtype[Any]) -> Any:
+        """Describe a dtype; raise DataFileError with the place of the array."""
         try:
-            return described(dtype)
+            return describe_dtype(dtype)
         except ValueError as error:
             raise DataFileError(f"a data file cannot hold {error}{self._place()}") from None
 
     def _buffer(self, content: Any) -> int:
+        """Add a buffer and return its number."""
         self._buffers.append(content)
         return len(self._buffers) - 1
 
     def _all(self, values: Iterable[tuple[Any, Any]]) -> list[int]:
-        found = []
+        """Write named values and return their node numbers; the names locate an error."""
+        numbers = []
         for name, value in values:
             self._trail.append(str(name))
-            found.append(self.add(value))
+            numbers.append(self.add(value))
             self._trail.pop()
-        return found
+        return numbers
 
     def _place(self) -> str:
+        """Return where in the value an error occurred, for messages."""
         return f", at {'.'.join(self._trail)}" if self._trail else ""
 
 
 def _json(value: Any) -> str:
+    """Return compact JSON; NaN is refused."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 
 def _identity(value: Any) -> Any:
-    """Equal for what may be one node: the same object, or plain values that nothing can tell apart."""
+    """Return equal keys for values that may share one node.
+
+    These are the same object, or plain values that cannot be distinguished.
+    """
     # NaN is not equal to itself: two of them may be keys of one dictionary.
     if type(value) is float and value == value:
         return float, struct.pack("<d", value)
@@ -759,12 +872,13 @@ def _identity(value: Any) -> Any:
 
 
 def _encoded(text: str) -> bytes:
+    """Encode as UTF-8; file names may carry other bytes as lone surrogates."""
     # File names may carry bytes that are no UTF-8, as lone surrogates.
     return text.encode("utf-8", "surrogatepass")
 
 
 def _text(text: str) -> Any:
-    """As it is, or its bytes in hex where JSON would not give it back."""
+    """Return a text as it is, or its bytes in hexadecimal if JSON would not preserve it."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -773,12 +887,14 @@ def _text(text: str) -> Any:
 
 
 def _number(value: int) -> Any:
+    """Return an int, in hexadecimal if long: decimal conversion takes quadratic time."""
     # Decimal digits take quadratic time.
     return value if abs(value) < 2**63 else hex(value)
 
 
 def _real(value: float) -> Any:
-    # NaN carries bits of its own.
+    """Return a float, or its bits in hexadecimal if it is not finite: NaN has a payload."""
+    # The payload bits of a NaN are preserved.
     return value if np.isfinite(value) else struct.pack(">d", value).hex()
 
 

@@ -14,9 +14,9 @@ from .info import log_info as log_info
 from .info import no_aeroplane as no_aeroplane
 from .load import default_cache as default_cache
 from .load import import_log as import_log
-from .manoeuvres import FOUND as FOUND
-from .manoeuvres import label_found as label_found
-from .manoeuvres import labelled as labelled
+from .manoeuvres import FROM_COMMANDS as FROM_COMMANDS
+from .manoeuvres import label_from_commands as label_from_commands
+from .manoeuvres import with_manoeuvres as with_manoeuvres
 from .map_proposal import MapProposal as MapProposal
 from .map_proposal import propose_map as propose_map
 from .servo import logged_rows as logged_rows

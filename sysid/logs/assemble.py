@@ -1,7 +1,8 @@
-"""RawLog + signal map + airframe card -> FlightRecord on one grid. Pure: no files are touched here.
+"""Assemble a flight record from a raw log, a signal map and an airframe card.
 
-The grid is uniform at the usual rate of the fastest of the rate and acceleration channels (for tables: their own
-times). Commands are held onto it, everything else is interpolated, nothing across a gap.
+The grid is uniform at the rate of the fastest rate or acceleration channel; tables keep their own
+times. Commands are held onto the grid, all other signals are interpolated, and nothing is bridged
+across a gap. `bridge` fills short dropouts of a finished record. No files are read here.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from numpy.typing import NDArray
 from sysid.arrays import FloatArray
 from sysid.errors import Finding, LogError
 from sysid.foreign.raw import RawLog
-from sysid.logs import manoeuvres as flight_phase
 from sysid.logs.card import AirframeCard
 from sysid.logs.channels import CIRCLE_FROM, Channel, Times, resolve, wrap_angles
 from sysid.logs.checking.checks import (
@@ -26,8 +26,8 @@ from sysid.logs.checking.checks import (
     estimated_channels,
     one_per_cause,
 )
-from sysid.logs.importers.tables import listed
-from sysid.logs.manoeuvres import found_loiters, loiter_commands
+from sysid.logs.importers.tables import columns_message
+from sysid.logs.manoeuvres import FlightPhase, find_free_flight, find_loiters, loiter_commands
 from sysid.logs.sensors import Sensors
 from sysid.logs.servo import Control, controls, deflection, elevator_channel
 from sysid.logs.signal_map import Entry, ServoOutputs, SignalMap
@@ -37,7 +37,7 @@ from sysid.vocabulary import COMMANDS, LABELS, MANOEUVRE_TEXT, PLANE_MODES, SIGN
 
 _GRID_CHANNELS = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
 _MAX_ROWS = 40_000_000
-_FEW_ROWS, _ROWS_PER_SAMPLE = 1_000_000, 20
+_MIN_ROW_LIMIT, _ROWS_PER_SAMPLE = 1_000_000, 20
 
 
 def assemble(
@@ -46,19 +46,36 @@ def assemble(
     card: AirframeCard | None,
     source: str = "",
     sha256: str = "",
-    judged: bool = True,
+    run_checks: bool = True,
 ) -> FlightRecord:
-    """Build the record of a whole log, with everything the checks found in its metadata.
+    """Build the record of a whole log, with the findings of all checks in its metadata.
 
-    judged  False leaves the checks of the finished record out; `with_checks` makes up for it
-    Raises LogError when the log has none of the channels a record is made of.
+    Parameters
+    ----------
+    raw : RawLog
+        Content of the log.
+    signal_map : SignalMap
+        Sources of the signals.
+    card : AirframeCard or None
+        Servo tables; without a card no surface deflection can be computed from servo outputs.
+    source, sha256 : str
+        File name and digest, for the metadata.
+    run_checks : bool
+        False leaves out the checks of the finished record; `with_checks` adds them.
+
+    Raises
+    ------
+    LogError
+        If the log has none of the channels that a record is made of.
     """
+    # A copy whose messages are dropped one by one as the record grows.
     raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
     sensors = Sensors(raw, signal_map.sensors)
     start = _start(raw, sensors)
     loiters = loiter_commands(raw, start)
     times = Times(raw)
-    servos, wanted, findings = _servo_channels(raw, signal_map.servos, card, times)
+    servos, servo_controls, findings = _servo_channels(raw, signal_map.servos, card, times)
+    # Each signal has a function that makes its channel: a log field, else a servo output.
     sources: dict[str, Callable[[], Channel | None]] = {
         name: partial(resolve, raw, name, candidates, times, sensors)
         for name, candidates in signal_map.entries.items()
@@ -68,27 +85,28 @@ def assemble(
     grid = _grid(raw, sources, signal_map)
     step = float(np.median(np.diff(grid)))
     columns: dict[str, NDArray[Any]] = {"time_s": grid}
-    about: dict[str, tuple[str, float, bool]] = {}
+    origin: dict[str, tuple[str, float, bool]] = {}
     checked: set[str] = set()
     mode_changes = np.array([])
     last_use = _last_use(signal_map)
     for name in SIGNALS:
-        # One channel at a time, and what no later one needs is dropped: a big log must not be in memory as messages,
-        # channels and columns all at once.
+        # Make one channel at a time and drop messages that no later one needs: a large log must
+        # not be in memory as messages, channels and columns together.
         channel = sources[name]() if name in sources else None
         _drop(raw, last_use.get(name, ()))  # the channel holds its own copy
         if channel is None:
             continue
         findings += check_channel(channel, step, checked)
         columns[name] = _on_grid(channel, grid)
-        about[name] = (channel.label, channel.rate_hz, channel.estimate)
+        origin[name] = (channel.label, channel.rate_hz, channel.estimate)
         if name == "mode":
             columns[name] = _mode_names(columns[name], raw)
             mode_changes = channel.time_s[1:][np.diff(channel.values) != 0]
-    findings += _servo_tables(wanted, {n: label for n, (label, _, _) in about.items()})
+    findings += _servo_tables(servo_controls, {n: label for n, (label, _, _) in origin.items()})
     labels = _manoeuvres(raw, grid)
     if labels is not None:
         columns["manoeuvre"] = labels
+    # Angles that count turns are put on one turn; they were not out of range.
     wrapped = wrap_angles(columns)
     columns.update(wrapped)
     findings = [f for f in findings if f.code != "out-of-range" or f.channel not in wrapped]
@@ -103,14 +121,15 @@ def assemble(
         aircraft="" if card is None else card.name,
         grid_hz=round(1.0 / step, 6),
         start=start,
-        native_hz={n: round(rate, 4) for n, (_, rate, _) in about.items() if np.isfinite(rate)},
-        channels={n: label for n, (label, _, _) in about.items()},
-        estimates=tuple(n for n, (_, _, estimate) in about.items() if estimate),
+        native_hz={n: round(rate, 4) for n, (_, rate, _) in origin.items() if np.isfinite(rate)},
+        channels={n: label for n, (label, _, _) in origin.items()},
+        estimates=tuple(n for n, (_, _, estimate) in origin.items() if estimate),
         free_flight_s=() if phase.free_s is None else (phase.free_s,),
-        loiters=found_loiters(columns, loiters),
+        loiters=find_loiters(columns, loiters),
     )
     record = FlightRecord(columns, meta)
     findings += sensors.findings()
+    # A sensor may stand still on the ground.
     findings = [f for f in findings if f.code != "stuck" or _in_flight(f, phase.free_s)]
     findings = [
         *raw.findings,
@@ -118,17 +137,17 @@ def assemble(
             "flight-phase",
             "",
             "info",
-            phase.why,
+            phase.reason,
             {} if phase.tow_s is None else {"tow_end_s": phase.tow_s[1]},
         ),
         *findings,
     ]
     record = FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
-    return with_checks(record) if judged else record
+    return with_checks(record) if run_checks else record
 
 
 def with_checks(record: FlightRecord) -> FlightRecord:
-    """Add what the checks find in a record of `assemble`."""
+    """Add the findings of the record checks to a record of `assemble`."""
     meta = record.metadata
     fresh = check_record(record, next(iter(meta.free_flight_s), None))
     findings = one_per_cause([*meta.findings, *fresh])
@@ -139,7 +158,7 @@ def with_checks(record: FlightRecord) -> FlightRecord:
 
 
 def _in_flight(finding: Finding, free_s: tuple[float, float] | None) -> bool:
-    """Whether what the finding is about lasted in free flight; on the ground a sensor may stand still."""
+    """Return whether the span of a finding overlaps free flight."""
     return (
         free_s is not None
         and finding.numbers["start_s"] < free_s[1]
@@ -148,15 +167,15 @@ def _in_flight(finding: Finding, free_s: tuple[float, float] | None) -> bool:
 
 
 def _first_of(
-    own: Callable[[], Channel | None] | None, servo: Callable[[], Channel | None]
+    from_message: Callable[[], Channel | None] | None, from_servo: Callable[[], Channel | None]
 ) -> Channel | None:
-    """A surface's own message if the log carries it, else what its servo output says."""
-    found = own() if own is not None else None
-    return found if found is not None else servo()
+    """Return the channel of a surface's own message, else that of its servo output."""
+    channel = from_message() if from_message is not None else None
+    return channel if channel is not None else from_servo()
 
 
 def _last_use(signal_map: SignalMap) -> dict[str, list[str]]:
-    """signal -> messages that no later signal of the vocabulary's order may need (servo outputs stay)."""
+    """Return signal to messages that no later signal needs; servo outputs are never listed."""
     last: dict[str, str] = {}
     for name in SIGNALS:
         for entry in signal_map.entries.get(name, ()):
@@ -175,15 +194,19 @@ def _last_use(signal_map: SignalMap) -> dict[str, list[str]]:
 
 
 def _drop(raw: RawLog, messages: Iterable[str]) -> None:
-    kept = raw.messages
-    assert isinstance(kept, dict)
-    for key in [k for k in kept if k[0] in messages]:
-        del kept[key]
+    """Delete messages from the log, to free memory."""
+    remaining = raw.messages
+    assert isinstance(remaining, dict)
+    for key in [k for k in remaining if k[0] in messages]:
+        del remaining[key]
 
 
 def _grid(
     raw: RawLog, sources: Mapping[str, Callable[[], Channel | None]], signal_map: SignalMap
 ) -> FloatArray:
+    """Return the grid times: those of a table, or a uniform grid at the rate of the fastest
+    channel.
+    """
     best: Channel | None = None
     for names in (_GRID_CHANNELS, tuple(n for n in SIGNALS if n not in (*_GRID_CHANNELS, "mode"))):
         for name in names:
@@ -200,19 +223,21 @@ def _grid(
     if not np.isfinite(step) or step <= 0:
         raise LogError("no channel has two samples; the log is too short to use")
     span = best.time_s[-1] - best.time_s[0]
-    # Gaps become rows: a few stamps a microsecond apart and far from the others would ask for any amount of memory.
-    most = min(_MAX_ROWS, _FEW_ROWS + _ROWS_PER_SAMPLE * len(best.time_s))
-    if span / step > most:
+    # Gaps become rows of NaN. A few stamps that are a microsecond apart and far from the others
+    # would otherwise fill the memory.
+    max_rows = min(_MAX_ROWS, _MIN_ROW_LIMIT + _ROWS_PER_SAMPLE * len(best.time_s))
+    if span / step > max_rows:
         raise LogError(
-            f"{span:.0f} s at {1 / step:.0f} Hz would be more than {most} rows; cut the log into parts or correct its times"
+            f"{span:.0f} s at {1 / step:.0f} Hz would be more than {max_rows} rows; cut the log"
+            " into parts or correct its times"
         )
-    # Stamps jitter by microseconds: a step of a round number of microseconds keeps the grid on the samples.
+    # Stamps jitter by microseconds; a step of whole microseconds keeps the grid on the samples.
     step = round(step, 6) or step
     return np.round(best.time_s[0] + step * np.arange(int(np.floor(span / step + 0.25)) + 1), 9)
 
 
 def _no_signal(raw: RawLog, signal_map: SignalMap) -> str:
-    """Why no signal of the map could be made from the log, and what to do."""
+    """Return why no signal of the map is in the log, and what to do."""
     for (message, _), table in raw.messages.items():
         mapped = {
             f
@@ -221,8 +246,8 @@ def _no_signal(raw: RawLog, signal_map: SignalMap) -> str:
             if c.message == message
             for f in c.fields
         }
-        good = table.time_s[np.isfinite(table.time_s)]
-        steps = np.diff(good)
+        finite_s = table.time_s[np.isfinite(table.time_s)]
+        steps = np.diff(finite_s)
         if mapped & set(table.fields) and np.median(steps if steps.size else [0.0]) > JUMP_S:
             column = str(raw.facts.get("time column", message))
             finding = time_unit_finding(column, float(np.median(steps)), converted=False)
@@ -230,16 +255,17 @@ def _no_signal(raw: RawLog, signal_map: SignalMap) -> str:
     if "columns" in raw.facts:
         return (
             f"no signal of the map '{signal_map.name}' is among the columns of this table:"
-            f" {listed(str(raw.facts['columns']).split(chr(10)))}"
+            f" {columns_message(str(raw.facts['columns']).split(chr(10)))}"
         )
-    have = ", ".join(sorted({m for m, _ in raw.messages})[:20])
+    available = ", ".join(sorted({m for m, _ in raw.messages})[:20])
     return (
-        f"no signal of the map '{signal_map.name}' is in this log; it has {have or 'nothing'};"
+        f"no signal of the map '{signal_map.name}' is in this log; it has {available or 'nothing'};"
         " give a --map (`uqharness log map FILE --out map.toml` proposes one)"
     )
 
 
 def _on_grid(c: Channel, grid: FloatArray) -> NDArray[Any]:
+    """Put a channel on the grid by the method of its kind."""
     if c.name == "mode":
         at = np.searchsorted(c.time_s, grid, side="right") - 1
         return np.where(at >= 0, c.values[np.maximum(at, 0)], np.nan)
@@ -253,11 +279,13 @@ def _on_grid(c: Channel, grid: FloatArray) -> NDArray[Any]:
 
 
 def _interpolate_angle(name: str, c: Channel, grid: FloatArray) -> FloatArray:
+    """Interpolate an angle on the circle; NaN where the samples are NaN."""
     sine = interpolate(c.time_s, np.sin(c.values), c.clean.gaps, grid)
-    good = np.isfinite(c.values)
-    turned = c.values.copy()
-    turned[good] = np.unwrap(c.values[good])
-    out = interpolate(c.time_s, turned, c.clean.gaps, grid)
+    is_finite = np.isfinite(c.values)
+    # Unwrap, interpolate, and wrap again onto the turn of the vocabulary.
+    unwrapped = c.values.copy()
+    unwrapped[is_finite] = np.unwrap(c.values[is_finite])
+    out = interpolate(c.time_s, unwrapped, c.clean.gaps, grid)
     out = np.mod(out, 2 * np.pi) if name == "psi_rad" else np.mod(out + np.pi, 2 * np.pi) - np.pi
     return np.where(np.isfinite(sine), out, np.nan)
 
@@ -265,35 +293,41 @@ def _interpolate_angle(name: str, c: Channel, grid: FloatArray) -> FloatArray:
 def _servo_channels(
     raw: RawLog, outputs: ServoOutputs | None, card: AirframeCard | None, times: Times
 ) -> tuple[dict[str, Callable[[], Channel | None]], dict[str, Control], list[Finding]]:
+    """Return the functions that make channels from servo outputs, their controls and findings."""
     if outputs is None or (outputs.message, outputs.instance) not in raw.messages:
         return {}, {}, []
     key = (outputs.message, outputs.instance)
     if int(times.of(key).keep.sum()) < 2:
         return {}, {}, []
-    wanted, findings = controls(card, raw.parameters)
+    servo_controls, findings = controls(card, raw.parameters)
     if card is None:
-        text = "servo outputs are logged but no card says what angles they mean: give --aircraft, or tables in --map"
+        text = (
+            "servo outputs are logged but no card says what angles they mean: give --aircraft, or"
+            " tables in --map"
+        )
         findings.append(Finding("no-card", outputs.message, "warning", text, {}))
     return (
         {
             n: partial(_servo_channel, raw, outputs, times, n, control)
-            for n, control in wanted.items()
+            for n, control in servo_controls.items()
         },
-        wanted,
+        servo_controls,
         findings,
     )
 
 
-def _servo_tables(wanted: Mapping[str, Control], labels: Mapping[str, str]) -> list[Finding]:
-    """Which tables were used and where they are from, of the columns that were made from servo outputs."""
-    used = [c for n, c in wanted.items() if labels.get(n, "").endswith(c.label)]
-    told, against = (
+def _servo_tables(
+    servo_controls: Mapping[str, Control], labels: Mapping[str, str]
+) -> list[Finding]:
+    """Return findings on the servo tables that were used and on conflicts between card and log."""
+    used = [c for n, c in servo_controls.items() if labels.get(n, "").endswith(c.label)]
+    descriptions, conflicts = (
         "; ".join(filter(None, parts))
-        for parts in ([c.told for c in used], [c.against for c in used])
+        for parts in ([c.description for c in used], [c.conflicts for c in used])
     )
-    out = [Finding("servo-table", "", "info", told, {})] if told else []
-    if against:
-        text = f"card and log do not agree, the log's parameters were used: {against}"
+    out = [Finding("servo-table", "", "info", descriptions, {})] if descriptions else []
+    if conflicts:
+        text = f"card and log do not agree, the log's parameters were used: {conflicts}"
         out.append(Finding("servo-conflict", "", "warning", text, {}))
     return out
 
@@ -301,6 +335,7 @@ def _servo_tables(wanted: Mapping[str, Control], labels: Mapping[str, str]) -> l
 def _servo_channel(
     raw: RawLog, outputs: ServoOutputs, times: Times, name: str, control: Control
 ) -> Channel | None:
+    """Return one command from the servo outputs, by the weights and tables of its control."""
     key = (outputs.message, outputs.instance)
     table, cleaned = raw.messages[key], times.of(key)
     fields = [servo_field(outputs, raw, channel) for channel, _, _ in control.parts]
@@ -327,7 +362,10 @@ def _servo_channel(
 
 
 def servo_field(outputs: ServoOutputs, raw: RawLog, channel: int) -> str | None:
-    """Field of servo output `channel` (counted from 1; PX4 counts from 0) in this log; None where it has none."""
+    """Return the field of a servo output in this log; None if it is absent.
+
+    ``channel`` counts from 1; PX4 counts from 0.
+    """
     names = outputs.fields_of(channel - 1 if raw.dialect == "ulog" else channel)
     return next(
         (
@@ -345,7 +383,8 @@ def _phase(
     outputs: ServoOutputs | None,
     times: Times,
     mode_changes_s: FloatArray,
-) -> flight_phase.FlightPhase:
+) -> FlightPhase:
+    """Find free flight from speed, height, pitch rate and elevator, whichever the log has."""
     grid = columns["time_s"]
     speed = columns.get("V_mps")
     if speed is None and "vn_mps" in columns and "ve_mps" in columns:
@@ -364,7 +403,7 @@ def _phase(
             elevator = hold(
                 raw.messages[key].time_s[cleaned.keep], pwm, cleaned.gaps, grid, cleaned.step_s
             )
-    return flight_phase.find(
+    return find_free_flight(
         grid,
         np.full(len(grid), np.nan) if speed is None else speed,
         columns.get("h_m"),
@@ -375,15 +414,20 @@ def _phase(
 
 
 def _mode_names(numbers: FloatArray, raw: RawLog) -> NDArray[Any]:
+    """Return flight modes as text: ArduPlane's names, or "mode N" for other vehicles."""
     plane = raw.dialect.startswith("dataflash") or raw.facts.get("mav_type") == 1.0
-    known = PLANE_MODES if plane else {}
+    mode_names = PLANE_MODES if plane else {}
     unique, inverse = np.unique(np.where(np.isfinite(numbers), numbers, -1), return_inverse=True)
-    names = ["" if u < 0 else known.get(int(u), f"mode {int(u)}") for u in unique]
+    names = ["" if u < 0 else mode_names.get(int(u), f"mode {int(u)}") for u in unique]
     return np.array(names, dtype=object)[inverse]
 
 
 def _manoeuvres(raw: RawLog, grid: FloatArray) -> NDArray[Any] | None:
-    """Labels from texts such as "manoeuvre pitch-doublet" ... "manoeuvre end", which our own logs carry."""
+    """Return labels from texts such as "manoeuvre pitch-doublet" and "manoeuvre end"; None
+    without any.
+
+    `dataflash_writer` writes such texts.
+    """
     marks = [
         (t, text.removeprefix(MANOEUVRE_TEXT))
         for t, text in raw.texts
@@ -397,6 +441,7 @@ def _manoeuvres(raw: RawLog, grid: FloatArray) -> NDArray[Any] | None:
 
 
 def _start(raw: RawLog, sensors: Sensors) -> dict[str, float]:
+    """Return the first GPS fix as lat_deg, lon_deg and alt_m; empty without one."""
     for message, lat, lon, alt, scale in (
         ("GPS", "Lat", "Lng", "Alt", 1.0),
         ("GLOBAL_POSITION_INT", "lat", "lon", "alt", 1e-7),
@@ -418,28 +463,51 @@ def _start(raw: RawLog, sensors: Sensors) -> dict[str, float]:
     return {}
 
 
-# Lost rows and samples: short ones are bridged, long ones stay what they are.
+# Short dropouts are bridged; long gaps stay.
 
-LONGEST_S = 0.1
-MOST = 0.2
-"""Share of a channel's samples that may be bridged. Each counts as a measurement: standard errors 10 % too small at worst."""
+MAX_BRIDGED_S = 0.1
+MAX_BRIDGED_SHARE = 0.2
+"""Share of a channel's samples that may be bridged. Bridged samples count as measurements, so that
+standard errors are at most 10 % too small.
+"""
 
 
 def bridge(
     record: FlightRecord,
     names: Sequence[str],
-    held: Collection[str] = (),
-    longest_s: float = LONGEST_S,
+    held_channels: Collection[str] = (),
+    longest_s: float = MAX_BRIDGED_S,
 ) -> tuple[FlightRecord, list[str]]:
-    """The record without its short dropouts, and sentences with numbers.
+    """Fill the short dropouts of a record.
 
-    Rows lost over at most ``longest_s`` seconds are put back, evenly spaced in time; then NaN over at most that long, between two
-    samples, in the channels ``names`` become straight lines, or the value before in those of ``held`` (commands hold). A channel
-    that would be bridged in more than a fifth stays as it is, and so does every longer gap: nothing is integrated across one.
+    Rows that are missing over at most ``longest_s`` are inserted, evenly spaced in time. Then NaN
+    over at most that long is interpolated linearly in the channels ``names``, or held in those of
+    ``held_channels``. A channel with more than MAX_BRIDGED_SHARE to fill stays as it is, and so
+    does every longer gap.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        Record with dropouts.
+    names : sequence of str
+        Channels to fill.
+    held_channels : collection of str
+        Channels that keep the last value instead (commands).
+    longest_s : float
+        Longest dropout that is filled, s.
+
+    Returns
+    -------
+    record : FlightRecord
+        The filled record.
+    notes : list of str
+        A sentence with numbers for each kind of repair.
     """
-    record, lost = _rows_put_back(record, longest_s)
+    record, restored_rows = _restore_rows(record, longest_s)
     notes = (
-        [f"{lost} lost row(s) were put back, each gap at most {longest_s:g} s long"] if lost else []
+        [f"{restored_rows} lost row(s) were put back, each gap at most {longest_s:g} s long"]
+        if restored_rows
+        else []
     )
     time = record["time_s"]
     columns: dict[str, NDArray[Any]] = {}
@@ -447,40 +515,45 @@ def bridge(
         if name not in record or name in LABELS:
             continue
         values = np.array(record[name], dtype=np.float64)
-        good = np.flatnonzero(np.isfinite(values))
-        # The step from one finite sample to the next, for the samples in between.
+        finite_rows = np.flatnonzero(np.isfinite(values))
+        # Dropouts: steps between finite samples that skip rows, within the allowed time.
         jumps = np.flatnonzero(
-            (np.diff(good) > 1) & (np.diff(time[good]) <= longest_s + record.dt_s)
+            (np.diff(finite_rows) > 1) & (np.diff(time[finite_rows]) <= longest_s + record.dt_s)
         )
         inside = (
-            np.concatenate([np.arange(good[j] + 1, good[j + 1]) for j in jumps])
+            np.concatenate([np.arange(finite_rows[j] + 1, finite_rows[j + 1]) for j in jumps])
             if jumps.size
             else np.zeros(0, int)
         )
-        if not inside.size or inside.size > MOST * (good.size + inside.size):
+        if not inside.size or inside.size > MAX_BRIDGED_SHARE * (finite_rows.size + inside.size):
             continue
-        if name in held:
-            values[inside] = values[good[np.searchsorted(good, inside) - 1]]
+        if name in held_channels:
+            values[inside] = values[finite_rows[np.searchsorted(finite_rows, inside) - 1]]
         else:
-            values[inside] = np.interp(time[inside], time[good], values[good])
+            values[inside] = np.interp(time[inside], time[finite_rows], values[finite_rows])
         columns[name] = values
-        if inside.size > lost:
-            how = "held" if name in held else "bridged in straight lines"
+        if inside.size > restored_rows:
+            method = "held" if name in held_channels else "bridged in straight lines"
             notes.append(
-                f"{inside.size} of {good.size + inside.size} samples of {name} are missing and were {how}"
+                f"{inside.size} of {finite_rows.size + inside.size} samples of {name} are missing"
+                f" and were {method}"
             )
     return (record.with_columns(columns) if columns else record), notes
 
 
-def _rows_put_back(record: FlightRecord, longest_s: float) -> tuple[FlightRecord, int]:
-    """Rows of NaN where time jumps by more than 1.5 and at most longest_s + one step; labels as those before."""
+def _restore_rows(record: FlightRecord, longest_s: float) -> tuple[FlightRecord, int]:
+    """Insert rows of NaN where time skips a few steps; return the record and their number.
+
+    Labels repeat the row before.
+    """
     time, dt = record["time_s"], record.dt_s
     steps = np.diff(time)
     at = np.flatnonzero((steps > 1.5 * dt) & (steps <= longest_s + dt))
+    # Rows that fit into the step, apart from its end.
     missing = np.rint(steps[at] / dt).astype(int) - 1
     at, missing = at[missing > 0], missing[missing > 0]
-    lost = int(missing.sum())
-    if not 0 < lost <= MOST * (len(record) + lost):
+    missing_rows = int(missing.sum())
+    if not 0 < missing_rows <= MAX_BRIDGED_SHARE * (len(record) + missing_rows):
         return record, 0
     where = np.repeat(at + 1, missing)
     new = np.concatenate(
@@ -495,4 +568,4 @@ def _rows_put_back(record: FlightRecord, longest_s: float) -> tuple[FlightRecord
             columns[name] = np.insert(
                 values, where, values[where - 1] if name in LABELS else np.nan
             )
-    return FlightRecord(columns, record.metadata), lost
+    return FlightRecord(columns, record.metadata), missing_rows

@@ -1,6 +1,7 @@
-"""airframe.toml, the card of an aircraft: what its XML cannot say. The one reader of it.
+"""Read airframe.toml, the card of an aircraft: facts that its XML does not contain.
 
-Logs need servo tables and mixing. Sections that are the simulator's alone stay as they are in ``document``.
+Importers need the servo tables and the mixing, estimators the sensor positions and noise.
+Sections that only the simulator uses stay in ``document``. All readers of cards call `read_card`.
 """
 
 from __future__ import annotations
@@ -35,11 +36,16 @@ _MIXES = {"vtail": ("elevator", "rudder"), "elevon": ("elevator", "aileron")}
 
 @dataclass(frozen=True)
 class Servo:
-    """PWM in microseconds to deflection (degrees, or percent for the throttle).
+    """PWM to deflection (deg; percent for the throttle).
 
-    table    (pwm, deflection) pairs, linear between them and beyond
-    limits   the deflection's stops
-    channel  servo output, counted from 1; None: by the autopilot's SERVOn_FUNCTION
+    Attributes
+    ----------
+    table : tuple of pairs
+        (PWM in us, deflection), linear between the pairs and beyond.
+    limits : tuple of float
+        Stops of the deflection.
+    channel : int or None
+        Servo output, counted from 1; None to follow the autopilot's SERVOn_FUNCTION.
     """
 
     table: Table
@@ -49,7 +55,7 @@ class Servo:
 
 @dataclass(frozen=True)
 class Throw:
-    """Deflection [deg] at the low and the high end of a surface's travel, and the key of the card that says so."""
+    """Deflection at both ends of a surface's travel, deg, and the key of the card that gives it."""
 
     low: float
     high: float
@@ -58,10 +64,10 @@ class Throw:
 
 @dataclass(frozen=True)
 class Mix:
-    """A v-tail or elevons: two panels, each with its own servo; deflection + trailing edge down on both.
+    """V-tail or elevons: two panels with a servo each, deflection positive trailing edge down.
 
-    first = (left + right)/2 is the elevator; second = (left - right)/2 is the rudder (v-tail, + nose left) or the
-    aileron (elevons, + rolls right).
+    (left + right)/2 is the elevator. (left - right)/2 is the rudder of a v-tail (positive nose
+    left) or the aileron of elevons (positive rolls right).
     """
 
     kind: str
@@ -70,13 +76,13 @@ class Mix:
 
     @property
     def outputs(self) -> tuple[str, str]:
-        """The two inputs that the panels make up."""
+        """The two inputs that the panels combine."""
         return _MIXES[self.kind]
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Wing area [m2], span and mean chord [m] that coefficients are made dimensionless with; None: the metrics of the XML."""
+    """Reference wing area [m2], span and mean chord [m]; None takes the metrics of the XML."""
 
     S_m2: float | None = None
     b_m: float | None = None
@@ -85,7 +91,9 @@ class Reference:
 
 @dataclass(frozen=True)
 class Sensors:
-    """position_m: places from the centre of gravity, body axes [m]; noise_std: one standard deviation by channel."""
+    """Sensor positions from the centre of gravity, body axes [m], and noise standard deviation a
+    channel.
+    """
 
     position_m: Mapping[str, Position] = field(default_factory=dict)
     noise_std: Mapping[str, float] = field(default_factory=dict)
@@ -93,7 +101,21 @@ class Sensors:
 
 @dataclass(frozen=True)
 class AirframeCard:
-    """A card. document: every table of the file as it was read, and nothing of it is in a card's text or equality."""
+    """Content of a card.
+
+    Attributes
+    ----------
+    name, path : str
+        Aircraft and file.
+    reference : Reference
+        Lengths and area for dimensionless coefficients.
+    servos, mixes, throws : mapping, tuple, mapping
+        PWM to deflection by input, v-tails and elevons, and ends of travel.
+    sensors : Sensors
+        Positions and noise.
+    document : mapping
+        All tables of the file as read; not part of ``repr`` and equality.
+    """
 
     name: str
     path: str = ""
@@ -106,7 +128,23 @@ class AirframeCard:
 
 
 def read_card(path: Path) -> AirframeCard:
-    """Read airframe.toml (or the folder that holds it). LogError names file, table and key."""
+    """Read the card of an aircraft.
+
+    Parameters
+    ----------
+    path : Path
+        airframe.toml, or the folder that holds it.
+
+    Returns
+    -------
+    AirframeCard
+        Its servos, mixes, sensors and reference values.
+
+    Raises
+    ------
+    LogError
+        With file, table and key, if the file is missing or cannot be used.
+    """
     file = path / "airframe.toml" if path.is_dir() else path
     try:
         text = read_regular_text(file)
@@ -120,7 +158,7 @@ def read_card(path: Path) -> AirframeCard:
 
 
 def parse_card(text: str, file: Path) -> AirframeCard:
-    """The card in the text of ``file``. LogError names file, table and key."""
+    """Parse the text of a card; raise LogError with file, table and key."""
     try:
         data = parse_toml(text)
     except ParseError as e:
@@ -132,7 +170,7 @@ def parse_card(text: str, file: Path) -> AirframeCard:
     for key, value in inputs.items():
         where = f"[inputs.{key}]"
         row = _table(value, where, name)
-        _refuse_slips(row, name, where)
+        _refuse_misspelt_keys(row, name, where)
         servo = _servo(row, where, name)
         if servo is not None:
             servos[key] = servo
@@ -152,26 +190,30 @@ def parse_card(text: str, file: Path) -> AirframeCard:
     )
 
 
-def _refuse_slips(row: dict[str, Any], name: str, where: str) -> None:
-    """Other programs may keep keys of their own here; one that is nearly ours is a slip of the pen."""
+def _refuse_misspelt_keys(row: dict[str, Any], name: str, where: str) -> None:
+    """Raise LogError for a key that resembles a known one.
+
+    Other unknown keys are allowed, since other programs may use the file.
+    """
     for key in row:
-        near = difflib.get_close_matches(key, sorted(_INPUT_KEYS - set(row)), n=1, cutoff=0.75)
-        if key not in _INPUT_KEYS and near:
+        similar = difflib.get_close_matches(key, sorted(_INPUT_KEYS - set(row)), n=1, cutoff=0.75)
+        if key not in _INPUT_KEYS and similar:
             raise LogError(
-                f"unknown key '{key}'; did you mean {near[0]}? Known are {sorted(_INPUT_KEYS)}",
+                f"unknown key '{key}'; did you mean {similar[0]}? Known are {sorted(_INPUT_KEYS)}",
                 name,
                 where,
             )
 
 
 def _table(value: Any, where: str, name: str) -> dict[str, Any]:
+    """Return a TOML table; raise LogError for another type."""
     if not isinstance(value, dict):
         raise LogError(f"must be a table; received {value!r}", name, where)
     return value
 
 
-def _own_table(value: Any, allowed: Sequence[str], where: str, name: str) -> dict[str, Any]:
-    """A table with no other keys than these."""
+def _strict_table(value: Any, allowed: Sequence[str], where: str, name: str) -> dict[str, Any]:
+    """Return a TOML table that has only the allowed keys; raise LogError otherwise."""
     row = _table(value, where, name)
     for key in row:
         if key not in allowed:
@@ -180,9 +222,10 @@ def _own_table(value: Any, allowed: Sequence[str], where: str, name: str) -> dic
 
 
 def _reference(value: Any, name: str) -> Reference:
+    """Read ``[reference]``: positive numbers."""
     where = "[reference]"
     numbers = _numbers(
-        _own_table(value, [f.name for f in fields(Reference)], where, name), where, name
+        _strict_table(value, [f.name for f in fields(Reference)], where, name), where, name
     )
     for key, number in numbers.items():
         if number <= 0.0:
@@ -191,13 +234,15 @@ def _reference(value: Any, name: str) -> Reference:
 
 
 def _sensors(value: Any, name: str) -> Sensors:
-    row = _own_table(value, [f.name for f in fields(Sensors)], "[sensors]", name)
+    """Read ``[sensors]``."""
+    row = _strict_table(value, [f.name for f in fields(Sensors)], "[sensors]", name)
     places = _table(row.get("position_m", {}), "[sensors] position_m", name)
     noise = _numbers(row.get("noise_std", {}), "[sensors] noise_std", name)
     return Sensors({key: _position(place, key, name) for key, place in places.items()}, noise)
 
 
 def _numbers(value: Any, where: str, name: str) -> dict[str, float]:
+    """Return a table of finite numbers."""
     out = {}
     for key, number in _table(value, where, name).items():
         out[key] = _number(number, key, name, where)
@@ -205,16 +250,20 @@ def _numbers(value: Any, where: str, name: str) -> dict[str, float]:
 
 
 def _number(value: Any, key: str, name: str, where: str) -> float:
+    """Return a finite float; raise LogError otherwise."""
     if not _is_number(value) or not math.isfinite(value):
         raise LogError(f"{key} must be a finite number; received {value!r}", name, where)
     return float(value)
 
 
 def _throw(row: dict[str, Any], where: str, name: str) -> Throw | None:
-    """The deflections at both ends of a surface's travel: throw_deg, else limits in degrees; None where the card has neither."""
+    """Return the ends of travel from throw_deg, else from limits in degrees; None if the card has
+    neither.
+    """
     if "throw_deg" in row:
         size = abs(_number(row["throw_deg"], "throw_deg", name, where))
         return Throw(-size, size, "throw_deg")
+    # Limits of the command are the ends of travel if they enclose 0.
     if row.get("unit") == "deg" and "limits" in row:
         low, high = map(float, row["limits"])
         return Throw(low, high, "limits") if low < 0.0 < high else None
@@ -222,7 +271,7 @@ def _throw(row: dict[str, Any], where: str, name: str) -> Throw | None:
 
 
 def _servo(row: dict[str, Any], where: str, name: str) -> Servo | None:
-    """The servo of an input or a panel; None where it has no table."""
+    """Return the servo of an input or a panel; None without a table."""
     limits = row.get("limits", [-math.inf, math.inf])
     if not (
         isinstance(limits, list)
@@ -248,12 +297,14 @@ def _servo(row: dict[str, Any], where: str, name: str) -> Servo | None:
 
 
 def _servo_table(pwm: Any, where: str, name: str) -> Table:
+    """Return the pairs of a servo table, given as pairs or as { neutral, per_us }."""
     if not isinstance(pwm, dict):
         return read_table(pwm, name, where)
     # Linear form: { neutral = 1500, per_us = 0.05 }.
     if set(pwm) != {"neutral", "per_us"} or not pwm["per_us"]:
         raise LogError(
-            f"the linear form is {{ neutral = 1500, per_us = 0.05 }} with per_us not 0; received {pwm!r}",
+            "the linear form is { neutral = 1500, per_us = 0.05 } with per_us not 0; received"
+            f" {pwm!r}",
             name,
             where,
         )
@@ -262,20 +313,22 @@ def _servo_table(pwm: Any, where: str, name: str) -> Table:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether a value is a number that a float can hold, infinity among them."""
+    """Return whether a value is a number that a float can hold; infinity is one."""
     return isinstance(value, float) or (type(value) is int and abs(value) <= sys.float_info.max)
 
 
 def _mix(kind: str, value: Any, name: str) -> Mix:
+    """Read ``[mixing.vtail]`` or ``[mixing.elevon]``."""
     where = f"[mixing.{kind}]"
     if kind not in _MIXES:
         raise LogError(f"unknown mixing; allowed are {sorted(_MIXES)}", name, where)
     row = _table(value, where, name)
-    left, right = (_panel(row.get(side, {}), f"{where} {side}", name) for side in ("left", "right"))
-    return Mix(kind, left, right)
+    panels = [_panel(row.get(side, {}), f"{where} {side}", name) for side in ("left", "right")]
+    return Mix(kind, *panels)
 
 
 def _panel(value: Any, where: str, name: str) -> Servo:
+    """Return the servo of a panel, which needs a channel and a table."""
     panel = _table(value, where, name)
     servo = _servo(panel, where, name)
     if servo is None or servo.channel is None:
@@ -284,6 +337,7 @@ def _panel(value: Any, where: str, name: str) -> Servo:
 
 
 def _position(value: Any, key: str, name: str) -> Position:
+    """Return [x, y, z] in metres."""
     if not (
         isinstance(value, list)
         and len(value) == 3

@@ -1,4 +1,9 @@
-"""One signal from a raw log by its map entry: fields, function, scale and table applied, on the message's own times."""
+"""Evaluate map entries: one signal from the fields of a raw log, on the times of its message.
+
+`resolve` applies function, scale, offset and table of a `signal_map.Entry`. The module also has
+the conversions that several importers share: air data from velocity components, angles onto one
+turn, and positions from latitude and longitude.
+"""
 
 from __future__ import annotations
 
@@ -17,25 +22,24 @@ from sysid.logs.servo import extrapolating_table
 from sysid.logs.signal_map import Entry
 from sysid.logs.time_base import CleanTime, clean
 
-# Airspeed and angles of flow from the three components of the motion through the air. Pure
-# numerics.
+# Air data from velocity components in body axes.
 
 COMPONENTS = ("u_mps", "v_mps", "w_mps")
-"""Columns of a table, m/s in body axes: forward, right, down."""
+"""Velocity through the air in body axes (forward, right, down), m/s, as columns of a table."""
 
 
 def speed_of(u: FloatArray, v: FloatArray, w: FloatArray) -> FloatArray:
-    """(n,) true airspeed, in the unit of the components."""
+    """Return the true airspeed, shape (n,), in the unit of the components."""
     return np.sqrt(u**2 + v**2 + w**2)
 
 
 def alpha_of(u: FloatArray, w: FloatArray) -> FloatArray:
-    """(n,) angle of attack, rad; NaN where nothing moves in the plane of symmetry."""
+    """Return the angle of attack, rad, shape (n,); NaN without motion in the plane of symmetry."""
     return np.where((u != 0.0) | (w != 0.0), np.arctan2(w, u), np.nan)
 
 
 def beta_of(u: FloatArray, v: FloatArray, w: FloatArray) -> FloatArray:
-    """(n,) sideslip, rad, + air from the right; NaN where nothing moves."""
+    """Return the sideslip, rad, + with air from the right, shape (n,); NaN without motion."""
     speed = speed_of(u, v, w)
     return np.arcsin(np.divide(v, speed, out=np.full_like(speed, np.nan), where=speed > 0.0))
 
@@ -43,7 +47,14 @@ def beta_of(u: FloatArray, v: FloatArray, w: FloatArray) -> FloatArray:
 def components_of(
     speed: FloatArray, alpha: FloatArray, beta: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """u, v, w, each (n,), in the unit of the speed: the inverse."""
+    """Return u, v, w in the unit of ``speed``, each of shape (n,); alpha and beta in rad.
+
+    Examples
+    --------
+    >>> u, v, w = components_of(np.array([20.0]), np.array([0.1]), np.array([0.0]))
+    >>> float(alpha_of(u, w)[0].round(6))
+    0.1
+    """
     return (
         speed * np.cos(alpha) * np.cos(beta),
         speed * np.sin(beta),
@@ -52,25 +63,36 @@ def components_of(
 
 
 def with_air_data(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Columns of a table with V, alpha and beta made of u, v, w where it has no such columns of its own; u, v, w are left out."""
+    """Replace columns u, v, w by V, alpha and beta; existing columns of these names stay."""
     out = {name: values for name, values in columns.items() if name not in COMPONENTS}
     if not all(name in columns for name in COMPONENTS):
         return out
     u, v, w = (np.asarray(columns[name], dtype=np.float64) for name in COMPONENTS)
     with np.errstate(invalid="ignore", over="ignore"):
-        made = {
+        air_data = {
             "V_mps": speed_of(u, v, w),
             "alpha_rad": alpha_of(u, w),
             "beta_rad": beta_of(u, v, w),
         }
-    return {**made, **out}
+    return {**air_data, **out}
 
 
 @dataclass(frozen=True)
 class Channel:
-    """A signal on its own time stamps (increasing), before it is put onto the record's grid.
+    """A signal on its own time stamps, before it is put on the grid of a record.
 
-    raw  (n,) values as logged, for the checks of wrapping integers; None where several fields are combined
+    Attributes
+    ----------
+    name, label : str
+        Signal, and the log field that it was made from.
+    time_s, values : ndarray of shape (n,)
+        Increasing times, s, and values in the signal's unit.
+    clean : CleanTime
+        Which records of the message were used.
+    estimate : bool
+        True if no sensor measured it.
+    raw : ndarray of shape (n,) or None
+        Values as logged, to detect integers that wrap; None if several fields are combined.
     """
 
     name: str
@@ -83,28 +105,47 @@ class Channel:
 
     @property
     def rate_hz(self) -> float:
-        """Usual rate, NaN below two samples."""
+        """Usual rate, Hz; NaN below two samples."""
         return 1.0 / self.clean.step_s if self.clean.step_s > 0 else float("nan")
 
 
 class Times:
-    """Cleans each message's time stamps once."""
+    """Cleaned time stamps of each message, computed once."""
 
     def __init__(self, raw: RawLog) -> None:
         self._raw = raw
-        self._known: dict[tuple[str, int], CleanTime] = {}
+        self._cleaned: dict[tuple[str, int], CleanTime] = {}
 
     def of(self, key: tuple[str, int]) -> CleanTime:
-        """The cleaned times of one message."""
-        if key not in self._known:
-            self._known[key] = clean(self._raw.messages[key].time_s)
-        return self._known[key]
+        """Return the cleaned times of one message."""
+        if key not in self._cleaned:
+            self._cleaned[key] = clean(self._raw.messages[key].time_s)
+        return self._cleaned[key]
 
 
 def resolve(
     raw: RawLog, name: str, candidates: tuple[Entry, ...], times: Times, sensors: Sensors
 ) -> Channel | None:
-    """The first candidate that the log carries with two or more usable samples, None when there is none."""
+    """Return the first candidate that the log has with at least two usable samples.
+
+    Parameters
+    ----------
+    raw : RawLog
+        Content of the log.
+    name : str
+        Signal; a flight mode may have a single sample.
+    candidates : tuple of Entry
+        Entries of the map in order of preference.
+    times : Times
+        Cleaned time stamps.
+    sensors : Sensors
+        Choice among sensor instances.
+
+    Returns
+    -------
+    Channel or None
+        None if the log has no candidate.
+    """
     for candidate in candidates:
         entry = sensors.resolve(candidate)
         key = (entry.message, entry.instance or 0)
@@ -119,6 +160,7 @@ def resolve(
         values = _apply(entry, fields, time_s)
         if entry.times is not None:
             values = values * _factor(raw, entry.times, times, time_s)
+        # A field of NaN only does not supply the signal; try the next candidate.
         if not np.any(np.isfinite(values)):
             continue
         sensors.note_use(candidate)
@@ -128,6 +170,7 @@ def resolve(
 
 
 def _numeric(table: MessageTable, field: str, entry: Entry) -> FloatArray:
+    """Return a field as float array; raise LogError for text and arrays."""
     values = table.fields[field]
     if values.dtype == object or values.ndim != 1:
         raise LogError(
@@ -140,6 +183,9 @@ def _numeric(table: MessageTable, field: str, entry: Entry) -> FloatArray:
 def _factor(
     raw: RawLog, source: tuple[str, str], times: Times, at_s: FloatArray
 ) -> FloatArray | float:
+    """Return the factor of an entry's ``times`` at the times ``at_s``; 1 if the log does not have
+    it.
+    """
     table = raw.messages.get((source[0], 0))
     if table is None or source[1] not in table.fields:
         return 1.0
@@ -149,11 +195,16 @@ def _factor(
             f"{'.'.join(source)}: this factor holds text, not numbers; name another field in times"
         )
     values = table.fields[source[1]][keep].astype(np.float64)
-    good = np.isfinite(values) & (values > 0.1) & (values < 10.0)
-    return np.interp(at_s, table.time_s[keep][good], values[good]) if good.any() else 1.0
+    is_usable = np.isfinite(values) & (values > 0.1) & (values < 10.0)
+    return (
+        np.interp(at_s, table.time_s[keep][is_usable], values[is_usable])
+        if is_usable.any()
+        else 1.0
+    )
 
 
 def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatArray:
+    """Evaluate function, scale and offset, or the table, of an entry."""
     if entry.table:
         return extrapolating_table(fields[0], entry.table)
     x = fields[0]
@@ -180,10 +231,11 @@ def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatA
                 return offset + scale * beta_of(*fields)
             case "above_start":
                 y = offset + scale * x
+                # The start level is the median of the first second.
                 first = y[time_s <= time_s[np.argmax(np.isfinite(y))] + 1.0]
                 return y - (float(np.nanmedian(first)) if np.isfinite(first).any() else 0.0)
             case "north_of_start" | "east_of_start":
-                return local(scale * x, scale * fields[1])[
+                return local_position_m(scale * x, scale * fields[1])[
                     0 if entry.function == "north_of_start" else 1
                 ]
         return _euler(fields)[
@@ -192,53 +244,65 @@ def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatA
 
 
 CIRCLE_FROM = {"psi_rad": 0.0, "phi_rad": -np.pi}
-"""Angles that go round, and where the turn begins on which they are recorded."""
+"""Angles on the circle, and the begin of the turn on which they are recorded, rad."""
 _TURN_MARGIN = 0.02  # rad, by which a logged angle may miss the end of its turn
-_IN_DEGREES = 8.0  # slope between angle and rate, the geometric mean of 1 and 57.3
+_MAX_RADIAN_SLOPE = 8.0  # slope between angle and rate, the geometric mean of 1 and 57.3
 
 
 def wrap_angles(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
-    """Heading and roll angle on the turn that the vocabulary asks for, where they are radians on another one.
+    """Put heading and roll angle, logged in radians on another turn, on the turn of the
+    vocabulary.
 
-    Angles beyond one turn are radians that count turns, or degrees. Where they leap it is by a turn, which has 6.28 rad or 360
-    degrees; where they do not, the slope of their derivative on the angular rate tells.
+    Angles beyond one turn are either radians that count turns, or degrees. Jumps tell: one turn is
+    6.28 rad or 360 degrees. Without jumps, the slope of the derivative against the angular rate
+    tells.
+
+    Returns
+    -------
+    dict
+        The changed columns alone.
     """
     wrapped = {}
     for name, start in CIRCLE_FROM.items():
         if name not in columns:
             continue
         values = columns[name]
-        good = np.isfinite(values)
-        on_turn = (values[good] >= start) & (values[good] <= start + 2.0 * np.pi)
+        is_finite = np.isfinite(values)
+        on_turn = (values[is_finite] >= start) & (values[is_finite] <= start + 2.0 * np.pi)
         if bool(on_turn.all()):
             continue
-        if _in_radians(name, values[good], columns):
-            usable = good & (np.abs(np.where(good, values, 0.0)) < 1e6)
+        if _in_radians(name, values[is_finite], columns):
+            usable = is_finite & (np.abs(np.where(is_finite, values, 0.0)) < 1e6)
             angle = np.mod(np.where(usable, values, 0.0) - start, 2.0 * np.pi) + start
             wrapped[name] = np.where(usable, angle, values)
     return wrapped
 
 
 def _in_radians(name: str, angle: FloatArray, columns: Mapping[str, NDArray[Any]]) -> bool:
-    """Whether an angle that leaves its turn is in radians."""
+    """Return whether an angle that leaves its turn is in radians."""
     steps = np.abs(np.diff(angle))
     if steps.size < 2 or float(steps.max()) > 180.0:
         return False
+    # Jumps by 2 pi.
     leaps = np.abs(steps - 2.0 * np.pi) < 0.1 * 2.0 * np.pi
     if leaps.any() and float(leaps.mean()) < 0.05 and float(np.median(steps)) < 1.0:
         return True
     rate = columns.get("r_radps" if name == "psi_rad" else "p_radps")
     if rate is not None:
+        # Without jumps compare the derivative with the angular rate, which is in rad/s.
         slope = np.gradient(columns[name], columns["time_s"])
-        both = np.isfinite(slope) & np.isfinite(rate)
-        size = float(np.median(np.abs(rate[both]))) if both.any() else 0.0
+        is_finite = np.isfinite(slope) & np.isfinite(rate)
+        size = float(np.median(np.abs(rate[is_finite]))) if is_finite.any() else 0.0
         if size > 0.0:
-            return float(np.median(np.abs(slope[both]))) < _IN_DEGREES * size
+            return float(np.median(np.abs(slope[is_finite]))) < _MAX_RADIAN_SLOPE * size
     return name == "psi_rad" and float(np.abs(angle).max()) <= np.pi + _TURN_MARGIN
 
 
-def local(lat_deg: FloatArray, lon_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """North and east of the first fix on the WGS 84 ellipsoid's local plane, m; NaN where there is no fix (0, 0)."""
+def local_position_m(lat_deg: FloatArray, lon_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return north and east of the first fix, m, each of shape (n,).
+
+    The plane is tangent to the WGS 84 ellipsoid at the first fix; (0, 0) is no fix and gives NaN.
+    """
     fix = (
         np.isfinite(lat_deg)
         & np.isfinite(lon_deg)
@@ -257,6 +321,9 @@ def local(lat_deg: FloatArray, lon_deg: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _euler(q: list[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return roll, pitch and yaw (0 to 2 pi), rad, of quaternions (w, x, y, z); NaN for norms
+    below 0.5.
+    """
     w, x, y, z = q
     size = np.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = (c / np.where(size > 0.5, size, np.nan) for c in (w, x, y, z))

@@ -1,8 +1,9 @@
-"""A FlightRecord as a genuine DataFlash .bin, with ArduPlane's message names, columns and units.
+"""Write a FlightRecord as a DataFlash .bin, with ArduPlane's message names, columns and units.
 
-Quantisation: servo outputs are whole microseconds (0.5 us is 0.025 deg at 20 deg per 400 us), positions 1e-7 degrees
-(1.1 cm), times whole microseconds, everything else 32-bit floats. A record whose alpha and beta were measured also gets
-a message VANE (Alpha, Beta in degrees), since AOA means an estimate.
+Tests and simulated flights use it to make logs that pass through the whole import. Servo outputs
+are whole microseconds (0.5 us is 0.025 deg at 20 deg per 400 us), positions 1e-7 degrees (1.1 cm),
+times whole microseconds, everything else 32-bit floats. Measured alpha and beta also go into a
+message VANE (degrees), because ArduPlane's AOA is an estimate.
 """
 
 from __future__ import annotations
@@ -19,12 +20,11 @@ from sysid.arrays import FloatArray
 from sysid.errors import LogError
 from sysid.logs.card import AirframeCard, Mix, Servo
 from sysid.logs.importers.dataflash import CHARACTERS, FMT_LENGTH, FMT_TYPE, MAGIC, Format
+from sysid.logs.servo import FUNCTIONS, PANEL_FUNCTIONS, USUAL_CHANNELS
 from sysid.record import FlightRecord
 from sysid.vocabulary import MANOEUVRE_TEXT, MODE_NUMBERS
 
-_USUAL_CHANNEL = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
-_FUNCTION = {"aileron": 4, "elevator": 19, "throttle": 70, "rudder": 21}
-_PANEL_FUNCTION = {"elevon": (77, 78), "vtail": (79, 80)}
+_FUNCTION = {name: number for number, name in FUNCTIONS.items()}
 _DEFAULT_START = {"lat_deg": 45.0, "lon_deg": 0.0, "alt_m": 0.0}
 
 _FMT = Format(FMT_TYPE, FMT_LENGTH, "FMT", "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
@@ -49,21 +49,22 @@ _LAYOUT = {
 
 
 def _format(name: str) -> Format:
+    """Return the format of a message of _LAYOUT."""
     characters, columns = _LAYOUT[name]
-    made = Format(10 + list(_LAYOUT).index(name), 0, name, characters, tuple(columns.split(",")))
-    return Format(made.type, made.dtype.itemsize + 3, name, characters, made.columns)
+    layout = Format(10 + list(_LAYOUT).index(name), 0, name, characters, tuple(columns.split(",")))
+    return Format(layout.type, layout.dtype.itemsize + 3, name, characters, layout.columns)
 
 
 @dataclass
 class _Message:
-    """Rows of one message type, collected as columns: values in the field's unit, scalars for all rows alike."""
+    """Rows of one message type as columns in the field's unit; scalars count for all rows."""
 
     name: str
     time_us: NDArray[np.int64]
     values: dict[str, Any] = field(default_factory=dict)
 
     def bytes(self) -> NDArray[np.uint8]:
-        """(n, length) whole records, header included."""
+        """Return the records as bytes, shape (n, length), headers included."""
         fmt = _format(self.name)
         n = len(self.time_us)
         header = np.dtype([("magic", "S2"), ("type", "u1")])
@@ -78,14 +79,15 @@ class _Message:
 
 
 def _stored(values: NDArray[Any], kind: str, multiplier: float) -> NDArray[Any]:
+    """Convert values to the stored type of a field."""
     if kind.startswith("S"):
         return np.array([str(v).encode("latin-1", "replace") for v in np.atleast_1d(values)])
     if kind[1] == "f":
         return values.astype(kind)
     info = np.iinfo(kind)
-    # A NaN has no integer; 0 is what the autopilot writes for an output or position it does not have.
-    whole = np.rint(np.nan_to_num(values.astype(np.float64) / multiplier, nan=0.0))
-    return np.clip(whole, info.min, info.max).astype(kind)
+    # NaN has no integer; an autopilot writes 0 for an output or position that it does not have.
+    integers = np.rint(np.nan_to_num(values.astype(np.float64) / multiplier, nan=0.0))
+    return np.clip(integers, info.min, info.max).astype(kind)
 
 
 def write_dataflash(
@@ -96,69 +98,96 @@ def write_dataflash(
     vehicle: str = "ArduPlane (written by uqharness)",
     surfaces: bool = False,
 ) -> tuple[str, ...]:
-    """Write `record` to `path`; returns the columns that DataFlash has no message for and that were left out.
+    """Write a record as a binary DataFlash log.
 
-    card        turns surfaces into PWM by its servo tables (needed when the record has surfaces)
-    parameters  further PARM records
-    surfaces    write the commands as they were too (message SURF), for a simulated flight, whose surfaces saw no PWM
-    Raises LogError for a record whose time is negative, surfaces without a card, or a card without their tables.
+    Parameters
+    ----------
+    record : FlightRecord
+        Record to write.
+    path : Path
+        File to create.
+    card : AirframeCard, optional
+        Servo tables, required if the record has surface or throttle commands.
+    parameters : mapping, optional
+        Further PARM records.
+    vehicle : str
+        Text of the first message to the pilot.
+    surfaces : bool
+        Also write the exact commands (message SURF), for simulated flights without PWM.
+
+    Returns
+    -------
+    tuple of str
+        Columns that DataFlash has no message for, and that were left out.
+
+    Raises
+    ------
+    LogError
+        If a time is negative, the card is missing, or it lacks a servo table.
     """
     time = record["time_s"]
     if len(time) and time[0] < 0:
         raise LogError(
-            f"the record begins at {time[0]:.3f} s; DataFlash times cannot be negative: shift time_s",
+            f"the record begins at {time[0]:.3f} s; DataFlash times cannot be negative: shift"
+            " time_s",
             path,
         )
     time_us = np.rint(time * 1e6).astype(np.int64)
-    written = {"time_s"}
-    messages = _sensors(record, time_us, written)
+    stored = {"time_s"}
+    messages = _sensors(record, time_us, stored)
     servo_parameters: dict[str, float] = {}
-    outputs = _servo_outputs(record, card, servo_parameters, written, path)
+    outputs = _servo_outputs(record, card, servo_parameters, stored, path)
     if outputs:
         messages.append(_Message("RCOU", time_us, {f"C{n}": pwm for n, pwm in outputs.items()}))
     if outputs and surfaces:
         messages.append(_surfaces(record, time_us))
+    # The first message names the vehicle, as an autopilot does at start.
     texts = [
         (int(time_us[0]) if len(time_us) else 0, vehicle),
-        *_manoeuvre_texts(record, time_us, written),
+        *_manoeuvre_texts(record, time_us, stored),
     ]
     messages.insert(
         0, _Message("MSG", np.array([t for t, _ in texts]), {"Message": [m for _, m in texts]})
     )
-    everything = {**servo_parameters, **(parameters or {})}
-    if everything:
-        start = np.full(len(everything), time_us[0] if len(time_us) else 0)
+    all_parameters = {**servo_parameters, **(parameters or {})}
+    if all_parameters:
+        start = np.full(len(all_parameters), time_us[0] if len(time_us) else 0)
         rows = {
-            "Name": list(everything),
-            "Value": list(everything.values()),
-            "Default": list(everything.values()),
+            "Name": list(all_parameters),
+            "Value": list(all_parameters.values()),
+            "Default": list(all_parameters.values()),
         }
         messages.insert(0, _Message("PARM", start, rows))
     if "mode" in record:
-        messages.append(_modes(record, time_us, written))
+        messages.append(_modes(record, time_us, stored))
     with path.open("wb") as handle:
         handle.write(_formats())
         handle.write(_interleave(messages))
-    return tuple(n for n in record.columns if n not in written)
+    return tuple(n for n in record.columns if n not in stored)
 
 
-def _sensors(record: FlightRecord, time_us: NDArray[np.int64], written: set[str]) -> list[_Message]:
+def _sensors(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str]) -> list[_Message]:
+    """Return the messages of sensors and estimates; add their columns to ``stored``."""
+
     def column(name: str, factor: float = 1.0) -> FloatArray | float:
+        """Return a column in the unit of the field and mark it as stored; 0 if it is absent."""
         if name not in record:
             return 0.0
-        written.add(name)
+        stored.add(name)
         return record[name] * factor
 
     def any_of(*names: str) -> bool:
+        """Return whether the record has any of these columns."""
         return any(n in record for n in names)
 
     degrees = 180.0 / np.pi
     n = len(time_us)
     out = []
+    # Airspeed sensors show equivalent airspeed: true airspeed over EAS2TAS.
     ratio: FloatArray = np.ones(n)
     if "rho_kgpm3" in record:
         ratio = np.sqrt(1.225 / np.where(record["rho_kgpm3"] > 0, record["rho_kgpm3"], np.nan))
-        written.add("rho_kgpm3")
+        stored.add("rho_kgpm3")
         out.append(_Message("CTUN", time_us, {"E2T": ratio, "As": column("V_mps") / ratio}))
     if any_of("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2"):
         pairs = {
@@ -207,6 +236,7 @@ def _sensors(record: FlightRecord, time_us: NDArray[np.int64], written: set[str]
 
 
 def _gps(record: FlightRecord, time_us: NDArray[np.int64], column: Any) -> _Message:
+    """Return GPS messages: positions on the WGS 84 ellipsoid about the start point."""
     start = {**_DEFAULT_START, **record.metadata.start}
     lat0 = np.radians(start["lat_deg"])
     w = 1.0 - 6.69437999014e-3 * np.sin(lat0) ** 2
@@ -232,10 +262,11 @@ def _servo_outputs(
     record: FlightRecord,
     card: AirframeCard | None,
     parameters: dict[str, float],
-    written: set[str],
+    stored: set[str],
     path: Path,
 ) -> dict[int, FloatArray]:
-    commands = {n: f"{n}_deg" if n != "throttle" else "throttle_pct" for n in _USUAL_CHANNEL}
+    """Return servo channel to PWM, and add their SERVOn parameters."""
+    commands = {n: f"{n}_deg" if n != "throttle" else "throttle_pct" for n in USUAL_CHANNELS}
     commands = {n: c for n, c in commands.items() if c in record}
     if not commands:
         return {}
@@ -250,7 +281,7 @@ def _servo_outputs(
             out |= _panels(
                 mix, record[commands.pop(first)], record[commands.pop(second)], parameters
             )
-            written |= {f"{first}_deg", f"{second}_deg"}
+            stored |= {f"{first}_deg", f"{second}_deg"}
     for name, column in commands.items():
         servo = card.servos.get(name)
         if servo is None:
@@ -258,15 +289,15 @@ def _servo_outputs(
                 f"{column} has no [inputs.{name}] servo_pwm in {card.path or card.name}; add it",
                 path,
             )
-        channel = servo.channel or _USUAL_CHANNEL[name]
+        channel = servo.channel or USUAL_CHANNELS[name]
         out[channel] = pwm_of(record[column], servo)
         _describe(channel, _FUNCTION[name], servo, parameters)
-        written.add(column)
+        stored.add(column)
     return out
 
 
 def _surfaces(record: FlightRecord, time_us: NDArray[np.int64]) -> _Message:
-    """Commands as they were. A servo output holds whole microseconds, a twentieth of a degree, which no simulated surface saw."""
+    """Return the exact commands, which PWM rounds to a twentieth of a degree."""
     columns = {
         "Elev": "elevator_deg",
         "Ail": "aileron_deg",
@@ -282,11 +313,12 @@ def _surfaces(record: FlightRecord, time_us: NDArray[np.int64]) -> _Message:
 def _panels(
     mix: Mix, first: FloatArray, second: FloatArray, parameters: dict[str, float]
 ) -> dict[int, FloatArray]:
+    """Return the PWM of the two panels of a v-tail or of elevons."""
     out = {}
     for servo, deflection, function in zip(
         (mix.left, mix.right),
         (first + second, first - second),
-        _PANEL_FUNCTION[mix.kind],
+        PANEL_FUNCTIONS[mix.kind],
         strict=True,
     ):
         channel = servo.channel or 0
@@ -296,29 +328,36 @@ def _panels(
 
 
 def _describe(channel: int, function: int, servo: Servo, parameters: dict[str, float]) -> None:
+    """Add the SERVOn parameters of one output."""
     pwm = [p for p, _ in servo.table]
     middle = float(pwm_of(np.zeros(1), servo)[0]) if function != _FUNCTION["throttle"] else pwm[0]
-    # The autopilot's positive elevator is nose up and its rudder nose right, a record's the other way round.
+    # ArduPilot's positive elevator is nose up and its rudder nose right; a record has opposite
+    # signs.
     rising = servo.table[-1][1] > servo.table[0][1]
-    reversed_ = rising if function in (_FUNCTION["elevator"], _FUNCTION["rudder"]) else not rising
-    named = {
+    is_reversed = rising if function in (_FUNCTION["elevator"], _FUNCTION["rudder"]) else not rising
+    settings = {
         "FUNCTION": function,
         "MIN": pwm[0],
         "MAX": pwm[-1],
         "TRIM": middle,
-        "REVERSED": float(reversed_),
+        "REVERSED": float(is_reversed),
     }
-    parameters.update({f"SERVO{channel}_{k}": float(v) for k, v in named.items()})
+    parameters.update({f"SERVO{channel}_{k}": float(v) for k, v in settings.items()})
 
 
 def pwm_of(deflection: FloatArray, servo: Servo) -> FloatArray:
-    """(n,) deflection to PWM: the table inverted, its end slopes continued; NaN stays NaN. Within 800 to 2200 us."""
+    """Convert deflection, shape (n,), to PWM between 800 and 2200 us by the inverse of a servo
+    table.
+
+    The end slopes are continued; NaN stays NaN. Raises LogError if the table is not monotone.
+    """
     pwm, angle = (np.array(v) for v in zip(*servo.table, strict=True))
     if angle[-1] < angle[0]:
         pwm, angle = pwm[::-1], angle[::-1]
     if np.any(np.diff(angle) <= 0):
         raise LogError(f"the servo table {servo.table} is not monotone and cannot be inverted")
     out = np.interp(deflection, angle, pwm)
+    # Continue the first and last slope beyond the ends of the table.
     low = pwm[0] + (deflection - angle[0]) * (pwm[1] - pwm[0]) / (angle[1] - angle[0])
     high = pwm[-1] + (deflection - angle[-1]) * (pwm[-1] - pwm[-2]) / (angle[-1] - angle[-2])
     out = np.where(deflection < angle[0], low, np.where(deflection > angle[-1], high, out))
@@ -326,11 +365,12 @@ def pwm_of(deflection: FloatArray, servo: Servo) -> FloatArray:
 
 
 def _manoeuvre_texts(
-    record: FlightRecord, time_us: NDArray[np.int64], written: set[str]
+    record: FlightRecord, time_us: NDArray[np.int64], stored: set[str]
 ) -> list[tuple[int, str]]:
+    """Return messages to the pilot that mark the begin and end of manoeuvres."""
     if "manoeuvre" not in record:
         return []
-    written.add("manoeuvre")
+    stored.add("manoeuvre")
     labels = record["manoeuvre"]
     changes = np.flatnonzero(np.concatenate([[True], labels[1:] != labels[:-1]]))
     # The autopilot's message holds 64 characters.
@@ -341,8 +381,9 @@ def _manoeuvre_texts(
     ]
 
 
-def _modes(record: FlightRecord, time_us: NDArray[np.int64], written: set[str]) -> _Message:
-    written.add("mode")
+def _modes(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str]) -> _Message:
+    """Return the messages of changes of the flight mode."""
+    stored.add("mode")
     modes = record["mode"]
     changes = np.flatnonzero(np.concatenate([[True], modes[1:] != modes[:-1]]))
     numbers = np.array([MODE_NUMBERS.get(str(modes[k]), 0) for k in changes])
@@ -350,6 +391,7 @@ def _modes(record: FlightRecord, time_us: NDArray[np.int64], written: set[str]) 
 
 
 def _formats() -> bytes:
+    """Return the FMT records of all messages."""
     out = []
     for fmt in (_FMT, *(_format(n) for n in _LAYOUT)):
         body = np.zeros(1, dtype=_FMT.dtype)
@@ -360,11 +402,12 @@ def _formats() -> bytes:
 
 
 def _interleave(messages: list[_Message]) -> bytes:
-    """All records in order of time; of one time in the order of `messages`."""
+    """Return all records in order of time; records of one time in the order of ``messages``."""
     blocks = [m.bytes() for m in messages if len(m.time_us)]
     times = np.concatenate([m.time_us for m in messages if len(m.time_us)])
     lengths = np.concatenate([np.full(len(b), b.shape[1]) for b in blocks])
     order = np.argsort(times, kind="stable")
+    # Byte offset of every record in the file, then copy message by message.
     starts = np.empty(len(order), dtype=np.int64)
     starts[order] = np.concatenate([[0], np.cumsum(lengths[order])[:-1]])
     out = np.empty(int(lengths.sum()), dtype=np.uint8)

@@ -1,4 +1,8 @@
-"""A log file to a FlightRecord: detect, read, assemble, keep in the cache. The only place that joins IO and computing."""
+"""Import a log file: detect the format, read it, assemble the record, cache it.
+
+`import_log` is the entry point for commands and scripts. This is the only module of the package
+that combines file access with the computations of the others.
+"""
 
 from __future__ import annotations
 
@@ -13,31 +17,36 @@ import numpy as np
 from sysid.digests import file_sha256, sha256_hex
 from sysid.errors import Finding, LogError
 from sysid.foreign import limited
-from sysid.foreign.raw import Progress, RawLog
+from sysid.foreign.raw import ProgressCallback, RawLog
 from sysid.foreign.regular_files import read_regular_text
 from sysid.logs.assemble import assemble, with_checks
 from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import wrap_angles
-from sysid.logs.checking.checks import check_again, estimated_channels
+from sysid.logs.checking.checks import estimated_channels, recheck
 from sysid.logs.importers import dataflash
-from sysid.logs.importers import dataflash as dataflash_binary
 from sysid.logs.importers.detect import detect
 from sysid.logs.signal_map import Entry, SignalMap, read_map, shipped_map
 from sysid.logs.time_base import split
 from sysid.record import Boot, FlightRecord
 from sysid.vocabulary import SIGNALS
 
-# Where imported logs are kept: the user's cache folder, by the content of log, map and card.
-#
-# Never beside the log, which may be on a medium that is read-only or somebody else's.
+# The cache holds records by the content of log, map and card. It is in the user's cache folder
+# and never next to the log, which may be on a read-only medium.
 
-_FORMAT = "5"  # raise it when importing the same log gives another record
+_FORMAT = "5"  # increase it when the same log gives another record
 
 
 def default_cache() -> Path:
-    """The user's cache folder for records: UQ_CACHE, XDG_CACHE_HOME or ~/.cache (Library/Caches on macOS)."""
-    if named := os.environ.get("UQ_CACHE"):
-        return Path(named)
+    """Return the folder for cached records.
+
+    Returns
+    -------
+    Path
+        UQ_CACHE if set, else ``uqharness`` in XDG_CACHE_HOME, or in ~/.cache (~/Library/Caches on
+        macOS).
+    """
+    if folder := os.environ.get("UQ_CACHE"):
+        return Path(folder)
     if xdg := os.environ.get("XDG_CACHE_HOME"):
         return Path(xdg) / "uqharness"
     return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "uqharness"
@@ -50,15 +59,35 @@ def cached_file(
     card: AirframeCard | None,
     flight_number: int | None = None,
 ) -> Path:
-    """The file in ``cache`` for the record of a log with SHA-256 ``digest``, read with that map and card. Raises OSError."""
+    """Return the cache file of a record.
+
+    Parameters
+    ----------
+    cache : Path
+        Cache folder.
+    digest : str
+        SHA-256 of the log.
+    map_path, card : Path or None, AirframeCard or None
+        Map and card that it is read with.
+    flight_number : int or None
+        Requested boot.
+
+    Raises
+    ------
+    OSError
+        If the map cannot be read.
+    """
     parts = [_FORMAT, digest, "" if map_path is None else read_regular_text(map_path), repr(card)]
     parts += [] if flight_number is None else [str(flight_number)]
     name = sha256_hex("\0".join(parts).encode())[:32]
     return cache / f"{name}.parquet"
 
 
-def keep(record: FlightRecord, file: Path) -> None:
-    """Write under a temporary name so that a reader never meets half a file; a full disk only costs the cache."""
+def store(record: FlightRecord, file: Path) -> None:
+    """Write a record into the cache; a full disk is no error.
+
+    It is written under a temporary name, so that another process never reads half a file.
+    """
     temporary = file.with_name(f"{file.stem}.{os.getpid()}.parquet")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -76,39 +105,60 @@ def import_log(
     *,
     flight_number: int | None = None,
     cache: Path | None = None,
-    progress: Progress | None = None,
+    callback: ProgressCallback | None = None,
 ) -> FlightRecord:
     """Read any supported log into a record of its whole length.
 
-    A log may hold several boots of the autopilot, whose clocks each begin anew. One of them is read: `flight_number`,
-    counted from 1, or the one with the longest free flight.
+    A log may hold several boots of the autopilot, each with its own clock. One of them is read.
 
-    map_path   a user's signal map, laid over the dialect's own
-    card_path  airframe.toml or the folder that holds it; turns PWM into angles
-    cache      folder for the cached record; None reads without a cache
-    progress   called with the share read, 0..1
+    Parameters
+    ----------
+    path : Path
+        DataFlash, MAVLink telemetry, ULog, table (CSV, Parquet) or flight record.
+    map_path : Path, optional
+        User's signal map, which overlays the map of the dialect.
+    card_path : Path, optional
+        airframe.toml or its folder; turns PWM into angles.
+    flight_number : int, optional
+        Boot to read, counted from 1; by default the one with the longest free flight.
+    cache : Path, optional
+        Folder for cached records; None reads without a cache.
+    callback : callable, optional
+        Called with the share read, 0 to 1.
 
-    `FlightRecord.metadata.free_flight_s` says which part is free flight. Raises LogError for anything unusable.
+    Returns
+    -------
+    FlightRecord
+        ``metadata.free_flight_s`` gives the part in free flight, ``metadata.findings`` the results
+        of the checks.
+
+    Raises
+    ------
+    LogError
+        If the file, the map or the card cannot be used.
     """
     dialect = detect(path)
     user_map = None if map_path is None else read_map(map_path)
     card = None if card_path is None else read_card(card_path)
     if dialect in ("csv", "parquet") and user_map is None:
-        return _of_flight(_record_file(path), flight_number, path)
+        return _require_flight(_record_file(path), flight_number, path)
     digest = file_sha256(path)
     stored = None if cache is None else cached_file(cache, digest, map_path, card, flight_number)
     if stored is not None and stored.is_file():
         try:
             record = FlightRecord.read(stored)
         except LogError:
+            # An interrupted run left half a file: import again.
             stored.unlink(missing_ok=True)  # cut short by an interrupted run: make it anew
         else:
-            return _as_known_today(
+            return _with_current_checks(
                 replace(record, metadata=replace(record.metadata, source=path.name))
             )
-    record = _assemble(path, dialect, user_map, card, digest, flight_number, progress)
+    record = _assemble(
+        path, dialect, user_map, card, digest, flight_number=flight_number, callback=callback
+    )
     if stored is not None:
-        keep(record, stored)
+        store(record, stored)
     return record
 
 
@@ -118,19 +168,21 @@ def _assemble(
     user_map: SignalMap | None,
     card: AirframeCard | None,
     digest: str,
+    *,
     flight_number: int | None,
-    progress: Progress | None,
+    callback: ProgressCallback | None,
 ) -> FlightRecord:
+    """Read the log with its map and assemble the record of the requested boot."""
     base = map_of_dialect(dialect)
     signal_map = base if user_map is None else base.overlaid(user_map)
     try:
-        # Handed over, not kept: the messages are dropped one by one as the record grows.
-        boots = split(read_raw(path, dialect, signal_map, progress))
+        # The list is the only reference: messages are freed one by one as the record grows.
+        boots = split(read_raw(path, dialect, signal_map, callback))
         if len(boots) == 1:
             record = assemble(boots.pop(), signal_map, card, path.name, digest)
-            record = _of_flight(record, flight_number, path)
+            record = _require_flight(record, flight_number, path)
         else:
-            record = _chosen(boots, signal_map, card, path, digest, flight_number)
+            record = _assemble_boot(boots, signal_map, card, path, digest, flight_number)
     except LogError as e:
         if str(path) in str(e):
             raise
@@ -142,20 +194,28 @@ def _assemble(
 
 
 def _with_findings(record: FlightRecord, findings: list[Finding]) -> FlightRecord:
-    """The record with more findings in front of those that it has."""
-    both = (*findings, *record.metadata.findings)
-    return replace(record, metadata=replace(record.metadata, findings=both)) if findings else record
+    """Return the record with more findings before its own."""
+    all_findings = (*findings, *record.metadata.findings)
+    return (
+        replace(record, metadata=replace(record.metadata, findings=all_findings))
+        if findings
+        else record
+    )
 
 
 def _not_in_log(signal: str, candidates: tuple[Entry, ...]) -> Finding:
+    """Return the finding for a signal of the user's map that the log does not have."""
     labels = " or ".join(entry.label for entry in candidates)
     text = f"the map makes {signal} of {labels}, which this log does not have"
-    mend = f"in the map, [signals.{signal}]: the name of a field that the log has (`uqharness log map` lists them)"
-    return Finding("not-in-log", signal, "warning", text, {}, "", mend)
+    correction = (
+        f"in the map, [signals.{signal}]: the name of a field that the log has (`uqharness log map`"
+        " lists them)"
+    )
+    return Finding("not-in-log", signal, "warning", text, {}, "", correction)
 
 
-def _of_flight(record: FlightRecord, flight_number: int | None, path: Path) -> FlightRecord:
-    """The record; LogError where another flight than the one it holds is asked for."""
+def _require_flight(record: FlightRecord, flight_number: int | None, path: Path) -> FlightRecord:
+    """Return the record; raise LogError if it is not the requested flight."""
     if flight_number not in (None, record.metadata.flight_number):
         raise LogError(
             f"--flight-number {flight_number}: the file holds one flight, number"
@@ -165,7 +225,7 @@ def _of_flight(record: FlightRecord, flight_number: int | None, path: Path) -> F
     return record
 
 
-def _chosen(
+def _assemble_boot(
     boots: list[RawLog],
     signal_map: SignalMap,
     card: AirframeCard | None,
@@ -173,11 +233,12 @@ def _chosen(
     digest: str,
     flight_number: int | None,
 ) -> FlightRecord:
-    """The record of one of several boots, with all of them listed in its metadata."""
+    """Return the record of one of several boots, with all of them in its metadata."""
     count = len(boots)
     if flight_number is not None and not 1 <= flight_number <= count:
         raise LogError(
-            f"--flight-number {flight_number}: the file holds flights 1 to {count}; choose one of them"
+            f"--flight-number {flight_number}: the file holds flights 1 to {count}; choose one of"
+            " them"
         )
     listed: list[Boot] = []
     best: FlightRecord | None = None
@@ -185,11 +246,12 @@ def _chosen(
     problems: dict[int, str] = {}
     for number, boot in enumerate(boots, start=1):
         times = np.concatenate([t.time_s[np.isfinite(t.time_s)] for t in boot.messages.values()])
-        # Quantiles, since a single stamp may be wrong.
+        # Quantiles, because single stamps may be wrong.
         start_s, end_s = np.quantile(times, [0.001, 0.999]).tolist() if len(times) else (0.0, 0.0)
         free_s: tuple[float, float] | None = None
         try:
-            record = assemble(boot, signal_map, card, path.name, digest, judged=False)
+            # Checks take most of the time and run on the chosen boot only.
+            record = assemble(boot, signal_map, card, path.name, digest, run_checks=False)
         except LogError as error:
             problems[number] = str(error)
         else:
@@ -217,8 +279,8 @@ def _chosen(
 
 
 def _restart_finding(listed: list[Boot], chosen: Boot, flight_number: int | None) -> Finding:
-    """Which flights the file holds and which one is read; a warning where nobody chose it."""
-    how = "as asked" if flight_number else "the longest"
+    """Return the finding that lists the flights of a file; a warning unless the user chose one."""
+    basis = "as asked" if flight_number else "the longest"
     flights = ", ".join(
         f"{boot.number} ({boot.start_s:.1f} to {boot.end_s:.1f} s, "
         + ("no free flight" if boot.free_flight_s is None else f"{boot.flight_s:.0f} s in flight")
@@ -226,8 +288,9 @@ def _restart_finding(listed: list[Boot], chosen: Boot, flight_number: int | None
         for boot in listed
     )
     text = (
-        f"the clock begins again {'once' if len(listed) == 2 else f'{len(listed) - 1} times'}: the file holds flights {flights};"
-        f" flight {chosen.number} is read ({how}), --flight-number reads another"
+        f"the clock begins again {'once' if len(listed) == 2 else f'{len(listed) - 1} times'}: the"
+        f" file holds flights {flights}; flight {chosen.number} is read ({basis}), --flight-number"
+        " reads another"
     )
     numbers = {"flights": float(len(listed)), "flight_number": float(chosen.number)}
     return Finding("clock-restart", "", "info" if flight_number else "warning", text, numbers)
@@ -243,38 +306,55 @@ _MAP_OF = {
 
 
 def map_of_dialect(dialect: str) -> SignalMap:
-    """The signal map that comes with the package for a dialect; an empty one for tables."""
+    """Return the package's map of a dialect; an empty one for tables."""
     return shipped_map(_MAP_OF[dialect]) if dialect in _MAP_OF else SignalMap(dialect, {})
 
 
 def read_raw(
-    path: Path, dialect: str, signal_map: SignalMap | None, progress: Progress | None = None
+    path: Path, dialect: str, signal_map: SignalMap | None, callback: ProgressCallback | None = None
 ) -> RawLog:
-    """The log's own messages; only what `signal_map` asks for, or everything with None."""
-    wanted = None if signal_map is None else signal_map.wanted()
+    """Read the messages of a log.
+
+    Parameters
+    ----------
+    path : Path
+        Log file.
+    dialect : str
+        Result of `detect`.
+    signal_map : SignalMap or None
+        Selects the messages that are read; None reads all.
+    callback : callable, optional
+        Called with the share read, 0 to 1.
+    """
+    selection = None if signal_map is None else signal_map.field_selection()
     match dialect:
         case "dataflash":
-            return dataflash_binary.read(path, wanted, progress)
+            return dataflash.read(path, selection, callback)
         case "dataflash-text":
-            return dataflash.read_text(path, wanted, progress)
+            return dataflash.read_text(path, selection, callback)
     time = None if signal_map is None else signal_map.time
-    return limited.read_raw(path, dialect, wanted, progress, time)
+    return limited.read_raw(path, dialect, selection, callback, time)
 
 
 def _record_file(path: Path) -> FlightRecord:
+    """Read a table that has the names of the vocabulary."""
     record = FlightRecord.read(path)
     record = record.with_columns(wrap_angles(record.columns))
     if not set(record.columns) & (set(SIGNALS) - {"time_s", "manoeuvre", "mode"}):
         raise LogError(
-            "the table holds a time and no signal; name the columns as the vocabulary does or give a --map",
+            "the table holds a time and no signal; name the columns as the vocabulary does or give"
+            " a --map",
             path,
         )
-    return _as_known_today(record)
+    return _with_current_checks(record)
 
 
-def _as_known_today(record: FlightRecord) -> FlightRecord:
-    """The record with what today's checks find in it: it may have been imported before a fault was known."""
-    findings = check_again(record)
+def _with_current_checks(record: FlightRecord) -> FlightRecord:
+    """Return the record with the findings of the current checks.
+
+    It may have been imported by a version that lacked some of them.
+    """
+    findings = recheck(record)
     estimates = estimated_channels(record.metadata.estimates, findings)
     meta = replace(record.metadata, findings=tuple(findings), estimates=estimates)
     return replace(record, metadata=meta)

@@ -1,8 +1,9 @@
-"""A signal map proposed for a log: which field is which signal, in which unit and with which sign, and the evidence for it.
+"""Propose a signal map for a log: field, unit and sign of each signal, with the evidence.
 
-Fields are matched to signals by name. A unit comes from the name, from a line of units or from the size of the values; units and
-signs are then tested by the relations that hold between the channels of any aircraft (`sysid.logs.checking.physics`), and what
-these contradict is changed. The result is text to be read and edited, one line of evidence for each signal.
+Fields are matched to signals by name. The unit comes from the name, from a line of units or from
+the size of the values. Units and signs are then tested by the kinematic relations between channels
+(`sysid.logs.checking.physics`), and corrected where they contradict them. The result is TOML to be
+read and edited, with a comment on the evidence for each signal.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from sysid.errors import LogError
-from sysid.foreign.raw import MessageTable, Progress, RawLog, TimeColumn
+from sysid.foreign.raw import MessageTable, ProgressCallback, RawLog, TimeColumn
 from sysid.logs.assemble import assemble
 from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import Times, resolve
-from sysid.logs.checking.physics import heard
+from sysid.logs.checking.physics import evaluate_laws
 from sysid.logs.importers.detect import detect
 from sysid.logs.load import map_of_dialect, read_raw
 from sysid.logs.sensors import Sensors
@@ -67,7 +68,7 @@ _SUFFIXES = frozenset(u for units in _UNITS.values() for u in units if u.isalnum
 
 
 def _axes(signals: Sequence[str], patterns: str, names: Sequence[Sequence[str]]) -> dict[str, str]:
-    """Patterns of three signals that differ by the words of their axis."""
+    """Return patterns of three signals that differ in the words of their axis."""
     return {
         signal: "|".join(patterns.replace("AXIS", f"(?:{'|'.join(words)})").split())
         for signal, words in zip(signals, names, strict=True)
@@ -90,21 +91,30 @@ _FORCE = (
     " body_accel_AXIS specific_force_AXIS load_factor_AXIS"
 )
 _NAMES: Mapping[str, str] = {
-    "V_mps": "tas|true_?air_?speed|v_?tas|v_?true|v_?t|v_?total|air_?speed|air_?spd|arspd|v|va|v_?a"
-    "|eas|cas|ias|v_?ias|v_?cas|indicated_air_?speed|speed|velocity",
+    "V_mps": (
+        "tas|true_?air_?speed|v_?tas|v_?true|v_?t|v_?total|air_?speed|air_?spd|arspd|v|va|v_?a"
+        "|eas|cas|ias|v_?ias|v_?cas|indicated_air_?speed|speed|velocity"
+    ),
     "alpha_rad": "alpha|alfa|aoa|angle_of_attack|vane_alpha",
     "beta_rad": "beta|aos|ssa|side_?slip|side_?slip_angle|angle_of_side_?slip|slip|vane_beta",
     "phi_rad": "phi|roll|roll_angle|bank|bank_angle|euler_(?:roll|phi)|att(?:itude)?_roll",
     "theta_rad": "theta|pitch|pitch_angle|euler_(?:pitch|theta)|att(?:itude)?_pitch",
-    "psi_rad": "psi|heading|hdg|true_heading|heading_true|yaw|yaw_angle|euler_(?:yaw|psi)|att(?:itude)?_yaw|mag_?heading",
+    "psi_rad": (
+        "psi|heading|hdg|true_heading|heading_true|yaw|yaw_angle|euler_(?:yaw|psi)"
+        "|att(?:itude)?_yaw|mag_?heading"
+    ),
     **{
         s: f"{a}|{a}_body|{p}"
         for (s, p), a in zip(_axes(tuple(_LETTERS), _RATE, _BODY).items(), "pqr", strict=True)
     },
     **_axes(("ax_mps2", "ay_mps2", "az_mps2"), _FORCE, _XYZ),
-    "h_m": "h|alt|altitude|height|(?:baro|pressure|msl|asl|gps)_alt(?:itude)?"
-    "|alt(?:itude)?_(?:baro|msl|asl|agl|gps|ind|b)|h_(?:msl|asl|baro)",
-    "throttle_pct": "throttle|thr|thrtl|throttle_(?:cmd|command|position|pos|lever)|d_?thr|d_?t|power|pwr|pla",
+    "h_m": (
+        "h|alt|altitude|height|(?:baro|pressure|msl|asl|gps)_alt(?:itude)?"
+        "|alt(?:itude)?_(?:baro|msl|asl|agl|gps|ind|b)|h_(?:msl|asl|baro)"
+    ),
+    "throttle_pct": (
+        "throttle|thr|thrtl|throttle_(?:cmd|command|position|pos|lever)|d_?thr|d_?t|power|pwr|pla"
+    ),
     "north_m": "north|p_?n|pos_?n(?:orth)?|north_position|x_?n(?:ed)?|n_pos",
     "east_m": "east|p_?e|pos_?e(?:ast)?|east_position|y_?n?e(?:d)?|e_pos",
     "vn_mps": "v_?n|v_?north|vel_?n(?:orth)?|velocity_north|north_vel(?:ocity)?|gps_v_?n",
@@ -125,21 +135,20 @@ _LATITUDE, _LONGITUDE = (
     r"lon|lng|long|longitude|gps_lon(?:gitude)?",
 )
 _PAIR_FIELDS = frozenset({"north_m", "east_m"})
-# Before a capital that begins a word: RollRate, accX, GPSAlt; in AoA, AoS and RoC it belongs to the same word.
+# Before a capital that begins a word: RollRate, accX, GPSAlt; but not within AoA, AoS and RoC.
 _CAMEL = re.compile(r"(?<=[a-z])(?<![A-Z][a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})")
 _INDICATED = re.compile(r"ias|cas|eas|indicated")
 _FOREIGN_SIGNALS = ("V_mps", "alpha_rad", "beta_rad", "rpm", "thrust_N")
 _NO_SENSORS = re.compile(
     r"innov|test|ratio|setpoint|status|estimator|variance|PID|TUNE|^X?[NX]K", re.IGNORECASE
 )
-"""Messages of logs whose fields have the names of signals and hold errors, demands or ratios of them."""
+"""Messages whose fields have the names of signals but hold errors, demands or ratios of them."""
 _ROUNDS = 4
-_STANDARD = 1e-3  # relative, by which a scale may miss one that is a unit's
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """One signal of a proposed map, what speaks for it and what is unsure."""
+    """One signal of a proposed map, its evidence, and what is uncertain about it."""
 
     signal: str
     entry: Entry
@@ -176,9 +185,14 @@ class MapProposal:
     from_servos: tuple[str, ...] = ()
 
     def to_toml(self) -> str:
-        """The map as text: each signal with a comment on the evidence and, marked by "unsure", on what to look at."""
+        """Return the map as TOML, with comments on the evidence; uncertain points are marked
+        "unsure".
+        """
         lines = [
-            f"# Signal map proposed for {self.source} ({self.dialect}). Check each line, above all those",
+            (
+                f"# Signal map proposed for {self.source} ({self.dialect}). Check each line, above"
+                " all those"
+            ),
             "# marked 'unsure', then: uqharness log info FILE --map THIS-FILE",
         ]
         if self.time is not None:
@@ -207,7 +221,7 @@ class MapProposal:
 
 
 def propose_map(
-    path: Path, card_path: Path | None = None, *, callback: Progress | None = None
+    path: Path, card_path: Path | None = None, *, callback: ProgressCallback | None = None
 ) -> MapProposal:
     """Propose a signal map for a log of any dialect.
 
@@ -234,31 +248,35 @@ def propose_map(
     card = None if card_path is None else read_card(card_path)
     raw = read_raw(path, dialect, None, callback)
     base = map_of_dialect(dialect)
+    # First the dialect's own map, then names, then corrections by kinematics.
     proposals = _by_dialect(raw, base)
     proposals.update(_by_name(raw, proposals))
     proposals, record = _by_kinematics(raw, base, proposals, card, path.name)
     used = {(p.entry.message, f) for p in proposals.values() for f in p.entry.fields}
-    made = set(proposals) if record is None else set(record.columns)
+    available = set(proposals) if record is None else set(record.columns)
     return MapProposal(
         path.name,
         dialect,
         _time_of(raw),
         tuple(proposals[n] for n in SIGNALS if n in proposals),
-        tuple(n for n, s in SIGNALS.items() if s.core and n != "time_s" and n not in made),
+        tuple(n for n, s in SIGNALS.items() if s.core and n != "time_s" and n not in available),
         _unused(raw, used) if dialect in ("csv", "parquet", "jsbsim-csv") else {},
         tuple(
-            n for n in SIGNALS if n in made and n not in proposals and n not in ("time_s", *LABELS)
+            n
+            for n in SIGNALS
+            if n in available and n not in proposals and n not in ("time_s", *LABELS)
         ),
     )
 
 
 def _time_of(raw: RawLog) -> TimeColumn | None:
+    """Return the time column of a table; None for other logs."""
     column = raw.facts.get("time column")
     return None if column is None else TimeColumn(str(column), str(raw.facts["time unit"]))
 
 
 def _by_dialect(raw: RawLog, base: SignalMap) -> dict[str, Proposal]:
-    """The entries of the dialect's own map for which the log has the fields."""
+    """Return the entries of the dialect's map whose fields the log has."""
     times, sensors, out = Times(raw), Sensors(raw, base.sensors), {}
     for signal, candidates in base.entries.items():
         if signal in LABELS:
@@ -271,15 +289,18 @@ def _by_dialect(raw: RawLog, base: SignalMap) -> dict[str, Proposal]:
 
 
 def _by_name(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal]:
-    """Fields whose name is a signal's. In a log with messages of its own short names mean anything and are left alone."""
+    """Return proposals for fields whose name is that of a signal.
+
+    In logs that have messages of their own, short names are ambiguous and are left out.
+    """
     table = any(message == "csv" for message, _ in raw.messages)
-    taken = {(p.entry.message, f) for p in present.values() for f in p.entry.fields}
+    used_fields = {(p.entry.message, f) for p in present.values() for f in p.entry.fields}
     matches: dict[str, list[tuple[int, str, str]]] = {}
     for (message, instance), content in raw.messages.items():
         if instance or (not table and _NO_SENSORS.search(message)):
             continue
         for field, values in content.fields.items():
-            if (message, field) in taken or not _usable(values):
+            if (message, field) in used_fields or not _usable(values):
                 continue
             base, _ = _split(field)
             for signal, rank in _signals_of(base, field):
@@ -287,41 +308,47 @@ def _by_name(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal
                 if signal not in present and not foreign:
                     matches.setdefault(signal, []).append((rank, message, field))
     out: dict[str, Proposal] = {}
+    # The best pattern wins; other matches are listed as uncertain.
     for signal, fields in matches.items():
         _, message, field = min(fields, key=lambda match: match[0])
-        others = [f for _, m, f in fields if (m, f) != (message, field)]
-        out[signal] = _sized(signal, message, field, raw, others, table)
+        alternatives = [f for _, m, f in fields if (m, f) != (message, field)]
+        out[signal] = _propose_field(signal, message, field, raw, alternatives, table)
     out.update(_places(raw, {**present, **out}))
     return _accelerations_alike({n: p for n, p in out.items() if n not in present}, raw)
 
 
 def _split(field: str) -> tuple[str, str | None]:
-    """Words of a field's name joined by "_", and the unit that it ends with or has in brackets."""
+    """Return the words of a field name joined by "_", and the unit at its end or in brackets."""
     unit = None
     bracket = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$", field)
     if bracket and not bracket.group(1).isdigit():
         unit, field = bracket.group(1).lower(), field[: bracket.start()]
     words = re.findall(r"[a-z]+\d*|\d+", _CAMEL.sub(" ", re.sub(r"[{}]", "", field)).lower())
     if unit is None:
+        # Units of several words such as "m/s" are tried first.
         for count in (3, 2, 1):
             suffix = "/".join(words[-count:])
-            known = suffix if count > 1 and any(suffix in u for u in _UNITS.values()) else None
+            suffix_unit = (
+                suffix if count > 1 and any(suffix in u for u in _UNITS.values()) else None
+            )
             if count == 1 and words and words[-1] in _SUFFIXES:
-                known = words[-1]
-            if known is not None and len(words) > count:
-                unit, words = known, words[:-count]
+                suffix_unit = words[-1]
+            if suffix_unit is not None and len(words) > count:
+                unit, words = suffix_unit, words[:-count]
                 break
     return "_".join(words), unit
 
 
 def _signals_of(base: str, field: str) -> Iterable[tuple[str, int]]:
-    """Signals that a name may mean, each with the rank of the pattern that it meets (the lower the likelier)."""
+    """Yield the signals that a name may mean, with the rank of the matching pattern (lower is
+    likelier).
+    """
     if field in SIGNALS and field not in LABELS:
         yield field, -1  # the record's own name
         return
     for signal, pattern in _NAMES.items():
-        for rank, one in enumerate(_alternatives(pattern)):
-            if re.fullmatch(one, base):
+        for rank, alternative in enumerate(_alternatives(pattern)):
+            if re.fullmatch(alternative, base):
                 yield signal, rank
                 break
     if re.fullmatch(_CLIMB, base):
@@ -332,13 +359,13 @@ def _signals_of(base: str, field: str) -> Iterable[tuple[str, int]]:
             *words
         }
         command = {"cmd", "command", "in", "input", "demand", "ref"} & {*words}
-        rest = "_".join(w for w in words if w not in position | command)
-        if re.fullmatch(pattern, rest):
+        surface_words = "_".join(w for w in words if w not in position | command)
+        if re.fullmatch(pattern, surface_words):
             yield f"{surface}_{'pos_' if position else ''}deg", 0 if position or command else 1
 
 
 def _alternatives(pattern: str) -> list[str]:
-    """The alternatives of a pattern at its outermost level."""
+    """Split a pattern at its outermost "|"."""
     out, depth, begin = [], 0, 0
     for k, c in enumerate(pattern):
         depth += (c == "(") - (c == ")")
@@ -349,6 +376,7 @@ def _alternatives(pattern: str) -> list[str]:
 
 
 def _usable(values: NDArray[np.generic]) -> bool:
+    """Return whether a field holds numbers."""
     return (
         values.dtype != object
         and values.ndim == 1
@@ -357,30 +385,33 @@ def _usable(values: NDArray[np.generic]) -> bool:
 
 
 def _values(raw: RawLog, message: str, field: str) -> FloatArray:
+    """Return the finite values of a field."""
     values = raw.messages[message, 0].fields[field].astype(np.float64)
     return values[np.isfinite(values)]
 
 
-def _sized(
-    signal: str, message: str, field: str, raw: RawLog, others: Sequence[str], table: bool
+def _propose_field(
+    signal: str, message: str, field: str, raw: RawLog, alternatives: Sequence[str], table: bool
 ) -> Proposal:
-    """The signal of one field, with the scale that its name, the line of units or its size suggests."""
+    """Return the proposal for one field: scale by name, line of units, or size of the values."""
     base, unit = _split(field)
     unit = str(raw.facts.get(f"unit {field}", unit or "")).strip("[]() ").lower() or None
     values = _values(raw, message, field)
-    due = SIGNALS[signal].unit
+    signal_unit = SIGNALS[signal].unit
     evidence, unsure = [f'named "{field}"; {_size(values)}'], []
     scale, function = 1.0, "value"
     pwm: tuple[tuple[float, float], ...] = ()
-    if unit is not None and unit in _UNITS.get(due, {}):
-        scale = _UNITS[due][unit]
+    # A unit by name counts most; without one the size of the values decides.
+    if unit is not None and unit in _UNITS.get(signal_unit, {}):
+        scale = _UNITS[signal_unit][unit]
         evidence.append(
-            f"unit {unit} {'by the line of units' if f'unit {field}' in raw.facts else 'by its name'}"
+            f"unit {unit}"
+            f" {'by the line of units' if f'unit {field}' in raw.facts else 'by its name'}"
         )
     elif raw.dialect == "jsbsim-csv":
         evidence.append("lengths, speeds and forces of JSBSim's names are read in SI")
     else:
-        scale, note = _scale_by_size(due, signal, values)
+        scale, note = _scale_by_size(signal_unit, signal, values)
         unsure.append(note)
     if signal == "psi_rad":
         function = "heading"
@@ -391,51 +422,59 @@ def _sized(
         evidence.append("a rate of climb is + up, vd_mps + down")
     if signal == "V_mps" and _INDICATED.search(base):
         unsure.append("an indicated airspeed: V_mps is true airspeed, larger by sqrt(rho0/rho)")
-    if due == "deg" and values.size and 700.0 < float(np.median(values)) < 2300.0:
+    if signal_unit == "deg" and values.size and 700.0 < float(np.median(values)) < 2300.0:
         pwm = ((1100.0, -20.0), (1500.0, 0.0), (1900.0, 20.0))
         scale = 1.0
         unsure = ["pulse widths in us: put the surface's own angles into the table"]
     elif signal.endswith("_deg") and "_pos_" not in signal and not re.search("cmd|command", base):
         unsure.append(
-            f"if it was measured at the surface, write [signals.{signal.replace('_deg', '_pos_deg')}]"
+            "if it was measured at the surface, write"
+            f" [signals.{signal.replace('_deg', '_pos_deg')}]"
         )
-    if others:
-        unsure.append(f"other fields with such a name: {', '.join(others[:5])}")
+    if alternatives:
+        unsure.append(f"other fields with such a name: {', '.join(alternatives[:5])}")
     if not table:
         unsure.append("recognised by its name alone")
     entry = Entry(message, 0, (field,), scale, 0.0, pwm, function)
     return Proposal(signal, entry, tuple(evidence), tuple(unsure))
 
 
-def _scale_by_size(due: str, signal: str, values: FloatArray) -> tuple[float, str]:
-    """Scale of a field without a unit, by the size of its values, and a note on it."""
+def _scale_by_size(signal_unit: str, signal: str, values: FloatArray) -> tuple[float, str]:
+    """Return the scale of a field without a unit, by the size of its values, and a note."""
     size = float(np.quantile(np.abs(values), 0.99)) if values.size else 0.0
     middle = float(np.median(values)) if values.size else 0.0
     limit = {"theta_rad": 1.65, "phi_rad": 3.3, "psi_rad": 6.6, "alpha_rad": 1.65, "beta_rad": 1.65}
-    if due == "rad" and size > limit.get(signal, math.inf):
+    if signal_unit == "rad" and size > limit.get(signal, math.inf):
         return _RAD, f"no unit in the name; values up to {size:.3g} are degrees"
-    if due == "rad/s" and size > 20.0:
+    if signal_unit == "rad/s" and size > 20.0:
         return _RAD, f"no unit in the name; values up to {size:.3g} are deg/s"
-    if due == "m/s2" and signal == "az_mps2":
+    if signal_unit == "m/s2" and signal == "az_mps2":
         for unit, factor in (("m/s2", 1.0), ("g", G0_MPS2), ("ft/s2", FT_M)):
             if 0.7 < abs(middle) * factor / G0_MPS2 < 1.4:
                 sign = -1.0 if middle > 0.0 else 1.0
-                turned = " with + up" if middle > 0.0 else ""
+                sign_note = " with + up" if middle > 0.0 else ""
                 return (
                     sign * factor,
-                    f"no unit in the name; a median of {middle:.3g} is gravity in {unit}{turned}",
+                    (
+                        f"no unit in the name; a median of {middle:.3g} is gravity in"
+                        f" {unit}{sign_note}"
+                    ),
                 )
-    if due == "%" and size <= 1.5:
+    if signal_unit == "%" and size <= 1.5:
         return 100.0, f"no unit in the name; values up to {size:.3g} are 0 to 1"
-    if due == "deg" and size <= 1.0:
+    if signal_unit == "deg" and size <= 1.0:
         return (
             1.0 / _RAD,
-            f"no unit in the name; values up to {size:.3g} are taken for rad, and may be -1 to 1 of the throw",
+            (
+                f"no unit in the name; values up to {size:.3g} are taken for rad, and may be -1 to"
+                " 1 of the throw"
+            ),
         )
-    return 1.0, f"no unit in the name; {due} is assumed"
+    return 1.0, f"no unit in the name; {signal_unit} is assumed"
 
 
 def _size(values: FloatArray) -> str:
+    """Return median and range of values as text."""
     if not values.size:
         return "no numbers"
     low, middle, high = np.quantile(values, [0.01, 0.5, 0.99])
@@ -443,18 +482,18 @@ def _size(values: FloatArray) -> str:
 
 
 def _places(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal]:
-    """North and east of the start from latitude and longitude in a table."""
+    """Return proposals for north and east from latitude and longitude columns of a table."""
     content = raw.messages.get(("csv", 0))
     if content is None or _PAIR_FIELDS & set(present):
         return {}
     pair = []
     for pattern in (_LATITUDE, _LONGITUDE):
-        named = [
+        matching = [
             f
             for f, v in content.fields.items()
             if _usable(v) and re.fullmatch(pattern, _split(f)[0])
         ]
-        pair.append(next(iter(named), None))
+        pair.append(next(iter(matching), None))
     lat, lon = pair
     if lat is None or lon is None:
         return {}
@@ -472,7 +511,7 @@ def _places(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal]
 
 
 def _accelerations_alike(proposals: dict[str, Proposal], raw: RawLog) -> dict[str, Proposal]:
-    """Accelerations without a unit take that of the vertical one, in which gravity shows."""
+    """Give accelerations without a unit the unit of the vertical one, which shows gravity."""
     vertical = proposals.get("az_mps2")
     if vertical is None:
         return proposals
@@ -493,7 +532,9 @@ def _by_kinematics(
     card: AirframeCard | None,
     source: str,
 ) -> tuple[dict[str, Proposal], FlightRecord | None]:
-    """Units and signs changed where the channels contradict one another, and what they confirm."""
+    """Correct units and signs that the relations between channels contradict, and add
+    confirmations.
+    """
     out, record = dict(proposals), None
     for _ in range(_ROUNDS):
         entries = {n: (p.entry,) for n, p in out.items()}
@@ -502,6 +543,8 @@ def _by_kinematics(
         except LogError:
             return out, None
         changed = False
+        # Each finding on a unit or sign of a mapped channel changes its scale; repeat until
+        # none is left.
         for f in record.metadata.findings:
             p = out.get(f.channel)
             slope = f.numbers.get("slope", math.nan)
@@ -529,7 +572,7 @@ def _by_kinematics(
 
 
 def _without_undone(evidence: tuple[str, ...], factor: float, message: str) -> tuple[str, ...]:
-    """The evidence with one more change of scale, or without the change that this one takes back."""
+    """Return the evidence with a change of scale added, or removed if this change reverses it."""
     opposite = f"scale changed by {1.0 / factor:.6g}: "
     if evidence and evidence[-1].startswith(opposite):
         return evidence[:-1]
@@ -537,18 +580,22 @@ def _without_undone(evidence: tuple[str, ...], factor: float, message: str) -> t
 
 
 def _confirmed(proposals: dict[str, Proposal], record: FlightRecord) -> dict[str, Proposal]:
-    """The proposals with the relations that hold; what they confirm is no longer unsure."""
+    """Add the relations that hold to the evidence; what they confirm is no longer uncertain."""
     free = record.metadata.free_flight_s
     flight = record.between(*free[0]) if free else record
     out = dict(proposals)
-    for h in heard(flight) if len(flight) > 3 else ():
+    for h in evaluate_laws(flight) if len(flight) > 3 else ():
         p = out.get(h.law.subject)
         if p is None or not h.agrees:
             continue
-        text = f"{h.relation.scale:.2f} times {h.law.says} ({h.relation.low:.2f} to {h.relation.high:.2f})"
-        sure = tuple(x for x in p.unsure if "no unit" in x)
+        text = (
+            f"{h.relation.scale:.2f} times {h.law.statement} ({h.relation.low:.2f} to"
+            f" {h.relation.high:.2f})"
+        )
+        confirmed = tuple(x for x in p.unsure if "no unit" in x)
         unsure = tuple(x for x in p.unsure if "no unit" not in x)
-        out[h.law.subject] = replace(p, evidence=(*p.evidence, *sure, text), unsure=unsure)
+        out[h.law.subject] = replace(p, evidence=(*p.evidence, *confirmed, text), unsure=unsure)
+    # Errors that remain are shown with the signal.
     for f in record.metadata.findings:
         if f.channel in out and f.severity == "error":
             p = out[f.channel]
@@ -557,6 +604,7 @@ def _confirmed(proposals: dict[str, Proposal], record: FlightRecord) -> dict[str
 
 
 def _unused(raw: RawLog, used: set[tuple[str, str]]) -> dict[str, str]:
+    """Return the fields that no signal uses, with their sizes, at most 200."""
     out = {}
     for (message, _), table in raw.messages.items():
         for field, values in table.fields.items():
@@ -568,20 +616,24 @@ def _unused(raw: RawLog, used: set[tuple[str, str]]) -> dict[str, str]:
 
 
 def _first(table: MessageTable, field: str) -> str:
+    """Return the first text of a field."""
     values = table.fields[field]
     return f"text such as '{str(values[0])[:40]}'" if len(values) else "empty"
 
 
 def _comments(prefix: str, texts: Iterable[str]) -> list[str]:
+    """Return comment lines of a map."""
     return [f"# {prefix}{' '.join(text.split())}" for text in texts]
 
 
 def _quoted(text: str) -> str:
+    """Return a text as a TOML string."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\t", "\\t")
     return f'"{escaped}"'
 
 
 def _entry_lines(signal: str, entry: Entry) -> list[str]:
+    """Return the TOML lines of one entry."""
     lines = [f"[signals.{signal}]", f"message = {_quoted(entry.message)}"]
     if entry.instance:
         lines.append(f"instance = {entry.instance}")

@@ -1,4 +1,9 @@
-"""Signal maps: which message and field of a log dialect becomes which signal. Data in TOML, read and checked here."""
+"""Signal maps: which message and field of a log dialect supplies which signal.
+
+Maps are TOML files. The package ships one for each dialect (``signal_maps/*.toml``), and a user's
+map overlays it. This module reads and checks them; `sysid.logs.channels` evaluates their entries.
+`markdown_table` writes the table of docs/log-reference.md.
+"""
 
 from __future__ import annotations
 
@@ -35,6 +40,7 @@ FUNCTIONS: dict[str, int] = {
     "air_beta": 3,  # (u, v, w)
     "density_of_eas2tas": 1,  # 1.225 / ratio^2
 }
+"""Function of an entry to the number of fields that it takes."""
 _TEXT_TIMES = ("iso", "iso8601", "text", "datetime")
 _KEYS = {
     "message",
@@ -52,11 +58,28 @@ _KEYS = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One way to obtain one signal: y = table or offset + scale * function(fields), times another message's field.
+    """One way to obtain one signal: ``offset + scale * function(fields)``, times a factor.
 
-    instance  None lets the log decide by the map's sensor rules; a number is binding
-    table  pairs (x, y), linear between and beyond its ends held; takes the place of scale and offset
-    times  (message, field) that multiplies the result, interpolated; the factor is 1 where that message is absent
+    Attributes
+    ----------
+    message : str
+        Message of the log.
+    instance : int or None
+        Instance of the sensor; None lets the map's sensor rules choose.
+    fields : tuple of str
+        Arguments of the function.
+    scale, offset : float
+        Conversion to the signal's unit.
+    table : tuple of pairs
+        (x, y) pairs that replace scale and offset: linear between them, the end slopes continued.
+    function : str
+        Key of FUNCTIONS.
+    estimate : bool
+        True if no sensor measures the signal.
+    times : tuple or None
+        (message, field) of a factor, interpolated in time; 1 if the log has no such message.
+    source : str
+        Name of the table that a sensor rule selected, for labels.
     """
 
     message: str
@@ -72,7 +95,9 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """Short name, e.g. "IMU.GyrY", "RCOU.C2", "GPS.Spd+GCrs", "ARSP[0,1].Airspeed" where the sensor changes."""
+        """Name for people: "IMU.GyrY", "RCOU.C2", "GPS.Spd+GCrs", or "ARSP[0,1].Airspeed" if the
+        sensor changes during the log.
+        """
         instance = f"[{self.instance}]" if self.instance else ""
         extra = f" x {self.times[0]}.{self.times[1]}" if self.times else ""
         return f"{self.source or self.message + instance}.{'+'.join(self.fields)}{extra}"
@@ -80,16 +105,33 @@ class Entry:
 
 @dataclass(frozen=True)
 class SensorRule:
-    """How a log marks which instance of a sensor is in use and which of its rows are data.
+    """How a log marks the instance of a sensor in use, and the rows that are data.
 
-    also      names that further instances have as messages of their own: IMU2 is instance 1 of IMU
-    fields    the measurements that the rule is about; empty for all of the message
-    valid     field of the message -> (least, most) of a valid row; a field that is not logged demands nothing
-    needs     (message, field, least, most): one of these states must hold
-    health    (message, prefix of its fields present, enabled, health), with one of `bits` an instance
-    in_use    flag of the message: this instance is used
-    primary   (message, field) that numbers the instance in use, `primary_first` for the first; the first pair logged counts
-    selected  (field, message, field): the instance whose field equals the other message's is in use
+    Attributes
+    ----------
+    message : str
+        Message of the sensor.
+    also : tuple of str
+        Messages of further instances: IMU2 is instance 1 of IMU.
+    fields : tuple of str
+        Measurements that the rule covers; empty for all.
+    valid : mapping
+        Field to (low, high) of a valid row. A field that is not logged imposes nothing.
+    needs : tuple of (message, field, low, high)
+        At least one of these states must hold.
+    health : tuple or None
+        (message, prefix) of the fields prefix_present, prefix_enabled and prefix_health.
+    bits : tuple of int
+        Bit of each instance in these fields.
+    in_use : str
+        Field that is above 0 while this instance is used.
+    primary : tuple of (message, field)
+        Fields that number the instance in use; the first logged one counts.
+    primary_first : int
+        Number that means the first instance.
+    selected : tuple or None
+        (field, message, field): the instance whose field equals that of the other message is in
+        use.
     """
 
     message: str
@@ -105,45 +147,69 @@ class SensorRule:
     selected: tuple[str, str, str] | None = None
 
     def covers(self, entry: Entry) -> bool:
-        """Whether the rule is about the sensor that an entry reads."""
-        named = entry.message == self.message or entry.message in self.also
-        return named and (not self.fields or any(f in self.fields for f in entry.fields))
+        """Return whether an entry reads this sensor."""
+        reads_message = entry.message == self.message or entry.message in self.also
+        return reads_message and (not self.fields or any(f in self.fields for f in entry.fields))
 
-    def wanted(self) -> dict[str, set[str]]:
-        """message -> fields that the rule looks at."""
-        own = {*self.valid, self.in_use} - {""}
-        out: dict[str, set[str]] = {}
+    def field_selection(self) -> dict[str, set[str]]:
+        """Return message to fields that the rule reads."""
+        sensor_fields = {*self.valid, self.in_use} - {""}
+        fields: dict[str, set[str]] = {}
         pairs = [*self.primary, *((m, f) for m, f, _, _ in self.needs)]
         if self.selected is not None:
-            own.add(self.selected[0])
+            sensor_fields.add(self.selected[0])
             pairs.append(self.selected[1:])
         if self.health is not None:
             pairs += [
                 (self.health[0], f"{self.health[1]}_{p}") for p in ("present", "enabled", "health")
             ]
         for message, name in pairs:
-            out.setdefault(message, set()).add(name)
+            fields.setdefault(message, set()).add(name)
         for message in (self.message, *self.also):
-            out.setdefault(message, set()).update(own)
-        return out
+            fields.setdefault(message, set()).update(sensor_fields)
+        return fields
 
 
 @dataclass(frozen=True)
 class ServoOutputs:
-    """Where a dialect logs the servo outputs: message, instance and field patterns with {n} for the channel number."""
+    """Message of the servo outputs in a dialect.
+
+    Attributes
+    ----------
+    message, instance : str, int
+        Where the outputs are logged.
+    patterns : tuple of str
+        Field names in which {n} is the channel number.
+    """
 
     message: str
     instance: int
     patterns: tuple[str, ...]
 
     def fields_of(self, number: int) -> tuple[str, ...]:
-        """Names that a channel may have, by the number that the log gives it; the first that a log carries is used."""
+        """Return the possible field names of a channel; the first that the log has is used."""
         return tuple(pattern.replace("{n}", str(number)) for pattern in self.patterns)
 
 
 @dataclass(frozen=True)
 class SignalMap:
-    """entries: signal -> candidates, the first that the log carries wins; time: the column of a table's times."""
+    """Sources of all signals of a dialect.
+
+    Attributes
+    ----------
+    name : str
+        Dialect or file name, for messages.
+    entries : mapping
+        Signal to candidates; the first that the log has is used.
+    servos : ServoOutputs or None
+        Servo outputs.
+    needs : mapping
+        Further messages and fields that the checks need.
+    time : TimeColumn or None
+        Time column of a table.
+    sensors : tuple of SensorRule
+        Choice among sensor instances.
+    """
 
     name: str
     entries: Mapping[str, tuple[Entry, ...]]
@@ -152,29 +218,30 @@ class SignalMap:
     time: TimeColumn | None = None
     sensors: tuple[SensorRule, ...] = ()
 
-    def wanted(self) -> dict[str, frozenset[str]]:
-        """message -> fields, for the importers."""
-        out: dict[str, set[str]] = {m: set(f) for m, f in self.needs.items()}
+    def field_selection(self) -> dict[str, frozenset[str]]:
+        """Return message to fields, for the importers."""
+        fields: dict[str, set[str]] = {m: set(f) for m, f in self.needs.items()}
         for candidates in self.entries.values():
             for entry in candidates:
-                out.setdefault(entry.message, set()).update(entry.fields)
+                fields.setdefault(entry.message, set()).update(entry.fields)
                 if entry.times:
-                    out.setdefault(entry.times[0], set()).add(entry.times[1])
+                    fields.setdefault(entry.times[0], set()).add(entry.times[1])
         for rule in self.sensors:
-            if rule.message not in out and not any(name in out for name in rule.also):
+            if rule.message not in fields and not any(name in fields for name in rule.also):
                 continue
-            measured = out.get(rule.message, set()).copy()
-            for message, names in rule.wanted().items():
-                out.setdefault(message, set()).update(names)
+            # Further instances are read with the same fields as the first.
+            measured = fields.get(rule.message, set()).copy()
+            for message, names in rule.field_selection().items():
+                fields.setdefault(message, set()).update(names)
             for message in rule.also:
-                out[message].update(measured)
+                fields[message].update(measured)
         if self.servos is not None:
             channels = {field for n in range(17) for field in self.servos.fields_of(n)}
-            out.setdefault(self.servos.message, set()).update(channels)
-        return {m: frozenset(f) for m, f in out.items()}
+            fields.setdefault(self.servos.message, set()).update(channels)
+        return {m: frozenset(f) for m, f in fields.items()}
 
     def overlaid(self, other: SignalMap) -> SignalMap:
-        """This map with every signal that `other` names taken from `other`."""
+        """Return this map with the signals of ``other`` replaced by those of ``other``."""
         return SignalMap(
             f"{self.name} + {other.name}",
             {**self.entries, **other.entries},
@@ -186,7 +253,7 @@ class SignalMap:
 
 
 def shipped_dialects() -> list[str]:
-    """Names of the maps that come with the package."""
+    """Return the dialects for which the package has a map."""
     folder = resources.files("sysid.logs") / "signal_maps"
     return sorted(
         p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml")
@@ -194,7 +261,13 @@ def shipped_dialects() -> list[str]:
 
 
 def shipped_map(dialect: str) -> SignalMap:
-    """The package's own map of a dialect; LogError when there is none."""
+    """Return the package's map of a dialect; raise LogError if there is none.
+
+    Examples
+    --------
+    >>> shipped_map("dataflash").entries["q_radps"][0].label
+    'IMU.GyrY'
+    """
     if dialect not in shipped_dialects():
         raise LogError(f"no signal map for dialect '{dialect}'; there are {shipped_dialects()}")
     source = (resources.files("sysid.logs") / "signal_maps" / f"{dialect}.toml").read_text(
@@ -204,7 +277,7 @@ def shipped_map(dialect: str) -> SignalMap:
 
 
 def read_map(path: Path) -> SignalMap:
-    """A user's map file; LogError with file and key when it cannot be used."""
+    """Read a user's map; raise LogError with file and key if it cannot be used."""
     try:
         source = read_regular_text(path)
     except OSError as e:
@@ -219,7 +292,20 @@ def read_map(path: Path) -> SignalMap:
 
 
 def parse_map(source: str, name: str) -> SignalMap:
-    """TOML text to a map. `name` stands in error messages."""
+    """Parse the TOML text of a map.
+
+    Parameters
+    ----------
+    source : str
+        TOML with [signals.NAME], [servos], [needs] and [[sensors]].
+    name : str
+        File name or dialect, for error messages.
+
+    Raises
+    ------
+    LogError
+        For an unknown key or signal, a wrong type, or TOML that is not valid.
+    """
     try:
         data = parse_toml(source)
     except ParseError as e:
@@ -258,7 +344,9 @@ def parse_map(source: str, name: str) -> SignalMap:
 
 
 def _time(row: Any, name: str) -> TimeColumn:
-    """`[signals.time_s]`: the column of a table's times and its unit, or the scale that makes them seconds."""
+    """Read ``[signals.time_s]``: the time column of a table with its unit, or with a scale to
+    seconds.
+    """
     where = "[signals.time_s]"
     if not isinstance(row, dict):
         raise LogError('must be a table such as field = "TIME", unit = "us"', name, where)
@@ -287,7 +375,7 @@ def _time(row: Any, name: str) -> TimeColumn:
 
 
 def _sensor_rules(data: Any, name: str) -> tuple[SensorRule, ...]:
-    """The rules [[sensors]] of a map."""
+    """Read the rules ``[[sensors]]``."""
     if not isinstance(data, list):
         raise LogError('must hold tables such as message = "ARSP"', name, "[[sensors]]")
     rules = []
@@ -326,16 +414,19 @@ def _sensor_rules(data: Any, name: str) -> tuple[SensorRule, ...]:
 
 
 def _pair(value: Any) -> tuple[str, str]:
+    """Return two texts; raise ValueError for another number of them."""
     first, second = value
     return str(first), str(second)
 
 
 def _triple(value: Any) -> tuple[str, str, str]:
+    """Return three texts; raise ValueError for another number of them."""
     first, second, third = value
     return str(first), str(second), str(third)
 
 
 def _list(row: Mapping[str, Any], key: str) -> list[Any]:
+    """Return a list from a table, empty by default; raise TypeError for anything else."""
     value = row.get(key, [])
     if not isinstance(value, list):
         raise TypeError(key)
@@ -343,12 +434,14 @@ def _list(row: Mapping[str, Any], key: str) -> list[Any]:
 
 
 def _needs(data: Any, name: str) -> dict[str, frozenset[str]]:
+    """Read ``[needs]``: message to fields."""
     if not isinstance(data, dict) or not all(isinstance(fields, list) for fields in data.values()):
         raise LogError('must hold lists such as IMU = ["GyrX"]', name, "[needs]")
     return {message: frozenset(str(field) for field in fields) for message, fields in data.items()}
 
 
 def _servos(data: Any, name: str) -> ServoOutputs | None:
+    """Read ``[servos]``."""
     if data is None:
         return None
     if (
@@ -357,11 +450,14 @@ def _servos(data: Any, name: str) -> ServoOutputs | None:
         or "message" not in data
     ):
         raise LogError('allowed keys are message, instance, field = "C{n}"', name, "[servos]")
-    given = data.get("field", "")
-    patterns = tuple(str(pattern) for pattern in (given if isinstance(given, list) else [given]))
+    field_names = data.get("field", "")
+    patterns = tuple(
+        str(pattern)
+        for pattern in (field_names if isinstance(field_names, list) else [field_names])
+    )
     if not patterns or not all("{n}" in pattern for pattern in patterns):
         raise LogError(
-            f"field = {given!r} must contain {{n}} for the channel number", name, "[servos]"
+            f"field = {field_names!r} must contain {{n}} for the channel number", name, "[servos]"
         )
     return ServoOutputs(
         str(data["message"]), _integer(data.get("instance", 0), name, "[servos]"), patterns
@@ -369,6 +465,7 @@ def _servos(data: Any, name: str) -> ServoOutputs | None:
 
 
 def _entry(row: Any, where: str, name: str) -> Entry:
+    """Read one candidate of a signal."""
     if not isinstance(row, dict):
         raise LogError(f"must be a table with {sorted(_KEYS)}; received {row!r}", name, where)
     unknown = sorted(set(row) - _KEYS)
@@ -409,7 +506,7 @@ def _entry(row: Any, where: str, name: str) -> Entry:
 
 
 def read_table(data: Any, name: str, where: str) -> tuple[tuple[float, float], ...]:
-    """Check a list of [x, y] pairs with increasing x, at least two; LogError otherwise."""
+    """Return [x, y] pairs with increasing x, at least two; raise LogError otherwise."""
     try:
         pairs = tuple((float(x), float(y)) for x, y in data)
     except (TypeError, ValueError, OverflowError):
@@ -425,6 +522,7 @@ def read_table(data: Any, name: str, where: str) -> tuple[tuple[float, float], .
 
 
 def _number(value: Any, name: str, where: str) -> float:
+    """Return a finite float; raise LogError otherwise."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise LogError(f"must be a number; received {value!r}", name, where)
     if not abs(value) <= sys.float_info.max:
@@ -433,17 +531,16 @@ def _number(value: Any, name: str, where: str) -> float:
 
 
 def _integer(value: Any, name: str, where: str) -> int:
+    """Return an int; raise LogError otherwise."""
     if isinstance(value, bool) or not isinstance(value, int):
         raise LogError(f"instance must be a whole number; received {value!r}", name, where)
     return value
 
 
-# The vocabulary joined with the shipped signal maps as a Markdown table: that of docs/log-
-# reference.md.
-
-
 def markdown_table() -> str:
-    """One row per signal: name, unit, meaning, and its sources in every dialect."""
+    """Return a Markdown table with a row per signal: name, unit, meaning, sources in every
+    dialect.
+    """
     maps = {dialect: shipped_map(dialect) for dialect in shipped_dialects()}
     lines = [
         "| signal | unit | meaning | " + " | ".join(maps) + " |",
@@ -454,7 +551,7 @@ def markdown_table() -> str:
             dict.fromkeys(entry.label for entry in m.entries.get(signal.name, ()))
             for m in maps.values()
         ]
-        cells = [" or ".join(found) or "-" for found in labels]
+        cells = [" or ".join(sources) or "-" for sources in labels]
         lines.append(
             f"| `{signal.name}` | {signal.unit} | {signal.meaning} | " + " | ".join(cells) + " |"
         )

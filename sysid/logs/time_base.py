@@ -1,4 +1,9 @@
-"""Time stamps as they are and as they can be used: spikes, steps back, underflow, repeats and gaps. Pure numerics."""
+"""Time stamps of messages: damage, gaps, resampling, and restarts of the clock.
+
+`clean` selects the records of a message that can be placed in time, `interpolate` and `hold` put
+their values on a grid, and `split` separates the boots of the autopilot in one log. All functions
+are pure.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +20,8 @@ from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.foreign.raw import MessageTable, RawLog
 
-JUMP_S = 3600.0  # a step this long inside one log is a wrong clock, not a dropout
-SAME_S = 2e-6  # times this close are one: stamps are whole microseconds
+JUMP_S = 3600.0  # a longer step inside one log is a wrong clock, not a dropout
+SAME_S = 2e-6  # closer times are equal: stamps are whole microseconds
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 """Unit of a time -> seconds."""
 _UNIT_WORDS = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
@@ -26,14 +31,22 @@ GAP_STEPS = 2.5  # a step longer than this many usual steps is a gap
 
 @dataclass(frozen=True)
 class CleanTime:
-    """Usable part of one message's time stamps.
+    """Usable part of the time stamps of one message.
 
-    keep       (n,) True for the records to use; `time_s[keep]` increases strictly
-    step_s     usual step (median), NaN below two records
-    backwards  records dropped because their time ran backwards, underflowed or jumped
-    repeats    records dropped because their time equals the one before
-    dropped_s  span of time lost by a jump of the clock
-    gaps       (g, 2) start and end of every step longer than GAP_STEPS usual steps
+    Attributes
+    ----------
+    keep : ndarray of bool, shape (n,)
+        Records to use; ``time_s[keep]`` increases strictly.
+    step_s : float
+        Median step, s; NaN below two records.
+    backwards : int
+        Records dropped because their time runs backwards, underflows or jumps.
+    repeats : int
+        Records dropped because their time equals that of the record before.
+    dropped_s : float
+        Time span lost by a jump of the clock, s.
+    gaps : ndarray of shape (g, 2)
+        Start and end of every step longer than GAP_STEPS median steps, s.
     """
 
     keep: NDArray[np.bool_]
@@ -45,16 +58,24 @@ class CleanTime:
 
 
 def clean(time_s: FloatArray) -> CleanTime:
-    """Decide which records of a message can be placed in time.
+    """Select the records of a message that can be placed in time.
 
-    Where time runs backwards the longest set of records in increasing order is kept, so that one spike costs one
-    record and a second recording appended to the first costs the shorter of the two.
+    Where time runs backwards, the longest subsequence of records in increasing order is kept: a
+    single spike costs one record, and a second recording appended to the first costs the shorter
+    one.
+
+    Parameters
+    ----------
+    time_s : ndarray of shape (n,)
+        Time stamps in the order of the file, s.
     """
     keep = np.isfinite(time_s) & (np.abs(time_s) < 1e11)
     total = len(time_s)
     index = np.flatnonzero(keep)
+    # Drop the fewest records that make the rest increase.
     if len(index) and np.any(np.diff(time_s[index]) < 0):
         index = index[_longest_increasing(time_s[index])]
+    # A jump of more than JUMP_S is another clock: keep the longest part between jumps.
     dropped_s = 0.0
     jumps = (
         np.flatnonzero(np.diff(time_s[index]) > JUMP_S)
@@ -68,6 +89,7 @@ def clean(time_s: FloatArray) -> CleanTime:
             sum(time_s[b[-1]] - time_s[b[0]] for b in blocks)
             - (time_s[index[-1]] - time_s[index[0]])
         )
+    # Of records with equal times keep the first.
     backwards = total - len(index)
     fresh = np.ones(len(index), dtype=bool)
     if len(index) > 1:
@@ -82,34 +104,42 @@ def clean(time_s: FloatArray) -> CleanTime:
 
 
 def likely_time_unit(step: float) -> str:
-    """Unit in which rows of a flight are this step apart: 1 Hz to 1 kHz where it is not s."""
+    """Return the unit in which a step between rows is plausible for a flight.
+
+    A step up to SLOWEST_STEP_S is taken for seconds; otherwise rates of 1 Hz to 1 kHz are assumed.
+
+    Examples
+    --------
+    >>> likely_time_unit(0.02), likely_time_unit(20.0), likely_time_unit(20000.0)
+    ('s', 'ms', 'us')
+    """
     if step <= SLOWEST_STEP_S:
         return "s"
     return "ms" if step <= 1e3 else "us" if step <= 2e6 else "ns"
 
 
 def time_unit_finding(column: str, step: float, *, converted: bool) -> Finding:
-    """Times whose steps cannot be seconds."""
+    """Return the finding for steps that cannot be seconds; a warning if they were converted."""
     unit = likely_time_unit(step)
     words = _UNIT_WORDS.get(unit, unit)
-    done = f"and are read as {words}" if converted else f"and look like {words}"
-    text = f"steps of {step:.6g} s: the times of {column} are no seconds {done}"
-    mend = f'[signals.time_s]\nfield = "{column}"\nunit = "{unit}"'
-    spoilt = "" if converted else "every rate, derivative and delay"
+    handling = f"and are read as {words}" if converted else f"and look like {words}"
+    text = f"steps of {step:.6g} s: the times of {column} are no seconds {handling}"
+    correction = f'[signals.time_s]\nfield = "{column}"\nunit = "{unit}"'
+    spoils = "" if converted else "every rate, derivative and delay"
     severity = "warning" if converted else "error"
-    return Finding("time-unit", "time_s", severity, text, {"step": step}, spoilt, mend)
+    return Finding("time-unit", "time_s", severity, text, {"step": step}, spoils, correction)
 
 
 def gaps_of(time_s: FloatArray, step_s: float) -> FloatArray:
-    """(g, 2) start and end of every step longer than GAP_STEPS times `step_s`."""
+    """Return start and end, shape (g, 2), of every step longer than GAP_STEPS times ``step_s``."""
     if len(time_s) < 3 or not np.isfinite(step_s):
         return np.zeros((0, 2))
-    wide = np.flatnonzero(np.diff(time_s) > GAP_STEPS * step_s)
-    return np.stack([time_s[wide], time_s[wide + 1]], axis=1)
+    gap_rows = np.flatnonzero(np.diff(time_s) > GAP_STEPS * step_s)
+    return np.stack([time_s[gap_rows], time_s[gap_rows + 1]], axis=1)
 
 
 def _longest_increasing(values: FloatArray) -> NDArray[np.int64]:
-    """Indices of a longest non-decreasing subsequence (patience sorting, n log n)."""
+    """Return the indices of a longest non-decreasing subsequence (patience sorting, n log n)."""
     tails: list[float] = []
     tail_index: list[int] = []
     previous = np.full(len(values), -1, dtype=np.int64)
@@ -134,29 +164,61 @@ def _longest_increasing(values: FloatArray) -> NDArray[np.int64]:
 def interpolate(
     time_s: FloatArray, values: FloatArray, gaps: FloatArray, grid_s: FloatArray
 ) -> FloatArray:
-    """Linear interpolation of (n,) samples onto (m,) grid times; NaN outside the samples and inside every gap."""
+    """Interpolate samples linearly onto a grid.
+
+    Parameters
+    ----------
+    time_s, values : ndarray of shape (n,)
+        Samples.
+    gaps : ndarray of shape (g, 2)
+        Gaps that are not bridged, s.
+    grid_s : ndarray of shape (m,)
+        Grid times, s.
+
+    Returns
+    -------
+    ndarray of shape (m,)
+        NaN outside the samples and inside every gap.
+    """
     out = np.interp(grid_s, time_s, values, left=np.nan, right=np.nan)
     out[inside(gaps, grid_s)] = np.nan
-    # A grid time on a sample takes the sample: rounding in the last digit must not spread a neighbour's NaN.
-    near = np.clip(np.searchsorted(time_s, grid_s - SAME_S), 0, len(time_s) - 1)
-    same = np.abs(time_s[near] - grid_s) <= SAME_S
-    out[same] = values[near[same]]
+    # A grid time on a sample takes the sample: a rounding error in the last digit must not
+    # carry over a NaN of the neighbour.
+    nearest = np.clip(np.searchsorted(time_s, grid_s - SAME_S), 0, len(time_s) - 1)
+    on_sample = np.abs(time_s[nearest] - grid_s) <= SAME_S
+    out[on_sample] = values[nearest[on_sample]]
     return out
 
 
 def hold(
     time_s: FloatArray, values: NDArray, gaps: FloatArray, grid_s: FloatArray, step_s: float
 ) -> NDArray:
-    """Zero-order hold onto the grid: the newest sample not later than the grid time (a quarter of a grid step of
-    tolerance, so that stamps of one loop count as one). NaN before the first sample, inside gaps after one usual step,
-    and more than GAP_STEPS steps after the last sample."""
+    """Put samples on a grid by zero-order hold.
+
+    Each grid time takes the newest sample that is not later, with a tolerance of a quarter of a
+    grid step, so that stamps of one loop count as simultaneous. The result is NaN before the first
+    sample, in gaps after one step, and more than GAP_STEPS steps after the last sample; "" for
+    text.
+
+    Parameters
+    ----------
+    time_s, values : ndarray of shape (n,)
+        Samples.
+    gaps : ndarray of shape (g, 2)
+        Gaps between the samples, s.
+    grid_s : ndarray of shape (m,)
+        Grid times, s.
+    step_s : float
+        Usual step of the samples, s.
+    """
     tolerance = 0.25 * float(np.median(np.diff(grid_s))) if len(grid_s) > 1 else 0.0
     at = np.searchsorted(time_s, grid_s + tolerance, side="right") - 1
     out = values[np.maximum(at, 0)].copy()
     missing = at < 0
     if len(time_s) > 1 and np.isfinite(step_s):
-        held_from = np.column_stack([gaps[:, 0] + step_s, gaps[:, 1]]) if len(gaps) else gaps
-        missing |= inside(held_from, grid_s + tolerance) | (
+        # A held value expires one step after the begin of a gap.
+        held_spans = np.column_stack([gaps[:, 0] + step_s, gaps[:, 1]]) if len(gaps) else gaps
+        missing |= inside(held_spans, grid_s + tolerance) | (
             grid_s > time_s[-1] + GAP_STEPS * step_s
         )
     out[missing] = np.nan if out.dtype != object else ""
@@ -164,20 +226,17 @@ def hold(
 
 
 def inside(gaps: FloatArray, grid_s: FloatArray) -> NDArray[np.bool_]:
-    """(m,) True where a grid time lies strictly inside one of the (g, 2) gaps."""
+    """Return where grid times lie strictly inside one of the gaps, shape (m,)."""
     if not len(gaps):
         return np.zeros(len(grid_s), dtype=bool)
     at = np.searchsorted(gaps[:, 0], grid_s, side="left") - 1
     return (at >= 0) & (grid_s < gaps[np.maximum(at, 0), 1])
 
 
-# Several boots of the autopilot in one log: its clock begins again, and what was logged before
-# must not follow what came after.
-#
-# The order of records in the file shows a restart. Seen in that order, a running median of the
-# time stamps grows within a boot, whatever single stamps are wrong and lines out of order. It
-# falls at a restart; it also falls where a block of records was written late or with a wrong
-# clock, but then it comes back to where it was.
+# Restarts. The clock of the autopilot begins again at each boot. In the order of the file, a
+# running median of the time stamps increases within a boot, in spite of single wrong stamps and
+# lines out of order. It falls at a restart. It also falls where a block of records was written
+# late or with a wrong clock, but then it returns to its old value.
 
 IntArray = NDArray[np.int64]
 RESTART_S = 1.0  # a smaller step back is jitter of the logger or of the radio
@@ -185,8 +244,11 @@ _HALF_WINDOW = 25  # records on each side; fewer in a row count as damage
 
 
 def split(raw: RawLog) -> list[RawLog]:
-    """The boots of a log in the order of the file, each a log of its own; the log itself where there is one boot."""
+    """Return the boots of a log in the order of the file, each as a log; the log itself for one
+    boot.
+    """
     placed = {key: t for key, t in raw.messages.items() if t.place is not None}
+    # The usual case: one boot.
     if not raw.headers and not any(_steps_back(t.time_s) for t in placed.values()):
         return [_without_places(raw)]
     place: IntArray = np.concatenate([np.asarray(t.place, dtype=np.int64) for t in placed.values()])
@@ -200,14 +262,21 @@ def split(raw: RawLog) -> list[RawLog]:
 
 
 def boundaries(place: IntArray, time_s: FloatArray, headers: tuple[int, ...] = ()) -> list[int]:
-    """Places in the file at which the clock begins again.
+    """Return the places in the file at which the clock begins again.
 
-    place    (n,) position in the file of each record, in any order      time_s  (n,) its stamp
-    headers  places at which the log's header stands again: a boundary, unless the clock goes on there
+    Parameters
+    ----------
+    place : ndarray of shape (n,)
+        Position of each record in the file, in any order.
+    time_s : ndarray of shape (n,)
+        Time stamps, s.
+    headers : tuple of int
+        Places at which a log header occurs again. Each is a boundary unless the clock continues
+        there.
     """
-    good = np.isfinite(time_s)
-    order = np.argsort(place[good], kind="stable")
-    place, time_s = place[good][order], time_s[good][order]
+    is_finite = np.isfinite(time_s)
+    order = np.argsort(place[is_finite], kind="stable")
+    place, time_s = place[is_finite][order], time_s[is_finite][order]
     if len(time_s) < 3:
         return []
     edges = [0, *_headers(place, time_s, headers), len(time_s)]
@@ -218,7 +287,7 @@ def boundaries(place: IntArray, time_s: FloatArray, headers: tuple[int, ...] = (
 
 
 def _headers(place: IntArray, time_s: FloatArray, headers: tuple[int, ...]) -> list[int]:
-    """Rows that follow a repeated header after which the clock does not go on."""
+    """Return rows that follow a repeated header after which the clock does not continue."""
     out: list[int] = []
     for header in sorted(headers):
         row = int(np.searchsorted(place, header))
@@ -231,9 +300,10 @@ def _headers(place: IntArray, time_s: FloatArray, headers: tuple[int, ...]) -> l
 
 
 def _restarts(time_s: FloatArray) -> list[int]:
-    """Rows at which the clock begins again, of stamps in the order of the file."""
+    """Return rows at which the clock begins again, for stamps in the order of the file."""
     if not _steps_back(time_s):
         return []
+    # The running median ignores single wrong stamps.
     level = median_filter(time_s, size=2 * _HALF_WINDOW + 1, mode="nearest")
     rows: list[int] = []
     begin = 0
@@ -242,31 +312,34 @@ def _restarts(time_s: FloatArray) -> list[int]:
         if k < returned:
             continue
         before, after = float(level[k]), float(level[k + 1])
-        # A block with a wrong clock ends where the clock of the records in front of it goes on.
-        earlier = np.flatnonzero(level[begin:k] <= after)
-        if len(earlier):
-            last = begin + int(earlier[-1])
-            lasted = before - level[last + 1]
+        # Not a restart: a block with a wrong clock ends where the clock of the records before
+        # it continues.
+        rows_before = np.flatnonzero(level[begin:k] <= after)
+        if len(rows_before):
+            last = begin + int(rows_before[-1])
+            lost_s = before - level[last + 1]
             if (
                 level[last + 1] - level[last] > RESTART_S
-                and after - level[last] <= RESTART_S + lasted
+                and after - level[last] <= RESTART_S + lost_s
             ):
                 continue
-        # A block that was written late ends with a jump to where the clock had been.
-        later = np.flatnonzero(level[k + 1 :] >= before - 0.5 * RESTART_S)
-        if len(later):
-            first = k + 1 + int(later[0])
+        # Not a restart: a block that was written late ends with a jump to the earlier clock.
+        rows_after = np.flatnonzero(level[k + 1 :] >= before - 0.5 * RESTART_S)
+        if len(rows_after):
+            first = k + 1 + int(rows_after[0])
             jump = level[first] - level[first - 1]
             if jump > 0.5 * RESTART_S and abs(level[first] - before) <= RESTART_S:
                 returned = first
                 continue
-        begin = _exact(time_s, k + 1, before, after)
+        begin = _boundary_row(time_s, k + 1, before, after)
         rows.append(begin)
     return rows
 
 
-def _exact(time_s: FloatArray, row: int, before: float, after: float) -> int:
-    """The row near ``row`` that parts the stamps near ``before`` from those near ``after`` with the fewest exceptions."""
+def _boundary_row(time_s: FloatArray, row: int, before: float, after: float) -> int:
+    """Return the row that separates stamps near ``before`` from stamps near ``after`` with the
+    fewest exceptions, within half a window of ``row``.
+    """
     low, high = max(0, row - _HALF_WINDOW), min(len(time_s), row + _HALF_WINDOW)
     new = np.abs(time_s[low:high] - after) < np.abs(time_s[low:high] - before)
     exceptions = np.concatenate([[0], np.cumsum(new)]) + np.concatenate(
@@ -276,12 +349,15 @@ def _exact(time_s: FloatArray, row: int, before: float, after: float) -> int:
 
 
 def _steps_back(time_s: FloatArray) -> bool:
-    good = time_s[np.isfinite(time_s)]
-    return bool(len(good) > 1 and np.min(np.diff(good)) < -RESTART_S)
+    """Return whether time steps back by more than RESTART_S."""
+    finite_s = time_s[np.isfinite(time_s)]
+    return bool(len(finite_s) > 1 and np.min(np.diff(finite_s)) < -RESTART_S)
 
 
 def _part(raw: RawLog, low: int, high: int) -> RawLog:
-    """Records from place ``low`` to in front of ``high``, with the parameters as they were last set until then."""
+    """Return the records from place ``low`` to before ``high`` with the parameters valid at the
+    end.
+    """
     messages: dict[tuple[str, int], MessageTable] = {}
     for key, table in raw.messages.items():
         if table.place is None:
@@ -306,5 +382,6 @@ def _part(raw: RawLog, low: int, high: int) -> RawLog:
 
 
 def _without_places(raw: RawLog) -> RawLog:
+    """Return the log without positions in the file, which later steps do not need."""
     messages = {key: replace(t, place=None) for key, t in raw.messages.items()}
     return replace(raw, messages=messages, parameter_log=(), text_places=(), headers=())

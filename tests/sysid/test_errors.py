@@ -5,26 +5,26 @@ from __future__ import annotations
 import math
 
 from sysid.errors import (
-    MOST_CHARACTERS,
-    MOST_LINES,
+    MAX_LINE_CHARACTERS,
+    MAX_LINES,
     Finding,
     LogError,
     finding_from_dict,
-    in_a_line,
+    one_line,
     shortened,
 )
 
 
 def test_an_error_is_one_line_of_a_length_to_be_read() -> None:
-    assert shortened("short\n" + "x" * MOST_CHARACTERS) == "short\n" + "x" * MOST_CHARACTERS
+    assert shortened("short\n" + "x" * MAX_LINE_CHARACTERS) == "short\n" + "x" * MAX_LINE_CHARACTERS
     long = shortened("begin" + "x" * 10**6 + "end")
-    assert len(long) <= MOST_CHARACTERS
+    assert len(long) <= MAX_LINE_CHARACTERS
     assert long.startswith("beginx")
     assert long.endswith("xend")
     assert shortened(long) == long
     many = shortened("\n".join(f"a.toml:{k}: wrong and not what it should be" for k in range(500)))
-    assert many.splitlines()[-1] == f"and {500 - MOST_LINES + 1} more"
-    assert len(many.splitlines()) == MOST_LINES
+    assert many.splitlines()[-1] == f"and {500 - MAX_LINES + 1} more"
+    assert len(many.splitlines()) == MAX_LINES
     assert shortened(many) == many
     assert (
         str(LogError("unknown signal 'a\nb'", "m.toml", "line 3"))
@@ -33,9 +33,9 @@ def test_an_error_is_one_line_of_a_length_to_be_read() -> None:
 
 
 def test_a_librarys_words_are_one_short_line() -> None:
-    assert in_a_line(ValueError("two\n  lines")) == "two lines"
-    assert in_a_line(ValueError()) == "ValueError"
-    assert len(in_a_line(ValueError("x" * 10**6))) == 200
+    assert one_line(ValueError("two\n  lines")) == "two lines"
+    assert one_line(ValueError()) == "ValueError"
+    assert len(one_line(ValueError("x" * 10**6))) == 200
 
 
 def test_a_finding_comes_back_from_its_dictionary() -> None:

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pandas as pd
 import pytest
 
-from sysid.display import MOST_ROWS, frame_table, rows_table, view, written
+from sysid.display import MAX_ROWS, cell_text, frame_table, rows_table, view
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ from sysid.display import MOST_ROWS, frame_table, rows_table, view, written
     ],
 )
 def test_numbers_in_cells(value: object, text: str):
-    assert written(value) == text
+    assert cell_text(value) == text
 
 
 def test_a_view_is_well_formed_and_escapes_what_logs_say():
@@ -46,4 +46,4 @@ def test_empty_parts_leave_nothing():
 def test_long_tables_are_cut():
     shown = frame_table(pd.DataFrame({"a": range(1000)}))
     assert "1000 rows" in shown
-    assert shown.count("<tr") <= MOST_ROWS + 3
+    assert shown.count("<tr") <= MAX_ROWS + 3

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from sysid.display import clean_streams, clean_terminal, drawing, visible
+from sysid.display import clean_streams, clean_terminal, cursor_stream, visible
 
 HOSTILE = "\x1b]0;owned\x07 \x9b2J \u202egpj.exe \r\x7f \udc80 \x00\x08"
 
@@ -31,7 +31,7 @@ def test_both_streams_are_cleaned_for_the_block_and_only_once(
     with clean_terminal():
         clean_streams()
         print("a\x1bb", file=getattr(sys, name))
-        drawing(getattr(sys, name)).write("\r\x1b[K")
+        cursor_stream(getattr(sys, name)).write("\r\x1b[K")
     print("c\x1bd", file=getattr(sys, name))
     assert plain.getvalue() == "a\\x1bb\n\r\x1b[Kc\x1bd\n"
 

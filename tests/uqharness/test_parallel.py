@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.parallel import ALONE, Shared
+from sysid.parallel import SERIAL, Shared
 from uqharness.parallel import process_count, usable_cores, worker_map
 
 
@@ -33,7 +33,7 @@ def test_as_many_workers_as_there_are_cores_and_at_most_8():
 
 def test_one_worker_is_this_process():
     with worker_map(1) as by:
-        assert by is ALONE
+        assert by is SERIAL
         assert {pid for _, pid in by(_squared, range(3))} == {os.getpid()}
         big = np.arange(3.0)
         assert by.share(big).value is big

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid.display import drawing, visible
+from sysid.display import cursor_stream, visible
 from sysid.errors import Finding, LogError
 from sysid.logs import default_cache
 from uqharness.cli.options import (
@@ -36,7 +36,7 @@ from uqharness.simulator import find_aircraft
 from uqharness.xml import FIELDS, protocol_xml
 
 if TYPE_CHECKING:
-    from sysid.foreign.raw import Progress
+    from sysid.foreign.raw import ProgressCallback
     from sysid.logs import LogInfo
     from sysid.record import Boot, FlightRecord, Loiter
 
@@ -179,14 +179,14 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _write_page(args: argparse.Namespace, info: LogInfo, record: FlightRecord) -> None:
-    from sysid.logs import label_found, labelled
+    from sysid.logs import label_from_commands, with_manoeuvres
     from uqharness.report import write_html
     from uqharness.report.pages import log_page
 
     if args.manoeuvres is not None:
-        record = labelled(record, args.manoeuvres, args.log.stem)
+        record = with_manoeuvres(record, args.manoeuvres, args.log.stem)
     elif info.manoeuvres and not ("manoeuvre" in record and any(record["manoeuvre"])):
-        record = label_found(record)
+        record = label_from_commands(record)
     write_html(args.out, log_page(info, record, command_as_given(args)))
 
 
@@ -197,9 +197,9 @@ def _import(args: argparse.Namespace) -> int:
         )
     record = _read(args)
     if args.manoeuvres is not None:
-        from sysid.logs import labelled
+        from sysid.logs import with_manoeuvres
 
-        record = labelled(record, args.manoeuvres, args.log.stem)
+        record = with_manoeuvres(record, args.manoeuvres, args.log.stem)
     kept = whole = (float(record["time_s"][0]), float(record["time_s"][-1]))
     if not args.whole and record.metadata.free_flight_s and record.metadata.dialect != "record":
         kept = record.metadata.free_flight_s[0]
@@ -238,7 +238,7 @@ def _read(args: argparse.Namespace) -> FlightRecord:
             card,
             flight_number=args.flight_number,
             cache=cache,
-            progress=progress,
+            callback=progress,
         )
 
 
@@ -256,18 +256,18 @@ class _ProgressLine:
     def __init__(self, title: str) -> None:
         self._title, self._shown = title, -1
 
-    def __enter__(self) -> Progress | None:
+    def __enter__(self) -> ProgressCallback | None:
         return self._show if sys.stderr.isatty() else None
 
     def __exit__(self, *_: object) -> None:
         if self._shown >= 0:
-            drawing(sys.stderr).write("\r\x1b[K")
+            cursor_stream(sys.stderr).write("\r\x1b[K")
 
     def _show(self, share: float) -> None:
         percent = int(100 * share)
         if percent != self._shown:
             self._shown = percent
-            drawing(sys.stderr).write(f"\rreading {visible(self._title)} {percent} %")
+            cursor_stream(sys.stderr).write(f"\rreading {visible(self._title)} {percent} %")
             sys.stderr.flush()
 
 

@@ -14,7 +14,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 
-from sysid.display import clean_terminal, drawing
+from sysid.display import clean_terminal, cursor_stream
 from sysid.errors import LogError
 from uqharness import __version__
 from uqharness.cli.options import Table, add_commands, commands_of
@@ -127,7 +127,7 @@ class _Notes(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print it, in place of a line that moves."""
         if sys.stderr.isatty():
-            print("\r\x1b[K", end="", file=drawing(sys.stderr))
+            print("\r\x1b[K", end="", file=cursor_stream(sys.stderr))
         print(f"note: {hide_scratch_paths(record.getMessage())}", file=sys.stderr)
 
 

@@ -28,7 +28,7 @@ from rich.progress import (
 from rich.progress import Progress as Bar
 from rich.text import Text
 
-from sysid.display import drawing, visible
+from sysid.display import cursor_stream, visible
 from uqharness.heartbeat import STATE, Rate, bar_drawn, clock
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def working(
 
     Yields a function that is told each stage.
     """
-    shown = console or Console(stderr=True, file=drawing(sys.stderr))
+    shown = console or Console(stderr=True, file=cursor_stream(sys.stderr))
     if not shown.is_terminal:
 
         def tell(text: str) -> None:
@@ -125,7 +125,7 @@ def say_warnings(warnings: Iterable[str]) -> None:
     """A line each on standard error, in a pipe too; on a terminal in place of a line that moves."""
     for text in warnings:
         if sys.stderr.isatty():
-            print("\r\x1b[K", end="", file=drawing(sys.stderr))
+            print("\r\x1b[K", end="", file=cursor_stream(sys.stderr))
         print(f"uqharness: warning: {text}", file=sys.stderr)
 
 
@@ -140,7 +140,7 @@ def counting(what: str) -> Iterator[Callable[[float, int], None]]:
         text += "" if left is None else f", {clock(left)} to go"
         STATE.stage = text
         if terminal:
-            print(f"\r\x1b[K{text}", end="", file=drawing(sys.stderr), flush=True)
+            print(f"\r\x1b[K{text}", end="", file=cursor_stream(sys.stderr), flush=True)
 
     with bar_drawn() if terminal else nullcontext():
         yield update
@@ -154,7 +154,7 @@ class ProgressView:
 
     def __init__(self, console: Console | None = None) -> None:
         # The bar moves the cursor itself; what it writes beside it holds no text of anybody's.
-        self._console = console or Console(stderr=True, file=drawing(sys.stderr))
+        self._console = console or Console(stderr=True, file=cursor_stream(sys.stderr))
         self._bar: Bar | None = None
         self._task: TaskID | None = None
         self._rate = Rate()

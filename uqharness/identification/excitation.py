@@ -98,7 +98,7 @@ def excited(
     if moved is None:
         return NOTHING
     with np.errstate(divide="ignore", invalid="ignore"):
-        slopes = moved.each(
+        slopes = moved.map_parts(
             lambda part, _, rows: np.where(known[rows, :, None], part / sigma[:, None], 0.0)
         )
     widths = np.array([high - low if np.isfinite(high - low) else 0.0 for low, high in limits])

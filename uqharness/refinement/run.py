@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.effects import Effect
-from sysid.logs import FOUND
+from sysid.logs import FROM_COMMANDS
 from sysid.parallel import Processes
 from uqharness import __version__, checksums
 from uqharness.files import inner_folder, scratch_folder
@@ -219,7 +219,9 @@ def _setup(aircraft: Aircraft, given: FlightSet) -> Setup:
 def _identity(request: Request) -> list[str]:
     """Everything that the choice depends on, the test flights not: aircraft, train flights, own effects, options, version."""
     tables = [
-        p for p in (request.manoeuvres, request.map_path) if p is not None and str(p) != FOUND
+        p
+        for p in (request.manoeuvres, request.map_path)
+        if p is not None and str(p) != FROM_COMMANDS
     ]
     return [
         __version__,

@@ -20,11 +20,11 @@ from sysid.logs import (
     default_cache,
     import_log,
     in_degrees,
-    labelled,
     logged_rows,
     no_aeroplane,
     place_steps,
     surely_late,
+    with_manoeuvres,
 )
 from sysid.record import FlightRecord
 from sysid.units import FT_M, LBF_N
@@ -331,7 +331,7 @@ def read_flight(
         if refused := no_aeroplane(record):
             raise BadInputError(f"{path}: {refused}; give the log of an aeroplane")
         if manoeuvres is not None:
-            record = labelled(record, manoeuvres, path.stem)
+            record = with_manoeuvres(record, manoeuvres, path.stem)
     except LogError as error:
         raise BadInputError(str(error)) from None
     return in_free_flight(record, aircraft, path)

@@ -13,7 +13,7 @@ from cachetools import LRUCache, cached
 
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.arrays import FloatArray
-from sysid.parallel import ALONE, Processes
+from sysid.parallel import SERIAL, Processes
 from sysid.units import FT_M, LBF_FT_NM, LBF_N, PSF_PA, SLUG_KG
 from uqharness import batch
 from uqharness.batch import StateProgram
@@ -245,7 +245,7 @@ def force_all(
     model: ReplayModel,
     parts: Sequence[StatesOf],
     properties: Mapping[str, float],
-    map_: Processes = ALONE,
+    map_: Processes = SERIAL,
 ) -> list[ForcedModel]:
     """What the model says of several sets of states, those of one time step asked for at once. Where JSBSim answers, ``map_``
     spreads the sets.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from sysid.errors import in_a_line
+from sysid.errors import one_line
 from sysid.foreign.regular_files import in_words, read_regular
 from uqharness.errors import BadInputError
 
@@ -191,7 +191,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
                 for member in members
             }
     except _DAMAGED as error:
-        words = in_a_line(error)
+        words = one_line(error)
         raise BadInputError(
             f"{path}: not a study written by uqharness, nor any other archive of arrays: {words}; write it again"
         ) from None

@@ -1,1 +1,3 @@
-"""What is wrong with a log: channels by themselves, and channels against one another by physics. Pure numerics."""
+"""Checks of channels and records: units, signs, delays, damage, and signals that no sensor
+measured.
+"""

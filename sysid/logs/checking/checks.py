@@ -1,4 +1,10 @@
-"""What real logs get wrong, found and reported with numbers. Pure numerics on channels and records."""
+"""Run all checks of a log and report them as findings with numbers.
+
+`check_channel` looks at one channel on its own time stamps, `check_record` at a finished record,
+`check_motion` at the channels of free flight against each other, and `recheck` repeats the checks
+on a record that is read from a file. The tests themselves are in `signals`, `physics`,
+`kinematics`, `timing` and `surface_signs`.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +16,20 @@ from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.logs.channels import Channel, components_of
 from sysid.logs.checking.kinematics import AIR, lever_arm_finding
-from sysid.logs.checking.physics import MOST_RAD, check_physics, degrees_by_size, mend, spoils
-from sysid.logs.checking.signals import check_estimates, held, interpolated, stuck, wraps
+from sysid.logs.checking.physics import (
+    MAX_RAD,
+    affected_results,
+    check_physics,
+    degrees_by_size,
+    map_correction,
+)
+from sysid.logs.checking.signals import (
+    check_estimates,
+    detect_wraps,
+    interpolation_interval,
+    sample_hold,
+    stuck_span,
+)
 from sysid.logs.checking.surface_signs import check_surfaces
 from sysid.logs.time_base import SLOWEST_STEP_S, CleanTime, time_unit_finding
 from sysid.record import FlightRecord, Metadata
@@ -22,37 +40,49 @@ _GUIDANCE = frozenset({"h_demand_m", "V_demand_mps", "cross_track_m"})
 _EDGE_SHARE = 1e-3  # channels start and end a few samples apart: no dropout worth a line
 
 
-def check_channel(c: Channel, grid_step_s: float, seen: set[str]) -> list[Finding]:
-    """Times, gaps, holds, wraps, range and origin of one channel.
+def check_channel(c: Channel, grid_step_s: float, reported: set[str]) -> list[Finding]:
+    """Check times, gaps, holds, wraps, range and origin of one channel.
 
-    seen  messages whose times were reported already; this channel's is added
+    Parameters
+    ----------
+    c : Channel
+        Channel on its own time stamps.
+    grid_step_s : float
+        Step of the record, s.
+    reported : set of str
+        Messages whose times were reported already; this channel's message is added.
     """
     out: list[Finding] = []
     message = c.label.split(".")[0].split(" ")[0]
-    if message not in seen and c.name != "mode":
-        seen.add(message)
-        # Guidance messages come and go with the flight mode; their gaps harm nobody.
+    if message not in reported and c.name != "mode":
+        reported.add(message)
+        # Guidance messages come and go with the flight mode; their gaps are harmless.
         severity = "info" if c.name in _GUIDANCE else "warning"
         out += _times(message, c) + _gaps(message, c, severity)
     out += (
         _hold(c.name, c, grid_step_s)
         + _wrap(c.name, c)
         + _range(c.name, c.label, c.values)
-        + _stuck_beneath(c)
+        + _stuck_before_factor(c)
     )
     if c.estimate:
         text = (
-            f"{c.name} ({c.label}) is computed by the autopilot's estimator, no vane measured it. In gusts it misses"
-            " the gust angle: do not identify force or moment derivatives from it in turbulence"
+            f"{c.name} ({c.label}) is computed by the autopilot's estimator, no vane measured it."
+            " In gusts it misses the gust angle: do not identify force or moment derivatives from"
+            " it in turbulence"
         )
         out.append(Finding("estimate", c.name, "warning", text, {}))
     return out
 
 
 def _times(message: str, c: Channel) -> list[Finding]:
+    """Return findings on times that run backwards or repeat."""
     out = []
     if c.clean.backwards:
-        text = f"{c.clean.backwards} records of {message} have times that run backwards, underflow or jump; left out"
+        text = (
+            f"{c.clean.backwards} records of {message} have times that run backwards, underflow or"
+            " jump; left out"
+        )
         numbers = {"records": float(c.clean.backwards), "dropped_s": c.clean.dropped_s}
         out.append(Finding("time-backwards", message, "warning", text, numbers))
     if c.clean.repeats:
@@ -64,14 +94,16 @@ def _times(message: str, c: Channel) -> list[Finding]:
 
 
 def _gaps(message: str, c: Channel, severity: str) -> list[Finding]:
+    """Return a finding on the gaps of a message."""
     gaps = c.clean.gaps
     if not len(gaps):
         return []
     spans = gaps[:, 1] - gaps[:, 0]
     worst = int(np.argmax(spans))
     text = (
-        f"{len(gaps)} gaps in {message} (usual step {c.clean.step_s * 1e3:.0f} ms), {spans.sum():.2f} s in all, longest"
-        f" {spans[worst]:.2f} s at {gaps[worst, 0]:.2f} s; NaN in the record, nothing is interpolated across them"
+        f"{len(gaps)} gaps in {message} (usual step {c.clean.step_s * 1e3:.0f} ms),"
+        f" {spans.sum():.2f} s in all, longest {spans[worst]:.2f} s at {gaps[worst, 0]:.2f} s; NaN"
+        " in the record, nothing is interpolated across them"
     )
     numbers = {
         "gaps": float(len(gaps)),
@@ -83,7 +115,10 @@ def _gaps(message: str, c: Channel, severity: str) -> list[Finding]:
 
 
 def _hold(name: str, c: Channel, grid_step_s: float) -> list[Finding]:
-    """A channel slower than the grid: either logged slower, or logged fast while its values are held."""
+    """Return a finding on a channel that is slower than the grid.
+
+    It is either logged slower, or logged fast with values that are held.
+    """
     if name == "mode" or name in _GUIDANCE:
         return []
     ratio = c.clean.step_s / grid_step_s
@@ -99,35 +134,41 @@ def _hold(name: str, c: Channel, grid_step_s: float) -> list[Finding]:
             )
         numbers = {"native_hz": c.rate_hz, "grid_hz": 1 / grid_step_s, "mean_late_s": late}
         return [Finding("slower-than-grid", name, "info", text, numbers)]
-    return _kept(name, c)
+    return _resolution_findings(name, c)
 
 
-def _kept(name: str, c: Channel) -> list[Finding]:
-    """A channel that was logged fast and yet has fewer values, or coarser ones, than samples."""
+def _resolution_findings(name: str, c: Channel) -> list[Finding]:
+    """Return a finding on a channel with fewer or coarser values than samples."""
     if name in COMMANDS or name == "rho_kgpm3":  # a density is computed, and hardly changes
+        # Commands are held by nature; a density is computed and hardly changes.
         return []
-    found = held(c.values)
-    if found is not None and found.held:
-        rate = c.rate_hz / found.run
+    repetition = sample_hold(c.values)
+    if repetition is not None and repetition.is_held:
+        rate = c.rate_hz / repetition.run
         text = (
-            f"{name} is logged at {c.rate_hz:.1f} Hz but its value changes at {rate:.1f} Hz only (sample and hold, mean"
-            f" run {found.run:.1f} samples): it lags by {0.5 * (found.run - 1) * c.clean.step_s * 1e3:.0f} ms on average"
+            f"{name} is logged at {c.rate_hz:.1f} Hz but its value changes at {rate:.1f} Hz only"
+            f" (sample and hold, mean run {repetition.run:.1f} samples): it lags by"
+            f" {0.5 * (repetition.run - 1) * c.clean.step_s * 1e3:.0f} ms on average"
         )
-        numbers = {"logged_hz": c.rate_hz, "native_hz": rate, "mean_run": found.run}
+        numbers = {"logged_hz": c.rate_hz, "native_hz": rate, "mean_run": repetition.run}
         return [
             Finding(
                 "sample-and-hold", name, "warning", text, numbers, "phases: dampings and delays"
             )
         ]
-    if found is not None:
-        text = f"{name} moves in steps of {found.quantum:.3g}: its noise is at least {found.quantum / 12**0.5:.2g} (step / sqrt 12)"
-        return [Finding("quantised", name, "info", text, {"quantum": found.quantum})]
-    between = interpolated(c.values)
-    if between is not None:
-        rate = c.rate_hz / between
+    if repetition is not None:
         text = (
-            f"{name} is logged at {c.rate_hz:.1f} Hz but lies on straight lines between values at {rate:.1f} Hz: somebody has"
-            " interpolated it; its noise looks smaller than it is, and its samples are not independent"
+            f"{name} moves in steps of {repetition.quantum:.3g}: its noise is at least"
+            f" {repetition.quantum / 12**0.5:.2g} (step / sqrt 12)"
+        )
+        return [Finding("quantised", name, "info", text, {"quantum": repetition.quantum})]
+    interval = interpolation_interval(c.values)
+    if interval is not None:
+        rate = c.rate_hz / interval
+        text = (
+            f"{name} is logged at {c.rate_hz:.1f} Hz but lies on straight lines between values at"
+            f" {rate:.1f} Hz: somebody has interpolated it; its noise looks smaller than it is, and"
+            " its samples are not independent"
         )
         numbers = {"logged_hz": c.rate_hz, "native_hz": rate}
         return [
@@ -143,7 +184,7 @@ def _kept(name: str, c: Channel) -> list[Finding]:
     return []
 
 
-_MAY_STAND = frozenset(
+_MAY_STAND_STILL = frozenset(
     {
         "elevator_pos_deg",
         "aileron_pos_deg",
@@ -154,34 +195,44 @@ _MAY_STAND = frozenset(
         *_GUIDANCE,
     }
 )
-"""Channels that may stand still in flight; of them noise has to tell a sensor that has stopped."""
+"""Channels that may be constant in flight. A constant value is a stopped sensor only if noise
+moved the channel before.
+"""
 
 
 def has_factor(label: str) -> bool:
-    """Whether another message's field multiplies the channel of this label."""
+    """Return whether the channel of this label is multiplied by a field of another message."""
     return " x " in label
 
 
-def _stuck_beneath(c: Channel) -> list[Finding]:
-    """A sensor that stood still beneath a factor that does not."""
+def _stuck_before_factor(c: Channel) -> list[Finding]:
+    """Return a finding on a sensor that stood still, hidden by a factor that did not."""
     if c.raw is None or not has_factor(c.label) or c.name in COMMANDS:
         return []
-    found = stuck(c.raw, c.clean.step_s, noisy=c.name in _MAY_STAND)
+    span = stuck_span(c.raw, c.clean.step_s, noisy=c.name in _MAY_STAND_STILL)
     return (
         []
-        if found is None
-        else [_stood(c.name, float(c.raw[found[0]]), (c.time_s[found[0]], c.time_s[found[1]]))]
+        if span is None
+        else [_stuck_finding(c.name, float(c.raw[span[0]]), (c.time_s[span[0]], c.time_s[span[1]]))]
     )
 
 
-def _stood(name: str, value: float, span_s: tuple[float, float]) -> Finding:
+def _stuck_finding(name: str, value: float, span_s: tuple[float, float]) -> Finding:
+    """Return the finding on a channel that stood still for a time."""
     begin, end = (float(t) for t in span_s)
-    text = f"{name} stands at {value:.4g} from {begin:.2f} to {end:.2f} s, among samples that all differ"
-    return Finding("stuck", name, "error", text, {"start_s": begin, "end_s": end}, spoils(name))
+    text = (
+        f"{name} stands at {value:.4g} from {begin:.2f} to {end:.2f} s, among samples that all"
+        " differ"
+    )
+    return Finding(
+        "stuck", name, "error", text, {"start_s": begin, "end_s": end}, affected_results(name)
+    )
 
 
 def _stuck(record: FlightRecord) -> list[Finding]:
-    """Channels that stood still for seconds while their noise moves them with every sample else."""
+    """Return findings on channels that stood still for seconds, though noise usually moves every
+    sample.
+    """
     out = []
     for name, values in record.columns.items():
         if (
@@ -191,111 +242,136 @@ def _stuck(record: FlightRecord) -> list[Finding]:
             or has_factor(record.metadata.channels.get(name, ""))
         ):
             continue
-        found = stuck(values, record.dt_s, noisy=name in _MAY_STAND)
-        if found is not None:
+        span = stuck_span(values, record.dt_s, noisy=name in _MAY_STAND_STILL)
+        if span is not None:
             out.append(
-                _stood(
-                    name, values[found[0]], (record["time_s"][found[0]], record["time_s"][found[1]])
+                _stuck_finding(
+                    name, values[span[0]], (record["time_s"][span[0]], record["time_s"][span[1]])
                 )
             )
     return out
 
 
 def _components_interpolated(flight: FlightRecord) -> list[Finding]:
-    """Airspeed and angles of flow of which somebody has interpolated u, v and w: they themselves lie on no straight lines."""
+    """Return findings on airspeed, alpha and beta whose components u, v, w were interpolated.
+
+    Linear components do not make V, alpha and beta linear, so that these must be transformed
+    first.
+    """
     if not all(n in flight for n in AIR):
         return []
     rates = {flight.metadata.native_hz.get(n, 1.0 / flight.dt_s) for n in AIR}
-    if min(rates) < 0.75 / flight.dt_s or any(interpolated(flight[n]) for n in AIR):
+    if min(rates) < 0.75 / flight.dt_s or any(interpolation_interval(flight[n]) for n in AIR):
         return []
     with np.errstate(all="ignore"):
-        between = [
-            found
+        intervals = [
+            interval
             for c in components_of(*(flight[n] for n in AIR))
-            if (found := interpolated(c)) is not None
+            if (interval := interpolation_interval(c)) is not None
         ]
-    if len(between) < 2:
+    if len(intervals) < 2:
         return []
     logged = 1.0 / flight.dt_s
-    native = logged / max(between)
+    native = logged / max(intervals)
     text = (
-        f"airspeed, alpha and beta come at {logged:.1f} Hz but their components u, v, w lie on straight lines between values at"
-        f" {native:.1f} Hz: somebody has interpolated them; their noise looks smaller than it is"
+        f"airspeed, alpha and beta come at {logged:.1f} Hz but their components u, v, w lie on"
+        f" straight lines between values at {native:.1f} Hz: somebody has interpolated them; their"
+        " noise looks smaller than it is"
     )
     numbers = {"logged_hz": logged, "native_hz": native}
-    spoilt = "standard errors, and what is faster than its own rate"
-    return [Finding("interpolated", name, "warning", text, numbers, spoilt) for name in AIR]
+    spoils = "standard errors, and what is faster than its own rate"
+    return [Finding("interpolated", name, "warning", text, numbers, spoils) for name in AIR]
 
 
 def _wrap(name: str, c: Channel) -> list[Finding]:
-    """Steps of a whole integer range in the logged number: a counter or scaled integer that wrapped."""
+    """Return a finding on jumps by a whole integer range: a counter or scaled integer that
+    wrapped.
+    """
     if c.raw is None or name in LABELS or SIGNALS[name].kind == "heading":
         return []
-    found = wraps(c.raw)
-    if found is None:
+    wrap = detect_wraps(c.raw)
+    if wrap is None:
         return []
-    text = f"{name} ({c.label}) jumps by {found[1]:g} {found[0]} times from one end of its range to the other: a {found[2]} wrap"
+    text = (
+        f"{name} ({c.label}) jumps by {wrap[1]:g} {wrap[0]} times from one end of its range to"
+        f" the other: a {wrap[2]} wrap"
+    )
     numbers = {
-        "jumps": float(found[0]),
-        "span": found[1],
-        "values": 256.0 if found[2].startswith("8-") else 65536.0,
+        "jumps": float(wrap[0]),
+        "span": wrap[1],
+        "values": 256.0 if wrap[2].startswith("8-") else 65536.0,
     }
-    return [Finding("wraps", name, "error", text, numbers, spoils(name))]
+    return [Finding("wraps", name, "error", text, numbers, affected_results(name))]
 
 
 def _range(
     name: str, label: str, values: FloatArray, meta: Metadata | None = None
 ) -> list[Finding]:
+    """Return a finding on values outside the plausible range, with the correction for degrees."""
     signal = SIGNALS[name]
-    good = values[np.isfinite(values)]
-    if not len(good) or name in LABELS:
+    finite = values[np.isfinite(values)]
+    if not len(finite) or name in LABELS:
         return []
-    outside = (good < signal.low) | (good > signal.high)
+    outside = (finite < signal.low) | (finite > signal.high)
     share = float(outside.mean())
-    numbers = {"share": share, "low": float(good.min()), "high": float(good.max())}
+    numbers = {"share": share, "low": float(finite.min()), "high": float(finite.max())}
     if share <= 0:
         return []
-    hint = mended = ""
-    if name in MOST_RAD and degrees_by_size(name, values):
+    hint = correction = ""
+    if name in MAX_RAD and degrees_by_size(name, values):
         hint = "; it looks like degrees where radians are due (scale 0.0174533 in the map)"
-        mended = mend(name, np.pi / 180.0, meta or Metadata(channels={name: label}))
+        correction = map_correction(name, np.pi / 180.0, meta or Metadata(channels={name: label}))
     text = (
-        f"{name} ({label}) leaves [{signal.low:g}, {signal.high:g}] {signal.unit} in {percent(share)} of the log"
-        f" (from {numbers['low']:.4g} to {numbers['high']:.4g}){hint}"
+        f"{name} ({label}) leaves [{signal.low:g}, {signal.high:g}] {signal.unit} in"
+        f" {percent(share)} of the log (from {numbers['low']:.4g} to {numbers['high']:.4g}){hint}"
     )
     severity = "error" if share > 0.01 else "warning"
-    return [Finding("out-of-range", name, severity, text, numbers, spoils(name), mended)]
+    return [
+        Finding("out-of-range", name, severity, text, numbers, affected_results(name), correction)
+    ]
 
 
 def estimated_channels(mapped: tuple[str, ...], findings: Sequence[Finding]) -> tuple[str, ...]:
-    """Channels that no sensor measured: those that the map says, and angles of flow that were computed from other channels."""
+    """Return the channels that no sensor measured, by the map or by the checks."""
     computed = (f.channel for f in findings if f.code == "estimate" and f.channel in AIR[1:])
     return tuple(dict.fromkeys((*mapped, *computed)))
 
 
 def one_per_cause(findings: Sequence[Finding]) -> list[Finding]:
-    """The findings without those that another one explains.
+    """Remove findings that another finding explains.
 
-    A wrong unit or sign takes a channel out of its range and makes an airspeed negative; a channel in degrees, or one that
-    stands still, fails every relation that it has a part in, and its sign cannot be judged.
+    A wrong unit or sign takes a channel out of its range and makes an airspeed negative. A channel
+    in degrees, or one that stands still, violates every relation in which it occurs, and its sign
+    cannot be determined.
     """
-    slips = {f.channel for f in findings if f.code in ("unit", "sign")}
-    still = {f.channel for f in findings if f.code == "frozen" and f.severity == "error"}
+    wrong_units = {f.channel for f in findings if f.code in ("unit", "sign")}
+    frozen = {f.channel for f in findings if f.code == "frozen" and f.severity == "error"}
     by_size = {f.channel for f in findings if f.code == "out-of-range" and f.mend}
-    kept: list[Finding] = []
+    distinct: list[Finding] = []
     for f in findings:
         explained = (
-            (f.code in ("out-of-range", "negative-airspeed") and f.channel in slips)
-            or (f.code in ("kinematics-disagree", "delay") and f.channel in still | slips | by_size)
-            or (f.code in ("stuck", "quantised", "sample-and-hold") and f.channel in still)
+            (f.code in ("out-of-range", "negative-airspeed") and f.channel in wrong_units)
+            or (
+                f.code in ("kinematics-disagree", "delay")
+                and f.channel in frozen | wrong_units | by_size
+            )
+            or (f.code in ("stuck", "quantised", "sample-and-hold") and f.channel in frozen)
         )
-        if not explained and f not in kept:
-            kept.append(f)
-    return kept
+        if not explained and f not in distinct:
+            distinct.append(f)
+    return distinct
 
 
 def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> list[Finding]:
-    """Dropouts, speeds below zero, frozen channels and kinematic consistency, over free flight where there is one."""
+    """Check dropouts, speeds below zero, frozen channels and kinematic consistency.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        Finished record.
+    free_s : tuple or None
+        Free flight, s; None checks the whole record and leaves the kinematic checks out.
+    """
     flight = record if free_s is None else record.between(*free_s)
     out: list[Finding] = []
     for name, values in flight.columns.items():
@@ -313,7 +389,10 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
         speed = flight["V_mps"][np.isfinite(flight["V_mps"])]
         below = float(np.mean(speed < 0)) if len(speed) else 0.0
         if below > 0.5:
-            text = f"airspeed is negative in {100 * below:.0f} % of the samples (median {np.median(speed):.2f} m/s)"
+            text = (
+                f"airspeed is negative in {100 * below:.0f} % of the samples (median"
+                f" {np.median(speed):.2f} m/s)"
+            )
             out.append(
                 Finding(
                     "negative-airspeed",
@@ -329,46 +408,52 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
 
 
 def check_motion(flight: FlightRecord) -> list[Finding]:
-    """Channels of free flight against one another: units, signs, lateness, the surfaces' effects, the accelerometers' place."""
+    """Check channels of free flight against each other.
+
+    The checks are of units, signs, delays, effects of the surfaces and position of the
+    accelerometers.
+    """
     if len(flight) < 3:
         return []
-    absurd = {
-        n: np.where(np.abs(v) < _ABSURD, v, np.nan)
+    plausible = {
+        n: np.where(np.abs(v) < _MAX_PLAUSIBLE, v, np.nan)
         for n, v in flight.columns.items()
         if n not in LABELS and n != "time_s"
     }
+    # Damaged samples must not dominate the sums of squares.
     flight = flight.with_columns(
-        {n: v for n, v in absurd.items() if not np.array_equal(v, flight[n], equal_nan=True)}
+        {n: v for n, v in plausible.items() if not np.array_equal(v, flight[n], equal_nan=True)}
     )
-    found = check_physics(flight)
-    # A surface's effect shows in a rate: one that is reversed would reverse the surface.
-    slips = {
+    findings = check_physics(flight)
+    # Correct units and signs first: a reversed rate would make its surface look reversed.
+    corrected_columns = {
         f.channel: flight[f.channel] / f.numbers["slope"]
-        for f in found
+        for f in findings
         if f.code in ("unit", "sign")
     }
-    mended = flight.with_columns(slips)
-    found += [*check_surfaces(mended), *check_estimates(mended)]
-    # With a unit or a sign wrong, or angles that were not measured, what is left over would pass for a lever arm.
-    spoilt = any(
-        f.severity == "error" or (f.code == "estimate" and f.channel in AIR) for f in found
+    corrected = flight.with_columns(corrected_columns)
+    findings += [*check_surfaces(corrected), *check_estimates(corrected)]
+    # A wrong unit or sign, or angles that were not measured, would look like a lever arm.
+    has_error = any(
+        f.severity == "error" or (f.code == "estimate" and f.channel in AIR) for f in findings
     )
-    return found if spoilt else [*found, *lever_arm_finding(flight)]
+    return findings if has_error else [*findings, *lever_arm_finding(flight)]
 
 
-_ABSURD = 1e7
+_MAX_PLAUSIBLE = 1e7
 """Larger than any channel in any unit: damage."""
 
 
-_TOGETHER = (
+_MOVING_TOGETHER = (
     ("V_mps", "alpha_rad", "theta_rad", "q_radps", "ax_mps2", "az_mps2", "h_m"),
     ("beta_rad", "phi_rad", "psi_rad", "p_radps", "r_radps", "ay_mps2"),
 )
-"""Channels of which none stands still while another moves."""
-_STILL = 1e-9
+"""Groups of channels of which none is constant while another moves."""
+_MIN_SPAN = 1e-9
 
 
 def _frozen(flight: FlightRecord) -> list[Finding]:
+    """Return findings on constant channels; errors if a related channel moves."""
     out = []
     spans = {
         n: np.ptp(v[np.isfinite(v)])
@@ -380,19 +465,42 @@ def _frozen(flight: FlightRecord) -> list[Finding]:
             continue
         value = float(flight[name][np.isfinite(flight[name])][0])
         moving = [
-            n for group in _TOGETHER if name in group for n in group if spans.get(n, 0.0) > _STILL
+            n
+            for group in _MOVING_TOGETHER
+            if name in group
+            for n in group
+            if spans.get(n, 0.0) > _MIN_SPAN
         ]
         if moving:
-            text = f"{name} stands at {value:g} throughout while {moving[0]} moves: sensor absent or not logged"
-            out.append(Finding("frozen", name, "error", text, {"value": value}, spoils(name)))
+            text = (
+                f"{name} stands at {value:g} throughout while {moving[0]} moves: sensor absent or"
+                " not logged"
+            )
+            out.append(
+                Finding("frozen", name, "error", text, {"value": value}, affected_results(name))
+            )
         elif name != "rho_kgpm3":
-            text = f"{name} stands at {value:g} throughout; nothing in the flight says that it should have moved"
+            text = (
+                f"{name} stands at {value:g} throughout; nothing in the flight says that it should"
+                " have moved"
+            )
             out.append(Finding("frozen", name, "info", text, {"value": value}))
     return out
 
 
 def check_units(record: FlightRecord) -> list[Finding]:
-    """Ranges, units and signs of a table's channels, by themselves and by each other."""
+    """Check ranges, units and signs of a table's channels.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        Record made from the table.
+
+    Returns
+    -------
+    list of Finding
+        Codes "out-of-range", "unit" and "sign", one for each cause.
+    """
     out = check_ranges(record)
     if len(record) > 1:
         out += [f for f in check_motion(record) if f.code in ("unit", "sign")]
@@ -400,16 +508,16 @@ def check_units(record: FlightRecord) -> list[Finding]:
 
 
 def check_ranges(record: FlightRecord) -> list[Finding]:
-    """Channels outside the vocabulary's ranges."""
-    found = [
+    """Return findings on channels outside the vocabulary's ranges."""
+    groups = [
         _range(n, record.metadata.channels.get(n, "column"), v, record.metadata)
         for n, v in record.columns.items()
         if n not in LABELS
     ]
-    return [f for group in found for f in group]
+    return [f for group in groups for f in group]
 
 
-_AT_RECORD = frozenset(
+_RECORD_CODES = frozenset(
     {
         "time-unit",
         "unit",
@@ -427,20 +535,23 @@ _AT_RECORD = frozenset(
         "quantised",
     }
 )
-"""Findings that a record itself shows, whatever was known when it was made."""
+"""Codes of findings that depend on the record alone."""
 
 
-def check_again(record: FlightRecord) -> list[Finding]:
-    """The findings of a record as they are known today: those of its log stay, all that it shows itself is new."""
+def recheck(record: FlightRecord) -> list[Finding]:
+    """Return the findings of a record by the current checks.
+
+    Findings about the log that it was made from are kept; all that the record itself shows is new.
+    """
     if len(record) < 3:
         return list(record.metadata.findings)
-    own = record.metadata.estimates
-    beneath = {n for n, label in record.metadata.channels.items() if has_factor(label)}
-    kept = [
+    declared = record.metadata.estimates
+    scaled_channels = {n for n, label in record.metadata.channels.items() if has_factor(label)}
+    log_findings = [
         f
         for f in record.metadata.findings
-        if (f.code not in _AT_RECORD and (f.code != "estimate" or f.channel in own))
-        or (f.code == "stuck" and f.channel in beneath)
+        if (f.code not in _RECORD_CODES and (f.code != "estimate" or f.channel in declared))
+        or (f.code == "stuck" and f.channel in scaled_channels)
     ]
     free = record.metadata.free_flight_s
     start, end = float(record["time_s"][0]), float(record["time_s"][-1])
@@ -448,11 +559,14 @@ def check_again(record: FlightRecord) -> list[Finding]:
     span = span if span[1] > span[0] else (start, end)
     with np.errstate(all="ignore"):  # a damaged record holds what no sum can
         new = [*check_ranges(record), *_samples(record), *check_record(record, span)]
-    return one_per_cause([*kept, *new])
+    return one_per_cause([*log_findings, *new])
 
 
 def _samples(record: FlightRecord) -> list[Finding]:
-    """Held, coarse and interpolated channels of a record, those left out that its maker filled in himself."""
+    """Return findings on held, coarse and interpolated channels of a record.
+
+    Channels that the import itself interpolated are left out.
+    """
     out = []
     rate = 1.0 / record.dt_s if len(record) > 1 else float("nan")
     for name, values in record.columns.items():
@@ -465,22 +579,31 @@ def _samples(record: FlightRecord) -> list[Finding]:
             continue
         if record.metadata.native_hz.get(name, rate) < 0.75 * rate:
             continue
-        nothing = CleanTime(
+        no_damage = CleanTime(
             np.ones(len(values), dtype=bool), record.dt_s, 0, 0, 0.0, np.zeros((0, 2))
         )
-        out += _kept(name, Channel(name, "column", record["time_s"], values, nothing, False))
+        out += _resolution_findings(
+            name, Channel(name, "column", record["time_s"], values, no_damage, False)
+        )
     return out
 
 
 def in_degrees(finding: Finding) -> bool:
-    """Does this finding say that a channel is off by the factor between degrees and radians?"""
+    """Return whether a finding says that a channel is wrong by the factor between degrees and
+    radians.
+
+    Parameters
+    ----------
+    finding : Finding
+        With the code "out-of-range" or "unit"; other codes give False.
+    """
     ratio = abs(finding.numbers.get("slope", 1.0))
-    beyond = max(abs(finding.numbers.get("low", 0.0)), abs(finding.numbers.get("high", 0.0)))
+    largest = max(abs(finding.numbers.get("low", 0.0)), abs(finding.numbers.get("high", 0.0)))
     by_range = (
         finding.code == "out-of-range"
         and finding.severity == "error"
         and SIGNALS[finding.channel].unit == "rad"
     )
-    return (by_range and beyond > 2.0 * np.pi) or (
+    return (by_range and largest > 2.0 * np.pi) or (
         finding.code == "unit" and not 1 / 45.0 <= ratio <= 45.0
     )

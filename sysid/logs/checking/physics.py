@@ -1,7 +1,8 @@
-"""Wrong units, signs and late channels, by the laws that a flight's channels must obey whatever the aircraft.
+"""Detect wrong units, signs and delays by relations that hold for any aircraft.
 
-A law that does not hold says that one of its channels is wrong, not which. The explanation is looked for among all slips that
-are made with a channel's unit or sign: the one with which most laws hold that did not, and that breaks none.
+A violated relation says that one of its channels is wrong, but not which. `check_physics`
+therefore tests every unit and sign error that is common for each channel, and selects the one that
+repairs most violated relations and breaks none. Delays are estimated from the corrected channels.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from sysid.logs.checking.kinematics import (
     Law,
     Relation,
     all_laws,
-    judged,
+    estimate_relation,
     stretches,
 )
 from sysid.logs.checking.timing import channel_lateness
@@ -35,24 +36,28 @@ from sysid.record import FlightRecord, Metadata
 from sysid.units import FT_M, G0_MPS2, KT_MPS
 from sysid.vocabulary import LABELS, SIGNALS, SURFACES
 
-# What a channel in a wrong unit or of the wrong sign would spoil, and the lines of a signal map
-# that mend it.
+# Results that a wrong unit or sign affects, and the lines of a signal map that correct it.
 
 _SPOILS = {
-    "V_mps": "dynamic pressure goes with its square: every coefficient and derivative, trim, thrust, dimensionless rates",
+    "V_mps": (
+        "dynamic pressure goes with its square: every coefficient and derivative, trim, thrust,"
+        " dimensionless rates"
+    ),
     "alpha_rad": "every derivative by alpha, lift and drag slopes, static stability",
     "beta_rad": "every derivative by beta: side force, weathercock and dihedral effects",
     "h_m": "air density, energy, the height errors of a loiter",
     "a": "every force coefficient, the path reconstruction, the lever arm",
     "attitude": "gravity's part in every force, the replay's start state, the path reconstruction",
-    "rates": "damping and control derivatives, angular accelerations, thus every moment coefficient",
+    "rates": (
+        "damping and control derivatives, angular accelerations, thus every moment coefficient"
+    ),
     "ground": "wind, the path reconstruction, checks of the accelerometers",
     "surface": "the surface's derivatives change sign or size with it, and a replay departs",
 }
 
 
-def spoils(channel: str) -> str:
-    """What comes out wrong with this channel."""
+def affected_results(channel: str) -> str:
+    """Return the results that are wrong if this channel is."""
     if channel in _SPOILS:
         return _SPOILS[channel]
     if channel.endswith("_radps"):
@@ -64,8 +69,8 @@ def spoils(channel: str) -> str:
     return _SPOILS["attitude" if channel.endswith("_rad") else "ground"]
 
 
-def mend(channel: str, factor: float, meta: Metadata) -> str:
-    """Lines of a signal map after which the channel is ``factor`` times what it is now."""
+def map_correction(channel: str, factor: float, meta: Metadata) -> str:
+    """Return lines of a signal map that multiply a channel by ``factor``."""
     label = meta.channels.get(channel, "")
     shipped = (
         shipped_map(meta.dialect.removesuffix("-text"))
@@ -73,7 +78,7 @@ def mend(channel: str, factor: float, meta: Metadata) -> str:
         else None
     )
     entries = () if shipped is None else shipped.entries.get(channel, ())
-    # A label such as "ARSP[1].Airspeed" names the instance that was read, "ARSP[0,1]" those read in turn.
+    # A label such as "ARSP[1].Airspeed" names the instance; "ARSP[0,1]" names several in turn.
     name = re.match(r"(\w+)\[([\d,]+)\](\..*)", label)
     shipped_label = label if name is None else name[1] + name[3]
     instance = name[2] if name is not None and "," not in name[2] else ""
@@ -87,24 +92,36 @@ def mend(channel: str, factor: float, meta: Metadata) -> str:
             extra = "" if entry.function == "value" else f'\nfunction = "{entry.function}"'
             extra += "" if entry.times is None else f"\ntimes = {_listed(entry.times)}"
             extra += f"\ninstance = {instance}" if instance else ""
-            return f'[signals.{channel}]\nmessage = "{entry.message}"\n{fields}\nscale = {factor * entry.scale:.6g}{extra}'
+            return (
+                f'[signals.{channel}]\nmessage = "{entry.message}"\n{fields}\nscale ='
+                f" {factor * entry.scale:.6g}{extra}"
+            )
     if not label or label == "column":
         return f'[signals.{channel}]\nmessage = "csv"\nfield = "{channel}"\nscale = {factor:.6g}'
     if "servo" in label:
-        return f"in the card, [inputs.{channel.split('_')[0]}] servo_pwm: every angle times {factor:.6g}"
-    return f"[signals.{channel}] ({label}): multiply its scale, or every value of its table, by {factor:.6g}"
+        return (
+            f"in the card, [inputs.{channel.split('_')[0]}] servo_pwm: every angle times"
+            f" {factor:.6g}"
+        )
+    return (
+        f"[signals.{channel}] ({label}): multiply its scale, or every value of its table, by"
+        f" {factor:.6g}"
+    )
 
 
 def _listed(names: tuple[str, ...]) -> str:
+    """Return names as a TOML list."""
     return "[" + ", ".join(f'"{n}"' for n in names) + "]"
 
 
 SAME = 1.33
-"""Factor within which a scale passes for right: sensors that are out by less are a matter of calibration, not of units."""
-_SHARP = 2.0  # high over low of a relation that tells anything
-_MOST_SLIPS = 4
-_MOST_HZ = 40.0
-_ALIKE = 8.0  # factor within which the noise of sensors of one kind is the same
+"""Factor within which a scale counts as right: a smaller error is a matter of calibration, not of
+units.
+"""
+_SHARP = 2.0  # largest ratio of the limits of an informative scale
+_MAX_FAULTS = 4
+_MAX_HZ = 40.0
+_ALIKE = 8.0  # factor between noise levels of sensors of one kind
 _DEG = 180.0 / math.pi
 
 _SPEEDS = {
@@ -133,106 +150,142 @@ _FAMILIES: tuple[tuple[tuple[str, ...], Mapping[float, str], str], ...] = (
 )
 
 
-_LEAST_LATE_S, _LATE_SURE = 0.01, 4.0
-_COHERENT = 0.7  # of a relation that is reported without an explanation: side forces of gusts pass for turns below it
-_LATE_COHERENCE = 0.7  # of a relation whose motion alone tells lateness
-_LATEST_S = 0.45
+_MIN_LATE_S, _MIN_LATE_RATIO = 0.01, 4.0
+# Least coherence of a relation that is reported without an explanation; below it, side forces of
+# gusts look like turns.
+_COHERENT = 0.7
+_LATE_COHERENCE = 0.7  # least coherence of a relation that yields a delay
+_MAX_LATE_S = 0.45
 _GUST_S = 0.1
-"""Lateness of a law that takes the air for still, beyond which it shows gusts; vanes and filters are late by 0.04 s at most."""
+"""Delay of a relation that assumes still air, above which it shows gusts, s. Vanes and filters
+are late by at most 0.04 s.
+"""
 
 
 @dataclass(frozen=True)
-class Slip:
-    """Channels that are ``factor`` times what they should be, and what they hold in words. rank: the likelier, the lower."""
+class ChannelFault:
+    """A possible error: ``channels`` are ``factor`` times their true values.
+
+    ``words`` describes it; a lower ``rank`` is likelier.
+    """
 
     channels: tuple[str, ...]
     factor: float
     words: str
     rank: int
 
-    def undone(self, record: FlightRecord) -> FlightRecord:
-        """The record without it."""
+    def corrected(self, record: FlightRecord) -> FlightRecord:
+        """Return the record without the error."""
         return record.with_columns(
             {c: record[c] / self.factor for c in self.channels if c in record}
         )
 
 
 @dataclass(frozen=True)
-class Heard:
-    """What a flight says of one law."""
+class LawResult:
+    """A law and its relation as estimated from a flight."""
 
     law: Law
     relation: Relation
 
     @property
-    def in_air(self) -> bool:
-        """The law takes the air for still: in gusts the air's own acceleration, which the aircraft answers, passes for a scale."""
+    def assumes_still_air(self) -> bool:
+        """Whether the law neglects the acceleration of the air. In gusts, to which the aircraft
+        responds, that acceleration looks like a scale.
+        """
         return {"alpha_rad", "beta_rad"} <= set(self.law.uses)
 
     @property
-    def tells(self) -> bool:
-        """Whether the law has evidence. One band alone, in which the air is taken for still, may be one gust's."""
-        return self.relation.bands > (1 if self.in_air else 0)
+    def has_evidence(self) -> bool:
+        """Whether enough bands count. A law that assumes still air needs two, because one may be
+        a single gust.
+        """
+        return self.relation.bands > (1 if self.assumes_still_air else 0)
 
     @property
     def agrees(self) -> bool:
-        """The scale is 1 as far as can be told, and it can."""
+        """Whether the scale is known and equal to 1 within SAME."""
         r = self.relation
-        return self.tells and r.low > 0.0 and r.high < _SHARP * r.low and r.allows(1.0, SAME - 1.0)
+        return (
+            self.has_evidence
+            and r.low > 0.0
+            and r.high < _SHARP * r.low
+            and r.allows(1.0, SAME - 1.0)
+        )
 
     @property
     def differs(self) -> bool:
-        """The scale cannot be 1. A gust turns the air before the aircraft answers; no unit and no sign makes a channel late."""
-        gust = self.in_air and abs(self.relation.late_s) > _GUST_S
-        return self.tells and not gust and not self.relation.allows(1.0, SAME - 1.0)
+        """Whether the scale cannot be 1.
+
+        Gusts reach the air data before the aircraft responds, so that a law with a delay proves
+        nothing; a wrong unit or sign causes no delay.
+        """
+        gust = self.assumes_still_air and abs(self.relation.late_s) > _GUST_S
+        return self.has_evidence and not gust and not self.relation.allows(1.0, SAME - 1.0)
 
 
 def check_physics(record: FlightRecord) -> list[Finding]:
-    """Units, signs and lateness of the channels of a flight. Noise, however much of it, is no finding."""
-    mended, late_s = _ground_in_time(_in_radians(_thinned(record)))
+    """Return findings on units, signs and delays of the channels of a flight.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        Free flight.
+
+    Returns
+    -------
+    list of Finding
+        Codes "unit", "sign", "kinematics-disagree" and "delay". Noise of any size is no finding.
+    """
+    corrected, late_s = _align_ground_velocity(_to_radians(_thinned(record)))
     out: list[Finding] = []
-    for _ in range(_MOST_SLIPS):
-        before = heard(mended)
-        if not any(h.differs for h in before):
+    # Remove one error after the other, the best explanation first.
+    for _ in range(_MAX_FAULTS):
+        results = evaluate_laws(corrected)
+        if not any(h.differs for h in results):
             break
-        found = _explanation(mended, before)
-        if found is None:
+        explanation = _explanation(corrected, results)
+        if explanation is None:
             out += [
                 _unexplained(h)
-                for h in before
-                if h.differs and not h.in_air and h.relation.coherence > _COHERENT
+                for h in results
+                if h.differs and not h.assumes_still_air and h.relation.coherence > _COHERENT
             ]
             break
-        slip, rivals = found
-        out += _named(slip, rivals, record, before, _heard_anew(mended, before, slip))
-        mended = slip.undone(mended)
-    return [*out, *_delays(mended, heard(mended), late_s)]
+        fault, rivals = explanation
+        out += _fault_findings(
+            fault, rivals, record, results, _evaluate_corrected(corrected, results, fault)
+        )
+        corrected = fault.corrected(corrected)
+    return [*out, *_delays(corrected, evaluate_laws(corrected), late_s)]
 
 
-def heard(record: FlightRecord) -> list[Heard]:
-    """Every law that the record has the channels for, and what the flight says of it."""
+def evaluate_laws(record: FlightRecord) -> list[LawResult]:
+    """Return the relation of every law for which the record has the channels."""
     return [
-        Heard(law, judged(law, found))
+        LawResult(law, estimate_relation(law, parts))
         for law in all_laws()
-        if (found := stretches(record, law)) is not None
+        if (parts := stretches(record, law)) is not None
     ]
 
 
-def _heard_anew(record: FlightRecord, before: Sequence[Heard], slip: Slip) -> list[Heard]:
-    """As `heard`, for the record without a slip; laws without its channels say what they said."""
-    mended = slip.undone(record)
+def _evaluate_corrected(
+    record: FlightRecord, results: Sequence[LawResult], fault: ChannelFault
+) -> list[LawResult]:
+    """Return the results with an error corrected; laws without its channels keep their result."""
+    corrected = fault.corrected(record)
     out = []
-    for h in before:
-        if set(h.law.uses) & set(slip.channels):
-            found = stretches(mended, h.law)
-            h = h if found is None else Heard(h.law, judged(h.law, found))
+    for h in results:
+        if set(h.law.uses) & set(fault.channels):
+            parts = stretches(corrected, h.law)
+            h = h if parts is None else LawResult(h.law, estimate_relation(h.law, parts))
         out.append(h)
     return out
 
 
 def _thinned(record: FlightRecord) -> FlightRecord:
-    """At most _MOST_HZ rows a second, each the mean of some: the laws are about motion far below that."""
-    n = math.floor(1.0 / (record.dt_s * _MOST_HZ) + 1e-6)
+    """Return at most _MAX_HZ rows a second, each a mean: the laws concern much slower motion."""
+    n = math.floor(1.0 / (record.dt_s * _MAX_HZ) + 1e-6)
     if n < 2:
         return record
     rows = len(record) // n * n
@@ -241,24 +294,25 @@ def _thinned(record: FlightRecord) -> FlightRecord:
         if name in LABELS:
             columns[name] = values[:rows:n]
         elif SIGNALS[name].kind == "heading" or name == "phi_rad":
-            # Means of angles on the circle, of what goes round with them.
+            # The mean direction on the circle.
             parts = [part(values[:rows]).reshape(-1, n).mean(axis=1) for part in (np.sin, np.cos)]
-            turned = np.arctan2(*parts)
-            columns[name] = np.mod(turned, 2.0 * np.pi) if name == "psi_rad" else turned
+            direction = np.arctan2(*parts)
+            columns[name] = np.mod(direction, 2.0 * np.pi) if name == "psi_rad" else direction
         else:
             columns[name] = values[:rows].reshape(-1, n).mean(axis=1)
     return FlightRecord(columns, record.metadata)
 
 
-def _ground_in_time(record: FlightRecord) -> tuple[FlightRecord, float]:
-    """The ground velocity moved to when it was true, and by how much it was late, s.
+def _align_ground_velocity(record: FlightRecord) -> tuple[FlightRecord, float]:
+    """Return the record with the ground velocity shifted by its delay, and the delay, s.
 
-    In a turn the path's change and gravity nearly cancel along the wings: a tenth of a second between them would pass for a scale.
-    Along the lift it is the path's change alone that varies.
+    In a turn, the acceleration of the path and gravity nearly cancel along the wings: a delay of
+    0.1 s between them would look like a scale. Along the lift only the acceleration of the path
+    varies.
     """
     law = next(x for x in all_laws() if x.subject == "az_mps2" and set(GROUND) <= set(x.uses))
-    found = stretches(record, law)
-    relation = None if found is None else judged(law, found)
+    parts = stretches(record, law)
+    relation = None if parts is None else estimate_relation(law, parts)
     if relation is None or not relation.evident or relation.coherence < _LATE_COHERENCE:
         return record, 0.0
     late = -relation.late_s
@@ -269,17 +323,20 @@ def _ground_in_time(record: FlightRecord) -> tuple[FlightRecord, float]:
     return record.with_columns(moved), late
 
 
-def _in_radians(record: FlightRecord) -> FlightRecord:
-    """Angles that leave their range by far are degrees, which the check of ranges says; the laws are about radians."""
-    wrong = {
+def _to_radians(record: FlightRecord) -> FlightRecord:
+    """Return the record with angles far outside their range converted from degrees.
+
+    The range check reports them; the laws require radians.
+    """
+    converted = {
         name: record[name] / _DEG
-        for name in MOST_RAD
+        for name in MAX_RAD
         if name in record and SIGNALS[name].unit == "rad" and degrees_by_size(name, record[name])
     }
-    return record.with_columns(wrong) if wrong else record
+    return record.with_columns(converted) if converted else record
 
 
-MOST_RAD = {
+MAX_RAD = {
     "phi_rad": 3.3,
     "theta_rad": 1.65,
     "psi_rad": 6.6,
@@ -289,57 +346,72 @@ MOST_RAD = {
     "q_radps": 20.0,
     "r_radps": 20.0,
 }
-"""Angles [rad] and rates [rad/s] that no flight exceeds in one sample of a hundred."""
+"""Angles [rad] and rates [rad/s] that fewer than 1 % of the samples of any flight exceed."""
 
 
 def degrees_by_size(name: str, values: FloatArray) -> bool:
-    """Whether a channel's size says that it is in degrees: it goes beyond what radians can be, and gets there by moving.
+    """Return whether the size of a channel shows that it is in degrees.
 
-    Damaged samples leap there; a channel in degrees passes the limit in steps as small as its others.
+    It exceeds the limit for radians, in steps as small as its others. Damaged samples jump there
+    instead.
     """
-    good = values[np.isfinite(values)]
-    limit = MOST_RAD[name]
-    if good.size < 3 or float(np.quantile(np.abs(good), 0.99)) <= limit:
+    finite = values[np.isfinite(values)]
+    limit = MAX_RAD[name]
+    if finite.size < 3 or float(np.quantile(np.abs(finite), 0.99)) <= limit:
         return False
-    outside = np.abs(good) > limit
+    outside = np.abs(finite) > limit
     if outside.all():
         return True
-    steps = np.abs(np.diff(good))
-    passing = steps[outside[1:] != outside[:-1]]
+    steps = np.abs(np.diff(finite))
+    steps_across = steps[outside[1:] != outside[:-1]]
     inside = steps[~outside[1:] & ~outside[:-1]]
     usual = float(np.quantile(inside, 0.95)) if inside.size else 0.0
-    return float(np.median(passing)) < max(0.5 * limit, 5.0 * usual)
+    return float(np.median(steps_across)) < max(0.5 * limit, 5.0 * usual)
 
 
-def _slips(record: FlightRecord, wrong: Sequence[Heard]) -> Iterator[Slip]:
-    """Every slip that would touch a law which does not hold. Sensors of one kind share a unit if they share their noise."""
-    touched = {n for h in wrong for n in h.law.uses}
-    for family, units, due in _FAMILIES:
-        together = len(family) > 1 and _alike(record, family)
-        for channels in (*([family] if together else []), *((n,) for n in family)):
+def _candidate_faults(
+    record: FlightRecord, violated: Sequence[LawResult]
+) -> Iterator[ChannelFault]:
+    """Yield every error that affects a violated law.
+
+    Sensors of one kind share a unit if they have the same noise.
+    """
+    touched = {n for h in violated for n in h.law.uses}
+    for family, units, signal_unit in _FAMILIES:
+        same_noise = len(family) > 1 and _same_noise(record, family)
+        for channels in (*([family] if same_noise else []), *((n,) for n in family)):
             if not touched & set(channels) or not all(n in record for n in channels):
                 continue
-            usual = 0 if len(channels) == len(family) or not together else 1
-            yield Slip(channels, -1.0, "the sign is reversed", 1)
+            usual = 0 if len(channels) == len(family) or not same_noise else 1
+            yield ChannelFault(channels, -1.0, "the sign is reversed", 1)
             for factor, unit in units.items():
-                yield Slip(channels, factor, f"it is in {unit}, not in {due}", usual)
-                yield Slip(
+                yield ChannelFault(
+                    channels, factor, f"it is in {unit}, not in {signal_unit}", usual
+                )
+                yield ChannelFault(
                     channels,
                     1.0 / factor,
-                    f"it was in {due} and has been converted from {unit} once too often",
+                    f"it was in {signal_unit} and has been converted from {unit} once too often",
                     2,
                 )
-                yield Slip(
-                    channels, -factor, f"it is in {unit}, not in {due}, and its sign is reversed", 3
+                yield ChannelFault(
+                    channels,
+                    -factor,
+                    f"it is in {unit}, not in {signal_unit}, and its sign is reversed",
+                    3,
                 )
-    for h in wrong:
-        if h.in_air:
+    for h in violated:
+        if h.assumes_still_air:
             continue
-        yield Slip((h.law.subject,), h.relation.scale, "scale or unit is wrong in one of them", 4)
+        yield ChannelFault(
+            (h.law.subject,), h.relation.scale, "scale or unit is wrong in one of them", 4
+        )
 
 
-def _alike(record: FlightRecord, channels: tuple[str, ...]) -> bool:
-    """Whether the channels' noise is of one size, as far as they show any (third differences, which motion hardly enters)."""
+def _same_noise(record: FlightRecord, channels: tuple[str, ...]) -> bool:
+    """Return whether the noise of the channels has one size, as far as they show any (third
+    differences).
+    """
     if not all(n in record for n in channels):
         return False
     steps = [np.abs(np.diff(record[n][np.isfinite(record[n])], 3)) for n in channels]
@@ -347,26 +419,37 @@ def _alike(record: FlightRecord, channels: tuple[str, ...]) -> bool:
     return not sizes or max(sizes) < _ALIKE * min(sizes)
 
 
-def _points(laws: Sequence[Heard]) -> int:
+def _points(laws: Sequence[LawResult]) -> int:
+    """Return the score of a set of laws: +1 for each that agrees, -2 for each that is violated."""
     return sum(1 if h.agrees else -2 if h.differs else 0 for h in laws)
 
 
-def _explanation(record: FlightRecord, before: Sequence[Heard]) -> tuple[Slip, list[Slip]] | None:
-    """The slip that mends most, and others that mend as much; None where none mends anything."""
-    wrong = [h for h in before if h.differs]
-    base = _points(before)
+def _explanation(
+    record: FlightRecord, results: Sequence[LawResult]
+) -> tuple[ChannelFault, list[ChannelFault]] | None:
+    """Return the error that repairs most, and others that repair as much; None if none repairs
+    anything.
+    """
+    violated = [h for h in results if h.differs]
+    base = _points(results)
     scored = []
-    for slip in _slips(record, wrong):
-        if not any(h.agrees for h in _heard_anew(record, wrong, slip)):
-            # It mends nothing: what the laws that hold say of it need not be asked.
+    for fault in _candidate_faults(record, violated):
+        if not any(h.agrees for h in _evaluate_corrected(record, violated, fault)):
+            # It repairs nothing: the other laws need not be evaluated.
             continue
-        after = _heard_anew(record, before, slip)
-        gain = _points(after) - base
+        corrected = _evaluate_corrected(record, results, fault)
+        gain = _points(corrected) - base
         if gain > 0:
-            # As near as the measured scales are to 1 afterwards, of what mends as much.
-            left = [abs(math.log(abs(h.relation.scale))) for h in after if h.agrees]
+            # Among equal gains prefer scales close to 1 after the correction.
+            log_scales = [abs(math.log(abs(h.relation.scale))) for h in corrected if h.agrees]
             scored.append(
-                (-gain, slip.rank, round(float(np.mean(left)), 2), len(slip.channels), slip)
+                (
+                    -gain,
+                    fault.rank,
+                    round(float(np.mean(log_scales)), 2),
+                    len(fault.channels),
+                    fault,
+                )
             )
     if not scored:
         return None
@@ -380,62 +463,76 @@ def _explanation(record: FlightRecord, before: Sequence[Heard]) -> tuple[Slip, l
     return best[-1], rivals[:2]
 
 
-def _named(
-    slip: Slip,
-    rivals: Sequence[Slip],
+def _fault_findings(
+    fault: ChannelFault,
+    rivals: Sequence[ChannelFault],
     record: FlightRecord,
-    before: Sequence[Heard],
-    after: Sequence[Heard],
+    before: Sequence[LawResult],
+    after: Sequence[LawResult],
 ) -> Iterator[Finding]:
-    """A finding for each channel of a slip."""
-    now = {h.law: h for h in after}
-    mended = [h for h in before if h.law in now and now[h.law].agrees and not h.agrees]
-    broke = [h for h in before if h.differs]
-    repaired = [h for h in mended if h.differs]
-    about = [h for h in mended if h.law.subject in slip.channels] or mended or broke
+    """Yield a finding for each channel of an error."""
+    results_after = {h.law: h for h in after}
+    repaired_or_confirmed = [
+        h for h in before if h.law in results_after and results_after[h.law].agrees and not h.agrees
+    ]
+    violated = [h for h in before if h.differs]
+    repaired = [h for h in repaired_or_confirmed if h.differs]
+    relevant = (
+        [h for h in repaired_or_confirmed if h.law.subject in fault.channels]
+        or repaired_or_confirmed
+        or violated
+    )
+    # Quote the law with the narrowest limits of the scale.
     best = min(
-        about,
+        relevant,
         key=lambda h: (
             h.relation.high / h.relation.low if h.relation.evident and h.relation.low else math.inf
         ),
     )
-    after_it = now[best.law].relation if best.law in now and now[best.law].agrees else None
-    relation = after_it or best.relation
-    low, high = sorted(
-        (slip.factor if after_it else 1.0) * end for end in (relation.low, relation.high)
+    relation_after = (
+        results_after[best.law].relation
+        if best.law in results_after and results_after[best.law].agrees
+        else None
     )
-    size = f"{slip.factor:.4g}" if slip.factor == -1.0 else f"{slip.factor:.3g}"
+    relation = relation_after or best.relation
+    low, high = sorted(
+        (fault.factor if relation_after else 1.0) * end for end in (relation.low, relation.high)
+    )
+    size = f"{fault.factor:.4g}" if fault.factor == -1.0 else f"{fault.factor:.3g}"
     either = "".join(f"; or {' '.join(r.channels)}: {r.words}" for r in rivals)
-    for channel in slip.channels:
+    for channel in fault.channels:
         text = (
-            f"{channel} is {size} times {best.law.says} (between {low:.3g} and {high:.3g}, coherence {relation.coherence:.2f}):"
-            f" {slip.words}; without it {len(repaired)} of the {len(broke)} relations that do not hold do{either}"
+            f"{channel} is {size} times {best.law.statement} (between {low:.3g} and {high:.3g},"
+            f" coherence {relation.coherence:.2f}): {fault.words}; without it {len(repaired)} of"
+            f" the {len(violated)} relations that do not hold do{either}"
         )
         numbers = {
-            "slope": slip.factor,
+            "slope": fault.factor,
             "low": low,
             "high": high,
             "correlation": math.sqrt(max(relation.coherence, 0.0)),
             "relations_mended": float(len(repaired)),
-            "relations_broken": float(len(broke)),
+            "relations_broken": float(len(violated)),
         }
-        code = "sign" if -SAME < slip.factor < 0.0 else "unit"
+        code = "sign" if -SAME < fault.factor < 0.0 else "unit"
         yield Finding(
             code,
             channel,
             "error",
             text,
             numbers,
-            spoils(channel),
-            mend(channel, 1.0 / slip.factor, record.metadata),
+            affected_results(channel),
+            map_correction(channel, 1.0 / fault.factor, record.metadata),
         )
 
 
-def _unexplained(h: Heard) -> Finding:
+def _unexplained(h: LawResult) -> Finding:
+    """Return the finding on a violated law that no single error explains."""
     r = h.relation
     text = (
-        f"{h.law.subject} is {r.scale:.3g} times {h.law.says} (between {r.low:.3g} and {r.high:.3g}, coherence {r.coherence:.2f}),"
-        f" and no unit or sign of one channel explains it: look at {', '.join(h.law.uses)}"
+        f"{h.law.subject} is {r.scale:.3g} times {h.law.statement} (between {r.low:.3g} and"
+        f" {r.high:.3g}, coherence {r.coherence:.2f}), and no unit or sign of one channel explains"
+        f" it: look at {', '.join(h.law.uses)}"
     )
     numbers = {
         "slope": r.scale,
@@ -444,19 +541,29 @@ def _unexplained(h: Heard) -> Finding:
         "correlation": math.sqrt(max(r.coherence, 0.0)),
     }
     return Finding(
-        "kinematics-disagree", h.law.subject, "warning", text, numbers, spoils(h.law.subject)
+        "kinematics-disagree",
+        h.law.subject,
+        "warning",
+        text,
+        numbers,
+        affected_results(h.law.subject),
     )
 
 
-def _delays(record: FlightRecord, laws: Sequence[Heard], ground_late_s: float) -> list[Finding]:
-    """Channels that come late: the attitude against the rates, the ground velocity and the air data against the accelerations."""
+def _delays(record: FlightRecord, laws: Sequence[LawResult], ground_late_s: float) -> list[Finding]:
+    """Return findings on delays of attitude, ground velocity and air data.
+
+    References are the rates, and the rates with the accelerations.
+    """
     path = [h for h in laws if h.law.subject in ACCELERATIONS and set(GROUND) <= set(h.law.uses)]
     out = [
-        *_together("attitude", "the body rates", [h for h in laws if h.law.subject in RATES], 0.0),
-        *_together("ground velocity", "the accelerations", path, ground_late_s),
+        *_common_delay(
+            "attitude", "the body rates", [h for h in laws if h.law.subject in RATES], 0.0
+        ),
+        *_common_delay("ground velocity", "the accelerations", path, ground_late_s),
     ]
     for h in laws:
-        if h.law.subject in AIR and "rates" in h.law.says and not h.differs:
+        if h.law.subject in AIR and "rates" in h.law.statement and not h.differs:
             late = channel_lateness(
                 record, h.law, h.agrees and h.relation.coherence > _LATE_COHERENCE
             )
@@ -474,31 +581,38 @@ def _delays(record: FlightRecord, laws: Sequence[Heard], ground_late_s: float) -
     return out
 
 
-def _together(
-    channel: str, reference: str, members: Sequence[Heard], known_s: float
+def _common_delay(
+    channel: str, reference: str, members: Sequence[LawResult], corrected_s: float
 ) -> Iterator[Finding]:
-    """Delay that several laws have in common, into none of which gusts enter; ``known_s``: the part already corrected."""
-    good = [h.relation for h in members if h.agrees and h.relation.coherence > _LATE_COHERENCE]
-    if good:
-        weight = np.array([r.late_std_s**-2 for r in good])
-        late = known_s - float(weight @ [r.late_s for r in good]) / float(weight.sum())
+    """Yield a finding on the delay that several laws share, none of which gusts enter.
+
+    ``corrected_s`` is the part that was corrected before.
+    """
+    relations = [h.relation for h in members if h.agrees and h.relation.coherence > _LATE_COHERENCE]
+    if relations:
+        # Weighted mean by inverse variance.
+        weight = np.array([r.late_std_s**-2 for r in relations])
+        late = corrected_s - float(weight @ [r.late_s for r in relations]) / float(weight.sum())
         std = float(weight.sum()) ** -0.5
         if surely_late(late, std):
-            yield _delay(channel, reference, late, std, min(r.coherence for r in good), "motion")
+            yield _delay(
+                channel, reference, late, std, min(r.coherence for r in relations), "motion"
+            )
 
 
 def surely_late(late_s: float, std_s: float) -> bool:
-    """Whether an estimated lateness counts as one: more than 10 ms and more than four standard errors, less than 0.45 s.
+    """Return whether an estimated delay counts: above 10 ms and four standard errors, below 0.45
+    s.
 
     Parameters
     ----------
     late_s, std_s : float
-        The lateness and its standard error [s], as a finding ``delay`` gives them. NaN is no lateness.
+        Delay and standard error [s], as in a finding ``delay``. NaN is no delay.
 
     Returns
     -------
     bool
-        Whether the channel is to be called late, and may be moved.
+        Whether the channel is late and may be shifted.
 
     Examples
     --------
@@ -507,15 +621,19 @@ def surely_late(late_s: float, std_s: float) -> bool:
     (True, False)
     """
     size = abs(late_s)
-    return _LEAST_LATE_S < size < _LATEST_S and size > _LATE_SURE * std_s
+    return _MIN_LATE_S < size < _MAX_LATE_S and size > _MIN_LATE_RATIO * std_s
 
 
 def _delay(
     channel: str, reference: str, late_s: float, std_s: float, coherence: float, by: str
 ) -> Finding:
-    how = "in what the controls moved" if by == "controls" else f"coherence {coherence:.2f}"
+    """Return the finding on a delay; a warning from 50 ms on."""
+    basis = "in what the controls moved" if by == "controls" else f"coherence {coherence:.2f}"
     side = "after" if late_s > 0 else "before"
-    text = f"{channel} comes {abs(late_s) * 1e3:.0f} +- {std_s * 1e3:.1f} ms {side} {reference} ({how})"
+    text = (
+        f"{channel} comes {abs(late_s) * 1e3:.0f} +- {std_s * 1e3:.1f} ms {side} {reference}"
+        f" ({basis})"
+    )
     numbers = {"delay_s": late_s, "std_s": std_s, "correlation": math.sqrt(max(coherence, 0.0))}
     severity = "info" if abs(late_s) < 0.05 else "warning"
     return Finding(

@@ -1,4 +1,4 @@
-"""One importer per log format, each `read(path, wanted, progress) -> RawLog`; `detect` finds the format by content."""
+"""Importers: one module a log format, each returning a `RawLog`."""
 
 import lazy_loader
 

@@ -1,8 +1,9 @@
-"""ArduPilot DataFlash .bin: one pass in blocks, each message type decoded as a whole by numpy.
+"""Read ArduPilot DataFlash logs, binary (.bin) and text (.log).
 
-Memory: one block, plus the wanted fields in their stored width. A record is found by following the lengths that the FMT
-records announce; where the chain breaks the reader looks for the next pair of records that fit together and reports
-the bytes it skipped.
+`read` passes once through a binary log in blocks and decodes each message type with numpy; memory
+is one block plus the selected fields in their stored width. Records are found by the lengths that
+FMT records announce. Where this chain breaks, the reader searches for the next two records that
+fit together and reports the bytes it skipped. `read_text` reads the text form line by line.
 """
 
 from __future__ import annotations
@@ -21,17 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import Finding, LogError
-from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
+from sysid.foreign.raw import FieldSelection, MessageTable, ProgressCallback, RawLog
 from sysid.foreign.regular_files import open_regular
 
-# The DataFlash record format: what an FMT record says, as numpy types (for binary reader, text
-# reader and writer).
+# Record format: FMT records as numpy types, for both readers and the writer.
 
 MAGIC = b"\xa3\x95"
 FMT_TYPE = 128
 FMT_LENGTH = 89
 
-# Format character -> (numpy type, multiplier that turns the stored integer into the field's unit).
+# Format character to numpy type and multiplier from the stored integer to the field's unit.
 CHARACTERS: dict[str, tuple[str, float]] = {
     "a": ("<i2", 1.0),
     "b": ("<i1", 1.0),
@@ -60,7 +60,9 @@ INSTANCE_NAMES = ("I", "C", "Instance", "Inst")
 
 @dataclass(frozen=True)
 class Format:
-    """One FMT record: type number, total length in bytes, name, format characters and column names."""
+    """One FMT record: type number, length in bytes with header, name, format characters, column
+    names.
+    """
 
     type: int
     length: int
@@ -70,7 +72,7 @@ class Format:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Structured type of the payload (without the three header bytes)."""
+        """Structured type of the payload, without the three header bytes."""
         fields: list[Any] = []
         for column, character in zip(self.columns, self.characters, strict=True):
             base = CHARACTERS[character][0]
@@ -79,7 +81,7 @@ class Format:
 
     @property
     def instance_column(self) -> str | None:
-        """The column that numbers instances of one sensor, by its usual names; None when there is none."""
+        """Column that numbers the instances of a sensor; None without one."""
         for column, character in zip(self.columns, self.characters, strict=True):
             if column in INSTANCE_NAMES and character in "bBhHiI":
                 return column
@@ -87,9 +89,10 @@ class Format:
 
     @property
     def time_column(self) -> tuple[str, float] | None:
-        """(column, seconds per unit) of the time stamp, or None.
+        """Time column and seconds per unit; None without one.
 
-        In the GPS message of logs before version 3.4 TimeMS is the GPS time of week; T is the autopilot's clock.
+        In the GPS message of logs before version 3.4, TimeMS is the GPS time of week and T the
+        clock of the autopilot.
         """
         if self.name.startswith("GPS") and "TimeUS" not in self.columns and "T" in self.columns:
             return "T", 1e-3
@@ -100,7 +103,9 @@ class Format:
 
 
 def make_format(kind: int, length: int, name: str, characters: str, columns: str) -> Format | None:
-    """Build a Format; None when it contradicts itself (a damaged FMT record must not steer the reader)."""
+    """Return a Format; None if the record contradicts itself, since damage must not misguide the
+    reader.
+    """
     names = tuple(columns.split(",")) if columns else ()
     printable = name.isascii() and name.isidentifier() and len(name) <= 4
     if (
@@ -112,12 +117,12 @@ def make_format(kind: int, length: int, name: str, characters: str, columns: str
         return None
     if any(c not in CHARACTERS for c in characters):
         return None
-    made = Format(kind, length, name, characters, names)
-    return made if made.dtype.itemsize + 3 == length else None
+    message_format = Format(kind, length, name, characters, names)
+    return message_format if message_format.dtype.itemsize + 3 == length else None
 
 
 def scaled(values: NDArray[Any], character: str) -> NDArray[Any]:
-    """Field values in the field's unit: multiplied where the format says so, text decoded, the rest unchanged."""
+    """Return values in the field's unit: multiplied if the format says so, text decoded."""
     kind, multiplier = CHARACTERS[character]
     if kind.startswith("S"):
         return np.array(
@@ -127,16 +132,15 @@ def scaled(values: NDArray[Any], character: str) -> NDArray[Any]:
 
 
 def text(raw: bytes) -> str:
-    """Text of a fixed-length field up to its first NUL."""
+    """Return the text of a field of fixed length up to its first NUL."""
     return raw.split(b"\0", 1)[0].decode("latin-1")
 
 
-# From the columns of a DataFlash log, binary or text, to a RawLog: instances split, parameters,
-# texts, vehicle.
+# Assembly of a RawLog from the columns of a binary or text log.
 
 Columns = dict[str, NDArray[Any]]
-# Messages that identify the vehicle, its parameters and its modes; small in every log.
-MOST_INSTANCES = 256  # of one kind of message
+# ALWAYS are messages that identify vehicle, parameters and modes; they are small in every log.
+MAX_INSTANCES = 256  # of one kind of message
 ALWAYS = frozenset({"PARM", "MSG", "MODE", "VER", "ARM", "EV", "ORGN"})
 # VER.BU, the number of the firmware's build type.
 _BUILD = {
@@ -148,7 +152,7 @@ _BUILD = {
     12: "Blimp",
     13: "Heli",
 }
-_ONLY_IN = {
+_VEHICLE_PARAMETERS = {
     "ATC_RAT_RLL_P": "ArduCopter",
     "RATE_RLL_P": "ArduCopter",
     "WPNAV_SPEED": "ArduCopter",
@@ -168,12 +172,33 @@ def assemble(
     counts: Mapping[str, int],
     findings: list[Finding],
     path: Path,
+    *,
     places: Mapping[str, NDArray[np.int64]] | None = None,
     headers: tuple[int, ...] = (),
 ) -> RawLog:
-    """Split instances and pull out parameters, texts and vehicle. Raises LogError when nothing carries a time.
+    """Build the RawLog: separate instances and extract parameters, texts and vehicle.
 
-    places   position in the file of each record, by message      headers  positions of further headers of a log
+    Parameters
+    ----------
+    dialect : str
+        dataflash or dataflash-text.
+    columns : dict
+        Message to field to values; emptied on the way to save memory.
+    formats, counts : mapping
+        Format and number of records of each message.
+    findings : list of Finding
+        Damage found by the reader.
+    path : Path
+        File, for messages.
+    places : mapping, optional
+        Message to the position of each record in the file.
+    headers : tuple of int
+        Positions of further log headers.
+
+    Raises
+    ------
+    LogError
+        If no message has a time stamp.
     """
     places = places or {}
     messages: dict[tuple[str, int], MessageTable] = {}
@@ -199,17 +224,21 @@ def assemble(
             path,
         )
     texts, parameters = _texts(messages), _parameters(columns)
-    said = messages.get(("MSG", 0))
+    text_table = messages.get(("MSG", 0))
     set_at = places.get("PARM")
     return RawLog(
         headers=headers,
-        text_places=() if said is None or said.place is None else tuple(said.place.tolist()),
-        parameter_log=()
-        if set_at is None or not parameters
-        else tuple(
-            (int(at), str(n), float(v))
-            for at, n, v in zip(
-                set_at, columns["PARM"]["Name"], columns["PARM"]["Value"], strict=False
+        text_places=()
+        if text_table is None or text_table.place is None
+        else tuple(text_table.place.tolist()),
+        parameter_log=(
+            ()
+            if set_at is None or not parameters
+            else tuple(
+                (int(at), str(n), float(v))
+                for at, n, v in zip(
+                    set_at, columns["PARM"]["Name"], columns["PARM"]["Value"], strict=False
+                )
             )
         ),
         dialect=dialect,
@@ -223,21 +252,24 @@ def assemble(
 
 
 def _instances(table: Columns, column: str | None) -> list[tuple[int, Any]]:
-    """(instance, its rows); a column of more numbers than any vehicle has sensors counts something else."""
+    """Return (instance, rows); one instance if the column has more values than any vehicle has
+    sensors.
+    """
     if column is None or column not in table:
         return [(0, slice(None))]
     numbers = table[column]
     if len(numbers) and numbers.min() == numbers.max():
         return [(int(numbers[0]), slice(None))]
-    found = np.unique(numbers)
+    unique_numbers = np.unique(numbers)
     return (
-        [(int(i), numbers == i) for i in found]
-        if len(found) <= MOST_INSTANCES
+        [(int(i), numbers == i) for i in unique_numbers]
+        if len(unique_numbers) <= MAX_INSTANCES
         else [(0, slice(None))]
     )
 
 
 def _texts(messages: Mapping[tuple[str, int], MessageTable]) -> tuple[tuple[float, str], ...]:
+    """Return (time, text) of the messages to the pilot."""
     table = messages.get(("MSG", 0))
     if table is None or "Message" not in table.fields:
         return ()
@@ -247,6 +279,7 @@ def _texts(messages: Mapping[tuple[str, int], MessageTable]) -> tuple[tuple[floa
 
 
 def _parameters(columns: dict[str, Columns]) -> dict[str, float]:
+    """Return the parameters, last value logged."""
     table = columns.get("PARM", {})
     if "Name" not in table or "Value" not in table:
         return {}
@@ -258,19 +291,24 @@ def _vehicle(
     columns: dict[str, Columns],
     parameters: Mapping[str, float],
 ) -> str:
-    """What the log calls itself, else what its parameters are of; an aeroplane that takes off on rotors says VTOL."""
-    named = _named(texts, columns)
-    if not named:
+    """Return the vehicle as the log names it, else by its parameters; "VTOL" is added for
+    Q_ENABLE.
+    """
+    vehicle = _firmware_name(texts, columns)
+    if not vehicle:
         # Parameters that one kind of vehicle alone has.
-        named = next((kind for name, kind in _ONLY_IN.items() if name in parameters), "")
+        vehicle = next(
+            (kind for name, kind in _VEHICLE_PARAMETERS.items() if name in parameters), ""
+        )
     return (
-        f"{named or 'ArduPlane'} VTOL"
-        if parameters.get("Q_ENABLE", 0.0) > 0.0 and "VTOL" not in named
-        else named
+        f"{vehicle or 'ArduPlane'} VTOL"
+        if parameters.get("Q_ENABLE", 0.0) > 0.0 and "VTOL" not in vehicle
+        else vehicle
     )
 
 
-def _named(texts: tuple[tuple[float, str], ...], columns: dict[str, Columns]) -> str:
+def _firmware_name(texts: tuple[tuple[float, str], ...], columns: dict[str, Columns]) -> str:
+    """Return the firmware's name by a message to the pilot or the build type."""
     build = columns.get("VER", {}).get("BU")
     for _, message in texts:
         if _VEHICLE.match(message):
@@ -286,15 +324,15 @@ _FMT_FORMAT = Format(
 )
 
 
-class _Walker:
-    """State that lives from block to block: known formats, collected columns, damage met."""
+class _BinaryReader:
+    """State between blocks: known formats, collected columns, damage."""
 
-    def __init__(self, wanted: Wanted | None) -> None:
-        self.wanted = wanted
+    def __init__(self, selection: FieldSelection | None) -> None:
+        self.wanted = selection
         self.formats: dict[int, Format] = {FMT_TYPE: _FMT_FORMAT}
         self.lengths = [0] * 256
         self.lengths[FMT_TYPE] = FMT_LENGTH
-        # One growing buffer per field: thousands of small arrays would leave the memory in pieces.
+        # One growing buffer per field: thousands of small arrays would fragment the memory.
         self.collected: dict[str, dict[str, bytearray]] = defaultdict(
             lambda: defaultdict(bytearray)
         )
@@ -303,7 +341,7 @@ class _Walker:
         self.headers: list[int] = []
         self.base = 0
         # The format that a message's columns were collected by.
-        self.kept: dict[str, Format] = {}
+        self.collected_formats: dict[str, Format] = {}
         self.counts: dict[str, int] = defaultdict(int)
         self.skipped_bytes = 0
         self.skips = 0
@@ -311,7 +349,10 @@ class _Walker:
         self.bad_formats = 0
 
     def block(self, data: bytes, base: int, last: bool) -> int:
-        """Decode the whole records of `data` (file offset `base`); return the number of bytes used."""
+        """Decode the complete records of ``data``, which begins at file offset ``base``.
+
+        Returns the number of bytes used; the rest belongs to the next block.
+        """
         self.base = base
         offsets: list[list[int]] = [[] for _ in range(256)]
         lengths = self.lengths
@@ -340,21 +381,26 @@ class _Walker:
         return pos
 
     def _learn(self, record: bytes, offsets: list[list[int]], data: bytes) -> None:
+        """Register the format of an FMT record."""
         kind, length = record[3], record[4]
-        made = make_format(kind, length, text(record[5:9]), text(record[9:25]), text(record[25:89]))
-        if made is None or kind == FMT_TYPE:
-            self.bad_formats += int(made is None)
+        new_format = make_format(
+            kind, length, text(record[5:9]), text(record[9:25]), text(record[25:89])
+        )
+        if new_format is None or kind == FMT_TYPE:
+            self.bad_formats += int(new_format is None)
             return
-        known = self.formats.get(kind)
-        if known is not None and known != made:
-            # Two logs in one file: what was collected under the old format must be decoded with it.
-            self._decode_type(data, offsets[kind], known)
+        old_format = self.formats.get(kind)
+        if old_format is not None and old_format != new_format:
+            # Two logs in one file: decode the records collected so far with the old format.
+            self._decode_type(data, offsets[kind], old_format)
             offsets[kind].clear()
-        self.formats[kind] = made
+        self.formats[kind] = new_format
         self.lengths[kind] = length
 
     def _resynchronise(self, data: bytes, pos: int, base: int) -> int:
-        """Next position at which a known record is followed by another header (or the block ends)."""
+        """Return the next position where a known record is followed by a header, or by the end of
+        the block.
+        """
         start = pos
         pos = data.find(MAGIC, pos + 1)
         while pos >= 0 and pos + 3 <= len(data):
@@ -370,30 +416,35 @@ class _Walker:
         return pos
 
     def _note_skip(self, offset: int, count: int) -> None:
+        """Count bytes that could not be read."""
         if self.first_skip < 0:
             self.first_skip = offset
         self.skips += 1
         self.skipped_bytes += count
 
     def _decode(self, data: bytes, offsets: list[list[int]]) -> None:
-        for kind, found in enumerate(offsets):
-            if found:
-                self._decode_type(data, found, self.formats[kind])
+        """Decode all records of a block."""
+        for kind, kind_offsets in enumerate(offsets):
+            if kind_offsets:
+                self._decode_type(data, kind_offsets, self.formats[kind])
 
-    def _decode_type(self, data: bytes, found: list[int], fmt: Format) -> None:
-        self.counts[fmt.name] += len(found)
+    def _decode_type(self, data: bytes, offsets: list[int], fmt: Format) -> None:
+        """Append the selected fields of the records of one type."""
+        self.counts[fmt.name] += len(offsets)
         keep = self._fields(fmt)
-        if not keep or not found:
+        if not keep or not offsets:
             return
         columns = self.collected[fmt.name]
-        known = self.kept.setdefault(fmt.name, fmt)
-        if (known.characters, known.columns) != (fmt.characters, fmt.columns):
-            columns.clear()  # the format changed: an array of one field must not fall out of step with the others
+        old_format = self.collected_formats.setdefault(fmt.name, fmt)
+        if (old_format.characters, old_format.columns) != (fmt.characters, fmt.columns):
+            # The format changed: columns of different lengths must not be mixed.
+            columns.clear()
             self.places[fmt.name].clear()
-        self.kept[fmt.name] = fmt
+        self.collected_formats[fmt.name] = fmt
         buffer = np.frombuffer(data, dtype=np.uint8)
-        starts = np.asarray(found, dtype=np.int64) + 3
+        starts = np.asarray(offsets, dtype=np.int64) + 3
         self.places[fmt.name] += (starts + self.base).astype("<i8").tobytes()
+        # Gather the bytes of one field of all records by fancy indexing.
         for column in keep:
             base, offset = fmt.dtype.fields[column][:2]  # type: ignore[index]
             columns[column] += buffer[
@@ -401,6 +452,7 @@ class _Walker:
             ].tobytes()
 
     def _fields(self, fmt: Format) -> list[str]:
+        """Return the columns of a message to keep: those selected, its time and its instance."""
         if fmt.name in ALWAYS or self.wanted is None:
             return list(fmt.columns)
         if fmt.name not in self.wanted:
@@ -409,17 +461,23 @@ class _Walker:
         return [c for c in fmt.columns if c in fields]
 
     def tables(self) -> dict[str, Columns]:
-        """Message name -> field -> scaled array."""
+        """Return message to field to values in the field's unit."""
         out: dict[str, Columns] = {}
         for name, columns in self.collected.items():
-            characters = dict(zip(self.kept[name].columns, self.kept[name].characters, strict=True))
+            characters = dict(
+                zip(
+                    self.collected_formats[name].columns,
+                    self.collected_formats[name].characters,
+                    strict=True,
+                )
+            )
             out[name] = {
                 c: scaled(_array(data, characters[c]), characters[c]) for c, data in columns.items()
             }
         return out
 
     def findings(self, size: int) -> list[Finding]:
-        """What was damaged, with the place of the first damage."""
+        """Return findings on damage, with the place of the first."""
         out = []
         if self.skipped_bytes:
             out.append(
@@ -427,8 +485,9 @@ class _Walker:
                     "damaged-bytes",
                     "",
                     "warning",
-                    f"{self.skipped_bytes} of {size} bytes could not be read ({self.skips} places, the first at offset"
-                    f" {self.first_skip}): the log is damaged, cut short, or was not closed",
+                    f"{self.skipped_bytes} of {size} bytes could not be read ({self.skips} places,"
+                    f" the first at offset {self.first_skip}): the log is damaged, cut short, or"
+                    " was not closed",
                     {
                         "bytes": self.skipped_bytes,
                         "places": self.skips,
@@ -442,7 +501,8 @@ class _Walker:
                     "damaged-format",
                     "FMT",
                     "warning",
-                    f"{self.bad_formats} FMT records contradict themselves; their messages were left out",
+                    f"{self.bad_formats} FMT records contradict themselves; their messages were"
+                    " left out",
                     {"count": self.bad_formats},
                 )
             )
@@ -450,78 +510,97 @@ class _Walker:
 
 
 def _array(data: bytearray, character: str) -> NDArray[Any]:
+    """Return the values of a collected field; arrays have 32 elements a record."""
     values = np.frombuffer(data, dtype=CHARACTERS[character][0])
     return values.reshape(-1, 32) if character == "a" else values
 
 
-def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
+def read(
+    path: Path, selection: FieldSelection | None = None, callback: ProgressCallback | None = None
+) -> RawLog:
     """Read a binary DataFlash log.
 
-    wanted  message -> fields to keep (None keeps everything); messages that the checks need are kept always.
-    Raises LogError when no record can be read.
+    Parameters
+    ----------
+    path : Path
+        File.
+    selection : mapping or None
+        Message to fields; None keeps all. Messages that the checks need are always kept.
+    callback : callable, optional
+        Called with the share read, 0 to 1.
+
+    Raises
+    ------
+    LogError
+        If no record can be read.
     """
-    walker = _Walker(wanted)
+    reader = _BinaryReader(selection)
     with open_regular(path) as handle:
         size = os.fstat(handle.fileno()).st_size
-        _blocks(handle, walker, size, progress)
-    if sum(walker.counts.values()) - walker.counts["FMT"] <= 0:
+        _blocks(handle, reader, size, callback)
+    if sum(reader.counts.values()) - reader.counts["FMT"] <= 0:
         raise LogError(
-            f"no DataFlash record could be read in {size} bytes ({walker.counts['FMT']} FMT records found); "
-            "the log is empty, cut off in its header, or damaged: copy it from the autopilot again",
+            f"no DataFlash record could be read in {size} bytes ({reader.counts['FMT']} FMT records"
+            " found); the log is empty, cut off in its header, or damaged: copy it from the"
+            " autopilot again",
             path,
         )
     return assemble(
         "dataflash",
-        walker.tables(),
-        walker.kept,
-        walker.counts,
-        walker.findings(size),
+        reader.tables(),
+        reader.collected_formats,
+        reader.counts,
+        reader.findings(size),
         path,
-        {name: np.frombuffer(data, dtype="<i8") for name, data in walker.places.items()},
-        tuple(walker.headers),
+        places={name: np.frombuffer(data, dtype="<i8") for name, data in reader.places.items()},
+        headers=tuple(reader.headers),
     )
 
 
-def _blocks(handle: BinaryIO, walker: _Walker, size: int, progress: Progress | None) -> None:
-    rest, base = b"", 0
+def _blocks(
+    handle: BinaryIO, reader: _BinaryReader, size: int, callback: ProgressCallback | None
+) -> None:
+    """Read the file block by block."""
+    unread, base = b"", 0
     while True:
         fresh = handle.read(BLOCK_BYTES)
-        data = rest + fresh
+        data = unread + fresh
         if not data:
             return
-        used = walker.block(data, base, last=not fresh)
-        rest, base = data[used:], base + used
-        if progress is not None:
+        used = reader.block(data, base, last=not fresh)
+        unread, base = data[used:], base + used
+        if callback is not None:
             with contextlib.suppress(ZeroDivisionError):
-                progress(min(1.0, base / size))
+                callback(min(1.0, base / size))
         if not fresh:
             return
 
 
-# ArduPilot DataFlash as text (.log): one line a record, values already in the field's unit.
-# Streamed line by line.
+# Text logs: one record a line, values in the field's unit, read line by line.
 
 _MAX_LINE = 4096
-_MOST_FORMATS = 1000  # the binary form can number 256
-_WHOLE = frozenset("bBhHiIqQM")
+_MAX_FORMATS = 1000  # the binary form can number 256
+_INTEGER_CHARACTERS = frozenset("bBhHiIqQM")
 
 
 class _Collector:
+    """Columns of one message of a text log."""
+
     def __init__(self, fmt: Format, keep: list[str]) -> None:
         self.where = [fmt.columns.index(c) for c in keep]
         self.text = [CHARACTERS[fmt.characters[i]][0].startswith("S") for i in self.where]
-        self.whole = [fmt.characters[i] in _WHOLE for i in self.where]
+        self.whole = [fmt.characters[i] in _INTEGER_CHARACTERS for i in self.where]
         self.keep = keep
         self.values: list[Any] = [[] if text else array("d") for text in self.text]
         self.place = array("q")
 
     def add(self, cells: list[str], place: int) -> bool:
-        """Append one record; False, and nothing appended, when a number cannot be read."""
+        """Append one record; return False, and append nothing, if a number cannot be read."""
         row: list[Any] = []
         try:
-            for i, text, whole in zip(self.where, self.text, self.whole, strict=True):
+            for i, text, is_integer in zip(self.where, self.text, self.whole, strict=True):
                 value = cells[i].strip() if text else float(cells[i])
-                if whole and not float(value).is_integer():  # nan and inf are none either
+                if is_integer and not float(value).is_integer():  # nan and inf are none either
                     return False
                 row.append(value)
         except (ValueError, IndexError):
@@ -532,6 +611,7 @@ class _Collector:
         return True
 
     def columns(self) -> Columns:
+        """Return field to values."""
         pairs = zip(self.keep, self.values, self.text, strict=True)
         return {
             c: np.array(v, dtype=object) if text else np.frombuffer(v, dtype=np.float64)
@@ -539,48 +619,50 @@ class _Collector:
         }
 
 
-def read_text(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
-    """Read a text DataFlash log; arguments and errors as in `dataflash_binary.read`."""
+def read_text(
+    path: Path, selection: FieldSelection | None = None, callback: ProgressCallback | None = None
+) -> RawLog:
+    """Read a text DataFlash log; parameters and errors as for `read`."""
     formats: dict[str, Format] = {}
     collectors: dict[str, _Collector | None] = {}
     counts: dict[str, int] = defaultdict(int)
     headers: list[int] = []
-    bad_lines, first_bad, done, line_number = 0, 0, 0, 0
+    bad_lines, first_bad_line, done, line_number = 0, 0, 0, 0
     with open_regular(path) as handle:
         size = max(1, os.fstat(handle.fileno()).st_size)
         while raw := handle.readline(_MAX_LINE):
             line_number += 1
             done += len(raw)
-            if progress is not None and line_number % 20000 == 0:
-                progress(done / size)
+            if callback is not None and line_number % 20000 == 0:
+                callback(done / size)
             line = raw.decode("latin-1").rstrip("\r\n")
             if not line.strip():
                 continue
-            name, _, rest = line.partition(",")
+            name, _, content = line.partition(",")
             name = name.strip()
             if name == "FMT":
-                fmt = _format(rest)
+                fmt = _format(content)
                 if fmt is not None and fmt.name == "FMT" and counts:
                     headers.append(line_number)
-                if fmt is not None and fmt.name not in formats and len(formats) >= _MOST_FORMATS:
+                if fmt is not None and fmt.name not in formats and len(formats) >= _MAX_FORMATS:
                     fmt = None
                 if fmt is not None and formats.get(fmt.name) != fmt:
                     formats[fmt.name] = fmt
-                    keep = _keep(fmt, wanted)
+                    keep = _keep(fmt, selection)
                     collectors[fmt.name] = _Collector(fmt, keep) if keep else None
-                good = fmt is not None
+                is_valid = fmt is not None
             elif name in formats:
                 collector = collectors[name]
-                # The last column takes what is left: a text message may hold commas.
-                cells = rest.split(",", len(formats[name].columns) - 1)
-                good = collector is None or collector.add(cells, line_number)
+                # The last column takes the remainder: a message to the pilot may contain commas.
+                cells = content.split(",", len(formats[name].columns) - 1)
+                is_valid = collector is None or collector.add(cells, line_number)
             else:
-                good = False
-            if good:
+                is_valid = False
+            if is_valid:
                 counts[name] += 1
             else:
                 bad_lines += 1
-                first_bad = first_bad or line_number
+                first_bad_line = first_bad_line or line_number
     if not any(n for name, n in counts.items() if name != "FMT"):
         raise LogError(
             f"no DataFlash record could be read in {line_number} lines; copy the log again", path
@@ -588,9 +670,10 @@ def read_text(path: Path, wanted: Wanted | None = None, progress: Progress | Non
     findings = []
     if bad_lines:
         message = (
-            f"{bad_lines} of {line_number} lines could not be read (the first is line {first_bad})"
+            f"{bad_lines} of {line_number} lines could not be read (the first is line"
+            f" {first_bad_line})"
         )
-        numbers = {"lines": float(bad_lines), "first_line": float(first_bad)}
+        numbers = {"lines": float(bad_lines), "first_line": float(first_bad_line)}
         findings.append(Finding("damaged-lines", "", "warning", message, numbers))
     columns = {
         name: c.columns() for name, c in collectors.items() if c is not None and counts[name]
@@ -601,21 +684,30 @@ def read_text(path: Path, wanted: Wanted | None = None, progress: Progress | Non
         if c is not None and counts[name]
     }
     return assemble(
-        "dataflash-text", columns, formats, dict(counts), findings, path, places, tuple(headers)
+        "dataflash-text",
+        columns,
+        formats,
+        dict(counts),
+        findings,
+        path,
+        places=places,
+        headers=tuple(headers),
     )
 
 
-def _keep(fmt: Format, wanted: Wanted | None) -> list[str]:
-    if wanted is None or fmt.name in ALWAYS:
+def _keep(fmt: Format, selection: FieldSelection | None) -> list[str]:
+    """Return the columns of a message to keep."""
+    if selection is None or fmt.name in ALWAYS:
         return [c for c, k in zip(fmt.columns, fmt.characters, strict=True) if k != "a"]
-    if fmt.name not in wanted:
+    if fmt.name not in selection:
         return []
-    fields = set(wanted[fmt.name]) | {fmt.instance_column, (fmt.time_column or ("",))[0]}
+    fields = set(selection[fmt.name]) | {fmt.instance_column, (fmt.time_column or ("",))[0]}
     return [c for c, k in zip(fmt.columns, fmt.characters, strict=True) if c in fields and k != "a"]
 
 
-def _format(rest: str) -> Format | None:
-    cells = [c.strip() for c in rest.split(",")]
+def _format(content: str) -> Format | None:
+    """Return the format of an FMT line; None if it contradicts itself."""
+    cells = [c.strip() for c in content.split(",")]
     if len(cells) < 4 or not cells[0].isdigit() or not cells[1].isdigit():
         return None
     columns = tuple(c for c in cells[4:] if c)

@@ -1,4 +1,7 @@
-"""Which importer a file needs, told by its content: logs get renamed, and a .bin may be anything."""
+"""Detect the format of a log by its content.
+
+File names are not used: logs get renamed, and a .bin may be anything.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,10 @@ _FOREIGN = {
     b"SQLite": "an SQLite database",
     b"PARE": "an encrypted Parquet file (export it without)",
 }
-_KNOWN = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, a flight record in Parquet or CSV, JSBSim's CSV"
+_SUPPORTED = (
+    "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, a flight record in Parquet or CSV,"
+    " JSBSim's CSV"
+)
 JSBSIM_HEADINGS = frozenset(
     {
         "V_{Total} (ft/s)",
@@ -42,47 +48,67 @@ JSBSIM_HEADINGS = frozenset(
         "F_{Total x} (lbs)",
     }
 )
-"""One heading at least of each group of JSBSim's <output> (FGOutputTextFile.cpp, version 1.3.3)."""
+"""At least one heading of each group of JSBSim's <output> (FGOutputTextFile.cpp, version 1.3.3)."""
 
 
 def detect(path: Path) -> str:
-    """dataflash | dataflash-text | tlog | ulog | parquet | jsbsim-csv | csv. LogError for anything else."""
+    """Return the dialect of a log file.
+
+    Parameters
+    ----------
+    path : Path
+        Log file.
+
+    Returns
+    -------
+    str
+        dataflash, dataflash-text, tlog, ulog, parquet, jsbsim-csv or csv.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read or is none of these; the message names what it is, if known.
+    """
     try:
         with open_regular(path) as handle:
             head = handle.read(SNIFFED_BYTES)
     except FileNotFoundError:
         raise LogError("no such file", path) from None
     except IsADirectoryError:
-        raise LogError(f"is a folder; give a file: {_KNOWN}", path) from None
+        raise LogError(f"is a folder; give a file: {_SUPPORTED}", path) from None
     except OSError as e:
         raise LogError(f"cannot be read: {e.strerror}", path) from None
     if not head:
         raise LogError("the file is empty (0 bytes); copy the log again", path)
-    for magic, what in _FOREIGN.items():
+    for magic, description in _FOREIGN.items():
         if head.startswith(magic):
-            raise LogError(f"this is {what}, not a flight log; allowed are {_KNOWN}", path)
-    found = _binary(head) or _text(head)
-    if found is None:
+            raise LogError(
+                f"this is {description}, not a flight log; allowed are {_SUPPORTED}", path
+            )
+    dialect = _binary(head) or _text(head)
+    if dialect is None:
         raise LogError(_not_recognised(head), path)
-    return found
+    return dialect
 
 
 def _not_recognised(head: bytes) -> str:
+    """Return the message for a file of unknown format."""
     content = decoded(head)
     line = next((x for x in content[0].splitlines() if x.strip(" #")), "") if content else ""
     if line:
         return (
-            f"not recognised as a flight log: a text whose first line is '{line.strip()[:80]}', and no table. A"
-            " table has a line of names, then rows of numbers, separated by commas, semicolons or tabs;"
-            f" allowed are also {_KNOWN}"
+            f"not recognised as a flight log: a text whose first line is '{line.strip()[:80]}', and"
+            " no table. A table has a line of names, then rows of numbers, separated by commas,"
+            f" semicolons or tabs; allowed are also {_SUPPORTED}"
         )
     return (
-        f"not recognised as a flight log (it begins with {head[:8].hex(' ')}); allowed are {_KNOWN}. "
-        "If this is one of them its beginning is damaged: copy the log again"
+        f"not recognised as a flight log (it begins with {head[:8].hex(' ')}); allowed are"
+        f" {_SUPPORTED}. If this is one of them its beginning is damaged: copy the log again"
     )
 
 
 def _binary(head: bytes) -> str | None:
+    """Return the dialect of a binary log by its first bytes; None for others."""
     if head.startswith(b"PAR1"):
         return "parquet"
     if head.startswith(b"ULog\x01\x12\x35"):
@@ -93,7 +119,9 @@ def _binary(head: bytes) -> str | None:
 
 
 def _tlog_frames(head: bytes) -> int:
-    """Longest run of frames (8 bytes of time, then a MAVLink packet) that follow one another near the beginning."""
+    """Return the longest run of consecutive frames (8 bytes of time, then a MAVLink packet) near
+    the begin.
+    """
     best = 0
     for start in range(min(600, len(head) - 16)):
         if head[start + 8] not in (0xFE, 0xFD):
@@ -109,18 +137,21 @@ def _tlog_frames(head: bytes) -> int:
 
 
 def frame_length(data: bytes, pos: int) -> int:
-    """Length of the MAVLink packet at `pos` by its header (version 1 or 2, signed or not)."""
+    """Return the length of the MAVLink packet at ``pos`` by its header (version 1 or 2, signed or
+    not).
+    """
     if data[pos] == 0xFE:
         return 8 + data[pos + 1]
     return 12 + data[pos + 1] + (13 if data[pos + 2] & 1 else 0)
 
 
 def frame_time(data: bytes, pos: int) -> float:
-    """The 8-byte big-endian time in front of a packet, in seconds since 1970."""
+    """Return the big-endian time of 8 bytes before a packet, s since 1970."""
     return float(struct.unpack_from(">Q", data, pos)[0]) * 1e-6
 
 
 def _text(head: bytes) -> str | None:
+    """Return the dialect of a text log or table; None for other text."""
     content = decoded(head)
     if content is None:
         return None
@@ -144,5 +175,5 @@ def _text(head: bytes) -> str | None:
 
 
 def is_jsbsim_name(name: str) -> bool:
-    """Whether a column has the name of a JSBSim property, or a heading of JSBSim's <output>."""
+    """Return whether a column is named as a JSBSim property or a heading of its <output>."""
     return "/" in name.split(" (")[0] or "fdm" in name or name in JSBSIM_HEADINGS

@@ -1,7 +1,8 @@
-"""MAVLink telemetry logs (.tlog): 8 bytes of time, then a packet, again and again. Packets decoded by pymavlink.
+"""Read MAVLink telemetry logs (.tlog) with pymavlink: 8 bytes of time, then a packet, repeated.
 
-Only packets of a wanted kind are decoded (the checksum is verified then), so that the cost follows what is needed.
-Each packet from another system than the first autopilot heard is left out.
+Only packets of selected kinds are decoded, which verifies their checksum. Packets of other systems
+than the first autopilot are left out. Times are those of the vehicle's clock: a radio delivers
+packets in bursts, so that receipt times jitter.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sysid.arrays import FloatArray
 from sysid.errors import Finding, LogError
-from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
+from sysid.foreign.raw import FieldSelection, MessageTable, ProgressCallback, RawLog
 from sysid.foreign.regular_files import open_regular
 from sysid.logs.importers.detect import frame_length, frame_time
 from sysid.logs.time_base import boundaries
 
 BLOCK_BYTES = 4 << 20
-_SAME_CLOCK_S = 60.0  # a stamp further from its receipt is another clock's
+_SAME_CLOCK_S = 60.0  # a stamp that differs more from its receipt is of another clock
 _AUTOPILOT_TYPES = {
     1: "fixed wing",
     2: "quadrotor",
@@ -45,34 +46,30 @@ _AUTOPILOT_TYPES = {
     21: "VTOL tiltrotor",
     22: "VTOL",
 }
-_NOT_VEHICLES = {
-    5,
-    6,
-    18,
-    26,
-    27,
-    30,
-}  # antenna tracker, ground station, onboard controller, gimbal, ADSB, camera
+# MAV_TYPE of antenna tracker, ground station, onboard controller, gimbal, ADSB and camera.
+_NOT_VEHICLES = {5, 6, 18, 26, 27, 30}
 _BOOT_CLOCKS = ("ATTITUDE", "GLOBAL_POSITION_INT", "SYSTEM_TIME", "SCALED_IMU2")
 _BOOT_FIELDS = (("time_boot_ms", 1e-3), ("time_usec", 1e-6), ("time_us", 1e-6))
 
 
 class _Tlog:
-    def __init__(self, wanted: Wanted | None) -> None:
+    """Collected packets of a file and the state of the parser."""
+
+    def __init__(self, selection: FieldSelection | None) -> None:
         # `mavlink.mavlink_map` is keyed by packet number; MAVLink classes know their fields.
-        everything = {cls.msgname: number for number, cls in mavlink.mavlink_map.items()}
-        names = set(everything if wanted is None else wanted) | {
+        packet_numbers = {cls.msgname: number for number, cls in mavlink.mavlink_map.items()}
+        names = set(packet_numbers if selection is None else selection) | {
             "HEARTBEAT",
             "STATUSTEXT",
             "PARAM_VALUE",
         }
-        self.wanted = wanted
-        self.names = {everything[n]: n for n in names if n in everything}
-        self.all_names = {number: n for n, number in everything.items()}
+        self.wanted = selection
+        self.names = {packet_numbers[n]: n for n in names if n in packet_numbers}
+        self.all_names = {number: n for n, number in packet_numbers.items()}
         self.parser = mavlink.MAVLink(None)
         self.receipt: dict[str, array[float]] = defaultdict(lambda: array("d"))
         self.place: dict[str, array[float]] = defaultdict(lambda: array("d"))
-        self.kept = 0
+        self.stored_packets = 0
         self.boot: dict[str, array[float]] = defaultdict(lambda: array("d"))
         self.values: dict[str, dict[str, array[float]]] = defaultdict(
             lambda: defaultdict(lambda: array("d"))
@@ -86,7 +83,7 @@ class _Tlog:
         self.skipped_bytes = 0
 
     def block(self, data: bytes, last: bool) -> int:
-        """Work through the whole frames of `data`; return the bytes used."""
+        """Process the complete frames of ``data`` and return the number of bytes used."""
         pos, size = 0, len(data)
         while pos + 20 <= size:
             if data[pos + 8] in (0xFE, 0xFD):
@@ -96,7 +93,7 @@ class _Tlog:
                     if last:
                         break
                     return pos
-                # A frame counts when another one follows, or the block ends with it.
+                # Accept a frame if another one follows or the block ends with it.
                 if end + 9 > size or data[end + 8] in (0xFE, 0xFD):
                     self._packet(data, pos, end)
                     pos = end
@@ -109,8 +106,11 @@ class _Tlog:
         return pos
 
     def _packet(self, data: bytes, pos: int, end: int) -> None:
-        two = data[pos + 8] == 0xFD
-        number = int.from_bytes(data[pos + 15 : pos + 18], "little") if two else data[pos + 13]
+        """Count a packet and decode it if it is of a selected kind."""
+        is_version_2 = data[pos + 8] == 0xFD
+        number = (
+            int.from_bytes(data[pos + 15 : pos + 18], "little") if is_version_2 else data[pos + 13]
+        )
         self.counts[self.all_names.get(number, "unknown")] += 1
         name = self.names.get(number)
         if name is None:
@@ -127,22 +127,26 @@ class _Tlog:
         self._keep(name, message, frame_time(data, pos))
 
     def _keep(self, name: str, message: Any, receipt_s: float) -> None:
+        """Store the numeric fields, text or parameter of a packet of the vehicle."""
         system = message.get_srcSystem()
         if name == "HEARTBEAT" and message.type not in _NOT_VEHICLES and self.system is None:
             self.system, self.vehicle_type = system, int(message.type)
+        # Ground stations and companions send on the same link.
         if self.system is not None and system != self.system:
             return
         if name == "STATUSTEXT":
-            self.texts.append((self.kept, receipt_s, str(message.text)))
+            self.texts.append((self.stored_packets, receipt_s, str(message.text)))
             return
         if name == "PARAM_VALUE":
-            self.parameters.append((self.kept, str(message.param_id), float(message.param_value)))
+            self.parameters.append(
+                (self.stored_packets, str(message.param_id), float(message.param_value))
+            )
             return
         if name == "HEARTBEAT" and message.type in _NOT_VEHICLES:
             return
         self.receipt[name].append(receipt_s)
-        self.kept += 1
-        self.place[name].append(self.kept)
+        self.stored_packets += 1
+        self.place[name].append(self.stored_packets)
         boot = next(
             (getattr(message, f) * s for f, s in _BOOT_FIELDS if f in message.fieldnames),
             float("nan"),
@@ -157,20 +161,39 @@ class _Tlog:
                 store[f].append(float(value))
 
 
-def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
-    """Read a .tlog; message times are the vehicle's own (time since boot) where a message carries one, otherwise between those of
-    the messages before and behind it in the file: radios deliver in bursts. Raises LogError when no packet can be read."""
-    state = _Tlog(wanted)
-    rest, done = b"", 0
+def read(
+    path: Path, selection: FieldSelection | None = None, callback: ProgressCallback | None = None
+) -> RawLog:
+    """Read a telemetry log.
+
+    A message has the vehicle's time (since boot) if it carries one, else a time between those of
+    the messages around it in the file.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+    selection : mapping or None
+        Message name to fields; None reads all.
+    callback : callable, optional
+        Called with the share read, 0 to 1.
+
+    Raises
+    ------
+    LogError
+        If no packet with flight data can be read.
+    """
+    state = _Tlog(selection)
+    unread, done = b"", 0
     with open_regular(path) as handle:
         size = max(1, os.fstat(handle.fileno()).st_size)
         while True:
             fresh = handle.read(BLOCK_BYTES)
-            data = rest + fresh
+            data = unread + fresh
             used = state.block(data, last=not fresh)
-            rest, done = data[used:], done + used
-            if progress is not None:
-                progress(done / size)
+            unread, done = data[used:], done + used
+            if callback is not None:
+                callback(done / size)
             if not fresh:
                 break
     if not state.receipt:
@@ -187,6 +210,7 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
         )
         for name, receipt in state.receipt.items()
     }
+    # Vehicle clock and radio clock differ by another offset after each boot.
     begins = _boots(streams)
     times, offsets = _times(streams, begins)
     messages = {}
@@ -218,19 +242,24 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
 
 @dataclass(frozen=True)
 class _Stream:
-    """Packets of one kind: order in the file, time of receipt and stamp of the vehicle's clock (NaN without one), each (n,)."""
+    """Packets of one kind: place in the file, receipt time and vehicle time [s] (NaN if absent),
+    each (n,).
+    """
 
     place: NDArray[np.int64]
     receipt_s: FloatArray
     boot_s: FloatArray
 
     def rows(self, keep: NDArray[np.bool_]) -> _Stream:
-        """Some of the packets."""
+        """Return the packets selected by a mask."""
         return _Stream(self.place[keep], self.receipt_s[keep], self.boot_s[keep])
 
 
 def _boots(streams: dict[str, _Stream]) -> list[int]:
-    """Places at which the vehicle's clock begins again, by the messages whose stamp is always its time since boot."""
+    """Return the places at which the vehicle's clock begins again.
+
+    Only messages whose stamp is always the time since boot are used.
+    """
     stamped = [streams[name] for name in _BOOT_CLOCKS if name in streams]
     if not stamped:
         return []
@@ -242,7 +271,9 @@ def _boots(streams: dict[str, _Stream]) -> list[int]:
 def _times(
     streams: dict[str, _Stream], begins: list[int]
 ) -> tuple[dict[str, FloatArray], list[float]]:
-    """Times of all packets on the clock of their boot, and each boot's time of receipt minus its clock."""
+    """Return times of all packets on the clock of their boot, and receipt time minus clock of
+    each boot.
+    """
     times = {name: np.full(len(s.place), np.nan) for name, s in streams.items()}
     edges = [-1, *begins, np.iinfo(np.int64).max]
     offsets = []
@@ -255,7 +286,8 @@ def _times(
         for name, s in part.items():
             assert clock is not None
             arrived = s.receipt_s - offset
-            # Some senders put the date into time_usec; it is then as good as the time of receipt.
+            # Some senders put the date into time_usec; such a stamp is no better than the
+            # receipt time.
             on_clock = np.isfinite(s.boot_s) & (np.abs(s.boot_s - arrived) < 3600.0)
             times[name][rows[name]] = np.where(
                 on_clock, s.boot_s, clock(s.place.astype(np.float64), arrived)
@@ -266,29 +298,35 @@ def _times(
 def _vehicle_clock(
     streams: dict[str, _Stream], offset: float
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """(places in the file, times of receipt on the vehicle's clock) -> times, by the stamped messages around."""
+    """Return a function from (places in the file, receipt times on the vehicle's clock) to times.
+
+    It interpolates between the stamped messages.
+    """
     place, stamp = [], []
     for s in streams.values():
-        good = np.isfinite(s.boot_s) & (np.abs(s.boot_s - (s.receipt_s - offset)) < _SAME_CLOCK_S)
-        place.append(s.place[good].astype(np.float64))
-        stamp.append(s.boot_s[good])
-    at, when = np.concatenate(place), np.concatenate(stamp)
+        on_clock = np.isfinite(s.boot_s) & (
+            np.abs(s.boot_s - (s.receipt_s - offset)) < _SAME_CLOCK_S
+        )
+        place.append(s.place[on_clock].astype(np.float64))
+        stamp.append(s.boot_s[on_clock])
+    at, stamp_s = np.concatenate(place), np.concatenate(stamp)
     order = np.argsort(at, kind="stable")
-    at, when = at[order], np.maximum.accumulate(when[order]) if len(when) else when
+    at, stamp_s = at[order], np.maximum.accumulate(stamp_s[order]) if len(stamp_s) else stamp_s
 
     def clock(places: FloatArray, arrived: FloatArray) -> FloatArray:
+        """Return times of unstamped messages, or their receipt times outside the stamped ones."""
         if len(at) < 2:
             return arrived
         between = (places >= at[0]) & (places <= at[-1])
-        return np.where(between, np.interp(places, at, when), arrived)
+        return np.where(between, np.interp(places, at, stamp_s), arrived)
 
     return clock
 
 
 def _clock_offset(streams: dict[str, _Stream]) -> float:
-    """Receipt time minus boot time: the smallest difference seen, i.e. the packet that was least delayed.
+    """Return receipt time minus boot time, s, of the least delayed packets.
 
-    The boot clock of ATTITUDE and GLOBAL_POSITION_INT counts; without either, time zero is the first packet.
+    Messages of _BOOT_CLOCKS count; without any, time zero is the first packet.
     """
     best = []
     for name in _BOOT_CLOCKS:
@@ -296,15 +334,20 @@ def _clock_offset(streams: dict[str, _Stream]) -> float:
             late = streams[name].receipt_s - streams[name].boot_s
             late = late[np.isfinite(late)]
             if len(late):
-                # 5 % quantile, not the minimum: one packet with a damaged time must not move the clock.
+                # The 5 % quantile and not the minimum, because a packet with a damaged time
+                # must not move the clock.
                 best.append(float(np.quantile(late, 0.05)))
     return min(best) if best else min(float(s.receipt_s[0]) for s in streams.values())
 
 
 def _findings(state: _Tlog, size: int) -> list[Finding]:
+    """Return findings on damaged bytes and packets."""
     out = []
     if state.skipped_bytes:
-        text = f"{state.skipped_bytes} of {size} bytes belong to no packet: the log is damaged or cut short"
+        text = (
+            f"{state.skipped_bytes} of {size} bytes belong to no packet: the log is damaged or cut"
+            " short"
+        )
         out.append(
             Finding("damaged-bytes", "", "warning", text, {"bytes": float(state.skipped_bytes)})
         )

@@ -1,4 +1,8 @@
-"""PX4 ULog (.ulg) by pyulog, which keeps the wanted topics in memory and reports dropouts itself."""
+"""Read PX4 ULog files (.ulg) with pyulog.
+
+pyulog keeps the selected topics in memory and reports dropouts. One file may hold several logs,
+which are read one by one and concatenated; `time_base.split` separates them again.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from sysid.errors import Finding, LogError
-from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
+from sysid.foreign.raw import FieldSelection, MessageTable, ProgressCallback, RawLog
 from sysid.foreign.regular_files import open_regular
 from sysid.logs.time_base import RESTART_S
 
@@ -37,24 +41,44 @@ _VEHICLE_TYPES = {1: "rotary wing", 2: "fixed wing", 3: "rover", 4: "airship"}
 _MAGIC = b"ULog\x01\x12\x35"
 _HEADER_BYTES = 16
 _BLOCK_BYTES = 4 << 20
-_PART = 1 << 40  # places of one part of a file with several logs; no log has as many records
+_PART = 1 << 40  # offset of places between logs of one file; no log has as many records
 
 
-def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
-    """Read a ULog file. Raises LogError when pyulog cannot make sense of it or nothing useful is inside."""
+def read(
+    path: Path, selection: FieldSelection | None = None, callback: ProgressCallback | None = None
+) -> RawLog:
+    """Read a ULog file.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+    selection : mapping or None
+        Topic name to fields; None reads all topics.
+    callback : callable, optional
+        Called once with 1.0 at the end.
+
+    Raises
+    ------
+    LogError
+        If pyulog cannot read the file, or it has no topic with data.
+    """
     with open_regular(path) as handle:
         starts = _headers(handle)
         if len(starts) > 1:
             handle.seek(0)
             content = handle.read()
     if len(starts) == 1:
-        raw = _read(partial(open_regular, path), path, wanted, 0)
+        raw = _read(partial(open_regular, path), path, selection, 0)
     else:
+        # Concatenated logs are cut at their headers.
         ends = [*starts[1:], len(content)]
         parts = [content[start:end] for start, end in zip(starts, ends, strict=True)]
-        raw = _joined([_read(partial(io.BytesIO, p), path, wanted, n) for n, p in enumerate(parts)])
-    if progress is not None:
-        progress(1.0)
+        raw = _concatenate_logs(
+            [_read(partial(io.BytesIO, p), path, selection, n) for n, p in enumerate(parts)]
+        )
+    if callback is not None:
+        callback(1.0)
     if not raw.messages:
         raise LogError(
             "no topic with flight data could be read; the log holds nothing this importer knows",
@@ -64,44 +88,50 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
 
 
 def _headers(handle: BinaryIO) -> list[int]:
-    """Offsets at which a log begins: several logs may stand in one file."""
+    """Return the offsets at which logs begin in the file."""
     starts, base, tail = [0], 0, b""
     while block := handle.read(_BLOCK_BYTES):
         data = tail + block
         at = data.find(_MAGIC)
         while at >= 0:
-            # The kind of the first message, flags or a definition, makes chance bytes unlikely.
+            # Require the kind of a first message (flags or a definition), so that equal bytes
+            # inside data are not taken for a header.
             kind = data[at + _HEADER_BYTES + 2 : at + _HEADER_BYTES + 3]
             if base + at > 0 and kind in (b"B", b"F", b"I", b"P") and base + at not in starts:
                 starts.append(base + at)
             at = data.find(_MAGIC, at + 1)
-        kept = min(len(data), 2 * _HEADER_BYTES)
-        base, tail = base + len(data) - kept, data[len(data) - kept :]
+        overlap = min(len(data), 2 * _HEADER_BYTES)
+        base, tail = base + len(data) - overlap, data[len(data) - overlap :]
     return starts
 
 
-def _read(opened: Callable[[], BinaryIO], path: Path, wanted: Wanted | None, number: int) -> RawLog:
-    """One log of a file, opened by ``opened``; ``number`` counts the logs before it."""
+def _read(
+    open_log: Callable[[], BinaryIO], path: Path, selection: FieldSelection | None, number: int
+) -> RawLog:
+    """Read one log of a file, opened by ``open_log``; ``number`` counts the logs before it."""
     chatter = io.StringIO()
-    names = None if wanted is None else sorted(wanted)
+    names = None if selection is None else sorted(selection)
     try:
-        # pyulog prints what it finds corrupt; it belongs into the findings, not onto the terminal.
-        # Given an open file, since pyulog leaves a file open that it opened itself and could not read.
+        # pyulog prints what it finds damaged, which belongs into the findings. It receives an
+        # open file, because it would leave one open that it cannot read.
         with contextlib.redirect_stdout(chatter), np.errstate(all="ignore"):
-            with opened() as handle:
+            # The file as it is first read.
+            with open_log() as handle:
                 log = ULog(handle, names, disable_str_exceptions=True)
             stamps = [d.data["timestamp"] for d in log.data_list if "timestamp" in d.data]
             places = {}
             if any(_steps_back(stamp) for stamp in stamps):
-                # Only then the order of records over all topics is needed, and the file is read again.
-                with opened() as handle:
+                # Only then the order of records over all topics is needed, and the file is read
+                # again.
+                with open_log() as handle:
                     ordered = _OrderedULog(handle, names, disable_str_exceptions=True)
                 places = {k: np.array(v, dtype=np.int64) for k, v in ordered.places.items()}
     except MemoryError:
         raise
     except Exception as e:  # pyulog meets damage with whatever its parsing runs into
         raise LogError(
-            f"damaged or not a ULog file ({type(e).__name__}: {' '.join(str(e).split())[:120]}); copy the log again",
+            f"damaged or not a ULog file ({type(e).__name__}: {' '.join(str(e).split())[:120]});"
+            " copy the log again",
             path,
         ) from None
     base = number * _PART
@@ -139,8 +169,8 @@ def _read(opened: Callable[[], BinaryIO], path: Path, wanted: Wanted | None, num
     )
 
 
-def _joined(parts: list[RawLog]) -> RawLog:
-    """Several logs of one file as one, in which places keep them apart."""
+def _concatenate_logs(parts: list[RawLog]) -> RawLog:
+    """Concatenate several logs of one file; places in the file keep them apart."""
     messages: dict[tuple[str, int], MessageTable] = {}
     for key in dict.fromkeys(key for part in parts for key in part.messages):
         tables = [part.messages[key] for part in parts if key in part.messages]
@@ -148,9 +178,11 @@ def _joined(parts: list[RawLog]) -> RawLog:
         messages[key] = MessageTable(
             np.concatenate([t.time_s for t in tables]),
             {n: np.concatenate([t.fields[n] for t in tables]) for n in names},
-            None
-            if any(t.place is None for t in tables)
-            else np.concatenate([t.place for t in tables if t.place is not None]),
+            (
+                None
+                if any(t.place is None for t in tables)
+                else np.concatenate([t.place for t in tables if t.place is not None])
+            ),
         )
     return replace(
         parts[0],
@@ -167,13 +199,14 @@ def _joined(parts: list[RawLog]) -> RawLog:
 
 
 def _steps_back(timestamp: NDArray[Any]) -> bool:
+    """Return whether time steps back by more than RESTART_S (``timestamp`` in us)."""
     return len(timestamp) > 1 and bool(
         np.min(np.diff(timestamp.astype(np.float64))) < -1e6 * RESTART_S
     )
 
 
 class _OrderedULog(ULog):
-    """A log that also says in which order the records of all topics stand in the file."""
+    """A ULog that records the order of the records of all topics in the file."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.places: dict[tuple[str, int], list[int]] = {}
@@ -196,6 +229,7 @@ class _OrderedULog(ULog):
 
 
 def _parameters(log: ULog) -> dict[str, float]:
+    """Return the numeric parameters."""
     out = {}
     for name, value in log.initial_parameters.items():
         with contextlib.suppress(TypeError, ValueError):
@@ -204,6 +238,7 @@ def _parameters(log: ULog) -> dict[str, float]:
 
 
 def _vehicle(log: ULog, messages: dict[tuple[str, int], MessageTable]) -> str:
+    """Return the vehicle type by vehicle_status or MAV_TYPE."""
     status: Any = messages.get(("vehicle_status", 0))
     name = "PX4"
     if (
@@ -223,17 +258,18 @@ def _vehicle(log: ULog, messages: dict[tuple[str, int], MessageTable]) -> str:
 
 
 def _findings(log: ULog, chatter: str) -> list[Finding]:
+    """Return findings on dropouts and damage."""
     out = []
     if log.dropouts:
-        lost = sum(d.duration for d in log.dropouts) * 1e-3
-        text = f"the logger reports {len(log.dropouts)} dropouts, {lost:.2f} s together"
+        lost_s = sum(d.duration for d in log.dropouts) * 1e-3
+        text = f"the logger reports {len(log.dropouts)} dropouts, {lost_s:.2f} s together"
         out.append(
             Finding(
                 "logger-dropouts",
                 "",
                 "warning",
                 text,
-                {"count": float(len(log.dropouts)), "seconds": lost},
+                {"count": float(len(log.dropouts)), "seconds": lost_s},
             )
         )
     if log.file_corruption:

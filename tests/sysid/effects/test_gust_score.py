@@ -12,7 +12,7 @@ from sysid.aerodynamics.rigid_body import NX
 from sysid.effects.prediction import Columns, minus_twice_log, whiten
 from sysid.effects.turbulence import AirLikelihood
 from sysid.estimation.kalman import Process
-from sysid.parallel import Held
+from sysid.parallel import LocalValue
 from tests.helpers.linear_systems import system
 
 STATES = np.arange(NX)
@@ -103,7 +103,7 @@ class Several:
             yield function(pickle.loads(pickle.dumps(job)))
 
     def share(self, value):
-        return Held(value)
+        return LocalValue(value)
 
 
 @pytest.mark.parametrize("count", [2, 3, 8])

@@ -13,7 +13,7 @@ from sysid.aerodynamics.rigid_body import NX, Reference, Steps, linearise
 from sysid.effects import turbulence
 from sysid.effects.catalogue import CERTAIN_T
 from sysid.effects.turbulence import Gusts, Score, gust_intensity, process_of
-from sysid.parallel import ALONE
+from sysid.parallel import SERIAL
 from tests.helpers.open_equations import OpenEquations
 from tests.sysid.aerodynamics.test_rigid_body import DT, MASS, TERMS, flight, reference
 
@@ -186,7 +186,7 @@ def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
 def test_the_search_ends_where_no_number_makes_the_flights_likelier():
     """Scales of the intensities about the optimum, one by one, against the likelihood itself."""
     made, data = drawn(GustStates(MASS.b), INTENSITIES)
-    search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, ALONE)
+    search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, SERIAL)
     some, ones = list(range(4)), np.ones(len(NOISE))
     begin = turbulence._Point((GustStates(MASS.b),) * 4, 3.0 * INTENSITIES, ones)
     found = search.descend(some, begin, ())
@@ -238,7 +238,7 @@ def test_gusts_pass_at_the_airspeed_or_at_one_speed(passing):
     made, data = drawn(
         GustStates(MASS.b, passing), INTENSITIES, faster=(-4.0, -4.0, 4.0, 4.0), n=400
     )
-    search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, ALONE)
+    search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, SERIAL)
     here = turbulence._Point((GustStates(MASS.b),) * 4, INTENSITIES, np.ones(len(NOISE)))
     one = search.passing({"a": range(4)}, here)
     (speed,) = {s.passing_mps for s in one.states}
@@ -281,7 +281,7 @@ def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
     """Air made for 23.5 m/s, met at 22 m/s: four times weaker than on the whole in one flight, four times stronger in the other."""
     factors = (0.25, 0.25, 4.0, 4.0)
     made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=400, stronger=factors)
-    search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, ALONE)
+    search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, SERIAL)
     flights, of = ["a", "a", "b", "b"], {"a": [0, 1], "b": [2, 3]}
     common = search.descend(
         range(4), turbulence._Point((GustStates(MASS.b),) * 4, INTENSITIES, np.ones(len(NOISE))), ()
@@ -325,7 +325,7 @@ def test_where_no_filter_follows_gusts_pass_at_the_mean_airspeed(monkeypatch):
     score = lambda *_, **__: Score(np.inf, np.zeros(1), np.zeros((1, 13)), np.zeros((1, 13)), ())  # noqa: E731
     monkeypatch.setattr(turbulence._Search, "score", score)
     search = turbulence._Search(
-        lambda *_: [], [np.zeros((2, 1))] * 2, [0], np.ones(1), [20.0, 24.0], ALONE
+        lambda *_: [], [np.zeros((2, 1))] * 2, [0], np.ones(1), [20.0, 24.0], SERIAL
     )  # type: ignore
     here = turbulence._Point((GustStates(3.0),) * 2, np.ones(7), np.ones(1))
     assert [s.passing_mps for s in search.passing({"a": [0, 1]}, here).states] == [22.0, 22.0]

@@ -9,7 +9,7 @@ import pytest
 
 from sysid.aerodynamics import GustStates
 from sysid.errors import Finding, LogError
-from sysid.foreign.typed_files import dump, find_class, load, own_class
+from sysid.foreign.typed_files import dump, find_class, load, storable_class
 from sysid.record import FlightRecord
 
 FIELDS = ["code", "channel", "severity", "message", "numbers", "spoils", "mend"]
@@ -17,42 +17,44 @@ FIELDS = ["code", "channel", "severity", "message", "numbers", "spoils", "mend"]
 
 def test_a_class_is_found_by_its_name_and_made_without_running_it():
     own = find_class("sysid.errors:Finding", FIELDS)
-    assert own is own_class(Finding)
+    assert own is storable_class(Finding)
     value = Finding("a", "b", "info", "m", {"n": 1.0})
-    made = own.made(own.values(value))
+    made = own.build(own.values(value))
     assert made == value
     assert type(made) is Finding
     # A record without its time would be refused by its own code.
-    record = own_class(FlightRecord)
+    record = storable_class(FlightRecord)
     assert record is not None
-    assert record.made([{}, None]).columns == {}
+    assert record.build([{}, None]).columns == {}
     with pytest.raises(LogError, match="time_s"):
         FlightRecord({})
 
 
 def test_a_named_tuple_is_made_of_its_fields():
     value = GustStates(2.8, turning_with=False)
-    own = own_class(GustStates)
+    own = storable_class(GustStates)
     assert own is find_class("sysid.aerodynamics.air_motion:GustStates", list(GustStates._fields))
     found = load(dump({"states": value}))["states"]
     assert type(found) is GustStates
     assert found == value
-    assert "b of sysid.aerodynamics.air_motion:GustStates holds a str" in own.misfit(
+    assert "b of sysid.aerodynamics.air_motion:GustStates holds a str" in own.mismatch(
         ["2.8", 0.0, True, True]
     )
     assert (
-        own_class(type("Other", (GustStates,), {"__module__": "sysid.aerodynamics.air_motion"}))
+        storable_class(
+            type("Other", (GustStates,), {"__module__": "sysid.aerodynamics.air_motion"})
+        )
         is None
     )
 
 
 def test_values_of_another_type_are_told():
     own = find_class("sysid.errors:Finding", FIELDS)
-    assert own.misfit(["a", "b", "info", "m", {}, "", ""]) == ""
-    assert "message of sysid.errors:Finding holds a int" in own.misfit(
+    assert own.mismatch(["a", "b", "info", "m", {}, "", ""]) == ""
+    assert "message of sysid.errors:Finding holds a int" in own.mismatch(
         ["a", "b", "info", 3, {}, "", ""]
     )
-    assert own.misfit(["a"]) == "sysid.errors:Finding has 7 fields, not 1"
+    assert own.mismatch(["a"]) == "sysid.errors:Finding has 7 fields, not 1"
 
 
 @pytest.mark.parametrize(
@@ -82,7 +84,7 @@ def test_only_plain_dataclasses_of_the_project_are_its_own():
     class Stranger:
         a: int
 
-    assert own_class(Stranger) is None
-    assert own_class(dict) is None
-    assert own_class(LogError) is None
-    assert own_class(Finding) is not None
+    assert storable_class(Stranger) is None
+    assert storable_class(dict) is None
+    assert storable_class(LogError) is None
+    assert storable_class(Finding) is not None

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from sysid.foreign.typed_files import described, dtype_from
+from sysid.foreign.typed_files import describe_dtype, dtype_from
 
 TYPES = [
     "<f8",
@@ -28,7 +28,7 @@ TYPES = [
 @pytest.mark.parametrize("kind", TYPES, ids=str)
 def test_a_type_comes_back_through_json(kind):
     dtype = np.dtype(kind)
-    written = json.loads(json.dumps(described(dtype)))
+    written = json.loads(json.dumps(describe_dtype(dtype)))
     assert dtype_from(written) == dtype
     assert dtype_from(written) != np.dtype([("a", "<f4")])
 
@@ -45,7 +45,7 @@ def test_a_type_comes_back_through_json(kind):
 )
 def test_what_text_cannot_say_is_refused(dtype):
     with pytest.raises(ValueError, match="items of the type"):
-        described(dtype)
+        describe_dtype(dtype)
 
 
 @pytest.mark.parametrize(

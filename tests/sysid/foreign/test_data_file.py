@@ -293,13 +293,13 @@ def test_what_is_no_data_is_refused_by_name(value, said):
 
 
 def test_a_header_is_bounded(monkeypatch):
-    monkeypatch.setattr(typed_files, "HEADER_MOST", 1000)
+    monkeypatch.setattr(typed_files, "MAX_HEADER_BYTES", 1000)
     assert len(load(dump(np.zeros(10_000)))) == 10_000
     with pytest.raises(DataFileError, match="allows 1000"):
         dump(list(range(1000)))
     monkeypatch.undo()
     written = dump(list(range(1000)))
-    monkeypatch.setattr(typed_files, "HEADER_MOST", 1000)
+    monkeypatch.setattr(typed_files, "MAX_HEADER_BYTES", 1000)
     with pytest.raises(DataFileError, match="longer than allowed"):
         load(written)
 
@@ -308,7 +308,7 @@ def test_a_list_that_many_hold_is_not_looked_through_for_ever(monkeypatch):
     numbers = {str(k): 1.0 for k in range(100)}
     written = dump([Finding("a", "", "info", str(k), numbers) for k in range(100)])
     assert len(load(written)) == 100
-    monkeypatch.setattr(typed_files, "_MOST_LOOKS", 10_000)
+    monkeypatch.setattr(typed_files, "_MAX_VISITS", 10_000)
     with pytest.raises(DataFileError, match="takes more than 10000 steps"):
         load(written)
 

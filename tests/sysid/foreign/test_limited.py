@@ -82,7 +82,7 @@ def test_what_comes_through_the_child_is_what_the_reader_gives(
     tmp_path: Path, flown: FlightRecord
 ) -> None:
     write_tlog(tmp_path / "a.tlog", flown)
-    wanted = shipped_map("tlog").wanted()
+    wanted = shipped_map("tlog").field_selection()
     _same(
         limited.read_raw(tmp_path / "a.tlog", "tlog", wanted),
         tlog.read(tmp_path / "a.tlog", wanted),
@@ -288,7 +288,9 @@ def test_progress_comes_through(
     write_tlog(tmp_path / "one.tlog", flown, every=1)
     (tmp_path / "a.tlog").write_bytes((tmp_path / "one.tlog").read_bytes() * 6)
     shares: list[float] = []
-    limited.read_raw(tmp_path / "a.tlog", "tlog", shipped_map("tlog").wanted(), shares.append)
+    limited.read_raw(
+        tmp_path / "a.tlog", "tlog", shipped_map("tlog").field_selection(), shares.append
+    )
     assert shares
     assert all(0.0 <= share <= 1.0 for share in shares)
 
@@ -296,7 +298,7 @@ def test_progress_comes_through(
 def test_a_reader_that_fails_in_an_unknown_way_keeps_its_traceback(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time_s,q_radps\n0,1\n1,2\n")
     with pytest.raises(RuntimeError, match="Traceback"):
-        limited._ask(tmp_path / "a.csv", "csv", {"wanted": 5})
+        limited._request(tmp_path / "a.csv", "csv", {"selection": 5})
 
 
 def test_a_chunk_that_is_no_data_ends_the_child(

@@ -72,9 +72,9 @@ def test_a_file_that_is_too_big_is_refused_before_memory_is_asked_for(tmp_path: 
     assert refusal.value.strerror == "has 1100 GB; at most 64 MB are read here"
     exact = tmp_path / "exact"
     exact.write_bytes(b"x" * 100)
-    assert len(read_regular(exact, most_bytes=100)) == 100
+    assert len(read_regular(exact, max_bytes=100)) == 100
     with pytest.raises(OSError, match="has 100 bytes; at most 99 bytes"):
-        read_regular(exact, most_bytes=99)
+        read_regular(exact, max_bytes=99)
 
 
 def test_a_file_that_says_it_is_empty_is_read_up_to_the_limit() -> None:
@@ -83,7 +83,7 @@ def test_a_file_that_says_it_is_empty_is_read_up_to_the_limit() -> None:
         pytest.skip("this system has no /proc")
     assert endless.stat().st_size == 0
     with pytest.raises(OSError, match="at most 10 bytes"):
-        read_regular(endless, most_bytes=10)
+        read_regular(endless, max_bytes=10)
 
 
 def test_a_missing_file_and_a_name_that_cannot_be_one(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ def sensitivity(seed: int = 0) -> np.ndarray:
 
 
 def blocks(dense: np.ndarray) -> Blocks:
-    return Blocks.of(dense, EDGES)
+    return Blocks.from_dense(dense, EDGES)
 
 
 def test_of_each_segment_the_columns_that_move_it_are_kept():
@@ -28,11 +28,11 @@ def test_of_each_segment_the_columns_that_move_it_are_kept():
     assert [c.tolist() for c in cut.columns] == [[0, 1, 2, 3], [0, 1, 4, 5], [0, 1, 6, 7]]
     np.testing.assert_array_equal(cut.dense(), s)
     vector = np.arange(8.0)
-    np.testing.assert_allclose(cut.times(vector), s @ vector, atol=1e-12)
+    np.testing.assert_allclose(cut.matvec(vector), s @ vector, atol=1e-12)
     np.testing.assert_array_equal(cut.largest(), np.abs(s).max(axis=0))
     some = np.array([1, 4, 7])
-    np.testing.assert_array_equal(cut.taken(some).dense(), s[:, :, some])
-    doubled = cut.each(lambda part, columns, rows: part * np.arange(15.0)[rows, None, None])
+    np.testing.assert_array_equal(cut.select_columns(some).dense(), s[:, :, some])
+    doubled = cut.map_parts(lambda part, columns, rows: part * np.arange(15.0)[rows, None, None])
     np.testing.assert_array_equal(doubled.dense(), s * np.arange(15.0)[:, None, None])
     assert not np.array_equal(doubled.dense(), s)
 
@@ -43,11 +43,11 @@ def test_columns_are_gathered_from_their_segments():
         [s[a:b, :, k] if s[a:b, :, k].any() else None for a, b in ((0, 4), (4, 9), (9, 15))]
         for k in range(8)
     ]
-    np.testing.assert_array_equal(Blocks.gathered(given, 3, EDGES).dense(), s)
+    np.testing.assert_array_equal(Blocks.from_columns(given, 3, EDGES).dense(), s)
     given[0][1] = None
-    assert not np.array_equal(Blocks.gathered(given, 3, EDGES).dense(), s)
+    assert not np.array_equal(Blocks.from_columns(given, 3, EDGES).dense(), s)
     # A segment that nothing moves is zero.
-    assert not Blocks.gathered([[None, None, None]], 3, EDGES).dense().any()
+    assert not Blocks.from_columns([[None, None, None]], 3, EDGES).dense().any()
 
 
 def test_information_is_the_full_product():

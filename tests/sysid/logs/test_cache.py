@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from sysid.logs.card import AirframeCard
-from sysid.logs.load import cached_file, default_cache, keep
+from sysid.logs.load import cached_file, default_cache, store
 from sysid.record import FlightRecord
 from tests.helpers.synthetic import flight
 
@@ -48,11 +48,11 @@ def test_log_map_and_card_each_name_another_file(tmp_path: Path, card: AirframeC
 
 def test_a_record_is_kept_whole_and_what_cannot_be_written_is_let_go(tmp_path: Path) -> None:
     record = flight(1.0)
-    keep(record, tmp_path / "new" / "a.parquet")
+    store(record, tmp_path / "new" / "a.parquet")
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["a.parquet"]
     assert len(FlightRecord.read(tmp_path / "new" / "a.parquet")) == len(record)
     (tmp_path / "file").write_text("")
-    keep(record, tmp_path / "file" / "a.parquet")
+    store(record, tmp_path / "file" / "a.parquet")
     (tmp_path / "b.parquet").mkdir()  # cannot be replaced by a file
-    keep(record, tmp_path / "b.parquet")
+    store(record, tmp_path / "b.parquet")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["b.parquet", "file", "new"]

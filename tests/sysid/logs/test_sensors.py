@@ -35,7 +35,7 @@ def read(
     }[dialect]
     messages = {(rates[0], 0): table(**dict.fromkeys(rates[1], 0.1 * np.cos(T))), **messages}
     return assemble(
-        RawLog(dialect, messages, facts={"mav_type": 1.0}), signal_map, None, judged=False
+        RawLog(dialect, messages, facts={"mav_type": 1.0}), signal_map, None, run_checks=False
     )
 
 
@@ -290,5 +290,5 @@ def test_old_logs_name_further_instances_apart() -> None:
     record = read({("IMU", 0): imu(0.0, 0, 0), ("IMU2", 0): second})
     assert record["q_radps"] == pytest.approx(0.3)
     assert record.metadata.channels["q_radps"] == "IMU2.GyrY"
-    wanted = shipped_map("dataflash").wanted()
+    wanted = shipped_map("dataflash").field_selection()
     assert {"GyrY", "GH", "AccX"} <= wanted["IMU2"]

@@ -26,7 +26,7 @@ def angles(
     found, _ = controls(parse_card(text, Path("airframe.toml")), parameters)
     control = found["elevator_deg"]
     ((_, servo, _),) = control.parts
-    return deflection(np.array(pwm), servo).tolist(), control.told, control.against
+    return deflection(np.array(pwm), servo).tolist(), control.description, control.conflicts
 
 
 def test_a_log_that_agrees_with_the_card_changes_nothing() -> None:

@@ -43,12 +43,14 @@ def test_units_and_rate():
 def test_positions_are_those_that_a_reader_of_logs_finds():
     given = record()
     rows = playback_rows(given, START, 50.0)
-    north, east = channels.local(rows[:, 0], rows[:, 1])
+    north, east = channels.local_position_m(rows[:, 0], rows[:, 1])
     assert np.abs(north - given["north_m"]).max() < 1e-3
     assert np.abs(east - given["east_m"]).max() < 1e-3
     # The check is not blind: a tenth of a metre is seen.
     assert (
-        np.abs(channels.local(rows[:, 0] + 1e-6, rows[:, 1])[0] - given["north_m"] - 0.1)[1:].max()
+        np.abs(
+            channels.local_position_m(rows[:, 0] + 1e-6, rows[:, 1])[0] - given["north_m"] - 0.1
+        )[1:].max()
         > 0.05
     )
 

@@ -26,7 +26,9 @@ def judged(
     motion: np.ndarray, labels: Sequence[str], size: np.ndarray, outputs: Sequence[str]
 ) -> Excited:
     """Of one array, in two segments."""
-    return of_blocks(Blocks.of(np.moveaxis(motion, 0, 2), (0, N // 4, N)), labels, size, outputs)
+    return of_blocks(
+        Blocks.from_dense(np.moveaxis(motion, 0, 2), (0, N // 4, N)), labels, size, outputs
+    )
 
 
 def test_a_parameter_with_little_information_is_held_and_its_neighbour_is_not() -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid.parallel import ALONE
+from sysid.parallel import SERIAL
 from tests.helpers.flown import fly
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects import motion
@@ -43,7 +43,7 @@ def refined(aircraft, flight):
     setup = make_setup(aircraft, [flight], ())
     limits = {n: aircraft.card.parameters[n].bounds for n in NAMES}
     with Bench(aircraft, setup) as bench:
-        fit, kept, excited, *_ = base_fit_and_noise(aircraft, bench, setup, NAMES, limits, ALONE)
+        fit, kept, excited, *_ = base_fit_and_noise(aircraft, bench, setup, NAMES, limits, SERIAL)
     assert kept == excited == NAMES
     return fit.flown.point
 
@@ -70,7 +70,7 @@ def test_identify_and_refine_estimate_the_same(aircraft, flight):
 def test_compare_and_refine_show_the_same_gap(aircraft, flight):
     gap = compare(aircraft, flight, (), workers=1)
     setup = make_setup(aircraft, [flight], ())
-    shown = show(aircraft, Side(setup), ALONE, Point({}, {}, ()))
+    shown = show(aircraft, Side(setup), SERIAL, Point({}, {}, ()))
     ours = {c: shown.channel_rms(k) / shown.noise[k] for k, c in enumerate(setup.outputs)}
     assert ours == pytest.approx({c: gap.channels[c].ratio for c in setup.outputs}, rel=1e-3)
     # A sensor's scale, known, is taken out before the fit and put back: the same flight with a vane that reads 1.1 times.
@@ -79,7 +79,7 @@ def test_compare_and_refine_show_the_same_gap(aircraft, flight):
     )
     setup = make_setup(aircraft, [scaled], ())
     side, scale = Side(setup), {"effect/sensor.alpha_rad/scale": 0.1}
-    blind, told = (show(aircraft, side, ALONE, Point({}, {}, (), s)).cost for s in ({}, scale))
+    blind, told = (show(aircraft, side, SERIAL, Point({}, {}, (), s)).cost for s in ({}, scale))
     assert told < blind - 100.0
 
 
@@ -148,7 +148,7 @@ def test_what_replays_have_at_a_bound_is_free_beside_effects_and_told(aircraft, 
     limits = {"aero/Cm_q": (-60.0, 0.0), "aero/CX_alpha2": (1.86, 1.9)}
     with Bench(aircraft, setup) as bench:
         fit, names_estimated, excited, notes, _ = base_fit_and_noise(
-            aircraft, bench, setup, names, limits, ALONE
+            aircraft, bench, setup, names, limits, SERIAL
         )
     assert names_estimated == excited == names
     assert fit.flown.point.values["aero/CX_alpha2"] == 1.86

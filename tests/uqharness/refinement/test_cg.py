@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import subsystem_effects
-from sysid.parallel import ALONE
+from sysid.parallel import SERIAL
 from sysid.units import IN_M
 from tests.helpers.flown import fly
 from uqharness.errors import BadInputError
@@ -66,8 +66,8 @@ def along(
         point = Point(
             values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments)
         )
-        flown = replayed(bench.model, setup, point, ALONE)
-        found = probes(bench.straight, setup, flown, positions(bench.model, setup), ALONE)
+        flown = replayed(bench.model, setup, point, SERIAL)
+        found = probes(bench.straight, setup, flown, positions(bench.model, setup), SERIAL)
         return flown, [c.outputs[effect.key] for c in effect_columns(setup, found, flown, [effect])]
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid.logs.servo import LATEST_S, logged_rows
+from sysid.logs.servo import MAX_LATE_S, logged_rows
 from tests.helpers.flown import fly
 from uqharness.replay.flights import mean_ahead, measured_outputs, prepare, with_steps_placed
 
@@ -34,7 +34,7 @@ def test_steps_are_placed_on_the_logs_own_rows_before_it_is_thinned():
         < 0.7 * np.abs(record["aileron_deg"] - acted).sum()
     )
     assert len(notes) == 3
-    assert 0.0 <= late_s <= LATEST_S
+    assert 0.0 <= late_s <= MAX_LATE_S
     assert notes[1].startswith("aileron_deg was logged at 25 Hz")
     flown = prepare("f", record, ()).record["aileron_deg"]
     direct = prepare(

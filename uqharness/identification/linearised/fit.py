@@ -27,7 +27,7 @@ from sysid.effects import (
     names_of,
     whiten,
 )
-from sysid.parallel import ALONE, Processes
+from sysid.parallel import SERIAL, Processes
 from uqharness.identification.linearised.linearise import (
     Probe,
     ProbeJob,
@@ -154,7 +154,7 @@ def steps_of(
     air: Sequence[GustStates | None],
     setup: Setup,
     point: Point,
-    by: Processes = ALONE,
+    by: Processes = SERIAL,
 ) -> list[Steps]:
     """Linear systems along the flights, outputs as the sensors scale them; air: how gusts act in each."""
     gain, forward = np.ones((len(STEP_OUTPUTS), 1)), vane_place_m(point)

@@ -27,7 +27,7 @@ from sysid.aerodynamics.rigid_body import STATES
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.arrays import FloatArray
 from sysid.effects import V_REFERENCE_MPS, Columns, Effect, MadeColumns
-from sysid.parallel import ALONE, Processes
+from sysid.parallel import SERIAL, Processes
 from sysid.units import FT_M, LBF_FT_NM, LBF_N
 from uqharness.identification.linearised.types import Flown, Point, Setup, late_by, unseen_share
 from uqharness.identification.replay_fit import jumping_in
@@ -177,7 +177,7 @@ class ProbeJob:
     height_m: FloatArray
 
 
-def probe_all(jobs: Sequence[ProbeJob], map_: Processes = ALONE) -> list[Probe]:
+def probe_all(jobs: Sequence[ProbeJob], map_: Processes = SERIAL) -> list[Probe]:
     """Force the model along references, all states asked for at once: jobs of one model and the same properties."""
     found = force_all(jobs[0].straight, [_asked(job) for job in jobs], jobs[0].properties, map_)
     return [_probe_of(job, forced) for job, forced in zip(jobs, found, strict=True)]

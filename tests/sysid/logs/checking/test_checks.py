@@ -11,11 +11,11 @@ from sysid.errors import Finding
 from sysid.foreign.raw import MessageTable, RawLog
 from sysid.logs.assemble import assemble
 from sysid.logs.card import AirframeCard
-from sysid.logs.checking.checks import check_again, check_record
+from sysid.logs.checking.checks import check_record, recheck
 from sysid.logs.checking.kinematics import lever_arm
 from sysid.logs.dataflash_writer import write_dataflash
 from sysid.logs.load import import_log
-from sysid.logs.manoeuvres import find
+from sysid.logs.manoeuvres import find_free_flight
 from sysid.logs.signal_map import Entry, SignalMap
 from sysid.logs.time_base import clean, hold, interpolate
 from sysid.record import FlightRecord, Metadata
@@ -215,12 +215,12 @@ def test_ground_tow_and_free_flight_are_told_apart() -> None:
     height = np.clip((t - 25) * 4.5, 0, 130)
     elevator = np.where((t > 24) & (t < 58), 400.0, 10 * np.sin(t))
     q = np.where(t < 60, 0.001 * np.sin(7 * t), 0.2 * np.sin(2 * t))
-    found = find(t, speed, height, q, elevator, np.array([61.9]))
+    found = find_free_flight(t, speed, height, q, elevator, np.array([61.9]))
     assert found.tow_s is not None
     assert found.free_s is not None
     assert found.tow_s[1] == pytest.approx(58.0, abs=0.5)
     assert found.free_s[0] == pytest.approx(61.9)
-    no_tow = find(
+    no_tow = find_free_flight(
         t, speed, height, np.where(t > 26, 0.2 * np.sin(2 * t), 0.0), 10 * np.sin(t), np.array([])
     )
     assert no_tow.tow_s is None
@@ -230,10 +230,19 @@ def test_ground_tow_and_free_flight_are_told_apart() -> None:
 
 def test_what_never_flew_says_so() -> None:
     t = np.arange(0, 60, 0.1)
-    assert "never flew" in find(t, np.full(600, 3.0), None, None, None, np.array([])).why
+    assert (
+        "never flew"
+        in find_free_flight(t, np.full(600, 3.0), None, None, None, np.array([])).reason
+    )
     taxi = np.concatenate([np.zeros(50), np.full(550, 12.0)])
-    assert "never left the ground" in find(t, taxi, np.zeros(600), None, None, np.array([])).why
-    assert "cannot be said" in find(t, np.full(600, np.nan), None, None, None, np.array([])).why
+    assert (
+        "never left the ground"
+        in find_free_flight(t, taxi, np.zeros(600), None, None, np.array([])).reason
+    )
+    assert (
+        "cannot be said"
+        in find_free_flight(t, np.full(600, np.nan), None, None, None, np.array([])).reason
+    )
 
 
 def test_a_noisy_attitude_is_no_wrong_unit() -> None:
@@ -265,7 +274,7 @@ def test_an_airspeed_stuck_beneath_a_density_ratio_that_moves() -> None:
         }
         signals = SignalMap("test", {"V_mps": (entry,), "q_radps": (Entry("IMU", 0, ("GyrY",)),)})
         found = assemble(RawLog("dataflash", messages, {}), signals, None)
-        again = check_again(found)
+        again = recheck(found)
         assert [f for f in again if f.code == "stuck"] == [
             f for f in found.metadata.findings if f.code == "stuck"
         ]

@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 
 from sysid.logs import surely_late
-from sysid.logs.checking.kinematics import all_laws, groups_of, judged, spectrum, stretches
+from sysid.logs.checking.kinematics import (
+    all_laws,
+    estimate_relation,
+    groups_of,
+    spectrum,
+    stretches,
+)
 from sysid.logs.checking.physics import check_physics
-from sysid.logs.checking.timing import UNKNOWN, Late, Part, channel_lateness, lateness
+from sysid.logs.checking.timing import UNKNOWN, Lateness, Part, channel_lateness, lateness
 from sysid.record import FlightRecord
 from tests.helpers.sixdof import Airframe
 from tests.helpers.synthetic import flight
@@ -19,7 +25,9 @@ from tests.hidden_effects.flights import Flight, fly
 from tests.hidden_effects.manoeuvres import card
 
 LATE_S = 0.03
-LAWS = {law.subject: law for law in all_laws() if law.says == "what rates and accelerations say"}
+LAWS = {
+    law.subject: law for law in all_laws() if law.statement == "what rates and accelerations say"
+}
 CONTROLS = ("elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct")
 
 
@@ -49,7 +57,7 @@ def made(
     return [Part(f, fx, fy, z[None], n, dt)], groups_of(f, 0.08, 2.5)
 
 
-def deviations(found: list[Late]) -> np.ndarray:
+def deviations(found: list[Lateness]) -> np.ndarray:
     return np.array([(late.late_s - LATE_S) / late.std_s for late in found])
 
 
@@ -169,7 +177,7 @@ def test_errors_cover_in_turbulence(light: list[FlightRecord], channel: str):
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.5
     # The phase between the two, by its own error.
     naive = [
-        judged(LAWS[channel], stretches(made_late(r, channel, LATE_S), LAWS[channel]))
+        estimate_relation(LAWS[channel], stretches(made_late(r, channel, LATE_S), LAWS[channel]))
         for r in light
     ]
     wrong = np.array([(r.late_s - LATE_S) / r.late_std_s for r in naive])

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from sysid.errors import Finding
-from sysid.logs.checking.checks import check_again, one_per_cause
+from sysid.logs.checking.checks import one_per_cause, recheck
 from sysid.logs.checking.kinematics import lever_arm_finding
 from sysid.logs.checking.physics import degrees_by_size
-from sysid.logs.checking.signals import stuck
+from sysid.logs.checking.signals import stuck_span
 from sysid.logs.info import log_info
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord, Metadata
@@ -31,7 +31,7 @@ def quiet_stretch(decimals: int = 12) -> np.ndarray:
 
 @pytest.mark.parametrize("decimals", [12, 6, 4, 3])
 def test_a_quiet_stretch_of_a_simulation_is_not_stuck(decimals: int) -> None:
-    assert stuck(quiet_stretch(decimals), 0.02, noisy=False) is None
+    assert stuck_span(quiet_stretch(decimals), 0.02, noisy=False) is None
 
 
 def test_a_sensor_that_stops_is_stuck_whatever_its_resolution() -> None:
@@ -41,8 +41,8 @@ def test_a_sensor_that_stops_is_stuck_whatever_its_resolution() -> None:
     for decimals in (12, 3):
         stopped = np.round(moving, decimals)
         stopped[400:560] = stopped[400]
-        assert stuck(stopped, 0.02, noisy=False) == (400, 559)
-        assert stuck(0.5144 * stopped, 0.02, noisy=False) == (400, 559)
+        assert stuck_span(stopped, 0.02, noisy=False) == (400, 559)
+        assert stuck_span(0.5144 * stopped, 0.02, noisy=False) == (400, 559)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_damaged_angles_are_not_taken_for_degrees() -> None:
     phi[::20] = 500.0
     assert not degrees_by_size("phi_rad", phi)
     assert degrees_by_size("phi_rad", DEG * record["phi_rad"])
-    found = check_again(FlightRecord({**record.columns, "phi_rad": phi}))
+    found = recheck(FlightRecord({**record.columns, "phi_rad": phi}))
     assert [f.code for f in found if f.channel == "phi_rad" and f.severity == "error"] == [
         "out-of-range"
     ]
@@ -102,7 +102,7 @@ def test_a_slip_explains_the_range_and_the_delay_of_its_channel() -> None:
 
 def test_relations_mended_are_among_those_that_did_not_hold() -> None:
     record = flight(30.0, seed=5)
-    found = check_again(FlightRecord({**record.columns, "V_mps": 1.943844 * record["V_mps"]}))
+    found = recheck(FlightRecord({**record.columns, "V_mps": 1.943844 * record["V_mps"]}))
     (unit,) = [f for f in found if f.code == "unit"]
     assert 0 < unit.numbers["relations_mended"] <= unit.numbers["relations_broken"]
 
@@ -127,14 +127,14 @@ def test_chatter_of_an_integrator_is_no_sensors_noise() -> None:
     chatter = 1e-6 * np.random.default_rng(1).standard_normal((3, len(record)))
     names = ("ax_mps2", "ay_mps2", "az_mps2")
     noisy = record.with_columns({n: record[n] + c for n, c in zip(names, chatter, strict=True)})
-    assert not [f for f in check_again(noisy) if f.code == "estimate"]
+    assert not [f for f in recheck(noisy) if f.code == "estimate"]
 
 
 def test_computed_angles_of_flow_are_estimates_of_the_record() -> None:
     finding = Finding("estimate", "alpha_rad", "warning", "")
     record = flight(20.0)
     meta = Metadata(dialect="dataflash", estimates=("alpha_rad",), findings=(finding,))
-    kept = check_again(replace(record, metadata=meta))
+    kept = recheck(replace(record, metadata=meta))
     assert [f.channel for f in kept if f.code == "estimate"] == ["alpha_rad"]
 
 
@@ -147,13 +147,13 @@ def test_a_sensor_that_stops_for_good_is_stuck(smoothing: float) -> None:
         noise[k] = smoothing * noise[k - 1] + (1.0 - smoothing) * draws[k]
     values = 20.0 + np.sin(0.01 * np.arange(1000)) + noise
     values[600:] = 14.0
-    assert stuck(values, 0.02, noisy=False) == (600, 999)
-    assert stuck(values[::-1].copy(), 0.02, noisy=False) == (0, 399)
+    assert stuck_span(values, 0.02, noisy=False) == (600, 999)
+    assert stuck_span(values[::-1].copy(), 0.02, noisy=False) == (0, 399)
 
 
 def test_a_simulation_without_noise_may_stand_at_its_ends() -> None:
     """A steady flight before the first manoeuvre and after the last is no fault of a sensor."""
     values = np.sin(0.02 * np.arange(1000))
     values[:300] = values[300]
-    assert stuck(values, 0.02, noisy=False) is None
-    assert stuck(values[::-1].copy(), 0.02, noisy=False) is None
+    assert stuck_span(values, 0.02, noisy=False) is None
+    assert stuck_span(values[::-1].copy(), 0.02, noisy=False) is None

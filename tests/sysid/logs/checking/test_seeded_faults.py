@@ -8,19 +8,24 @@ import numpy as np
 import pytest
 
 from sysid.errors import Finding
-from sysid.logs.checking.checks import check_again, check_motion
+from sysid.logs.checking.checks import check_motion, recheck
 from sysid.logs.checking.kinematics import (
     LAWS,
     Relation,
-    judged,
+    estimate_relation,
     relate,
     relate_means,
     stretches,
     to_body,
     to_earth,
 )
-from sysid.logs.checking.physics import Heard, check_physics, mend
-from sysid.logs.checking.signals import held, interpolated, stuck, wraps
+from sysid.logs.checking.physics import LawResult, check_physics, map_correction
+from sysid.logs.checking.signals import (
+    detect_wraps,
+    interpolation_interval,
+    sample_hold,
+    stuck_span,
+)
 from sysid.logs.checking.surface_signs import AXES, effect
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord, Metadata
@@ -105,8 +110,8 @@ def test_what_gusts_do_to_relations_in_still_air_is_no_unit(
     in_air = next(law for law in LAWS if law.subject == "az_mps2" and "alpha_rad" in law.uses)
     on_path = next(law for law in LAWS if law.subject == "az_mps2" and "vn_mps" in law.uses)
     relation = Relation(0.26, 0.5, late_s, 0.01, 0.95, bands)
-    assert Heard(in_air, relation).differs is expected
-    assert Heard(on_path, relation).differs
+    assert LawResult(in_air, relation).differs is expected
+    assert LawResult(on_path, relation).differs
 
 
 def test_two_slips_at_once() -> None:
@@ -179,56 +184,58 @@ def test_an_aircraft_that_swings_back_within_the_lags_tells_no_sign() -> None:
 def test_coarse_held_interpolated_stuck_and_wrapped() -> None:
     rng = np.random.default_rng(3)
     smooth = np.cumsum(np.convolve(rng.standard_normal(4000), np.ones(40) / 40, "same"))
-    coarse = held(np.round(smooth / 2.0) * 2.0)
+    coarse = sample_hold(np.round(smooth / 2.0) * 2.0)
     assert coarse is not None
-    assert not coarse.held
+    assert not coarse.is_held
     assert coarse.quantum == pytest.approx(2.0)
-    kept = held(np.repeat(smooth[::5], 5))
+    kept = sample_hold(np.repeat(smooth[::5], 5))
     assert kept is not None
-    assert kept.held
+    assert kept.is_held
     assert kept.run == pytest.approx(5.0, rel=0.02)
-    assert held(smooth) is None
+    assert sample_hold(smooth) is None
     at = np.arange(len(smooth))
-    assert interpolated(np.interp(at, at[::5], smooth[::5])) == pytest.approx(5.0, rel=0.05)
-    assert interpolated(smooth) is None
+    assert interpolation_interval(np.interp(at, at[::5], smooth[::5])) == pytest.approx(
+        5.0, rel=0.05
+    )
+    assert interpolation_interval(smooth) is None
     assert (
-        interpolated(np.round(at * 0.0909) * 0.011 + 0.002 * at) is None
+        interpolation_interval(np.round(at * 0.0909) * 0.011 + 0.002 * at) is None
     )  # a steady motion in steps of 11 mm
     still = smooth + rng.standard_normal(4000)
-    assert stuck(still, 0.02) is None
+    assert stuck_span(still, 0.02) is None
     still[1000:1200] = still[1000]
-    assert stuck(still, 0.02) == (1000, 1199)
-    assert wraps(np.mod(np.cumsum(np.full(500, 3.0)), 256.0)) == (5, 256.0, "8-bit")
-    assert wraps(np.where(at > 2000, 256.0, 0.0) + rng.standard_normal(4000)) is None
+    assert stuck_span(still, 0.02) == (1000, 1199)
+    assert detect_wraps(np.mod(np.cumsum(np.full(500, 3.0)), 256.0)) == (5, 256.0, "8-bit")
+    assert detect_wraps(np.where(at > 2000, 256.0, 0.0) + rng.standard_normal(4000)) is None
 
 
 def test_a_coarse_speed_through_a_factor_is_not_held() -> None:
     """Knots in whole numbers, times a factor that changes slowly: steps of many sizes and yet no lag."""
     rng = np.random.default_rng(8)
     knots = np.round(43.0 + 2.0 * np.sin(np.arange(4000) * 0.01) + 0.5 * rng.standard_normal(4000))
-    found = held(knots * 0.5144)
-    assert found is None or not found.held
-    slow = held(
+    found = sample_hold(knots * 0.5144)
+    assert found is None or not found.is_held
+    slow = sample_hold(
         np.round(np.cumsum(rng.standard_normal(4000)) / 3.0) * np.linspace(1.0, 1.000001, 4000)
     )
-    assert slow is None or not slow.held
-    assert (kept := held(np.repeat(rng.standard_normal(800), 5))) is not None
-    assert kept.held
+    assert slow is None or not slow.is_held
+    assert (kept := sample_hold(np.repeat(rng.standard_normal(800), 5))) is not None
+    assert kept.is_held
 
 
 def test_a_sensor_that_stops_in_a_manoeuvre_and_a_scaled_number_that_wraps() -> None:
     rng, at = np.random.default_rng(9), np.arange(4000)
     moving = 5.0 * np.sin(at * 0.05) + 0.02 * rng.standard_normal(4000)
     stopped = np.where((at >= 1000) & (at < 1250), moving[1000], moving)
-    assert stuck(stopped, 0.02, noisy=False) == (1000, 1249)
-    assert stuck(moving, 0.02, noisy=False) is None
+    assert stuck_span(stopped, 0.02, noisy=False) == (1000, 1249)
+    assert stuck_span(moving, 0.02, noisy=False) is None
     step = np.pi / 1800.0
     counts = np.round(180.0 * np.sin(at * 0.01))
-    wrapped = wraps((np.mod(counts + 128.0, 256.0) - 128.0) * step)
+    wrapped = detect_wraps((np.mod(counts + 128.0, 256.0) - 128.0) * step)
     assert wrapped is not None
     assert wrapped[1] == pytest.approx(256.0 * step)
-    assert wraps(counts * step) is None
-    assert wraps(np.where(at % 500 < 250, -100.0, 100.0) * step) is None
+    assert detect_wraps(counts * step) is None
+    assert detect_wraps(np.where(at % 500 < 250, -100.0, 100.0) * step) is None
 
 
 # --- pieces ---------------------------------------------------------------------------------------------------------
@@ -255,10 +262,14 @@ def test_scale_sign_and_lateness_of_two_noisy_signals() -> None:
 
 def test_every_law_holds_in_an_exact_flight() -> None:
     record = flight(120.0, seed=2)
-    found = {law: judged(law, part) for law in LAWS if (part := stretches(record, law)) is not None}
+    found = {
+        law: estimate_relation(law, part)
+        for law in LAWS
+        if (part := stretches(record, law)) is not None
+    }
     assert len(found) == len(LAWS)
     off = {
-        f"{law.subject}: {law.says}"
+        f"{law.subject}: {law.statement}"
         for law, relation in found.items()
         if relation.evident and not relation.allows(1.0, 0.05)
     }
@@ -275,7 +286,7 @@ def test_every_law_holds_in_an_exact_flight() -> None:
 def test_the_line_that_mends_it() -> None:
     meta = Metadata(dialect="dataflash", channels={"q_radps": "IMU.GyrY"})
     assert (
-        mend("q_radps", -1.0, meta)
+        map_correction("q_radps", -1.0, meta)
         == '[signals.q_radps]\nmessage = "IMU"\nfield = "GyrY"\nscale = -1'
     )
 
@@ -286,4 +297,4 @@ def test_a_record_imported_before_a_fault_was_known_is_checked_again(tmp_path: P
     )
     old.write(tmp_path / "old.parquet")
     assert slips(list(import_log(tmp_path / "old.parquet").metadata.findings)) == {"az_mps2": -1.0}
-    assert slips(check_again(noisy(1))) == {}
+    assert slips(recheck(noisy(1))) == {}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.importers.dataflash import MOST_INSTANCES, assemble, make_format
+from sysid.logs.importers.dataflash import MAX_INSTANCES, assemble, make_format
 from sysid.logs.info import no_aeroplane
 from sysid.logs.load import import_log
 
@@ -87,7 +87,7 @@ def test_instances_are_split_and_times_are_seconds() -> None:
 
 
 def test_a_count_is_no_instance() -> None:
-    n = MOST_INSTANCES + 1
+    n = MAX_INSTANCES + 1
     columns = {"IMU": {"TimeUS": np.arange(n), "I": np.arange(n), "GyrX": np.ones(n)}}
     assert list(assembled(columns, {"IMU": (19, "QIf", "TimeUS,I,GyrX")}).messages) == [("IMU", 0)]
     columns = {"IMU": {"TimeUS": np.arange(n), "I": np.arange(n) % 3, "GyrX": np.ones(n)}}

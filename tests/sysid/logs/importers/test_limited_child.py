@@ -15,7 +15,7 @@ from sysid.logs.importers import limited_child
 def served(kind: str, path: Path, wanted=None) -> list[tuple[str, bytes]]:
     out = io.BytesIO()
     limited_child._serve(
-        {"kind": kind, "path": str(path), "wanted": wanted, "memory": 2_000_000_000}, out
+        {"kind": kind, "path": str(path), "selection": wanted, "memory": 2_000_000_000}, out
     )
     data, pos, frames = out.getvalue(), 0, []
     while pos < len(data):
@@ -37,7 +37,7 @@ def test_a_log_is_sent_table_by_table_and_then_what_is_known_of_it(tmp_path: Pat
     assert {k: v.tolist() for k, v in fields.items()} == {"x": [1.0, 3.0]}
     about, facts = load(frames[2][1])
     assert about == "about"
-    assert (facts["dialect"], facts["counted"].tolist(), facts["counts"].tolist()) == (
+    assert (facts["dialect"], facts["count_names"].tolist(), facts["counts"].tolist()) == (
         "csv",
         ["csv"],
         [2],

@@ -201,7 +201,7 @@ def test_rows_without_a_time_are_left_out(tmp_path: Path) -> None:
     assert table.time_s.tolist() == [0.0, 0.2, 0.3]
     assert table.fields["x"].tolist() == [1.0, 3.0, 4.0]
     with pytest.raises(LogError, match="would take"):
-        read_parquet(tmp_path / "a.parquet", most_bytes=100)
+        read_parquet(tmp_path / "a.parquet", max_bytes=100)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid.estimation import Seen, carried, gains
-from sysid.parallel import ALONE
+from sysid.parallel import SERIAL
 from tests.uqharness.identification.linearised.test_gusts import DT, MASS, N, probe_of
 from uqharness.identification.linearised import linearise
 from uqharness.identification.linearised.fit import fit_at, fly
@@ -121,10 +121,10 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
         ReplayFolder(aircraft, ideal=CONTROLS) as straight,
     ):
         seen, lacking = (
-            fly(model, setup, Point({}, {unseen("f"): share}, (segment.start,)), ALONE)
+            fly(model, setup, Point({}, {unseen("f"): share}, (segment.start,)), SERIAL)
             for share in (0.0, 1.0)
         )
-        fit = fit_at(model, straight, setup, ("aero/Cm_q",), seen, ALONE)
+        fit = fit_at(model, straight, setup, ("aero/Cm_q",), seen, SERIAL)
         with ReplayFolder(aircraft) as servos:
             assert not linearise.middles(servos, setup, seen.point)[0][1].any()
     expected = lacking.outputs[0] - seen.outputs[0]
@@ -163,7 +163,7 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
         fdm = model.open(DT)
         values = {n: float(fdm[n]) for n in names}
         point = Point(values, {unseen("f"): share}, (segment.start,))
-        fit = fit_at(model, straight, setup, names, fly(model, setup, point, ALONE), ALONE)
+        fit = fit_at(model, straight, setup, names, fly(model, setup, point, SERIAL), SERIAL)
         (of,), (steps,) = fit.columns, fit.steps
         seen = Seen.of(steps, setup.measured[0], setup.which)
         by = gains(seen, noise, None)
@@ -172,7 +172,7 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
         for k, name in enumerate(names):
             step = 0.02 * values[name]
             sides = [
-                fly(model, setup, replace(point, values={**values, name: values[name] + s}), ALONE)
+                fly(model, setup, replace(point, values={**values, name: values[name] + s}), SERIAL)
                 for s in (step, -step)
             ]
             expected = (sides[0].outputs[0] - sides[1].outputs[0]) / (2.0 * step) / noise

@@ -18,7 +18,7 @@ from sysid.aerodynamics.rigid_body import STATES, Reference, Steps, linearise
 from sysid.effects import turbulence
 from sysid.effects.catalogue import subsystem_effects
 from sysid.effects.turbulence import Score
-from sysid.parallel import ALONE
+from sysid.parallel import SERIAL
 from tests.helpers.flown import fly as flown
 from uqharness.identification.linearised import gusts as refine_gusts
 from uqharness.identification.linearised.fit import positions, step_from, stepped, steps_of
@@ -155,7 +155,7 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     setup = SimpleNamespace(
         outputs=names, which=which, segments=(segment,), measured=(np.zeros((N, 3)),)
     )
-    linear = refine_gusts._Linear(setup, SimpleNamespace(point=point()), [probe], ALONE)  # type: ignore[arg-type]
+    linear = refine_gusts._Linear(setup, SimpleNamespace(point=point()), [probe], SERIAL)  # type: ignore[arg-type]
     steps = linearise(rolled, probe.mass, gusts=acting)
     y = steps.y_ref[:, which]
     behind = linear._behind(probe, steps, y, acting, np.array([late, late, 0.0]))
@@ -338,7 +338,7 @@ def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
 
     monkeypatch.setattr("sysid.effects.turbulence.AirLikelihood", Made)
     search = turbulence._Search(
-        lambda some, states: [None], [np.zeros((2, 1))], [0], np.ones(1), [20.0], ALONE
+        lambda some, states: [None], [np.zeros((2, 1))], [0], np.ones(1), [20.0], SERIAL
     )  # type: ignore
     found = search.descend(
         [0], turbulence._Point((GustStates(3.0),), np.ones(7), np.array([0.1])), ["wind"]

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.parallel import ALONE
+from sysid.parallel import SERIAL
 from tests.helpers.flown import fly
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.flights import Flight as HiddenFlight
@@ -412,7 +412,7 @@ def test_in_turbulence_the_table_is_that_of_compare(gusty):
     setup = setup_in_gusts(aircraft, make_setup(aircraft, [gusty], ()))
     zeros = [np.zeros_like(z) for z in setup.measured]
     predicted = Shown(None, zeros, setup.noise, [np.ones((9, 6))], np.ones(6), zeros, 0.0, (0.0,))  # type: ignore[arg-type]
-    shown = with_replays(predicted, aircraft, Side(setup), ALONE, Point({}, {}, ()))
+    shown = with_replays(predicted, aircraft, Side(setup), SERIAL, Point({}, {}, ()))
     found = gap_document(setup, shown, shown)
     other = compare(aircraft, gusty, (), workers=1)
     ratios = {c: row["rms_after"] / row["noise_rms"] for c, row in found["channels"].items()}
