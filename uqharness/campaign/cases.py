@@ -1,8 +1,7 @@
 """Campaign -> cases: every flight of a campaign, in its one order, with its identity.
 
-Order: aleatory sample, then condition, then epistemic sample. A run that is stopped early has therefore flown every
-corner equally often, and its p-boxes mean something.
-"""
+Order: aleatory sample, then condition, then epistemic sample. A run that is stopped early has
+therefore flown every corner equally often, and its p-boxes mean something."""
 
 from __future__ import annotations
 
@@ -34,7 +33,8 @@ from uqharness.flight import (
 
 @dataclass(frozen=True)
 class Mission:
-    """The files a campaign flies: where they are, and the hash of what is in them (a path is no part of an identity).
+    """The files a campaign flies: where they are, and the hash of what is in them (a path is no
+    part of an identity).
 
     ``source`` is the aircraft that ``aircraft`` is a copy of, where it is one.
     """
@@ -48,10 +48,11 @@ class Mission:
 
 @dataclass(frozen=True)
 class Case:
-    """One flight of a campaign. ``seed`` is the turbulence stream's; ``flight`` is all that a worker of ``engine`` needs.
+    """One flight of a campaign. ``seed`` is the turbulence stream's; ``flight`` is all that a
+    worker of ``engine`` needs.
 
-    ``levels`` holds the levels that stand still; ``inputs``, by column name, what else was drawn or chosen for it.
-    """
+    ``levels`` holds the levels that stand still; ``inputs``, by column name, what else was drawn or
+    chosen for it."""
 
     case_id: str
     epistemic_id: str
@@ -66,11 +67,12 @@ class Case:
 
 
 def uq_properties(spec: CampaignSpec, sample: Epistemic) -> dict[str, float]:
-    """Properties that put the plugin's deltas at the sample's levels and switch off the coefficients that are certain.
+    """Properties that put the plugin's deltas at the sample's levels and switch off the
+    coefficients that are certain.
 
-    Bounds given as numbers are written over the aircraft's own, those of a certain coefficient as zero; bounds that the aircraft
-    computes stay, and a certain coefficient is switched off by its uq/<C>/active.
-    """
+    Bounds given as numbers are written over the aircraft's own, those of a certain coefficient as
+    zero; bounds that the aircraft computes stay, and a certain coefficient is switched off by its
+    uq/<C>/active."""
     moved = sample.driver.coefficients if sample.driver is not None else tuple(sample.levels)
     if not moved:
         return {}
@@ -89,7 +91,9 @@ def uq_properties(spec: CampaignSpec, sample: Epistemic) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Part:
-    """Part of a campaign: aleatory ids, conditions (wind [m/s], turbulence), and places of its epistemic samples (None: all)."""
+    """Part of a campaign: aleatory ids, conditions (wind [m/s], turbulence), and places of its
+    epistemic samples (None: all).
+    """
 
     aleatory_ids: range
     conditions: tuple[tuple[float, str], ...]
@@ -97,7 +101,8 @@ class Part:
 
 
 def build_cases(spec: CampaignSpec, mission: Mission, part: Part | None = None) -> tuple[Case, ...]:
-    """All cases of the campaign, or of a part of it, in case order. Depends on nothing but its arguments.
+    """All cases of the campaign, or of a part of it, in case order. Depends on nothing but its
+    arguments.
 
     An engine not settled is JSBSim.
     """
@@ -171,7 +176,10 @@ def _transient(spec: CampaignSpec, aleatory_id: int) -> TransientDriver | None:
 
 
 def unit_draw(root_seed: int, aleatory_id: int, name: str, variable: VariableSection) -> float:
-    """A variable's draw in its unit: standard normal, or uniform in -1..1. Depends on (root seed, aleatory id, property) alone."""
+    """A variable's draw in its unit: standard normal, or uniform in -1..1.
+
+    Depends on (root seed, aleatory id, property) alone.
+    """
     stream = numbered_stream(root_seed, "variable", aleatory_id, name)
     if variable.distribution == "normal":
         return float(random_numbers.drawn(stream, 1)[0])
@@ -190,8 +198,9 @@ def _refuse_twice(
     twice = [name for name in variables if name in properties]
     if twice:
         raise BadInputError(
-            f'[aleatory.variables."{twice[0]}"]: the property is set by [epistemic] as well; it can be either random from flight '
-            "to flight or unknown, not both: give one of them (an unknown mean is an interval)"
+            f'[aleatory.variables."{twice[0]}"]: the property is set by [epistemic] as well; it can'
+            " be either random from flight to flight or unknown, not both: give one of them (an"
+            " unknown mean is an interval)"
         )
 
 
@@ -203,7 +212,9 @@ _FIELDS = tuple(
 
 
 def case_id(flight: FlightSpec, mission: Mission, engine: str = JSBSIM) -> str:
-    """16 hex digits over everything that defines the flight: content of the files, numbers, seeds, properties, engine."""
+    """16 hex digits over everything that defines the flight: content of the files, numbers, seeds,
+    properties, engine.
+    """
     identity = {name: getattr(flight, name) for name in _FIELDS}
     # A flight whose levels stand still is the flight it was before they could move.
     identity |= {"levels": dataclasses.asdict(flight.levels)} if flight.levels is not None else {}
@@ -225,7 +236,9 @@ def case_id(flight: FlightSpec, mission: Mission, engine: str = JSBSIM) -> str:
 # airs of one condition.
 
 GROUP_S = 20.0
-"""Core time that a group should take: a kill loses no more, and what a worker does once a group does not show."""
+"""Core time that a group should take: a kill loses no more, and what a worker does once a group
+does not show.
+"""
 FLOWN_PER_CORE = 90_000.0
 """Flight time over core time of the batch engine, roughly; only sizes of groups depend on it."""
 MOST_LANES = 1024
@@ -235,7 +248,9 @@ _GROUPS_PER_WORKER = 4
 
 
 def lanes_of(cases: Sequence[Case], workers: int) -> int:
-    """Cases to fly together: some 20 s of a core, and a few groups for every worker where there are cases enough."""
+    """Cases to fly together: some 20 s of a core, and a few groups for every worker where there are
+    cases enough.
+    """
     flight = cases[0].flight
     by_time = GROUP_S * FLOWN_PER_CORE / (flight.duration_s + flight.burn_in_s)
     by_worker = math.ceil(len(cases) / (_GROUPS_PER_WORKER * max(workers, 1)))
@@ -243,7 +258,9 @@ def lanes_of(cases: Sequence[Case], workers: int) -> int:
 
 
 def groups_of(cases: Sequence[Case], workers: int) -> list[Group]:
-    """Cases of one condition each, in case order; the largest groups first, so that no worker waits long for the last."""
+    """Cases of one condition each, in case order; the largest groups first, so that no worker waits
+    long for the last.
+    """
     if not cases:
         return []
     lanes = lanes_of(cases, workers)

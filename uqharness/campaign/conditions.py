@@ -23,7 +23,9 @@ ERROR_METRICS = tuple(
     for quantity, unit in (("cross_track", "m"), ("altitude", "m"), ("speed", "mps"))
     for statistic in ("median", "mean", "max")
 )
-"""Statistics of |error| over a flight, true and (``_measured``) as the noise-laden sensors saw it."""
+"""Statistics of |error| over a flight, true and (``_measured``) as the noise-laden sensors
+saw it.
+"""
 
 UNCOMMANDED_METRICS = (
     "heading_median_deg",
@@ -31,7 +33,9 @@ UNCOMMANDED_METRICS = (
     "heading_max_deg",
     "load_factor_max",
 )
-"""What a flight without a commanded path is scored by besides; columns only of a campaign that has them."""
+"""What a flight without a commanded path is scored by besides; columns only of a campaign that has
+them.
+"""
 
 
 def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
@@ -48,7 +52,9 @@ def excursion_column(radius_m: float, distance: str) -> str:
 
 
 def counted_radii(metrics: Mapping[str, Any]) -> tuple[float, ...]:
-    """Radii [m] at which a campaign counts excursions, from its section [metrics] as plain types: asked about, then the others."""
+    """Radii [m] at which a campaign counts excursions, from its section [metrics] as plain types:
+    asked about, then the others.
+    """
     return (
         *map(float, metrics["excursion_radius_m"]),
         *map(float, metrics.get("dispersion_radius_m") or ()),
@@ -110,7 +116,9 @@ def in_condition(frame: pd.DataFrame, condition: Condition) -> pd.DataFrame:
 
 
 def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
-    """One sample per epistemic id from the rows of one condition; an unknown value of a flight is counted, not dropped."""
+    """One sample per epistemic id from the rows of one condition; an unknown value of a flight is
+    counted, not dropped.
+    """
     values = frame[metric].to_numpy(dtype=float)
     known = np.isfinite(values) & (frame["status"] == "ok").to_numpy()
     which, names = pd.factorize(frame["epistemic_id"])
@@ -129,7 +137,10 @@ def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
 def pboxes(
     frame: pd.DataFrame, confidence: float = CONFIDENCE
 ) -> Iterator[tuple[str, Condition, PBox]]:
-    """Every p-box of a case table: metric by metric, condition by condition. A metric that no flight has is left out."""
+    """Every p-box of a case table: metric by metric, condition by condition.
+
+    A metric that no flight has is left out.
+    """
     for metric in (*ERROR_METRICS, *(name for name in UNCOMMANDED_METRICS if name in frame)):
         for condition in conditions(frame):
             found = samples(in_condition(frame, condition), metric)
@@ -165,7 +176,10 @@ def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[Excur
 
 
 def _not_measured(rows: pd.DataFrame, column: str, distance: str) -> bool:
-    """Whether no flight of this aircraft has that count: one that ended well lacks it. Failed flights alone tell nothing."""
+    """Whether no flight of this aircraft has that count: one that ended well lacks it.
+
+    Failed flights alone tell nothing.
+    """
     ended_well = rows[rows["status"] == "ok"]
     unknown = bool(rows[column].isna().all())
     return unknown and (distance == "3d" or len(ended_well) > 0)
@@ -173,7 +187,9 @@ def _not_measured(rows: pd.DataFrame, column: str, distance: str) -> bool:
 
 @dataclass(frozen=True)
 class _Corner:
-    """A corner's flights among a condition's rows, how many of them failed and how long they were to last."""
+    """A corner's flights among a condition's rows, how many of them failed and how long they were
+    to last.
+    """
 
     name: str
     places: NDArray[np.intp]

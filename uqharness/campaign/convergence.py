@@ -58,10 +58,11 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class Converged:
-    """One metric in one condition. ``repeats`` are of ``epistemic_id``, the sample whose repeats lie farthest apart.
+    """One metric in one condition. ``repeats`` are of ``epistemic_id``, the sample whose repeats
+    lie farthest apart.
 
-    Either part may be missing: too few flights, or epistemic samples that are too few or were not drawn.
-    """
+    Either part may be missing: too few flights, or epistemic samples that are too few or were not
+    drawn."""
 
     metric: str
     condition: Condition
@@ -92,9 +93,9 @@ def study(folder: Path, metrics: Sequence[str] = (), number: int = REPEATS) -> l
     ]
     if all(item.repeats is None and not item.growth for item in found):
         raise BadInputError(
-            f"{folder}: nothing to compare: {number} repeats need at least {2 * number} flights of an epistemic sample, and "
-            "epistemic convergence needs at least 4 samples drawn at random (white, walk, parameters); fly more, or give fewer "
-            "--repeats"
+            f"{folder}: nothing to compare: {number} repeats need at least {2 * number} flights of"
+            " an epistemic sample, and epistemic convergence needs at least 4 samples drawn at"
+            " random (white, walk, parameters); fly more, or give fewer --repeats"
         )
     return found
 
@@ -102,7 +103,9 @@ def study(folder: Path, metrics: Sequence[str] = (), number: int = REPEATS) -> l
 def converged(
     frame: pd.DataFrame, metric: str, number: int, drawn: bool, seed: int
 ) -> Iterator[Converged]:
-    """Convergence of one metric of a case table, condition by condition: ``number`` repeats; growth where samples are ``drawn``."""
+    """Convergence of one metric of a case table, condition by condition: ``number`` repeats; growth
+    where samples are ``drawn``.
+    """
     for condition in conditions(frame):
         groups = {
             str(name): _values(rows, metric)
@@ -188,15 +191,17 @@ def sentences(found: Sequence[Converged]) -> list[str]:
         if item.repeats is not None:
             part = item.repeats
             lines.append(
-                f"{where}: {part.repeats} repeats of {part.flights} flights lie within {part.distance:.3g} of each other (chance "
-                f"alone: up to {part.expected:.3g}); medians {part.medians.min():.4g} to {part.medians.max():.4g}"
+                f"{where}: {part.repeats} repeats of {part.flights} flights lie within"
+                f" {part.distance:.3g} of each other (chance alone: up to {part.expected:.3g});"
+                f" medians {part.medians.min():.4g} to {part.medians.max():.4g}"
             )
         if item.growth:
             half, whole = item.growth[-2], item.growth[-1]
             gained = 1.0 - half.area / whole.area if whole.area > 0 else 0.0
             lines.append(
-                f"{where}: from {half.samples} to {whole.samples} epistemic samples the p-box grew by {percent(gained)} of its "
-                f"area; one more lies outside, at any value, with a chance of at most {percent(whole.chance_of_more)}"
+                f"{where}: from {half.samples} to {whole.samples} epistemic samples the p-box grew"
+                f" by {percent(gained)} of its area; one more lies outside, at any value, with a"
+                f" chance of at most {percent(whole.chance_of_more)}"
             )
     return lines
 
@@ -258,7 +263,8 @@ class Compared:
 
 
 def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame:
-    """Table of flights, one row each: columns named as in cases.parquet, wind_mps and turbulence if they are known.
+    """Table of flights, one row each: columns named as in cases.parquet, wind_mps and turbulence if
+    they are known.
 
     ``values`` make one flight more. Raises BadInputError.
     """
@@ -283,8 +289,8 @@ def _read_table(path: Path) -> pd.DataFrame:
                 or found.column_names.count(field.name) > 1
             ):
                 raise BadInputError(
-                    f"{path}: column {field.name} is of type {field.type}, or there twice; columns of numbers and texts are "
-                    "compared, each there once"
+                    f"{path}: column {field.name} is of type {field.type}, or there twice; columns"
+                    " of numbers and texts are compared, each there once"
                 )
         return found.to_pandas()
     try:
@@ -294,7 +300,9 @@ def _read_table(path: Path) -> pd.DataFrame:
 
 
 def compare(folder: Path, flights: pd.DataFrame) -> list[Compared]:
-    """Compare every metric that both have, in every condition; a flight with a condition of its own in that one. BadInputError."""
+    """Compare every metric that both have, in every condition; a flight with a condition of its own
+    in that one. BadInputError.
+    """
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
     confidence = band_confidence(manifest["campaign"], CONFIDENCE)
@@ -309,8 +317,9 @@ def compare(folder: Path, flights: pd.DataFrame) -> list[Compared]:
                 found.append(Compared(metric, condition, area_metric(box, values, CONFIDENCE)))
     if not found:
         raise BadInputError(
-            f"{folder}: the flights have no metric of this campaign in a condition it flew; columns are "
-            f"{', '.join(map(str, flights.columns))}, needed is one of {', '.join(sorted(known))}"
+            f"{folder}: the flights have no metric of this campaign in a condition it flew; columns"
+            f" are {', '.join(map(str, flights.columns))}, needed is one of"
+            f" {', '.join(sorted(known))}"
         )
     return found
 

@@ -1,4 +1,7 @@
-"""What a campaign is going to cost: flights, flight hours, time on this machine, disk. Nothing here builds its cases."""
+"""What a campaign is going to cost: flights, flight hours, time on this machine, disk.
+
+Nothing here builds its cases.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +19,22 @@ from uqharness.errors import BadInputError
 from uqharness.flight import TURBULENCE_W20_KT, FlightSpec
 
 DISK_BYTES_PER_FLIGHT = 2000
-"""Measured: 1400 of the journal (100,000 flights; 1100 of text and digest, the rest room between rows), 500 of the tables."""
+"""Measured: 1400 of the journal (100,000 flights; 1100 of text and digest, the rest room between
+rows), 500 of the tables.
+"""
 
 DAY_S = 86_400.0
 """A campaign that takes longer is asked about before it starts."""
 
 FASTEST_HOURS_PER_CORE_HOUR = {JSBSIM: 10_000.0, BATCH: 1_000_000.0}
-"""Ten times what the E-SPAARO flies at 100 Hz: a campaign too long at this pace is too long, and need not be tried out."""
+"""Ten times what the E-SPAARO flies at 100 Hz: a campaign too long at this pace is too long, and
+need not be tried out.
+"""
 
 TRIAL_CONDITIONS = 32
-"""Conditions that are tried out before a campaign, at most: work that does not grow with the grid of winds and turbulences. Each
-condition's first whole flight is compared with JSBSim in any case, while the campaign flies."""
+"""Conditions that are tried out before a campaign, at most: work that does not grow with the grid
+of winds and turbulences. Each condition's first whole flight is compared with JSBSim in any case,
+while the campaign flies."""
 
 _CALIBRATION_S = 60.0
 # A model this slow is known well enough from its check flight.
@@ -35,7 +43,8 @@ _SLOW_S = 0.2
 
 @dataclass(frozen=True)
 class Size:
-    """Flights of a campaign; ``at_most`` where its rule may end it sooner. ``flight_s`` of each, burn-in included.
+    """Flights of a campaign; ``at_most`` where its rule may end it sooner. ``flight_s`` of each,
+    burn-in included.
 
     Of the ``epistemic`` samples ``interior`` lie between the corners.
     """
@@ -63,10 +72,11 @@ class Size:
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast one process of this machine flies: seconds a flight takes whatever its length, and seconds per flown second.
+    """How fast one process of this machine flies: seconds a flight takes whatever its length, and
+    seconds per flown second.
 
-    ``startup_s``: what passes before the first flight ends, by starting processes, loading and compiling.
-    """
+    ``startup_s``: what passes before the first flight ends, by starting processes, loading and
+    compiling."""
 
     flight_s: float
     per_second: float
@@ -79,7 +89,8 @@ class Pace:
 
 @dataclass(frozen=True)
 class Cost:
-    """Size of a campaign, flights of it that are done already, and the time for the rest; ``pace`` None where it is not known.
+    """Size of a campaign, flights of it that are done already, and the time for the rest; ``pace``
+    None where it is not known.
 
     ``engine`` is the fastest that may fly it.
     """
@@ -123,8 +134,9 @@ class Cost:
         most = "at most " if size.at_most else ""
         between = f", {size.interior} of them between the corners" if size.interior else ""
         text = (
-            f"{most}{size.flights} flights ({_count(size.epistemic, 'epistemic sample')}{between}, "
-            f"{_count(size.conditions, 'condition')}, {size.aleatory} each), {hours_in_words(size.hours)} flight h"
+            f"{most}{size.flights} flights ({_count(size.epistemic, 'epistemic sample')}{between},"
+            f" {_count(size.conditions, 'condition')}, {size.aleatory} each),"
+            f" {hours_in_words(size.hours)} flight h"
         )
         text += f", {self.done} flights done before" if self.done else ""
         processes = _count(self.workers, "process", "processes")
@@ -169,7 +181,9 @@ def _draws(spec: CampaignSpec) -> int:
 
 
 def one_case(spec: CampaignSpec, mission: Mission) -> Case:
-    """A flight like those of the campaign in its strongest turbulence, made without making the others."""
+    """A flight like those of the campaign in its strongest turbulence, made without making the
+    others.
+    """
     strongest = max(spec.aleatory.turbulence, key=lambda name: TURBULENCE_W20_KT[name])
     return one_case_each(with_conditions(spec, spec.aleatory.wind_mps[:1], (strongest,)), mission)[
         0
@@ -191,8 +205,8 @@ def trial_conditions(
 ) -> tuple[tuple[float, str], ...]:
     """Conditions of a grid that are tried out: all, or at most `TRIAL_CONDITIONS` of them.
 
-    Each turbulence is among them with winds evenly spaced over the sorted ones, the weakest and the strongest included.
-    """
+    Each turbulence is among them with winds evenly spaced over the sorted ones, the weakest and the
+    strongest included."""
     each = max(2, TRIAL_CONDITIONS // len(turbulences))
     ordered = sorted(winds_mps)
     if len(ordered) > each:
@@ -227,7 +241,8 @@ def one_case_each(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
 def measured_pace(
     flown: Callable[[FlightSpec], bool], brief: FlightSpec, whole: FlightSpec
 ) -> Pace | None:
-    """The pace from a few flights of a process that has flown ``brief`` before; None where one of them does not end well.
+    """The pace from a few flights of a process that has flown ``brief`` before; None where one of
+    them does not end well.
 
     ``flown`` flies and says whether that went well; ``whole`` is the flight as the campaign has it.
     """
@@ -259,8 +274,8 @@ def refuse_if_long(cost: Cost, agreed: bool, path: object) -> None:
     """BadInputError for a campaign of more than a day that was not agreed to."""
     if cost.is_long and not agreed:
         raise BadInputError(
-            f"{path}: {cost.words}: that is more than a day of this machine; give --yes to fly it all the same, or --hours H for "
-            "fewer flights per corner and condition"
+            f"{path}: {cost.words}: that is more than a day of this machine; give --yes to fly it"
+            " all the same, or --hours H for fewer flights per corner and condition"
         )
 
 

@@ -90,19 +90,25 @@ def needs_copy(spec: CampaignSpec) -> bool:
 
 
 def named_aircraft(spec: CampaignSpec) -> Aircraft:
-    """The aircraft that the campaign names: beside its own file, else as ``uqharness fly`` finds it. Raises BadInputError."""
+    """The aircraft that the campaign names: beside its own file, else as ``uqharness fly`` finds
+    it. Raises BadInputError.
+    """
     named = spec.path.resolve().parent / spec.campaign.aircraft
     return find_aircraft(named if named.is_dir() else spec.campaign.aircraft)
 
 
 def has_sensors(aircraft: Aircraft) -> bool:
-    """Whether the aircraft's files have a sensors system, whose output the noise of the sensors is added to."""
+    """Whether the aircraft's files have a sensors system, whose output the noise of the sensors is
+    added to.
+    """
     paths = (path for _, path in walk(aircraft.folder) if path.suffix.lower() == ".xml")
     return any(_SENSOR in path.read_bytes() for path in paths)
 
 
 def require_plugin(spec: CampaignSpec, aircraft: Aircraft) -> None:
-    """Raise BadInputError where the campaign moves coefficients and nothing in the aircraft's files adds their deltas."""
+    """Raise BadInputError where the campaign moves coefficients and nothing in the aircraft's files
+    adds their deltas.
+    """
     if spec.epistemic.method == "none" or not spec.epistemic.coefficients:
         return
     paths = (path for _, path in walk(aircraft.folder) if path.suffix.lower() == ".xml")
@@ -111,7 +117,9 @@ def require_plugin(spec: CampaignSpec, aircraft: Aircraft) -> None:
 
 
 def with_own_noise(spec: CampaignSpec, aircraft: Aircraft) -> CampaignSpec:
-    """The campaign with ``sensor_noise`` settled: where the file does not say, on if the aircraft has a sensors system."""
+    """The campaign with ``sensor_noise`` settled: where the file does not say, on if the aircraft
+    has a sensors system.
+    """
     if spec.aleatory.sensor_noise is not None:
         return spec
     return spec.with_sensor_noise(has_sensors(aircraft))
@@ -130,12 +138,18 @@ def noise_notes(spec: CampaignSpec) -> list[str]:
     if spec.aleatory.sensor_noise is not None or has_sensors(aircraft):
         return []
     return [
-        f"aircraft '{aircraft.name}' has no sensors system: it is flown without sensor noise ([aleatory] sensor_noise = false)"
+        (
+            f"aircraft '{aircraft.name}' has no sensors system: it is flown without sensor noise"
+            " ([aleatory] sensor_noise = false)"
+        )
     ]
 
 
 def bounds_notes(spec: CampaignSpec) -> list[str]:
-    """What to know before flying: bounds that were made for other files than the aircraft's. Raises BadInputError."""
+    """What to know before flying: bounds that were made for other files than the aircraft's.
+
+    Raises BadInputError.
+    """
     if spec.inputs.model_form is None:
         return []
     made_for, aircraft = read_bounds(spec.inputs.model_form).aircraft, named_aircraft(spec)
@@ -147,14 +161,18 @@ def bounds_notes(spec: CampaignSpec) -> list[str]:
     meant = "they mean something only if its aerodynamics are the same"
     path = spec.inputs.model_form
     return [
-        f"{path}: the bounds were made for aircraft {whose} (SHA-256 {made_for.sha256[:12]}...); {meant}"
+        (
+            f"{path}: the bounds were made for aircraft {whose} (SHA-256 {made_for.sha256[:12]}...);"
+            f" {meant}"
+        )
     ]
 
 
 def find_copied_mission(
     spec: CampaignSpec, aircraft: Aircraft, script: Path | None, folder: Path
 ) -> Mission:
-    """The mission that a copy in ``folder`` is going to fly, with the hashes of what it will hold; nothing is left behind.
+    """The mission that a copy in ``folder`` is going to fly, with the hashes of what it will hold;
+    nothing is left behind.
 
     ``script`` None: the steady flight of [start]. Raises BadInputError as :func:`make_copy` does.
     """
@@ -175,8 +193,8 @@ def find_copied_mission(
 def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
     """Make the copy that ``mission`` flies in ``folder``, unless it is there already.
 
-    Raises BadInputError if the aircraft does not carry the plugin, cannot have these bounds, or has no trim.
-    """
+    Raises BadInputError if the aircraft does not carry the plugin, cannot have these bounds, or has
+    no trim."""
     for left in folder.glob(f"{_UNFINISHED}*"):
         shutil.rmtree(left, ignore_errors=True)
     target = mission.aircraft
@@ -184,7 +202,8 @@ def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
         return
     with tempfile.TemporaryDirectory(prefix=_UNFINISHED, dir=folder) as name:
         made = _copy(spec, find_aircraft(mission.source), Path(name))
-        # A folder with flights of another aircraft is refused before; what is left to find here is half a copy.
+        # A folder with flights of another aircraft is refused before; what is left to find here is
+        # half a copy.
         shutil.rmtree(target, ignore_errors=True)
         for sub in ("engine", "systems", SCRIPT):
             if (Path(name) / sub).exists():
@@ -205,7 +224,10 @@ def _copy(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
 
 
 def put_bounds(made: Path, aircraft: Aircraft, model_form: Path) -> None:
-    """Give the copy ``made`` of an aircraft the bounds of a model-form.json. Raises BadInputError as :func:`make_copy` does."""
+    """Give the copy ``made`` of an aircraft the bounds of a model-form.json.
+
+    Raises BadInputError as :func:`make_copy` does.
+    """
     text = model_form_xml(read_bounds(model_form), aircraft)
     destination = made / system_file(aircraft).relative_to(aircraft.folder)
     destination.unlink()
@@ -235,7 +257,8 @@ _SHOWN = 8
 
 @dataclass(frozen=True)
 class Engines:
-    """What there is to fly with: ``fly`` is JSBSim's, ``fly_group`` flies in any engine, ``batch`` says what it understands.
+    """What there is to fly with: ``fly`` is JSBSim's, ``fly_group`` flies in any engine, ``batch``
+    says what it understands.
 
     ``no_batch`` is why there is no ``batch``.
     """
@@ -247,7 +270,9 @@ class Engines:
 
     @staticmethod
     def of(fly: FlightFunction | Engines | None) -> Engines:
-        """This program's own where nothing is given; a flight function by itself flies one flight after the other."""
+        """This program's own where nothing is given; a flight function by itself flies one flight
+        after the other.
+        """
         if isinstance(fly, Engines):
             return fly
         if fly is not None:
@@ -265,7 +290,9 @@ class Engines:
 
 @dataclass(frozen=True)
 class Settled:
-    """A campaign whose engine is settled: ``spec`` has its name, ``asked`` what was asked for, ``why`` the reasons."""
+    """A campaign whose engine is settled: ``spec`` has its name, ``asked`` what was asked for,
+    ``why`` the reasons.
+    """
 
     spec: CampaignSpec
     asked: str
@@ -303,10 +330,11 @@ class Earlier:
 def settle(
     spec: CampaignSpec, mission: Mission, engines: Engines, earlier: Earlier | None = None
 ) -> Settled:
-    """Settle the engine of a campaign: what is asked for, else that of its ``earlier`` flights, else batch where it can fly it.
+    """Settle the engine of a campaign: what is asked for, else that of its ``earlier`` flights,
+    else batch where it can fly it.
 
-    Raises BadInputError where the batch engine is asked for, or flew before, and cannot fly it here.
-    """
+    Raises BadInputError where the batch engine is asked for, or flew before, and cannot fly it
+    here."""
     asked = spec.campaign.engine
     goes_on = earlier is not None and asked in ("auto", earlier.engine)
     wanted, why = (
@@ -319,7 +347,8 @@ def settle(
         reason = engines.unavailable()
         if reason is not None:
             raise BadInputError(
-                f"{spec.path}: this campaign flies in the batch engine, and {reason}; fly it where it began"
+                f"{spec.path}: this campaign flies in the batch engine, and {reason}; fly it where"
+                " it began"
             )
         return Settled(spec.with_engine(BATCH), asked, why)
     reasons = reasons_against(spec, mission, engines)
@@ -362,7 +391,10 @@ def _refusals(batch: Batch, flight: FlightSpec, varying: tuple[str, ...]) -> tup
     except Exception as error:
         # A defect of one engine is no reason to fly in none.
         return (
-            f"the batch engine failed at reading {flight.aircraft.name}: {type(error).__name__}: {error}",
+            (
+                f"the batch engine failed at reading {flight.aircraft.name}:"
+                f" {type(error).__name__}: {error}"
+            ),
         )
 
 
@@ -376,7 +408,9 @@ def varying_properties(spec: CampaignSpec) -> tuple[str, ...]:
 
 
 def earlier_engine(folder: Path) -> Earlier | None:
-    """Engine of the campaign whose flights ``folder`` holds, or those of the shards beside it; None where there are none."""
+    """Engine of the campaign whose flights ``folder`` holds, or those of the shards beside it; None
+    where there are none.
+    """
     beside = shard_folders(folder.parent.parent) if folder.parent.name == SHARDS else []
     for place in (folder, *beside):
         if (place / MANIFEST).exists():
@@ -391,7 +425,9 @@ def earlier_engine(folder: Path) -> Earlier | None:
 
 @contextlib.contextmanager
 def laid_out(spec: CampaignSpec, mission: Mission) -> Iterator[Mission]:
-    """The mission with an aircraft to look at, where the copy that is going to fly has not been made yet."""
+    """The mission with an aircraft to look at, where the copy that is going to fly has not been
+    made yet.
+    """
     if not needs_copy(spec) or mission.aircraft.exists():
         yield mission
         return
@@ -413,8 +449,9 @@ def laid_out(spec: CampaignSpec, mission: Mission) -> Iterator[Mission]:
 TOLERANCE = 1e-6
 """Largest difference of a metric over its spread."""
 LEAST_SHARE, LEAST_SPREAD = 1e-3, 1e-2
-"""A spread is the interquartile range of the condition's flights, at least that share of the median, and that in the metric's unit:
-positions are rounded to some 1e-9 m, so a condition without any chance would otherwise be judged by rounding."""
+"""A spread is the interquartile range of the condition's flights, at least that share of the
+median, and that in the metric's unit: positions are rounded to some 1e-9 m, so a condition without
+any chance would otherwise be judged by rounding."""
 NEAR_M = 1e-6
 """A count may differ where the flight came so near to a radius."""
 ONE_IN = 1000
@@ -422,8 +459,8 @@ ONE_IN = 1000
 
 _JUDGED = "jsbsim:"
 _ENOUGH = 64
-# Other sums in another order are worth some 1e-10 of a signal, where one unit in the last place is 1e-16, and damped flight hides
-# most of either: from there on both grow alike.
+# Other sums in another order are worth some 1e-10 of a signal, where one unit in the last place is
+# 1e-16, and damped flight hides most of either: from there on both grow alike.
 _TIMES_ROUNDING = 1e5
 _LOST = "loss_of_control"
 _TIMEOUT, _NOT_COMPARED = (
@@ -437,10 +474,11 @@ Refly = Callable[[Case], CaseOutcome]
 
 
 class Judge:
-    """Compares a campaign's flights in the batch engine with JSBSim's as they come in, and keeps engine-check.csv.
+    """Compares a campaign's flights in the batch engine with JSBSim's as they come in, and keeps
+    engine-check.csv.
 
-    ``refly`` flies a case in JSBSim from a start that is one unit in the last place off; ``finished`` are flights of earlier runs.
-    """
+    ``refly`` flies a case in JSBSim from a start that is one unit in the last place off;
+    ``finished`` are flights of earlier runs."""
 
     def __init__(
         self,
@@ -476,7 +514,10 @@ class Judge:
         return [Group(JUDGE, ((_JUDGED + case.case_id, case.flight),)) for case in wanted]
 
     def take(self, outcomes: Iterable[CaseOutcome]) -> list[CaseOutcome]:
-        """Learn what was flown; the flights that are the campaign's own. Raises EnginesDifferError once that is certain."""
+        """Learn what was flown; the flights that are the campaign's own.
+
+        Raises EnginesDifferError once that is certain.
+        """
         own: list[CaseOutcome] = []
         for outcome in outcomes:
             if outcome.case_id.startswith(_JUDGED):
@@ -488,7 +529,10 @@ class Judge:
         return own
 
     def look(self, final: bool) -> None:
-        """Compare what is new, or (``final``) everything by the spreads of all flights. Raises EnginesDifferError."""
+        """Compare what is new, or (``final``) everything by the spreads of all flights.
+
+        Raises EnginesDifferError.
+        """
         spreads: dict[Condition, Spreads] = {}
         looked = False
         for case_id, case in self._cases.items():
@@ -534,7 +578,9 @@ class Judge:
                 self._values[condition].setdefault(name, array("d")).append(value)
 
     def _remember(self, rows: Sequence[CheckRow]) -> None:
-        """JSBSim's flights of an earlier run; those that differed, or had no result in time, are flown again."""
+        """JSBSim's flights of an earlier run; those that differed, or had no result in time, are
+        flown again.
+        """
         by_flight: dict[tuple[str, str], list[CheckRow]] = {}
         for row in rows:
             by_flight.setdefault((row.part, row.case_id), []).append(row)
@@ -673,10 +719,11 @@ def refuse_difference(folder: Path, rows: Sequence[CheckRow]) -> None:
         else ""
     )
     raise EnginesDifferError(
-        f"{folder}: the batch engine differs from JSBSim: case {worst.case_id} ({worst.condition}){when} has {worst.metric} "
-        f"{worst.batch or 'undefined'} in the batch engine and {worst.jsbsim or 'undefined'} in JSBSim{apart}; "
-        f"{len(wrong)} such rows in {folder / ENGINE_CHECK}. The results in this folder are not valid: fly the campaign with "
-        "--engine jsbsim into another --out, and report the aircraft"
+        f"{folder}: the batch engine differs from JSBSim: case {worst.case_id}"
+        f" ({worst.condition}){when} has {worst.metric} {worst.batch or 'undefined'} in the batch"
+        f" engine and {worst.jsbsim or 'undefined'} in JSBSim{apart}; {len(wrong)} such rows in"
+        f" {folder / ENGINE_CHECK}. The results in this folder are not valid: fly the campaign with"
+        " --engine jsbsim into another --out, and report the aircraft"
     )
 
 
@@ -686,7 +733,9 @@ def refuse_difference(folder: Path, rows: Sequence[CheckRow]) -> None:
 START_S = 10.0
 """Flight time of the comparison before any case."""
 CASES_EACH = 8
-"""Cases of each condition that are flown for it: their spread is what differences are measured by."""
+"""Cases of each condition that are flown for it: their spread is what differences are
+measured by.
+"""
 STORING_S = 2e-3
 """Scoring and storing a flight, measured."""
 
@@ -696,14 +745,17 @@ _PACE_LANES, _PACE_S = 64, 60.0
 
 
 def throwaway_process() -> ProcessExecutor:
-    """A process of its own, so that a flight that ends the interpreter ends only that; kept for several calls."""
+    """A process of its own, so that a flight that ends the interpreter ends only that; kept for
+    several calls.
+    """
     return ProcessExecutor(1, timeout_s=lambda flight: _LIMIT_S, retries=0, keep=True)
 
 
 def compare_start(
     engines: Engines, cases: Sequence[Case], process: ProcessExecutor
 ) -> list[CheckRow]:
-    """Fly the first seconds of some cases of some conditions in both engines; what came of it, a row a metric.
+    """Fly the first seconds of some cases of some conditions in both engines; what came of it, a
+    row a metric.
 
     The conditions are those of `trial_conditions`: all of a grid that is not large.
 
@@ -747,7 +799,8 @@ def compare_start(
 def settled_by_flight(
     spec: CampaignSpec, mission: Mission, engines: Engines, earlier: Earlier | None
 ) -> Settled:
-    """``settle``; where the batch engine would be taken by itself, both fly a few seconds, and JSBSim is taken if they differ.
+    """``settle``; where the batch engine would be taken by itself, both fly a few seconds, and
+    JSBSim is taken if they differ.
 
     Raises BadInputError as ``settle`` does.
     """
@@ -765,7 +818,9 @@ def settled_by_flight(
 
 
 def _apart(ours: CaseOutcome, theirs: CaseOutcome) -> str | None:
-    """A sentence if two short flights differ; what cannot be flown by either is told by whoever flies first."""
+    """A sentence if two short flights differ; what cannot be flown by either is told by whoever
+    flies first.
+    """
     if theirs.bad_input or theirs.status != "ok":
         return None
     said = f"in the first {START_S:g} s the batch engine differs from JSBSim"
@@ -794,7 +849,9 @@ def one_ulp_off_alone(engines: Engines, case: Case) -> CaseOutcome:
 
 
 def batch_pace(engines: Engines, cases: Sequence[Case], process: ProcessExecutor) -> Pace | None:
-    """How fast one process flies in the batch engine; None where the flights that tell do not end well."""
+    """How fast one process flies in the batch engine; None where the flights that tell do not end
+    well.
+    """
     whole = cases[0].flight
     length = min(_PACE_S, whole.duration_s + whole.burn_in_s)
     lanes = tuple(

@@ -1,9 +1,9 @@
 """Flights of the batch engine as paths of a multilevel splitting: side by side, scored, and copied.
 
-Flights begin with the campaign's own burn-in, so that a path starts from a state of the loiter itself. At each checkpoint a path
-has a score of its state. A copy is the same flight to the checkpoint; from there its gusts and noise come from streams of (root
-seed, aleatory id, level, branch, kind).
-"""
+Flights begin with the campaign's own burn-in, so that a path starts from a state of the loiter
+itself. At each checkpoint a path has a score of its state. A copy is the same flight to the
+checkpoint; from there its gusts and noise come from streams of (root seed, aleatory id, level,
+branch, kind)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ DISTANCE = "cross_track"
 
 @dataclass(frozen=True)
 class Hit:
-    """A path's first excursion beyond the radius of that place: which flight, where it branched, in which frame, how far out."""
+    """A path's first excursion beyond the radius of that place: which flight, where it branched, in
+    which frame, how far out.
+    """
 
     aleatory_id: int
     kind: int
@@ -44,7 +46,9 @@ class Score(Protocol):
     def of(
         self, values: Mapping[str, FloatArray], distance_m: FloatArray, closing_mps: FloatArray
     ) -> FloatArray:
-        """(paths,) score of those properties (paths,), the distance from the commanded path and its rate (paths,)."""
+        """(paths,) score of those properties (paths,), the distance from the commanded path and its
+        rate (paths,).
+        """
 
 
 @dataclass(frozen=True)
@@ -63,8 +67,8 @@ class Lookahead:
 
 @dataclass(frozen=True)
 class Watch:
-    """How paths are looked at: a checkpoint every ``step_s`` seconds, and their score there; so many first excursions beyond each
-    radius are noted with their path."""
+    """How paths are looked at: a checkpoint every ``step_s`` seconds, and their score there; so
+    many first excursions beyond each radius are noted with their path."""
 
     step_s: float
     score: Score
@@ -72,7 +76,8 @@ class Watch:
 
 
 class LoiterPaths:
-    """Flights that differ in their air alone. ``specs`` and ``aleatory_ids`` belong together; ``root`` is the campaign's seed.
+    """Flights that differ in their air alone. ``specs`` and ``aleatory_ids`` belong together;
+    ``root`` is the campaign's seed.
 
     Excursions are those of the campaign's tables, from the recorded rows between two checkpoints.
     """
@@ -80,13 +85,14 @@ class LoiterPaths:
     def __init__(
         self, specs: Sequence[FlightSpec], aleatory_ids: Sequence[int], root: int, watch: Watch
     ) -> None:
-        """Raises BadInputError for what the batch engine cannot fly, an aircraft without a commanded path, and a step that is no
-        whole number of recorded rows."""
+        """Raises BadInputError for what the batch engine cannot fly, an aircraft without a
+        commanded path, and a step that is no whole number of recorded rows."""
         first = specs[0]
         made = ready(first)
         if DISTANCE not in made.table:
             raise BadInputError(
-                f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics]: nothing to leave"
+                f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics]: nothing to"
+                " leave"
             )
         source, dt_s = made.table[DISTANCE], made.lanes.dt_s
         self._stride = record_stride(first, dt_s)
@@ -94,7 +100,8 @@ class LoiterPaths:
         rows = round(watch.step_s / self._row_s)
         if rows < 2 or abs(rows * self._row_s - watch.step_s) > 1e-9:
             raise BadInputError(
-                f"step_s = {watch.step_s:g}: a multiple of the recorded {self._row_s:g} s, two of them at least"
+                f"step_s = {watch.step_s:g}: a multiple of the recorded {self._row_s:g} s, two of"
+                " them at least"
             )
         self._step, self._watch, self._root = rows * self._stride, watch, root
         self._channel, self._factor = (
@@ -181,16 +188,24 @@ class LoiterPaths:
 # function has them (Garvels 2000, chapter 3). Pure: no file, no clock.
 
 HORIZONS_S = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0)
-"""Behind ten seconds a loiter's state is forgotten: the prediction is then the mean of that place on the circle."""
+"""Behind ten seconds a loiter's state is forgotten: the prediction is then the mean of that place
+on the circle.
+"""
 NOW_M = 0.05
-"""Standard deviation of the distance that is there: a path beyond the radius has a score above 0."""
+"""Standard deviation of the distance that is there: a path beyond the radius has a score
+above 0.
+"""
 RIDGE = 1e-4
-"""Share of its variance added to each regressor: two that nearly coincide get no large coefficients of opposite signs."""
+"""Share of its variance added to each regressor: two that nearly coincide get no large coefficients
+of opposite signs.
+"""
 
 
 @dataclass(frozen=True)
 class Predicted:
-    """Predictions at horizons [s] (h,): ``coefficients`` (h, k) of the regressors, ``constants`` [m] and ``sigmas`` [m] (h,)."""
+    """Predictions at horizons [s] (h,): ``coefficients`` (h, k) of the regressors, ``constants``
+    [m] and ``sigmas`` [m] (h,).
+    """
 
     radius_m: float
     horizons_s: tuple[float, ...]
@@ -199,8 +214,11 @@ class Predicted:
     sigmas: tuple[float, ...]
 
     def score(self, regressors: FloatArray, distance_m: FloatArray) -> FloatArray:
-        """Standard deviations to the radius (...), negative inside it, of regressors (..., k) and distances (...)."""
-        # One regressor after the other: a matrix product would round differently with the number of paths.
+        """Standard deviations to the radius (...), negative inside it, of regressors (..., k) and
+        distances (...).
+        """
+        # One regressor after the other: a matrix product would round differently with the number of
+        # paths.
         slopes, expected = (
             np.array(self.coefficients),
             np.zeros((*distance_m.shape, len(self.constants))) + self.constants,
@@ -218,10 +236,11 @@ def fit(
     radius_m: float,
     horizons_s: Sequence[float] = HORIZONS_S,
 ) -> Predicted:
-    """Least squares at each horizon that is a whole number of rows, from flights (flights, rows, k) and (flights, rows).
+    """Least squares at each horizon that is a whole number of rows, from flights (flights, rows, k)
+    and (flights, rows).
 
-    Raises ValueError for flights no longer than the last horizon, and where no horizon is a whole number of rows.
-    """
+    Raises ValueError for flights no longer than the last horizon, and where no horizon is a whole
+    number of rows."""
     ahead = {
         h: round(h / row_s)
         for h in horizons_s
@@ -229,8 +248,9 @@ def fit(
     }
     if not ahead or max(ahead.values()) >= distance_m.shape[1]:
         raise ValueError(
-            f"{distance_m.shape[1]} rows {row_s:g} s apart: more than {max(horizons_s):g} s of rows are needed, and horizons that "
-            f"are whole numbers of them; received {tuple(horizons_s)}"
+            f"{distance_m.shape[1]} rows {row_s:g} s apart: more than {max(horizons_s):g} s of rows"
+            " are needed, and horizons that are whole numbers of them; received"
+            f" {tuple(horizons_s)}"
         )
     coefficients, constants, sigmas = [], [], []
     for rows in ahead.values():

@@ -1,8 +1,9 @@
-"""Which cases a campaign flies next: all at once, or round by round where its rule is to stop a cell once it is answered.
+"""Which cases a campaign flies next: all at once, or round by round where its rule is to stop a
+cell once it is answered.
 
-Decisions rest on whole rounds, in case order, so they are the same whatever the number of workers and however often the run
-was killed: a resumed run goes through the same rounds, of which the flown ones cost nothing.
-"""
+Decisions rest on whole rounds, in case order, so they are the same whatever the number of workers
+and however often the run was killed: a resumed run goes through the same rounds, of which the flown
+ones cost nothing."""
 
 from __future__ import annotations
 
@@ -50,10 +51,11 @@ _BY_STATUS = {
 
 @dataclass(frozen=True)
 class Aborted:
-    """Aborted flights of one condition, per corner and flight (c, n), NaN where a corner flew fewer.
+    """Aborted flights of one condition, per corner and flight (c, n), NaN where a corner flew
+    fewer.
 
-    ``lost``: 1 where the flight was aborted; ``missing``: the share of its time that was not flown; ``kinds``: how many there are.
-    """
+    ``lost``: 1 where the flight was aborted; ``missing``: the share of its time that was not flown;
+    ``kinds``: how many there are."""
 
     lost: FloatArray
     missing: FloatArray
@@ -71,7 +73,8 @@ class Aborted:
         return found
 
     def upper(self, error: float, assumed: float | None) -> FloatArray:
-        """Upper limits (c,) of aborted flights per flight's length flown, each missed with probability ``error`` at most.
+        """Upper limits (c,) of aborted flights per flight's length flown, each missed with
+        probability ``error`` at most.
 
         A flight is aborted once, so its count clusters no more than independent ones do.
         """
@@ -85,7 +88,9 @@ class Aborted:
 
 
 def aborted_flight(outcome: CaseOutcome, flight: FlightSpec) -> tuple[float, float]:
-    """Whether a flight was aborted, 1 or 0, and the share of its scored time that it did not fly."""
+    """Whether a flight was aborted, 1 or 0, and the share of its scored time that it did
+    not fly.
+    """
     if outcome.status == "ok":
         return float(outcome.metrics.get(LOSS_OF_CONTROL, 0.0) > 0.0), 0.0
     scored_s = min(max(outcome.flown_s - flight.burn_in_s, 0.0), flight.duration_s)
@@ -146,7 +151,10 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class Rule:
-    """*decide* with every default filled in. ``error_rate`` is that of one question, ``looks`` the most there may be."""
+    """*decide* with every default filled in.
+
+    ``error_rate`` is that of one question, ``looks`` the most there may be.
+    """
 
     radius_m: float
     acceptable_per_h: float
@@ -169,7 +177,9 @@ class Rule:
 
 
 def rule_of(campaign: Mapping[str, Any], corners: int) -> Rule | None:
-    """The rule of a campaign (its settings as plain types) if it is *decide*; ``corners`` are flown in each of its cells."""
+    """The rule of a campaign (its settings as plain types) if it is *decide*; ``corners`` are flown
+    in each of its cells.
+    """
     stop, metrics, air = campaign["stop"], campaign["metrics"], campaign["aleatory"]
     if stop["rule"] != "decide":
         return None
@@ -197,7 +207,9 @@ def rule_of(campaign: Mapping[str, Any], corners: int) -> Rule | None:
 
 
 def band_confidence(campaign: Mapping[str, Any], confidence: float) -> float:
-    """Confidence to draw a p-box's band at, so that it holds with ``confidence`` at whichever look the flying was stopped."""
+    """Confidence to draw a p-box's band at, so that it holds with ``confidence`` at whichever look
+    the flying was stopped.
+    """
     rule = rule_of(campaign, corners=1)
     return confidence if rule is None else 1.0 - (1.0 - confidence) / rule.looks
 
@@ -205,8 +217,8 @@ def band_confidence(campaign: Mapping[str, Any], confidence: float) -> float:
 class Rounds:
     """Goes through a campaign's rounds. ``most`` is the number of cases that will be flown at most.
 
-    ``decisions`` is decisions.csv after the last look, None without one; it is written to ``folder``, if that is given, after each.
-    """
+    ``decisions`` is decisions.csv after the last look, None without one; it is written to
+    ``folder``, if that is given, after each."""
 
     def __init__(self, spec: CampaignSpec, cases: Sequence[Case], folder: Path | None) -> None:
         self.most = len(cases)
@@ -221,7 +233,9 @@ class Rounds:
         return self._rule is not None
 
     def __call__(self, store: Store) -> Iterator[list[Case]]:
-        """Rounds of cases; when the next one is asked for, ``store`` must hold the outcomes of the last."""
+        """Rounds of cases; when the next one is asked for, ``store`` must hold the outcomes of the
+        last.
+        """
         if self._rule is None:
             yield list(self._cases)
             return
@@ -356,13 +370,16 @@ def _cells(cases: Sequence[Case], rule: Rule) -> list[_Cell]:
 
 
 def _counts(outcome: CaseOutcome, column: str) -> tuple[float, float]:
-    """Least and most excursions of a flight: a failed one, or one without a count, may have had one more than was seen."""
+    """Least and most excursions of a flight: a failed one, or one without a count, may have had one
+    more than was seen.
+    """
     value = outcome.metrics.get(column, float("nan"))
     known = bool(np.isfinite(value))
     if outcome.status == "ok" and not known:
         raise BadInputError(
-            f'[stop] rule = "decide": a flight that went well has no {column} ({outcome.undefined.get(column, "not scored")}), '
-            'so there is nothing to decide by; use rule = "flights"'
+            f'[stop] rule = "decide": a flight that went well has no {column}'
+            f" ({outcome.undefined.get(column, 'not scored')}), so there is nothing to decide by;"
+            ' use rule = "flights"'
         )
     counted = float(round(value)) if known else 0.0
     return counted, counted + (outcome.status != "ok")

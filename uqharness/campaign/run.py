@@ -61,7 +61,9 @@ from uqharness.parallel import usable_cores
 from uqharness.simulator import read_xml
 
 VALIDATION_S = 5.0
-"""Flight time of the check that the model flies at all, made in a throw-away process before any case."""
+"""Flight time of the check that the model flies at all, made in a throw-away process before any
+case.
+"""
 
 MANY = 1_000_000
 """Flights whose cases take some 0.6 GB and a minute to make; the cost of more is told before."""
@@ -69,7 +71,10 @@ MANY = 1_000_000
 
 @dataclass(frozen=True)
 class Progress:
-    """State of a run once a batch is durable. ``flown_s`` and ``elapsed_s`` are of this run, ``done`` of the campaign."""
+    """State of a run once a batch is durable.
+
+    ``flown_s`` and ``elapsed_s`` are of this run, ``done`` of the campaign.
+    """
 
     cases: int
     done: int
@@ -95,8 +100,8 @@ class Progress:
 class CampaignSummary:
     """Outcome of a run: all cases, how many were done before, and the number by status.
 
-    ``rewritten``: tables of a campaign that was complete already which had been damaged or lost, and are whole again.
-    """
+    ``rewritten``: tables of a campaign that was complete already which had been damaged or lost,
+    and are whole again."""
 
     folder: Path
     cases: int
@@ -113,10 +118,11 @@ class CampaignSummary:
 
 
 def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
-    """Locate and hash what the campaign flies: relative to its own file, else as ``uqharness fly`` finds it.
+    """Locate and hash what the campaign flies: relative to its own file, else as ``uqharness fly``
+    finds it.
 
-    Bounds from a model form and a trimmed start fly in a copy of the aircraft within the campaign's ``folder``, not made here.
-    """
+    Bounds from a model form and a trimmed start fly in a copy of the aircraft within the campaign's
+    ``folder``, not made here."""
     from uqharness.campaign.engines import (
         find_copied_mission,
         named_aircraft,
@@ -151,17 +157,19 @@ def run_campaign(
     shard: Shard | None = None,
     before_flying: Callable[[Cost], None] = lambda _: None,
 ) -> CampaignSummary:
-    """Fly the campaign's missing cases into ``out_dir`` and write its tables; the same call resumes.
+    """Fly the campaign's missing cases into ``out_dir`` and write its tables; the same call
+    resumes.
 
-    A ``shard`` flies its share into ``out_dir``/shards/i-of-n and writes no tables; merging does. ``before_flying`` is told the
-    cost after the check flight and before the first flight that counts, and where the campaign is surely long or of more than MANY
-    flights also before its cases are made; what it raises ends the run.
+    A ``shard`` flies its share into ``out_dir``/shards/i-of-n and writes no tables; merging does.
+    ``before_flying`` is told the cost after the check flight and before the first flight that
+    counts, and where the campaign is surely long or of more than MANY flights also before its cases
+    are made; what it raises ends the run.
 
-    A case counts once it is on the disk. A flight that fails is a counted row with its reason. Raises BadInputError for an
-    unusable model or folder, a folder of another campaign, and a second run in the same folder; KeyboardInterrupt passes, with
-    everything finished so far kept. Raises DamageError, and changes nothing, where the journal is not as it was written. Raises
-    EnginesDifferError where the batch engine differs from JSBSim.
-    """
+    A case counts once it is on the disk. A flight that fails is a counted row with its reason.
+    Raises BadInputError for an unusable model or folder, a folder of another campaign, and a second
+    run in the same folder; KeyboardInterrupt passes, with everything finished so far kept. Raises
+    DamageError, and changes nothing, where the journal is not as it was written. Raises
+    EnginesDifferError where the batch engine differs from JSBSim."""
     engines = Engines.of(fly)
     given = mission is not None
     folder = Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder
@@ -193,8 +201,8 @@ def run_campaign(
     if shard is not None:
         if rounds.decides:
             raise BadInputError(
-                f'--shard {shard}: [stop] rule = "decide" looks at all corners together and cannot be flown in shares; leave '
-                'out --shard, or use rule = "hours"'
+                f'--shard {shard}: [stop] rule = "decide" looks at all corners together and cannot'
+                ' be flown in shares; leave out --shard, or use rule = "hours"'
             )
         cases = cases[shard.number - 1 :: shard.count]
         rounds = Rounds(spec, cases, folder)
@@ -256,10 +264,11 @@ def run_campaign(
 def check_campaign(
     spec: CampaignSpec, mission: Mission, scratch: Path
 ) -> tuple[Settled, Pace | None]:
-    """The engine that a campaign will fly in, and its pace on this machine; what is compared on the way lies in ``scratch``.
+    """The engine that a campaign will fly in, and its pace on this machine; what is compared on the
+    way lies in ``scratch``.
 
-    Raises BadInputError for what cannot be flown, EnginesDifferError where the batch engine differs from JSBSim.
-    """
+    Raises BadInputError for what cannot be flown, EnginesDifferError where the batch engine differs
+    from JSBSim."""
     engines = Engines.of(None)
     from uqharness.campaign.engines import with_default_noise
 
@@ -283,10 +292,11 @@ def _pace_of_a_few(settled: Settled, mission: Mission, engines: Engines) -> Pace
 
 
 def _earlier(folder: Path, manifest: Mapping[str, Any]) -> tuple[dict[str, Any] | None, set[str]]:
-    """Manifest of the folder if it is complete or holds flights, and the flights that need not be flown.
+    """Manifest of the folder if it is complete or holds flights, and the flights that need not be
+    flown.
 
-    Raises BadInputError if they are no part of the campaign, DamageError if they are not as they were written.
-    """
+    Raises BadInputError if they are no part of the campaign, DamageError if they are not as they
+    were written."""
     if not (folder / MANIFEST).exists():
         if (folder / JOURNAL).exists():
             raise DamageError(folder / MANIFEST, "it is gone, and there is a journal", folder)
@@ -314,7 +324,9 @@ def _look_again(
     with_tables: bool,
     workers: int,
 ) -> CampaignSummary:
-    """A campaign that is complete: its journal is held against the manifest, a table that is not as written is written again."""
+    """A campaign that is complete: its journal is held against the manifest, a table that is not as
+    written is written again.
+    """
     with Store(folder) as store:
         refuse_if_not_whole(folder, store, manifest)
         statuses = dict(sorted(store.statuses().items()))
@@ -327,11 +339,11 @@ def _look_again(
 
 
 def validate_model(fly: FlightFunction, case: Case) -> Pace | None:
-    """Fly the first seconds of a case in a process of its own, so that a model that ends the interpreter ends only that.
+    """Fly the first seconds of a case in a process of its own, so that a model that ends the
+    interpreter ends only that.
 
-    The pace at which it flies, None where that could not be measured. Raises BadInputError with the reason when the model cannot
-    be flown.
-    """
+    The pace at which it flies, None where that could not be measured. Raises BadInputError with the
+    reason when the model cannot be flown."""
     brief = dataclasses.replace(
         case.flight, duration_s=min(VALIDATION_S, case.flight.duration_s), burn_in_s=0.0
     )
@@ -349,12 +361,17 @@ def validate_model(fly: FlightFunction, case: Case) -> Pace | None:
 
 
 def _most_turbulent(cases: Sequence[Case]) -> Case:
-    """Pick the check flight: where turbulence cannot be flown, no calm flight is made before that is noticed."""
+    """Pick the check flight: where turbulence cannot be flown, no calm flight is made before that
+    is noticed.
+    """
     return max(cases, key=lambda case: TURBULENCE_W20_KT[case.turbulence])
 
 
 def _checked_start(judge: Judge, engines: Engines, cases: Sequence[Case]) -> Pace | None:
-    """Compare the first seconds of each condition in both engines. Raises EnginesDifferError, and BadInputError as above."""
+    """Compare the first seconds of each condition in both engines.
+
+    Raises EnginesDifferError, and BadInputError as above.
+    """
     begun = time.monotonic()
     with contextlib.closing(throwaway_process()) as process:
         judge.begin(compare_start(engines, cases, process))
@@ -367,11 +384,13 @@ def _checked_start(judge: Judge, engines: Engines, cases: Sequence[Case]) -> Pac
 def _refuse_if_not_flown(outcome: CaseOutcome, brief: FlightSpec) -> None:
     if outcome.bad_input:
         raise BadInputError(outcome.reason)
-    # A flight that was flown and went wrong (into the ground, say) is a result, and the campaign's to count.
+    # A flight that was flown and went wrong (into the ground, say) is a result, and the campaign's
+    # to count.
     if outcome.status in ("crashed", "timeout") and outcome.flown_s == 0.0:
         raise BadInputError(
-            f"aircraft {brief.aircraft.name} with {brief.script.name}: the check flight before the campaign failed: "
-            f"{outcome.reason}; try: uqharness fly {brief.aircraft.name} --out check.csv"
+            f"aircraft {brief.aircraft.name} with {brief.script.name}: the check flight before the"
+            f" campaign failed: {outcome.reason}; try: uqharness fly {brief.aircraft.name} --out"
+            " check.csv"
         )
 
 
@@ -387,8 +406,8 @@ def _refuse_if_edited(folder: Path, manifest: dict[str, Any], mission: Mission) 
 
 def _spoilt(folder: Path) -> BadInputError:
     return BadInputError(
-        f"{folder}: the aircraft or the script was edited while this campaign flew, so its flights are of both versions; "
-        "remove the folder and run again"
+        f"{folder}: the aircraft or the script was edited while this campaign flew, so its flights"
+        " are of both versions; remove the folder and run again"
     )
 
 
@@ -403,7 +422,9 @@ def _made(path: Path) -> Path:
 
 
 def _finished(folder: Path) -> set[str]:
-    """What has been counted there, every row looked at: a campaign refused before its first flight may be mended and run again."""
+    """What has been counted there, every row looked at: a campaign refused before its first flight
+    may be mended and run again.
+    """
     if not (folder / JOURNAL).exists():
         return set()
     with Store(folder, read_only=True) as store:
@@ -411,7 +432,10 @@ def _finished(folder: Path) -> set[str]:
 
 
 def _refuse_foreign(folder: Path) -> None:
-    """A folder of something else. Asked before the lock, which is a file in it, and again under it."""
+    """A folder of something else.
+
+    Asked before the lock, which is a file in it, and again under it.
+    """
     if not folder.is_dir() or (folder / MANIFEST).exists() or (folder / JOURNAL).exists():
         return
     others = sorted(
@@ -419,7 +443,8 @@ def _refuse_foreign(folder: Path) -> None:
     )
     if others:
         raise BadInputError(
-            f"{folder}: not empty and not a campaign folder (it has {others[0]}); choose another --out"
+            f"{folder}: not empty and not a campaign folder (it has {others[0]}); choose another"
+            " --out"
         )
 
 

@@ -1,4 +1,6 @@
-"""From a finished corner campaign to the share each uncertain coefficient has of the p-box: the counterpart of Table 4.7."""
+"""From a finished corner campaign to the share each uncertain coefficient has of the p-box: the
+counterpart of Table 4.7.
+"""
 
 from __future__ import annotations
 
@@ -36,14 +38,18 @@ from uqharness.sensitivity.result import Ranking, rank, unit_of, words
 from uqharness.text_tables import csv_rows
 
 MOST_LOST = 0.1
-"""Largest share of aleatory samples that may be left out because a flight of theirs failed in some corner."""
+"""Largest share of aleatory samples that may be left out because a flight of theirs failed in some
+corner.
+"""
 
 _RANKS_BY = ("levels", "corners")
 
 
 @dataclass(frozen=True)
 class Flown:
-    """Flights of one campaign: its table, its manifest, and the coefficients that are uncertain in it."""
+    """Flights of one campaign: its table, its manifest, and the coefficients that are uncertain in
+    it.
+    """
 
     folder: Path
     frame: pd.DataFrame
@@ -51,7 +57,9 @@ class Flown:
 
     @property
     def coefficients(self) -> tuple[str, ...]:
-        """Uncertain coefficients, then variables whose mean is uncertain: each has a column of levels."""
+        """Uncertain coefficients, then variables whose mean is uncertain: each has a column of
+        levels.
+        """
         campaign = self.manifest["campaign"]
         variables = campaign["aleatory"].get("variables", {})
         means = [name for name, item in variables.items() if isinstance(item.get("mean"), list)]
@@ -65,15 +73,18 @@ class Flown:
 
 @dataclass(frozen=True)
 class _Grouped:
-    """Flights of one condition by their levels: ``places`` (n, A) in the campaign's table, in the order of the aleatory ids, and
-    ``flown`` (n, A) where a flight did not fail."""
+    """Flights of one condition by their levels: ``places`` (n, A) in the campaign's table, in the
+    order of the aleatory ids, and ``flown`` (n, A) where a flight did not fail."""
 
     keys: tuple[tuple[float, ...], ...]
     places: NDArray[np.intp]
     flown: NDArray[np.bool_]
 
     def values(self, of: Flown, metric: str) -> FloatArray:
-        """(n, A) of a metric; NaN where a flight failed. Raises BadInputError for one that the table has not."""
+        """(n, A) of a metric; NaN where a flight failed.
+
+        Raises BadInputError for one that the table has not.
+        """
         if metric not in of.frame:
             raise BadInputError(
                 f"metric {metric}: not in {of.folder / CASES}; it has {', '.join(metrics_of(of))}"
@@ -83,7 +94,9 @@ class _Grouped:
 
 @dataclass(frozen=True)
 class _Table:
-    """One campaign in one condition: corners and levels, and the interior points flown beside them."""
+    """One campaign in one condition: corners and levels, and the interior points flown
+    beside them.
+    """
 
     of: Flown
     levels: _Grouped
@@ -97,8 +110,8 @@ class _Table:
 
 @dataclass(frozen=True)
 class MetricSensitivity:
-    """One metric in one condition. ``flights`` per corner were used, ``left_out`` were not because a flight with the same air
-    failed or has no value in some corner."""
+    """One metric in one condition. ``flights`` per corner were used, ``left_out`` were not because
+    a flight with the same air failed or has no value in some corner."""
 
     condition: Condition
     metric: str
@@ -110,31 +123,37 @@ class MetricSensitivity:
 
 
 def read_corner_campaign(folder: Path) -> Flown:
-    """A campaign that flew all corners. Raises BadInputError for one that is not complete or has no corners."""
+    """A campaign that flew all corners.
+
+    Raises BadInputError for one that is not complete or has no corners.
+    """
     flown = _read(folder)
     epistemic = flown.manifest["campaign"]["epistemic"]
     method, levels = epistemic["method"], epistemic.get("levels")
     if method not in _RANKS_BY or (method == "levels" and not {0.0, 1.0} <= set(levels or ())):
         found = f'method = "{method}"' + (f" with levels {levels}" if method == "levels" else "")
         raise BadInputError(
-            f'{folder}: not a corner campaign ({found}); sensitivity compares corners: fly one with method = "corners", '
-            'or "levels" that include 0 and 1'
+            f"{folder}: not a corner campaign ({found}); sensitivity compares corners: fly one with"
+            ' method = "corners", or "levels" that include 0 and 1'
         )
     if epistemic["set"] != "box":
         raise BadInputError(
-            f'{folder}: set = "{epistemic["set"]}" flies points of an ellipsoid, and sensitivity compares the corners of a '
-            'box; fly one with set = "box"'
+            f'{folder}: set = "{epistemic["set"]}" flies points of an ellipsoid, and sensitivity'
+            ' compares the corners of a box; fly one with set = "box"'
         )
     if "parameters" in epistemic:
         raise BadInputError(
-            f"{folder}: each of its corners was flown with several draws of [epistemic.parameters], which are no corners; "
-            "fly one without that section"
+            f"{folder}: each of its corners was flown with several draws of [epistemic.parameters],"
+            " which are no corners; fly one without that section"
         )
     return flown
 
 
 def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
-    """A campaign of levels between the bounds that meets the same air as ``corners``. Raises BadInputError naming what differs."""
+    """A campaign of levels between the bounds that meets the same air as ``corners``.
+
+    Raises BadInputError naming what differs.
+    """
     flown = _read(folder)
     if flown.manifest["campaign"]["epistemic"]["method"] != "levels":
         raise BadInputError(
@@ -159,7 +178,8 @@ def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
     ]
     if mine["aleatory"]["flights"] < theirs["aleatory"]["flights"]:
         different.append(
-            f"flights ({mine['aleatory']['flights']}, at least {theirs['aleatory']['flights']} are needed)"
+            f"flights ({mine['aleatory']['flights']}, at least {theirs['aleatory']['flights']} are"
+            " needed)"
         )
     if different:
         raise BadInputError(
@@ -187,7 +207,10 @@ def analyse_campaign(
     seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> list[MetricSensitivity]:
-    """Corner pairs for every metric in every condition. Raises BadInputError where the table is not what it should be."""
+    """Corner pairs for every metric in every condition.
+
+    Raises BadInputError where the table is not what it should be.
+    """
     wanted = tuple(metrics) if metrics else metrics_of(flown)
     there = conditions(flown.frame)
     found: list[MetricSensitivity] = []
@@ -239,14 +262,19 @@ def _analyse(
 def _with_points(
     inside: FloatArray | None, points: list[FloatArray], known: NDArray[np.bool_]
 ) -> FloatArray | None:
-    """``inside`` with a campaign's interior points: they check the corners and leave out no air; one that failed is dropped."""
+    """``inside`` with a campaign's interior points: they check the corners and leave out no air;
+    one that failed is dropped.
+    """
     whole = [point for point in points if np.all(np.isfinite(point[known]))]
     found = ([] if inside is None else [inside]) + ([np.array(whole)] if whole else [])
     return np.concatenate(found) if found else None
 
 
 def _grouped(flown: Flown, condition: Condition, interior: bool) -> _Grouped:
-    """The corners and levels of a condition, or the ``interior`` points flown beside them. Raises BadInputError."""
+    """The corners and levels of a condition, or the ``interior`` points flown beside them.
+
+    Raises BadInputError.
+    """
     rows = in_condition(flown.frame.reset_index(drop=True), condition)
     rows = rows[rows["epistemic_id"].str.startswith(INTERIOR_MARK) == interior]
     # The nominal model has no levels: it stands at no place of the box of bounds.
@@ -258,7 +286,8 @@ def _grouped(flown: Flown, condition: Condition, interior: bool) -> _Grouped:
         ordered = group.sort_values("aleatory_id")
         if not np.array_equal(ordered["aleatory_id"].to_numpy(), ids):
             raise BadInputError(
-                f"{flown.folder}: {condition.words}: not every corner flew the same aleatory samples"
+                f"{flown.folder}: {condition.words}: not every corner flew the same aleatory"
+                " samples"
             )
         ok = (ordered["status"] == "ok").to_numpy()
         durations = ordered["duration_s"].to_numpy()[ok]
@@ -306,8 +335,9 @@ COLUMNS = (
 
 
 def _rows(found: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
-    """Rows under COLUMNS. ``share_low`` and ``share_high`` bound ``share_min`` and ``share_max`` with 95 %
-    confidence for all coefficients at once; an undefined number is empty and ``reason`` says why."""
+    """Rows under COLUMNS. ``share_low`` and ``share_high`` bound ``share_min`` and ``share_max``
+    with 95 % confidence for all coefficients at once; an undefined number is empty and ``reason``
+    says why."""
     for item in found:
         details = item.result.details
         for i, (name, index) in enumerate(item.result.indices.items()):
@@ -348,7 +378,9 @@ def as_csv(found: Sequence[MetricSensitivity]) -> bytes:
 
 
 def as_json(found: Sequence[MetricSensitivity]) -> dict[str, dict[str, Any]]:
-    """By condition, then metric: indices, what to reduce first, whether that is certain, and the words."""
+    """By condition, then metric: indices, what to reduce first, whether that is certain, and the
+    words.
+    """
     by_condition: dict[str, dict[str, Any]] = {}
     for item in found:
         by_condition.setdefault(item.condition.label, {})[item.metric] = item.result.as_dict() | {
@@ -388,7 +420,8 @@ def read_sensitivity(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str
         for row in rows
     ):
         raise BadInputError(
-            f"{folder / SENSITIVITY}: holds what `uqharness sensitivity` does not write; run it again"
+            f"{folder / SENSITIVITY}: holds what `uqharness sensitivity` does not write; run it"
+            " again"
         )
     return rows
 
@@ -401,10 +434,11 @@ DEFAULT_METRIC = "cross_track_median_m"
 
 @dataclass(frozen=True)
 class Winner:
-    """``coefficient`` with its share of the metric's p-box [smallest, largest] in the condition whose p-box is the widest.
+    """``coefficient`` with its share of the metric's p-box [smallest, largest] in the condition
+    whose p-box is the widest.
 
-    ``certain``: first in every condition, whatever the others are and for the sampling error. ``words``: of `sensitivity`.
-    """
+    ``certain``: first in every condition, whatever the others are and for the sampling error.
+    ``words``: of `sensitivity`."""
 
     coefficient: str
     metric: str
@@ -421,10 +455,11 @@ def find_winner(
     seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Winner:
-    """The coefficient with the largest part of the p-boxes' widths, summed over conditions; or ``coefficient``, with its part.
+    """The coefficient with the largest part of the p-boxes' widths, summed over conditions; or
+    ``coefficient``, with its part.
 
-    Raises BadInputError: no corner campaign, an unknown metric, nothing that could be compared, or no coefficient that wins.
-    """
+    Raises BadInputError: no corner campaign, an unknown metric, nothing that could be compared, or
+    no coefficient that wins."""
     flown = read_corner_campaign(folder)
     there = metrics_of(flown)
     chosen = metric or (DEFAULT_METRIC if DEFAULT_METRIC in there else (there or ("",))[0])
@@ -439,8 +474,8 @@ def find_winner(
     ]
     if not found:
         raise BadInputError(
-            f"{folder}: no sensitivity of {chosen} (uqharness sensitivity {folder} says why); fly more of the campaign, choose "
-            "another --metric, or name a --coefficient"
+            f"{folder}: no sensitivity of {chosen} (uqharness sensitivity {folder} says why); fly"
+            " more of the campaign, choose another --metric, or name a --coefficient"
         )
     parts: dict[str, float] = {}
     for item in found:
@@ -456,8 +491,9 @@ def find_winner(
         )
     if name not in COEFFICIENTS:
         raise BadInputError(
-            f"{folder}: {name} drives {chosen}; it is a quantity of its own and no model form: measure it. For the aerodynamic "
-            "coefficient that matters most name it: --coefficient C"
+            f"{folder}: {name} drives {chosen}; it is a quantity of its own and no model form:"
+            " measure it. For the aerodynamic coefficient that matters most name it:"
+            " --coefficient C"
         )
     best = max(found, key=lambda f: float(f.result.details["area"]))
     index = best.result.indices[name]

@@ -1,11 +1,13 @@
-"""Claims that a campaign supports: per condition and radius the rates of the best and the worst corner, limits, and the answer.
+"""Claims that a campaign supports: per condition and radius the rates of the best and the worst
+corner, limits, and the answer.
 
-"yes" needs two upper limits at every corner, each at half the error: of excursions, and of aborted flights, both per hour flown. An
-aborted flight counts as one excursion, and the time it did not fly at the rate in question.
-Limits take the flight as the unit (``rate_limits``) and hold for the corner that was picked. The upper limit of the worst rate is
-the largest of the corners' upper limits: it fails only if that of the corner that is truly the worst fails, so no more is paid for
-64 corners than for one. The same goes for the lower limit of the best. The other two pay for all corners.
-"""
+"yes" needs two upper limits at every corner, each at half the error: of excursions, and of aborted
+flights, both per hour flown. An aborted flight counts as one excursion, and the time it did not fly
+at the rate in question. Limits take the flight as the unit (``rate_limits``) and hold for the
+corner that was picked. The upper limit of the worst rate is the largest of the corners' upper
+limits: it fails only if that of the corner that is truly the worst fails, so no more is paid for 64
+corners than for one. The same goes for the lower limit of the best. The other two pay for all
+corners."""
 
 from __future__ import annotations
 
@@ -66,14 +68,17 @@ from uqharness.statistics import (
 ENOUGH_EXCURSIONS = 30
 """Excursions of a corner at a smaller radius that measure how they cluster."""
 TOLD = 10
-"""Excursions of a corner from which on its ratio of variance to mean is told, and may contradict the carried one."""
+"""Excursions of a corner from which on its ratio of variance to mean is told, and may contradict
+the carried one.
+"""
 RARE_PER_H = 1.0
 BEYOND = "clusters beyond the carried limit"
 
 
 @dataclass(frozen=True)
 class Carried:
-    """Per corner (c,): the largest variance over mean that limits carry, and the radius [m] it was measured at, NaN where assumed.
+    """Per corner (c,): the largest variance over mean that limits carry, and the radius [m] it was
+    measured at, NaN where assumed.
 
     ``beyond``: whether some corner's flights contradict it.
     """
@@ -100,10 +105,11 @@ def carried(
     assumed: float,
     error: float,
 ) -> Carried:
-    """``counts`` (c, n) of each flight beyond each radius [m], NaN marking none; ``flown_h`` (c,) hours; asked beyond ``radius_m``.
+    """``counts`` (c, n) of each flight beyond each radius [m], NaN marking none; ``flown_h`` (c,)
+    hours; asked beyond ``radius_m``.
 
-    A measured limit fails with about ``error`` at each corner; what contradicts the carried one does so at all corners together.
-    """
+    A measured limit fails with about ``error`` at each corner; what contradicts the carried one
+    does so at all corners together."""
     corners = flown_h.size
     found, where, shown = (
         np.full(corners, float(assumed)),
@@ -114,7 +120,8 @@ def carried(
         events = np.nansum(counts[radius], axis=1)
         rare = events < RARE_PER_H * flown_h
         low = dispersion_limits(counts[radius], error / corners)[0]
-        # A count above the limit by chance must not silence a radius: what counts there is that it is shown to be frequent.
+        # A count above the limit by chance must not silence a radius: what counts there is that it
+        # is shown to be frequent.
         frequent = (
             lower_limits(counts[radius], error) * np.isfinite(counts[radius]).sum(axis=1)
             >= RARE_PER_H * flown_h
@@ -134,7 +141,8 @@ def carried(
 
 
 def joint_level(manifest: Mapping[str, Any]) -> float | None:
-    """Probability that all intervals flown hold at once, if the coefficients are independent; None where no interval's is known.
+    """Probability that all intervals flown hold at once, if the coefficients are independent; None
+    where no interval's is known.
 
     ``manifest``: that of a campaign; ``bounds`` in it is the confidence of its model form.
     """
@@ -150,7 +158,9 @@ def joint_level(manifest: Mapping[str, Any]) -> float | None:
 
 
 def joint_words(manifest: Mapping[str, Any]) -> list[str]:
-    """Sentences without their stops: the set and its joint level, and whether transient model error flies; none without a form."""
+    """Sentences without their stops: the set and its joint level, and whether transient model error
+    flies; none without a form.
+    """
     level, bounds = joint_level(manifest), manifest.get("bounds")
     if level is None or bounds is None:
         return []
@@ -159,17 +169,22 @@ def joint_words(manifest: Mapping[str, Any]) -> list[str]:
     one = samples.marginal_radius(each)
     if epistemic["set"] == "ellipsoid":
         radius = samples.reach(len(names), each) * one
-        said = f"joint {_percent(each)} ellipsoid of {len(names)} intervals, {radius:.2f} standard deviations from their middles"
+        said = (
+            f"joint {_percent(each)} ellipsoid of {len(names)} intervals, {radius:.2f} standard"
+            " deviations from their middles"
+        )
     else:
         said = (
-            f"box of {len(names)} intervals of {_percent(each)} each: together they hold at {_percent(level)} if independent; "
-            f"its corners lie at {math.sqrt(len(names)) * one:.2f} standard deviations"
+            f"box of {len(names)} intervals of {_percent(each)} each: together they hold at"
+            f" {_percent(level)} if independent; its corners lie at"
+            f" {math.sqrt(len(names)) * one:.2f} standard deviations"
         )
     return [said, *_transient(epistemic, bounds["transient"])]
 
 
 def points_flown(epistemic: Mapping[str, Any]) -> str:
-    """Return the points of the box of bounds at which the results hold, ``corners and nominal model``; empty for drawn samples.
+    """Return the points of the box of bounds at which the results hold, ``corners and nominal
+    model``; empty for drawn samples.
 
     ``epistemic``: that section of a campaign's settings.
     """
@@ -185,7 +200,9 @@ def points_flown(epistemic: Mapping[str, Any]) -> str:
 
 
 def corners_only_words(epistemic: Mapping[str, Any]) -> list[str]:
-    """Return the sentence, without its stop, that no point between the corners was flown; none where interior points were."""
+    """Return the sentence, without its stop, that no point between the corners was flown; none
+    where interior points were.
+    """
     points = points_flown(epistemic)
     if epistemic["method"] != "corners" or epistemic.get("interior"):
         return []
@@ -269,17 +286,18 @@ class RateRange:
 class Statement:
     """One condition, radius and way of measuring distance.
 
-    ``corner_limits`` (c, 2) hold for all corners at once; ``dispersions`` (c,) are the observed ones, ``dispersion_observed`` the
-    largest over corners with at least ``TOLD`` excursions, NaN without one; ``extrapolated_share`` is the mean over all
-    flights that have one, NaN without. ``flight_share_upper`` bounds the share of flights with an excursion at the worst corner
-    (Clopper and Pearson 1934), which assumes nothing of how they cluster, for a number of flights fixed beforehand; NaN after
-    *decide*, which fixes none.
-    ``dispersion`` is what the limits carry, ``dispersion_allowed`` the largest of its corners; ``quiet_hours_needed`` with it are
-    flown at a corner without an excursion until it is a yes. A yes would be one up to the dispersion ``yes_up_to_dispersion``,
-    NaN for another answer. ``reason`` says why flights that would be a yes are not.
-    ``loss_upper_per_h`` bounds aborted flights per hour flown at the worst corner, at half the error; ``aborted`` counts them by
-    kind. ``points``: those of the box of bounds that were flown.
-    """
+    ``corner_limits`` (c, 2) hold for all corners at once; ``dispersions`` (c,) are the observed
+    ones, ``dispersion_observed`` the largest over corners with at least ``TOLD`` excursions, NaN
+    without one; ``extrapolated_share`` is the mean over all flights that have one, NaN without.
+    ``flight_share_upper`` bounds the share of flights with an excursion at the worst corner
+    (Clopper and Pearson 1934), which assumes nothing of how they cluster, for a number of flights
+    fixed beforehand; NaN after *decide*, which fixes none. ``dispersion`` is what the limits carry,
+    ``dispersion_allowed`` the largest of its corners; ``quiet_hours_needed`` with it are flown at a
+    corner without an excursion until it is a yes. A yes would be one up to the dispersion
+    ``yes_up_to_dispersion``, NaN for another answer. ``reason`` says why flights that would be a
+    yes are not. ``loss_upper_per_h`` bounds aborted flights per hour flown at the worst corner, at
+    half the error; ``aborted`` counts them by kind. ``points``: those of the box of bounds that
+    were flown."""
 
     cell: ExcursionCell
     best: RateRange
@@ -306,13 +324,19 @@ class Statement:
         """How many flights may have an excursion, in words; empty where that is not known."""
         if np.isnan(self.flight_share_upper):
             return ""
-        return f"at most {percent(self.flight_share_upper)} of flights have one at the worst corner (95 % limit, any clustering)"
+        return (
+            f"at most {percent(self.flight_share_upper)} of flights have one at the worst corner"
+            " (95 % limit, any clustering)"
+        )
 
 
 def statements(
     frame: Any, campaign: Mapping[str, Any], decisions: Sequence[Mapping[str, str]] = ()
 ) -> list[Statement]:
-    """Statements from a case table. ``campaign``: its settings as plain types; ``decisions``: rows of decisions.csv."""
+    """Statements from a case table.
+
+    ``campaign``: its settings as plain types; ``decisions``: rows of decisions.csv.
+    """
     rule = rule_of(campaign, frame["epistemic_id"].nunique())
     answers = {
         (row["condition"], row["radius_m"]): row["answer"]
@@ -337,8 +361,8 @@ def statements(
 
 @dataclass(frozen=True)
 class _Flown:
-    """A condition's rows of a case table, each corner's places among them, which of them failed, the aborted flights and the hours
-    that each corner flew (c,)."""
+    """A condition's rows of a case table, each corner's places among them, which of them failed,
+    the aborted flights and the hours that each corner flew (c,)."""
 
     rows: Any
     places: list[Any]
@@ -435,9 +459,11 @@ def _statement(
         float(rows["extrapolated_share"].mean()),
         np.column_stack([lower_all, upper_all]),
         observed,
-        float(share_upper((high > 0).sum(axis=1), flights, error).max())
-        if rule is None
-        else float("nan"),
+        (
+            float(share_upper((high > 0).sum(axis=1), flights, error).max())
+            if rule is None
+            else float("nan")
+        ),
         acceptable_loss,
         float(loss_upper.max()),
         losses.kinds,
@@ -462,11 +488,12 @@ def _shown_above(
     acceptable: tuple[float, float],
     error: float,
 ) -> bool:
-    """Whether some corner has been shown to be above an acceptable mean per flight, wrongly with probability ``error`` at most.
+    """Whether some corner has been shown to be above an acceptable mean per flight, wrongly with
+    probability ``error`` at most.
 
-    The mean of evidence against "all are below", over corners and over what is counted, is such evidence, whatever the dependence.
-    What a flight did not fly is charged at the tested mean, so that it is one per flight's length flown.
-    """
+    The mean of evidence against "all are below", over corners and over what is counted, is such
+    evidence, whatever the dependence. What a flight did not fly is charged at the tested mean, so
+    that it is one per flight's length flown."""
     excursions, losses = (
         log_e_above(
             np.where(
@@ -484,8 +511,8 @@ def _shown_above(
 def _counts(flown: _Flown, column: str) -> tuple[FloatArray, FloatArray]:
     """Least and most excursions of each flight, (corners, flights); NaN where a corner flew fewer.
 
-    A flight that failed may have had one more than was seen; one that lost control and flew on counts as one at least.
-    """
+    A flight that failed may have had one more than was seen; one that lost control and flew on
+    counts as one at least."""
     low, high = np.full((2, *flown.losses.lost.shape), np.nan)
     counts = flown.rows[column].to_numpy(dtype=float, na_value=np.nan)
     for row, places in enumerate(flown.places):

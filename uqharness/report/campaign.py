@@ -1,4 +1,6 @@
-"""What a campaign found, ready to be told: p-boxes of the median errors, supportable claims, the verdict as sentences."""
+"""What a campaign found, ready to be told: p-boxes of the median errors, supportable claims, the
+verdict as sentences.
+"""
 
 from __future__ import annotations
 
@@ -91,13 +93,19 @@ def sentence(item: Statement) -> str:
     if all(math.isnan(rate.rate) for rate in cell.rates):
         return text + "undefined, for no flight was scored."
     text += f"{item.best.rate:.3g} at the best corner, {item.worst.rate:.3g} at the worst"
-    text += f" ({CONFIDENCE:.0%} limits {_limits(item.best)} and {_limits(item.worst)}, flights as the unit, "
+    text += (
+        f" ({CONFIDENCE:.0%} limits {_limits(item.best)} and {_limits(item.worst)}, flights as the"
+        " unit, "
+    )
     hours = max(rate.hours for rate in cell.rates)
     text = (
         text.replace("%", " %")
         + f"{hours:.3g} h per corner{' at most' if _uneven(item) else ''}). "
     )
-    text += f"At most {item.acceptable_per_h:g} per hour at every corner? {answer_words(item).capitalize()}."
+    text += (
+        f"At most {item.acceptable_per_h:g} per hour at every corner?"
+        f" {answer_words(item).capitalize()}."
+    )
     share = item.flight_share
     return text + (f" {share.capitalize()}." if share else "")
 
@@ -114,16 +122,19 @@ def row(item: Statement) -> dict[str, str]:
         "worst_corner": item.worst.epistemic_id,
         "answer": item.answer,
         "hours": f"{sum(rate.hours for rate in cell.rates):.4g}",
-        "dispersion": "too few to say"
-        if math.isnan(item.dispersion_observed)
-        else f"{item.dispersion_observed:.2g}",
+        "dispersion": (
+            "too few to say"
+            if math.isnan(item.dispersion_observed)
+            else f"{item.dispersion_observed:.2g}"
+        ),
         "carried": _carried(item),
         "outside": "not known" if math.isnan(share) else percent(share),
     }
 
 
 def aborted_kinds(found: Sequence[Statement]) -> tuple[str, ...]:
-    """Kinds of aborted flights that have a column of their own: the three of a flight that ends, and others where there are some.
+    """Kinds of aborted flights that have a column of their own: the three of a flight that ends,
+    and others where there are some.
 
     None where no flight was aborted, so that no empty column widens a table.
     """
@@ -142,7 +153,9 @@ def aborted_head(kinds: Sequence[str]) -> tuple[str, ...]:
 
 
 def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tuple[str, ...]:
-    """Flights aborted by kind, and the upper limit of their rate at the worst corner; of several campaigns one after the other."""
+    """Flights aborted by kind, and the upper limit of their rate at the worst corner; of several
+    campaigns one after the other.
+    """
     if not kinds:
         return ()
     counts = (
@@ -159,22 +172,28 @@ def assumptions(found: Sequence[Statement], campaign: Mapping[str, Any]) -> list
     """What the statements rest on, and where the flights contradict it."""
     allowed = float(campaign["metrics"]["dispersion"])
     allowance = (
-        f"Upper limits allow for a variance of the excursions per flight of {allowed:g} times their mean ([metrics] dispersion) "
-        "and for more where the flights of a corner show more. Lower limits need no such assumption."
+        f"Upper limits allow for a variance of the excursions per flight of {allowed:g} times their"
+        " mean ([metrics] dispersion) and for more where the flights of a corner show more. Lower"
+        " limits need no such assumption."
     )
     if campaign["stop"]["rule"] != "decide":
         allowance += (
-            f" Where the same air shows {ENOUGH_EXCURSIONS} excursions or more at less than one per hour at a smaller radius, "
-            f"the upper limit of the ratio there ({100 * CONFIDENCE:g} %) stands in place of the assumed one."
+            f" Where the same air shows {ENOUGH_EXCURSIONS} excursions or more at less than one per"
+            f" hour at a smaller radius, the upper limit of the ratio there ({100 * CONFIDENCE:g}"
+            " %) stands in place of the assumed one."
         )
     lines = [
         "Flights are independent of each other; within a flight excursions may come in clusters.",
         allowance,
         (
-            "An aborted flight counts as one excursion on the upper side. Rates are per hour flown, and yes needs an acceptable "
-            "rate of aborted flights as well ([metrics] acceptable_loss_per_h)."
+            "An aborted flight counts as one excursion on the upper side. Rates are per hour flown,"
+            " and yes needs an acceptable rate of aborted flights as well ([metrics]"
+            " acceptable_loss_per_h)."
         ),
-        "Corners are the epistemic samples flown. Statements do not cover models between or outside them.",
+        (
+            "Corners are the epistemic samples flown. Statements do not cover models between or"
+            " outside them."
+        ),
     ]
     told = {
         (item.cell.condition.words, item.cell.radius_m): item
@@ -185,22 +204,25 @@ def assumptions(found: Sequence[Statement], campaign: Mapping[str, Any]) -> list
     if measured:
         least = min(measured, key=lambda item: item.quiet_hours_needed)
         lines.append(
-            f"Clusters were measured for {len(measured)} of {len(told)} conditions and radii. With them a corner without an "
-            f"excursion needs {least.quiet_hours_needed:.3g} h to be a yes in {least.cell.condition.words} beyond "
-            f"{least.cell.radius_m:g} m."
+            f"Clusters were measured for {len(measured)} of {len(told)} conditions and radii. With"
+            f" them a corner without an excursion needs {least.quiet_hours_needed:.3g} h to be a"
+            f" yes in {least.cell.condition.words} beyond {least.cell.radius_m:g} m."
         )
     beyond = [item for item in found if item.dispersion_observed > item.dispersion_allowed]
     if beyond:
         worst = max(beyond, key=lambda item: item.dispersion_observed)
         lines.append(
-            f"More clustered than assumed: {worst.dispersion_observed:.2g} times the mean beyond {worst.cell.radius_m:g} m in "
-            f"{worst.cell.condition.words}. Raise [metrics] dispersion for conditions that have not shown an excursion yet."
+            f"More clustered than assumed: {worst.dispersion_observed:.2g} times the mean beyond"
+            f" {worst.cell.radius_m:g} m in {worst.cell.condition.words}. Raise [metrics]"
+            " dispersion for conditions that have not shown an excursion yet."
         )
     return lines
 
 
 def _carried(item: Statement) -> str:
-    """What clusters the limits carry, where that comes from, and the hours a quiet corner needs with it."""
+    """What clusters the limits carry, where that comes from, and the hours a quiet corner needs
+    with it.
+    """
     corners = len(item.cell.rates)
     origin = "assumed"
     if item.dispersion.measured:
@@ -228,7 +250,9 @@ NOUNS: Mapping[str, str] = {"corners": "corner", "levels": "combination", "walk"
 
 
 def kind_of(epistemic: Mapping[str, Any]) -> str:
-    """What ``called`` takes for a campaign's [epistemic]: its method, unless other samples flew beside or in place of corners."""
+    """What ``called`` takes for a campaign's [epistemic]: its method, unless other samples flew
+    beside or in place of corners.
+    """
     mixed = epistemic["method"] == "corners" and (
         epistemic.get("interior") or epistemic.get("nominal") or epistemic["set"] != "box"
     )
@@ -236,7 +260,10 @@ def kind_of(epistemic: Mapping[str, Any]) -> str:
 
 
 def called(part: Part, method: str) -> Part:
-    """A text, or a part of a page with all texts in it, that names the samples of ``method``. Drawings stay as they are."""
+    """A text, or a part of a page with all texts in it, that names the samples of ``method``.
+
+    Drawings stay as they are.
+    """
     noun = NOUNS.get(method, "sample")
     return part if noun == "corner" else _renamed(part, noun)
 
@@ -262,17 +289,19 @@ _QUANTITIES = (
     ("heading", "heading", "deg"),
 )
 _UNITS = {"m": "m", "mps": "m/s", "deg": "deg"}
-# Medians of the published flight (Hale 2016, section 3.9), measured by its own sensors; 3 m/s wind, moderate to severe.
+# Medians of the published flight (Hale 2016, section 3.9), measured by its own sensors; 3 m/s wind,
+# moderate to severe.
 _PUBLISHED = {"cross_track": 9.41, "altitude": 2.16, "speed": 0.61}
 _PUBLISHED_AIRCRAFT, _PUBLISHED_WIND_MPS, _PUBLISHED_AIR = "espaaro", 3.0, ("moderate", "severe")
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One p-box of a median error and the samples it is the envelope of. ``metric`` is its column of cases.parquet.
+    """One p-box of a median error and the samples it is the envelope of. ``metric`` is its column
+    of cases.parquet.
 
-    ``widened``: by which share of its area the points between the corners widen it; None where none were flown.
-    """
+    ``widened``: by which share of its area the points between the corners widen it; None where none
+    were flown."""
 
     metric: str
     quantity: str
@@ -344,7 +373,9 @@ def read_found(folder: Path) -> CampaignFound:
 
 
 def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]:
-    """P-boxes of the medians: per condition, per quantity, measured before true (the published flight is measured)."""
+    """P-boxes of the medians: per condition, per quantity, measured before true (the published
+    flight is measured).
+    """
     found = []
     for condition in conditions(frame):
         rows = in_condition(frame, condition)
@@ -398,7 +429,10 @@ def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
     within = f"within the intervals of {', '.join(epistemic['coefficients'])}"
     samples_text = {
         "none": "the model as it is, without model-form uncertainty",
-        "corners": f"{corners - between} {ends}{also} of the model-form intervals of {', '.join(epistemic['coefficients'])}",
+        "corners": (
+            f"{corners - between} {ends}{also} of the model-form intervals of"
+            f" {', '.join(epistemic['coefficients'])}"
+        ),
         "levels": f"{corners} combinations of levels {within}",
         "lhs": f"{corners} fixed levels, a Latin hypercube, {within}",
         "white": f"{corners} samples of levels redrawn at every step {within}",
@@ -416,10 +450,11 @@ def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
     winds = ", ".join(f"{wind:g}" for wind in air["wind_mps"])
     noise = "noisy" if air["sensor_noise"] else "noise-free"
     return (
-        f"How much do errors and excursions of this mission depend on the model's epistemic uncertainty? "
-        f"{samples_text[0].upper()}{samples_text[1:]}; {air['flights']} flights each, of {air['duration_s']:g} s scored "
-        f"after {air['burn_in_s']:g} s of burn-in; wind {winds} m/s from {air['wind_from_deg']:g} deg, "
-        f"turbulence {', '.join(air['turbulence'])} ({air['turbulence_source']}), {noise} sensors."
+        "How much do errors and excursions of this mission depend on the model's epistemic"
+        f" uncertainty? {samples_text[0].upper()}{samples_text[1:]}; {air['flights']} flights each,"
+        f" of {air['duration_s']:g} s scored after {air['burn_in_s']:g} s of burn-in; wind {winds}"
+        f" m/s from {air['wind_from_deg']:g} deg, turbulence {', '.join(air['turbulence'])}"
+        f" ({air['turbulence_source']}), {noise} sensors."
     )
 
 
@@ -432,7 +467,9 @@ def _verdict(
     findings: Sequence[Finding],
     signed: Sequence[Statement],
 ) -> list[Say]:
-    """The answer in words with numbers: the hardest condition, its excursions, its medians, and what failed."""
+    """The answer in words with numbers: the hardest condition, its excursions, its medians, and
+    what failed.
+    """
     kind = kind_of(campaign["epistemic"])
     hardest = hardest_of(conditions(frame))
     duration = campaign["aleatory"]["duration_s"]
@@ -443,7 +480,8 @@ def _verdict(
     if UNCOMMANDED_METRICS[0] in frame:
         said.append(
             Say(
-                "No path was commanded: errors are deviations from the state in which scoring began."
+                "No path was commanded: errors are deviations from the state in which scoring"
+                " began."
             )
         )
     for quantity, _, _ in _QUANTITIES:
@@ -487,7 +525,10 @@ def _median_sentence(both: Sequence[Finding], duration_s: float) -> str:
         parts.append(
             f"{span(low, high)} {item.unit} {'as measured' if item.measured else 'in truth'}"
         )
-    text = f"Median {both[0].words} error of a typical {duration_s:g} s flight, best to worst corner: {', '.join(parts)}"
+    text = (
+        f"Median {both[0].words} error of a typical {duration_s:g} s flight, best to worst corner:"
+        f" {', '.join(parts)}"
+    )
     for item in both:
         if item.published is not None:
             low, high = item.box.value[0], item.box.value[-1]
@@ -498,7 +539,10 @@ def _median_sentence(both: Sequence[Finding], duration_s: float) -> str:
                 if item.published < low
                 else "above"
             )
-            text += f"; the published flight's {item.published:g} {item.unit} lies {where} the range measured by single flights, "
+            text += (
+                f"; the published flight's {item.published:g} {item.unit} lies {where} the range"
+                " measured by single flights, "
+            )
             text += f"{low:.3g} to {high:.3g} {item.unit}"
     return text + "."
 
@@ -519,7 +563,10 @@ Row = Mapping[str, str]
 def sensitivity_section(
     folder: Path, manifest: Mapping[str, Any], prefix: str = ""
 ) -> tuple[Section, ...]:
-    """The section, none where ``uqharness sensitivity`` has not been run on the folder. Raises BadInputError."""
+    """The section, none where ``uqharness sensitivity`` has not been run on the folder.
+
+    Raises BadInputError.
+    """
     table_rows = read_sensitivity(folder, manifest)
     if not table_rows:
         return ()
@@ -536,12 +583,15 @@ def sensitivity_section(
         m: found for m in (*_SHOWN, *counts[:1]) if (found := [r for r in rows if r["metric"] == m])
     }
     text = (
-        "How much of the p-box's width each coefficient's interval makes: the thick bar runs from the smallest to the largest "
-        "share over the values of the others, the wide pale one is its 95 % sampling interval. Ranges that overlap do not rank. "
-        f"{hardest.words[0].upper()}{hardest.words[1:]}; all conditions and metrics stand in sensitivity.csv."
+        "How much of the p-box's width each coefficient's interval makes: the thick bar runs from"
+        " the smallest to the largest share over the values of the others, the wide pale one is"
+        " its 95 % sampling interval. Ranges that overlap do not rank."
+        f" {hardest.words[0].upper()}{hardest.words[1:]}; all conditions and metrics stand in"
+        " sensitivity.csv."
     )
     table = Table(
-        "Share of the p-box's width by coefficient, and by how much it would shrink were the coefficient known.",
+        "Share of the p-box's width by coefficient, and by how much it would shrink were the"
+        " coefficient known.",
         ("Metric", "Coefficient", "Share", "Its 95 % interval", "Shrinks by"),
         tuple(_table_row(r) for found in by_metric.values() for r in _ordered(found)),
     )
@@ -554,7 +604,9 @@ def sensitivity_section(
 
 
 def condition_sections(content: bytes) -> list[Section]:
-    """The drawings of a sensitivity.csv, one file a condition: shares of the medians of the error's three quantities."""
+    """The drawings of a sensitivity.csv, one file a condition: shares of the medians of the error's
+    three quantities.
+    """
     out = []
     for condition, found in by_condition(
         list(csv.DictReader(content.decode().splitlines()))
@@ -599,8 +651,9 @@ def _ordered(rows: Sequence[Row]) -> list[Row]:
 def _figure(metric: str, rows: Sequence[Row], condition: Condition, prefix: str) -> Figure:
     words, first = _words(metric), rows[0]
     label = (
-        f"Sensitivity of the {words}: shares of the p-box's width [-] by coefficient; {first['coefficient']} has "
-        f"{float(first['share_min']):.2g} to {float(first['share_max']):.2g}."
+        f"Sensitivity of the {words}: shares of the p-box's width [-] by coefficient;"
+        f" {first['coefficient']} has {float(first['share_min']):.2g} to"
+        f" {float(first['share_max']):.2g}."
     )
     name, x = (
         f"{prefix}sensitivity-{metric.replace('_', '-')}",
@@ -659,7 +712,8 @@ _COLUMNS = ("time_s", "north_m", "east_m", "error_cross_track")
 
 
 def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[Section, ...]:
-    """The tracks of flights flown again, or the command that flies the worst one again; none for a mission without a path.
+    """The tracks of flights flown again, or the command that flies the worst one again; none for a
+    mission without a path.
 
     frame: cases.parquet, one row a flight. A record that cannot be read is told.
     """
@@ -694,14 +748,20 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
         if figure is not None:
             found.append(figure)
     if found:
-        text = "Flights of the campaign that were flown again, the largest median cross-track error first."
+        text = (
+            "Flights of the campaign that were flown again, the largest median cross-track error"
+            " first."
+        )
         return (
             Section(
                 "Ground track", (Words(text, note=True), *said, Figures(tuple(found), file=""))
             ),
         )
     worst = worst_case(frame)
-    text = "No record of a flight stands in this folder. The worst flight of the hardest condition is flown again, and drawn here, by:"
+    text = (
+        "No record of a flight stands in this folder. The worst flight of the hardest condition is"
+        " flown again, and drawn here, by:"
+    )
     commands = (
         ("Fly", f"uqharness campaign rerun DIR --case {worst}"),
         ("Report", "uqharness campaign report DIR"),
@@ -710,8 +770,9 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
 
 
 def shown_cases(frame: pd.DataFrame) -> tuple[str, ...]:
-    """Cases whose tracks a page should show: of the flights of the hardest condition with a known median cross-track error the one
-    with the largest and the one in the middle; fewer where there are fewer, none for a mission without a path."""
+    """Cases whose tracks a page should show: of the flights of the hardest condition with a known
+    median cross-track error the one with the largest and the one in the middle; fewer where there
+    are fewer, none for a mission without a path."""
     if _WORST not in frame or not frame[_WORST].notna().any():
         return ()
     rows = in_condition(frame, hardest_of(conditions(frame)))
@@ -724,7 +785,9 @@ def shown_cases(frame: pd.DataFrame) -> tuple[str, ...]:
 
 
 def worst_case(frame: pd.DataFrame) -> str:
-    """Case with the largest median cross-track error that is known in the hardest condition, the first by its id among equals."""
+    """Case with the largest median cross-track error that is known in the hardest condition, the
+    first by its id among equals.
+    """
     rows = in_condition(frame, hardest_of(conditions(frame)))
     known = rows[rows[_WORST].notna()]
     rows = rows if known.empty else known.sort_values([_WORST, "case_id"], ascending=[False, True])
@@ -755,9 +818,10 @@ def engine_section(manifest: Mapping[str, Any], rows: Sequence[CheckRow]) -> Sec
     if engine == "batch":
         flights = len({row.case_id for row in whole})
         text = (
-            f"{flights} whole flights, and the first seconds of some of each condition, were flown in JSBSim as well. A difference "
-            f"is measured by the metric's spread over the condition's flights; at {TOLERANCE:g} of it the campaign would have "
-            "stopped. engine-check.csv has every row."
+            f"{flights} whole flights, and the first seconds of some of each condition, were flown"
+            " in JSBSim as well. A difference is measured by the metric's spread over the"
+            f" condition's flights; at {TOLERANCE:g} of it the campaign would have stopped."
+            " engine-check.csv has every row."
         )
         blocks += [Words(text, note=True), *_tables(whole)]
     return Section("Engine", tuple(blocks))
@@ -803,7 +867,9 @@ def overlay_section(
     prefix: str = "",
     title: str = "Before and after",
 ) -> Section:
-    """P-boxes of two campaigns over each other wherever both have the same quantity in the same condition."""
+    """P-boxes of two campaigns over each other wherever both have the same quantity in the same
+    condition.
+    """
     titles = ("before", "after")
     drawn = hardest_first([c for c in conditions(before.frame) if c in conditions(after.frame)])[
         :_OVERLAID
@@ -857,16 +923,17 @@ def overlay_section(
             title, (Words("The two campaigns share no quantity in the same condition."),)
         )
     text = (
-        f"Two p-boxes over each other: the dashed one before ({names['before']}), the solid one after ({names['after']})."
-        " A narrower box means that less is unknown; a "
-        "box that moved means that the model was wrong. The cursor names the epistemic sample behind each side."
+        f"Two p-boxes over each other: the dashed one before ({names['before']}), the solid one"
+        f" after ({names['after']}). A narrower box means that less is unknown; a box that moved"
+        " means that the model was wrong. The cursor names the epistemic sample behind each side."
     )
     notes: list[Block] = [Words(text, note=True)]
     unlike = _unlike(before, after)
     if unlike:
         notes.append(
             Words(
-                f"Not the same flights otherwise: {unlike} differ, so part of the change may be theirs."
+                f"Not the same flights otherwise: {unlike} differ, so part of the change may be"
+                " theirs."
             )
         )
     head = ("Error", "Condition", "Middle before", "Middle after", "Width after over before [-]")

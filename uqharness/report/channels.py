@@ -1,4 +1,6 @@
-"""Every channel of a flight over time: one chart a channel, phases and manoeuvres shaded, findings flagged where they are."""
+"""Every channel of a flight over time: one chart a channel, phases and manoeuvres shaded, findings
+flagged where they are.
+"""
 
 from __future__ import annotations
 
@@ -51,14 +53,18 @@ _UNITS = {
 }
 _OTHER = "Other channels"
 _STILL = 1e-3
-"""Least height of an axis, as a share of the channel's own size: rounding of what stands still is not drawn large."""
+"""Least height of an axis, as a share of the channel's own size: rounding of what stands still is
+not drawn large.
+"""
 _NUMBER_WIDTH = 6.5
 _MOST_DOTS = 1200
 
 
 @dataclass(frozen=True)
 class Shade:
-    """A stretch of time [s] that is shaded in every chart, in the class ``kind`` of figure.css; ``mark`` stands on top of it."""
+    """A stretch of time [s] that is shaded in every chart, in the class ``kind`` of figure.css;
+    ``mark`` stands on top of it.
+    """
 
     start_s: float
     end_s: float
@@ -68,7 +74,9 @@ class Shade:
 
 @dataclass(frozen=True)
 class Flag:
-    """What was found wrong with a channel: in short, and the stretches of time [s] in which it is so; none for all of it."""
+    """What was found wrong with a channel: in short, and the stretches of time [s] in which it is
+    so; none for all of it.
+    """
 
     words: str
     spans: tuple[tuple[float, float], ...] = ()
@@ -106,7 +114,9 @@ def channel_sections(
     flags: Mapping[str, Sequence[Flag]],
     legend: Sequence[tuple[str, str]],
 ) -> list[Section]:
-    """A section for each group of channels that ``columns`` (name -> (n,), ``time_s`` among them) has."""
+    """A section for each group of channels that ``columns`` (name -> (n,), ``time_s`` among them)
+    has.
+    """
     known = [
         n
         for n in columns
@@ -227,7 +237,9 @@ _WHOLE = ("flight-phase", "slower-than-grid", "time-repeats")
 
 
 def channels_of(finding: Finding, record: FlightRecord) -> tuple[str, ...]:
-    """Channels of the record that a finding concerns: its own, those of its group, or those made from its message."""
+    """Channels of the record that a finding concerns: its own, those of its group, or those made
+    from its message.
+    """
     name = finding.channel
     if name in record:
         return (name,)
@@ -244,7 +256,9 @@ def channels_of(finding: Finding, record: FlightRecord) -> tuple[str, ...]:
 def spans_of(
     finding: Finding, channel: str, record: FlightRecord
 ) -> tuple[tuple[float, float], ...]:
-    """Stretches [s] in which a finding holds for a channel; none where it holds throughout or the log does not say."""
+    """Stretches [s] in which a finding holds for a channel; none where it holds throughout or the
+    log does not say.
+    """
     numbers = finding.numbers
     if "start_s" in numbers and "end_s" in numbers:
         return ((numbers["start_s"], numbers["end_s"]),)
@@ -278,7 +292,9 @@ def flags_of(record: FlightRecord) -> dict[str, list[Flag]]:
 
 
 def _runs(time_s: NDArray[np.float64], mask: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
-    """Begin and end of each run of True, joined over ever longer distances until there are at most `MOST_SPANS`."""
+    """Begin and end of each run of True, joined over ever longer distances until there are at most
+    `MOST_SPANS`.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     runs = [(float(time_s[a]), float(time_s[b - 1])) for a, b in edges.reshape(-1, 2)]
     apart = 0.0

@@ -66,9 +66,9 @@ def channel_rows(found: Comparison) -> list[dict[str, str]]:
             "rms": f"{g.rms:.4g}",
             "noise": f"{g.noise:.4g}",
             "ratio": f"{g.ratio:.2f}",
-            "verdict": ("at the noise" if g.ratio <= LIMIT else "above")
-            if g.judged
-            else "not judged",
+            "verdict": (
+                ("at the noise" if g.ratio <= LIMIT else "above") if g.judged else "not judged"
+            ),
             "delay [ms]": _delay(g),
             "Theil U": f"{g.theil.u:.3f}",
             "bias": f"{g.theil.bias:.2f}",
@@ -154,14 +154,16 @@ def verdict(found: Comparison) -> str:
     """One sentence: reached or not, by the rule."""
     if not found.reached and found.slips:
         return (
-            "Signs or scales differ between record and model, which comes before any delay: "
-            f"{'; '.join(found.slips)}. Correct the channel's map or the servo table (see uqharness log info), or the model."
+            "Signs or scales differ between record and model, which comes before any delay:"
+            f" {'; '.join(found.slips)}. Correct the channel's map or the servo table (see"
+            " uqharness log info), or the model."
         )
     if not found.reached and not found.aligned:
         when = "early" if found.controls_late_s < 0.0 else "late"
         return (
-            f"The record is not aligned: its controls act {1e3 * abs(found.controls_late_s):.1f} ms {when}, and "
-            f"{1e3 * found.late_limit_s:.1f} ms are allowed. A command belongs to the row whose acceleration has seen it first: "
-            "shift the command columns, otherwise a model identified from this flight gets this lag in addition."
+            f"The record is not aligned: its controls act {1e3 * abs(found.controls_late_s):.1f} ms"
+            f" {when}, and {1e3 * found.late_limit_s:.1f} ms are allowed. A command belongs to the"
+            " row whose acceleration has seen it first: shift the command columns, otherwise a"
+            " model identified from this flight gets this lag in addition."
         )
     return noise_floor(found.reached, {c: found.channels[c].ratio for c in found.above}, _RULE)

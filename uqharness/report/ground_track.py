@@ -1,4 +1,6 @@
-"""One lap beside the path it was to keep, as ground track and as distance over time; whole tracks of recorded flights."""
+"""One lap beside the path it was to keep, as ground track and as distance over time; whole tracks
+of recorded flights.
+"""
 
 from __future__ import annotations
 
@@ -42,10 +44,11 @@ class Circle:
 
 
 def circle_of(north_m: FloatArray, east_m: FloatArray, distance_m: FloatArray) -> Circle | None:
-    """The circle from which signed distances are measured (positive outside), by least squares; None where they are not.
+    """The circle from which signed distances are measured (positive outside), by least squares;
+    None where they are not.
 
-    With r the distance from the middle c and d = r - R: n² + e² - d² = 2 c·(n, e) + 2 R d + R² - c², linear in c, R and the rest.
-    """
+    With r the distance from the middle c and d = r - R: n² + e² - d² = 2 c·(n, e) + 2 R d + R² -
+    c², linear in c, R and the rest."""
     known = np.isfinite(north_m) & np.isfinite(east_m) & np.isfinite(distance_m)
     n, e, d = north_m[known], east_m[known], distance_m[known]
     if n.size < 8:
@@ -62,7 +65,9 @@ def circle_of(north_m: FloatArray, east_m: FloatArray, distance_m: FloatArray) -
 
 
 def equal_scales(east: FloatArray, north: FloatArray, height: int) -> tuple[Scale, Scale]:
-    """Axes east and north [m] of a chart that high around the points: one metre is as long to the east as to the north."""
+    """Axes east and north [m] of a chart that high around the points: one metre is as long to the
+    east as to the north.
+    """
     middle = [0.5 * float(np.nanmin(v) + np.nanmax(v)) for v in (east, north)]
     blank = Chart(
         "blank", "", Scale("", 0.0, 1.0), Scale("", middle[1] - 1e3, middle[1] + 1e3), height
@@ -80,10 +85,10 @@ def equal_scales(east: FloatArray, north: FloatArray, height: int) -> tuple[Scal
 class Lap:
     """One lap of the flights of a study, all in the same air.
 
-    tracks: (when, model) -> rows of tracks.parquet within the lap, from ``begin_s`` to ``end_s``; ``at_s``: the instant around
-    which it lies, at which the flights are ``apart_m`` from each other (0 for one flight). ``judged``: the worst corner flown
-    last, with its largest distance from the path in the whole flight, ``largest_m``; ``circle``: the path, if it is one.
-    """
+    tracks: (when, model) -> rows of tracks.parquet within the lap, from ``begin_s`` to ``end_s``;
+    ``at_s``: the instant around which it lies, at which the flights are ``apart_m`` from each other
+    (0 for one flight). ``judged``: the worst corner flown last, with its largest distance from the
+    path in the whole flight, ``largest_m``; ``circle``: the path, if it is one."""
 
     tracks: Mapping[tuple[str, str], pd.DataFrame]
     begin_s: float
@@ -101,10 +106,11 @@ class Lap:
 
 
 def lap_of(flown: pd.DataFrame) -> Lap | None:
-    """The lap in which the flights lie farthest from each other, or, where they do not differ, the worst corner from its path.
+    """The lap in which the flights lie farthest from each other, or, where they do not differ, the
+    worst corner from its path.
 
-    flown: tracks.parquet of a study. None without a worst corner whose distance from a path is known.
-    """
+    flown: tracks.parquet of a study. None without a worst corner whose distance from a path is
+    known."""
     tracks = {
         (str(when), str(model)): rows
         for (when, model), rows in flown.groupby(["when", "model"], sort=False)
@@ -135,7 +141,9 @@ def lap_of(flown: pd.DataFrame) -> Lap | None:
 
 
 def ground_track(name: str, lap: Lap, radius_m: float, condition: str) -> Figure:
-    """The track of each flight with the path, where that is a circle, and the radius asked about [m] around it."""
+    """The track of each flight with the path, where that is a circle, and the radius asked about
+    [m] around it.
+    """
     rings = list(_rings(lap.circle, radius_m)) if lap.circle else []
     east = np.concatenate(
         [*(rows["east_m"] for rows in lap.tracks.values()), *(ring[0] for ring in rings)]
@@ -162,12 +170,17 @@ def ground_track(name: str, lap: Lap, radius_m: float, condition: str) -> Figure
         if lap.apart_m > _APART_M
         else "the worst corner is farthest from its path"
     )
-    caption = f"Ground track of the lap ({lap.end_s - lap.begin_s:.0f} s) in which {why}. {_sentence(condition)}, one air for all lines."
+    caption = (
+        f"Ground track of the lap ({lap.end_s - lap.begin_s:.0f} s) in which {why}."
+        f" {_sentence(condition)}, one air for all lines."
+    )
     return Figure(name, chart.svg(), caption)
 
 
 def track_distance(name: str, lap: Lap, radius_m: float) -> Figure:
-    """Distance of each flight from the path [m] over the time of the lap [s], with the radius asked about."""
+    """Distance of each flight from the path [m] over the time of the lap [s], with the radius asked
+    about.
+    """
     sides = {key: rows["distance_m"].to_numpy(dtype=float) for key, rows in lap.tracks.items()}
     known = np.concatenate(list(sides.values()))
     # A limit that no line comes near would only flatten the lines.
@@ -192,12 +205,17 @@ def track_distance(name: str, lap: Lap, radius_m: float) -> Figure:
             _KINDS[key],
             lap.called(key),
         )
-    caption = f"The same lap. {_sentence(_largest(lap))}; in the whole flight {lap.largest_m:.3g} m ({lap.called(lap.judged)})."
+    caption = (
+        f"The same lap. {_sentence(_largest(lap))}; in the whole flight {lap.largest_m:.3g} m"
+        f" ({lap.called(lap.judged)})."
+    )
     return Figure(name, chart.svg(), caption)
 
 
 def _in_order(lap: Lap) -> list[tuple[tuple[str, str], pd.DataFrame]]:
-    """Worst corners below, the dashed lines of before above the others: a line stays visible where two coincide."""
+    """Worst corners below, the dashed lines of before above the others: a line stays visible where
+    two coincide.
+    """
     return sorted(
         lap.tracks.items(), key=lambda item: (item[0][1] == "nominal", item[0][0] == "before")
     )
@@ -217,7 +235,9 @@ def _sentence(words: str) -> str:
 
 
 def _apart(time_s: FloatArray, tracks: Sequence[pd.DataFrame]) -> FloatArray:
-    """Largest distance between two of the flights across the path [m] at each instant (n,); 0 where it is not known."""
+    """Largest distance between two of the flights across the path [m] at each instant (n,); 0 where
+    it is not known.
+    """
     found = []
     for rows in tracks:
         known = rows[rows["distance_m"].notna()]
@@ -235,9 +255,9 @@ def flown_track(
 
     Without ``circles`` the one is drawn that its cross-track error tells of, if any.
 
-    columns: name -> (n,), of which ``north_m`` and ``east_m`` [m], or ``vn_mps`` and ``ve_mps`` with ``time_s``, and
-    ``cross_track_m`` are used; None where the position is not known. words: what the caption says besides.
-    """
+    columns: name -> (n,), of which ``north_m`` and ``east_m`` [m], or ``vn_mps`` and ``ve_mps``
+    with ``time_s``, and ``cross_track_m`` are used; None where the position is not known. words:
+    what the caption says besides."""
     place = _places(columns)
     if place is None:
         return None
@@ -298,13 +318,16 @@ def _commanded(
         return []
     distance = np.asarray(columns["cross_track_m"], dtype=float)
     circle = circle_of(north, east, distance) or circle_of(north, east, -distance)
-    # Of a circle much wider than the track nothing but a line would be seen, and the track not at all.
+    # Of a circle much wider than the track nothing but a line would be seen, and the track not at
+    # all.
     reach = max(float(np.nanmax(v) - np.nanmin(v)) for v in (north, east))
     return [circle] if circle is not None and circle.radius_m <= _WIDEST * reach else []
 
 
 def _turn(time_s: FloatArray, north: FloatArray, east: FloatArray, at: int) -> tuple[float, float]:
-    """Begin and end [s] of one turn of the course around the instant ``at``, a whole one where the flight has one."""
+    """Begin and end [s] of one turn of the course around the instant ``at``, a whole one where the
+    flight has one.
+    """
     course = np.unwrap(np.arctan2(np.gradient(east), np.gradient(north)))
     low, high = float(course.min()) + math.pi, float(course.max()) - math.pi
     near = (

@@ -1,4 +1,6 @@
-"""Time histories on a page: the log against one or more models, with the band that the sensors' noise allows."""
+"""Time histories on a page: the log against one or more models, with the band that the sensors'
+noise allows.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def file_name(text: str) -> str:
 
 @dataclass(frozen=True)
 class Model:
-    """A model in a file of histories: the ending of its columns, the class that draws it, what it is called."""
+    """A model in a file of histories: the ending of its columns, the class that draws it, what it
+    is called.
+    """
 
     suffix: str
     kind: str
@@ -50,21 +54,26 @@ def history_section(
     most: int | None = MOST_SEGMENTS,
     file: Callable[[int, History], str | None] = lambda rank, history: None,
 ) -> tuple[Section, ...]:
-    """The segments in which the first model is farthest from the log, each channel against all models; none without histories.
+    """The segments in which the first model is farthest from the log, each channel against all
+    models; none without histories.
 
-    noise: channel -> standard deviation, in the channel's own unit, None where it is not known (then no band is drawn).
-    most: number of segments shown, None for all. file: name of a segment's file of figures, by its rank.
-    """
+    noise: channel -> standard deviation, in the channel's own unit, None where it is not known
+    (then no band is drawn). most: number of segments shown, None for all. file: name of a segment's
+    file of figures, by its rank."""
     if not found:
         return ()
     ranked = sorted(found, key=lambda h: -_worst(h, noise, models[0])[0])[:most]
     first, last = ((f" {m.words}" if len(models) > 1 else "") for m in (models[0], models[-1]))
     which = "All segments"
     if len(ranked) < len(found):
-        which = f"The {len(ranked)} of {len(found)} segments in which the model{first} is farthest from the log"
+        which = (
+            f"The {len(ranked)} of {len(found)} segments in which the model{first} is farthest from"
+            " the log"
+        )
     text = (
-        f"{which}, the worst first; every segment stands in histories.parquet. The band is the model{last} plus and minus 1.96 "
-        "times the noise of the channel: with a right model 95 % of the samples lie inside."
+        f"{which}, the worst first; every segment stands in histories.parquet. The band is the"
+        f" model{last} plus and minus 1.96 times the noise of the channel: with a right model 95 %"
+        " of the samples lie inside."
     )
     legend = (
         ("dot", "log"),
@@ -80,7 +89,9 @@ def history_section(
 def farthest_figure(
     found: Sequence[History], noise: Mapping[str, float | None], models: Sequence[Model], name: str
 ) -> Figure | None:
-    """The one channel in the one segment in which the first model is farthest from the log; None where nothing is judged."""
+    """The one channel in the one segment in which the first model is farthest from the log; None
+    where nothing is judged.
+    """
     ratio, channel, history = max(
         ((*_worst(h, noise, models[0]), h) for h in found),
         key=lambda item: item[0],
@@ -118,7 +129,8 @@ def _segment(
     if math.isfinite(ratio):
         blocks.append(
             Words(
-                f"Farthest in {shown_channel(channel)[0]}: rms of log minus model{when} {ratio:.2f} times the noise."
+                f"Farthest in {shown_channel(channel)[0]}: rms of log minus model{when} {ratio:.2f}"
+                " times the noise."
             )
         )
     return Section(history.title, (*blocks, Figures(tuple(figures), legend, True, file)))
@@ -144,7 +156,10 @@ def _channel(
     shown = [measured, *(y for _, y in drawn)]
     if band is not None:
         shown += [drawn[-1][1] - band, drawn[-1][1] + band]
-    label = f"{quantity} [{unit}] against time [s], {history.title}: log and {', '.join(m.words for m, _ in drawn)}."
+    label = (
+        f"{quantity} [{unit}] against time [s], {history.title}: log and"
+        f" {', '.join(m.words for m, _ in drawn)}."
+    )
     if not np.isfinite(measured).any():
         label += " The log has no value of it here."
     chart = Chart(
@@ -168,7 +183,10 @@ def _channel(
     for model, y in drawn:
         chart.line(history.time_s, y, model.kind, f"simulation {model.words}" if legend else "")
     ratio = _ratio(history, name, noise, models[-1])
-    caption = f"{quantity}: {'gap over noise undefined' if ratio is None else f'{ratio:.2f} times the noise'}"
+    caption = (
+        f"{quantity}:"
+        f" {'gap over noise undefined' if ratio is None else f'{ratio:.2f} times the noise'}"
+    )
     return Figure(chart.name, chart.svg(), caption)
 
 
@@ -192,7 +210,9 @@ def _time(history: History) -> Scale:
 
 
 def _worst(history: History, noise: Mapping[str, float | None], model: Model) -> tuple[float, str]:
-    """Largest rms over noise of log minus model, and its channel; minus infinity where nothing can be compared."""
+    """Largest rms over noise of log minus model, and its channel; minus infinity where nothing can
+    be compared.
+    """
     found = {name: _ratio(history, name, std, model) for name, std in noise.items()}
     return max(
         [(-math.inf, ""), *((ratio, name) for name, ratio in found.items() if ratio is not None)]
@@ -219,7 +239,8 @@ def end_to_end(
     caption: str,
     outside: bool = False,
 ) -> Figure:
-    """Columns (name, class, words) of all pieces, one after the other with a gap; ``band``: lower and upper by piece, and words.
+    """Columns (name, class, words) of all pieces, one after the other with a gap; ``band``: lower
+    and upper by piece, and words.
 
     outside: samples of the first column beyond the band are marked.
     """
@@ -276,7 +297,10 @@ def draw_rerun(found: Rerun) -> list[Path]:
 
 
 def flight_figures(record: pd.DataFrame, flight: FlightSpec) -> list[Figure]:
-    """Charts of a flight's record. What was flown and not scored is shaded; what the aircraft lacks is left out."""
+    """Charts of a flight's record.
+
+    What was flown and not scored is shaded; what the aircraft lacks is left out.
+    """
     figures = [_track(record)]
     for name, axis, lines, factor in _panels(record):
         series = {
@@ -292,7 +316,9 @@ def flight_figures(record: pd.DataFrame, flight: FlightSpec) -> list[Figure]:
 
 
 def _panels(record: pd.DataFrame) -> Iterator[tuple[str, str, Mapping[str, str], float]]:
-    """Name, axis, columns with their words, and factor of each chart over time that the record has something for."""
+    """Name, axis, columns with their words, and factor of each chart over time that the record has
+    something for.
+    """
     errors = {f"error_{n}": n.replace("_", "-") for n in ("cross_track", "altitude", "speed")}
     surfaces, throttle = (
         {c: c for s in _SURFACES for c in _rerun_control(record, s)},

@@ -1,4 +1,6 @@
-"""What a report page is made of, whatever it reports on: frozen parts that templates/page.html.j2 knows how to show."""
+"""What a report page is made of, whatever it reports on: frozen parts that templates/page.html.j2
+knows how to show.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,9 @@ class Told:
 
 @dataclass(frozen=True)
 class Cell:
-    """A table cell that is more than text: its level colours it, its sign says the same without colour."""
+    """A table cell that is more than text: its level colours it, its sign says the same without
+    colour.
+    """
 
     text: str
     level: Level = ""
@@ -77,7 +81,10 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text or cells under a caption; the first column heads its row. ``key``: a terminal shows it too."""
+    """Rows of text or cells under a caption; the first column heads its row.
+
+    ``key``: a terminal shows it too.
+    """
 
     kind: ClassVar[str] = "table"
     caption: str
@@ -93,7 +100,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing with its caption. ``cursor`` is what the page's script reads out under the pointer; None for no cursor."""
+    """A drawing with its caption.
+
+    ``cursor`` is what the page's script reads out under the pointer; None for no cursor.
+    """
 
     name: str
     svg: Markup
@@ -105,8 +115,8 @@ class Figure:
 class Figures:
     """Drawings side by side; ``legend`` (class of figure.css, words) holds for all of them.
 
-    file: name without ending of the file in figures/ that holds them all; empty: each has one of its own name; None: no file.
-    """
+    file: name without ending of the file in figures/ that holds them all; empty: each has one of
+    its own name; None: no file."""
 
     kind: ClassVar[str] = "figures"
     items: tuple[Figure, ...]
@@ -137,7 +147,9 @@ Block = Words | Bullets | Told | Table | Figures | Facts | Code
 
 @dataclass(frozen=True)
 class Section:
-    """A heading with what stands under it, and the sections within it; ``folded`` until the reader opens it."""
+    """A heading with what stands under it, and the sections within it; ``folded`` until the reader
+    opens it.
+    """
 
     title: str
     blocks: tuple[Block, ...]
@@ -147,10 +159,11 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report: the verdict is shown first, then ``first``, then what was asked (where that is not the title), then sections.
+    """A whole report: the verdict is shown first, then ``first``, then what was asked (where that
+    is not the title), then sections.
 
-    With ``first`` the verdict is the answer and its reasons, in larger letters, and page and ``first`` make one screen.
-    """
+    With ``first`` the verdict is the answer and its reasons, in larger letters, and page and
+    ``first`` make one screen."""
 
     title: str
     asked: str
@@ -160,7 +173,9 @@ class Page:
 
 
 def is_wanted(title: str, only: Collection[str] | None) -> bool:
-    """Whether a section is among those that are shown (None: all): what is not need not be drawn."""
+    """Whether a section is among those that are shown (None: all): what is not need not be
+    drawn.
+    """
     return only is None or title in only
 
 
@@ -202,7 +217,9 @@ def every_section(sections: Iterable[Section]) -> Iterator[Section]:
 
 
 def first_lines(page: Page) -> list[str]:
-    """What a terminal shows of a page: the sentences of its verdict, then its key tables and lists."""
+    """What a terminal shows of a page: the sentences of its verdict, then its key tables
+    and lists.
+    """
     lines = [item.text for item in page.verdict]
     for block in (block for section in every_section(page.sections) for block in section.blocks):
         if isinstance(block, Table) and block.key and block.rows:
@@ -243,7 +260,9 @@ def percent(value: float | None, form: str = ".3g") -> str:
 def remarks(
     document: Mapping[str, Any], key: Iterable[str] = ("warnings", "notes")
 ) -> tuple[Section, ...]:
-    """The section of a document's warnings and notes, none where there are none; a terminal shows those named in ``key``."""
+    """The section of a document's warnings and notes, none where there are none; a terminal shows
+    those named in ``key``.
+    """
     said = {name: tuple(document.get(name, ())) for name in ("warnings", "notes")}
     blocks = tuple(Bullets(items, name in key) for name, items in said.items() if items)
     return (Section("Warnings and notes", blocks),) if blocks else ()

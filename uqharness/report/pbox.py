@@ -1,8 +1,9 @@
-"""P-boxes as charts of a page, one alone with its corners or several over each other, and what the cursor reads in them.
+"""P-boxes as charts of a page, one alone with its corners or several over each other, and what the
+cursor reads in them.
 
-A step of an empirical distribution function is as high as one flight's share, so 40 flights make a staircase. A kernel estimate has
-the same flights without the steps. What is claimed rests on the staircases; :func:`farthest` says how far a curve lies from them.
-"""
+A step of an empirical distribution function is as high as one flight's share, so 40 flights make a
+staircase. A kernel estimate has the same flights without the steps. What is claimed rests on the
+staircases; :func:`farthest` says how far a curve lies from them."""
 
 from __future__ import annotations
 
@@ -31,7 +32,8 @@ _DRAWN = ("first", "fill1"), ("second", "fill2")
 
 @dataclass(frozen=True)
 class DrawnBox:
-    """One p-box of a figure. ``title`` names it among several, empty where it is alone; ``words``: corner id -> levels.
+    """One p-box of a figure. ``title`` names it among several, empty where it is alone; ``words``:
+    corner id -> levels.
 
     ``smooth``: drawn and read as smooth curves; the words of the figure stay those of ``box``.
     """
@@ -51,7 +53,8 @@ def pbox_figure(
     caption: str,
     mark: tuple[float, str] | None = None,
 ) -> Figure:
-    """One p-box (corners thin, envelope bold, band dashed) or two over each other (filled); ``mark``: a value to mark.
+    """One p-box (corners thin, envelope bold, band dashed) or two over each other (filled);
+    ``mark``: a value to mark.
 
     The caption of smooth curves tells how far they lie from the flights' own steps.
     """
@@ -59,12 +62,17 @@ def pbox_figure(
     known = [b.box.value for b in boxes] + ([np.array([mark[0]])] if mark else [])
     x = scale(f"{quantity} [{unit}]", known, least=0.0)
     halves = "; ".join(f"{b.title + ': ' if b.title else ''}{_half(b.box, unit)}" for b in boxes)
-    label = f"P-box{'es' if not alone else ''} of {quantity} [{unit}]. Half of the flights stay below {halves}."
+    label = (
+        f"P-box{'es' if not alone else ''} of {quantity} [{unit}]. Half of the flights stay below"
+        f" {halves}."
+    )
     chart = Chart(name, label, x, Scale(PROBABILITY, -0.01, 1.01), height=250)
     read = [
-        smooth_pbox(b.samples, b.box, np.linspace(x.low, x.high, _SMOOTH_POINTS))
-        if b.smooth
-        else b.box
+        (
+            smooth_pbox(b.samples, b.box, np.linspace(x.low, x.high, _SMOOTH_POINTS))
+            if b.smooth
+            else b.box
+        )
         for b in boxes
     ]
     for number, (drawn, box, (line, fill)) in enumerate(zip(boxes, read, _DRAWN, strict=False)):
@@ -77,7 +85,8 @@ def pbox_figure(
         chart.line(at, upper, line, words, steps=steps)
         chart.line(at, lower, line, steps=steps)
         if alone:
-            # Outside the values flown, the band still says something: at least its first and at most its last step.
+            # Outside the values flown, the band still says something: at least its first and at
+            # most its last step.
             above = box.band_upper if drawn.smooth else _between(box.band_upper[0], box.band_upper)
             below = box.band_lower if drawn.smooth else _between(0.0, box.band_lower)
             chart.line(at, above, "limit", "95 % band, all samples", steps=steps)
@@ -130,13 +139,14 @@ def _sides(drawn: DrawnBox, box: PBox, x: Scale) -> tuple[FloatArray, FloatArray
 
 
 def smooth_share(values: FloatArray, at: FloatArray) -> FloatArray:
-    """Share (m,) of ``values`` (n,) that are at most each of ``at`` (m,), as a Gaussian kernel estimate; values are 0 or larger.
+    """Share (m,) of ``values`` (n,) that are at most each of ``at`` (m,), as a Gaussian kernel
+    estimate; values are 0 or larger.
 
-    The bandwidth is s n^(-1/3) with the standard deviation s: the rate of the smallest mean squared error of a distribution
-    function (Azzalini 1981), and less than the (4/n)^(1/3) s that is best for a normal one, since smoothing makes a curve
-    flatter. The part that a kernel puts below 0 is reflected. Without a spread the steps remain. Of more than 1000 values 1000
-    quantiles carry a kernel.
-    """
+    The bandwidth is s n^(-1/3) with the standard deviation s: the rate of the smallest mean squared
+    error of a distribution function (Azzalini 1981), and less than the (4/n)^(1/3) s that is best
+    for a normal one, since smoothing makes a curve flatter. The part that a kernel puts below 0 is
+    reflected. Without a spread the steps remain. Of more than 1000 values 1000 quantiles carry a
+    kernel."""
     width = float(values.std(ddof=1)) * values.size ** (-1.0 / 3.0) if values.size > 1 else 0.0
     if not width > 0.0:
         return np.asarray(
@@ -155,10 +165,11 @@ def smooth_share(values: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def smooth_pbox(samples: Sequence[Sample], box: PBox, at: FloatArray) -> PBox:
-    """The p-box ``box`` of ``samples`` with smooth sides at ``at`` (m,), ascending; flights without a value as in the box.
+    """The p-box ``box`` of ``samples`` with smooth sides at ``at`` (m,), ascending; flights without
+    a value as in the box.
 
-    The band is as wide around the curves as it is around the steps, and wider by the distance between the two.
-    """
+    The band is as wide around the curves as it is around the steps, and wider by the distance
+    between the two."""
     shares = np.stack([smooth_share(s.values, at) * (s.values.size / s.size) for s in samples])
     unknown = np.array([s.unknown / s.size for s in samples])[:, None]
     lower, upper = shares.min(axis=0), (shares + unknown).max(axis=0)
@@ -179,7 +190,9 @@ def smooth_pbox(samples: Sequence[Sample], box: PBox, at: FloatArray) -> PBox:
 
 
 def farthest(samples: Sequence[Sample], curve: PBox) -> float:
-    """Largest difference in probability between the sides of ``curve`` and those that the samples' steps make."""
+    """Largest difference in probability between the sides of ``curve`` and those that the samples'
+    steps make.
+    """
     ends = envelope(samples, curve.value)
     return max(
         float(np.abs(found - wanted).max())
@@ -203,7 +216,8 @@ def metric_label(metric: str) -> str:
 
 
 def corner_words(frame: pd.DataFrame) -> dict[str, str]:
-    """Epistemic id -> the levels that make it, such as ``CX− CY+ CZ=0.5``: − the lower bound, + the upper one.
+    """Epistemic id -> the levels that make it, such as ``CX− CY+ CZ=0.5``: − the lower bound, + the
+    upper one.
 
     Ids whose levels do not stand still (walks) or that have none stay as they are.
     """
@@ -227,7 +241,9 @@ def _half(box: PBox, unit: str) -> str:
 
 
 def _cursor(number: int, drawn: DrawnBox, box: PBox, alone: bool) -> dict[str, Any]:
-    """What the page's script reads out; without the samples' names where smooth curves lie over each other."""
+    """What the page's script reads out; without the samples' names where smooth curves lie over
+    each other.
+    """
     names = _behind(box) if alone or not drawn.smooth else []
     place = {name: k for k, name in enumerate(names)}
     sides = {
@@ -257,7 +273,9 @@ def _behind(box: PBox) -> list[str]:
 
 
 def _curves(drawn: DrawnBox, box: PBox) -> list[Sample]:
-    """Samples to draw one by one: all if they are few, else those that set a side and some of the others, evenly chosen."""
+    """Samples to draw one by one: all if they are few, else those that set a side and some of the
+    others, evenly chosen.
+    """
     if len(drawn.samples) <= _MOST_CURVES:
         return list(drawn.samples)
     wanted = set(_behind(box)[: _MOST_CURVES // 2])
@@ -292,8 +310,11 @@ def _between(first: float, steps: FloatArray) -> FloatArray:
 
 
 def convergence_section(item: Converged) -> Section:
-    """Repeats, and the area of the p-box against the number of epistemic samples, whichever there are."""
-    place = f"{item.metric.replace('_', '-')}-{item.condition.wind_mps:g}mps-{item.condition.turbulence}"
+    """Repeats, and the area of the p-box against the number of epistemic samples, whichever there
+    are.
+    """
+    condition = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}"
+    place = f"{item.metric.replace('_', '-')}-{condition}"
     figures = (_repeats(item, place), _growth(item, place))
     drawn = Figures(tuple(figure for figure in figures if figure), file=f"convergence-{place}")
     return Section(f"{item.metric}, {item.condition.words}", (drawn,))

@@ -1,8 +1,8 @@
-"""Figures for notebooks and papers, by matplotlib: each function takes a result, draws it into given axes and returns them.
+"""Figures for notebooks and papers, by matplotlib: each function takes a result, draws it into
+given axes and returns them.
 
-Reports draw their own charts (svg.py); nothing but a caller of these functions loads matplotlib. No function sets anything that
-other figures share, and none writes a file.
-"""
+Reports draw their own charts (svg.py); nothing but a caller of these functions loads matplotlib. No
+function sets anything that other figures share, and none writes a file."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ _FIRST, _SECOND, _SOFT = "#00639c", "#b34700", "#595f66"
 def plot_pbox(
     box: PBox, ax: Axes | None = None, label: str = "value [-]", name: str = "p-box"
 ) -> Axes:
-    """Draw a p-box: its two sides, the area between them, and the band that a finite number of flights leaves open.
+    """Draw a p-box: its two sides, the area between them, and the band that a finite number of
+    flights leaves open.
 
     Parameters
     ----------
@@ -145,10 +146,11 @@ def plot_overlay(
     ax
         Axes to draw into; None makes a figure of its own.
     noise
-        Standard deviation of the channel's noise, in the channel's own unit; the band about the last model that holds 95 % of the
-        samples of a right model. None draws no band.
+        Standard deviation of the channel's noise, in the channel's own unit; the band about the
+        last model that holds 95 % of the samples of a right model. None draws no band.
     suffixes
-        Endings of the models' columns: ``"_model"``, or ``"_before"`` and ``"_after"`` of a refinement.
+        Endings of the models' columns: ``"_model"``, or ``"_before"`` and ``"_after"`` of a
+        refinement.
 
     Returns
     -------
@@ -188,7 +190,8 @@ def plot_overlay(
 
 
 def plot_sensitivity(found: MetricSensitivity, ax: Axes | None = None) -> Axes:
-    """Draw how much of a p-box's width each coefficient makes: from the smallest to the largest share, inside its interval.
+    """Draw how much of a p-box's width each coefficient makes: from the smallest to the largest
+    share, inside its interval.
 
     Parameters
     ----------
@@ -200,7 +203,8 @@ def plot_sensitivity(found: MetricSensitivity, ax: Axes | None = None) -> Axes:
     Returns
     -------
     matplotlib.axes.Axes
-        The axes drawn into, the largest share on top. A coefficient whose share is undefined has a name and no bar.
+        The axes drawn into, the largest share on top. A coefficient whose share is undefined has a
+        name and no bar.
     """
     ax = _axes(ax)
     rows: list[tuple[str, Any]] = sorted(
@@ -250,7 +254,8 @@ def plot_model_form(
     residuals: Residuals | None = None,
     outside: Outside = "grow",
 ) -> Axes:
-    """Draw a coefficient's bounds along one state, the others at the medians of the data; the range of the data shaded.
+    """Draw a coefficient's bounds along one state, the others at the medians of the data; the range
+    of the data shaded.
 
     Parameters
     ----------

@@ -1,9 +1,10 @@
-"""Small charts as SVG text for report pages: axes, lines, bands, dots. Pure: arrays in, text out, same arrays, same bytes.
+"""Small charts as SVG text for report pages: axes, lines, bands, dots. Pure: arrays in, text out,
+same arrays, same bytes.
 
-Nothing here has a colour of its own: every mark has a class of templates/figure.css, whose variables follow the reader's light
-or dark scheme. Each class has a dash or a shape besides its colour. A chart is drawn 360 units wide, so that its text stays legible
-on a phone; wide screens set several side by side.
-"""
+Nothing here has a colour of its own: every mark has a class of templates/figure.css, whose
+variables follow the reader's light or dark scheme. Each class has a dash or a shape besides its
+colour. A chart is drawn 360 units wide, so that its text stays legible on a phone; wide screens set
+several side by side."""
 
 from __future__ import annotations
 
@@ -33,7 +34,10 @@ _MOST_LOG_TICKS = 9
 
 @dataclass(frozen=True)
 class Scale:
-    """Range of an axis, its label with the unit, and its ticks: numbers, or names at given places. ``log``: logarithmic."""
+    """Range of an axis, its label with the unit, and its ticks: numbers, or names at given places.
+
+    ``log``: logarithmic.
+    """
 
     label: str
     low: float
@@ -42,7 +46,9 @@ class Scale:
     log: bool = False
 
     def place(self, value: FloatArray | float) -> FloatArray:
-        """Share of the axis' length at which a value stands; NaN for one that a logarithmic axis does not have."""
+        """Share of the axis' length at which a value stands; NaN for one that a logarithmic axis
+        does not have.
+        """
         value, low, high = np.asarray(value, dtype=float), self.low, self.high
         if self.log:
             value, low, high = (
@@ -75,7 +81,9 @@ class Scale:
 def scale(
     label: str, values: Sequence[FloatArray], margin: float = 0.06, least: float | None = None
 ) -> Scale:
-    """A scale around all finite values, ``least`` its smallest end at most where it is given; 0 to 1 where there is none."""
+    """A scale around all finite values, ``least`` its smallest end at most where it is given; 0 to
+    1 where there is none.
+    """
     known = (
         np.concatenate([np.ravel(v)[np.isfinite(np.ravel(v))] for v in values])
         if values
@@ -134,7 +142,10 @@ def _number(value: float, step: float) -> str:
 
 @dataclass
 class Chart:
-    """A chart that is being drawn. ``name`` is unique in the page; ``label`` says in words what the picture shows."""
+    """A chart that is being drawn.
+
+    ``name`` is unique in the page; ``label`` says in words what the picture shows.
+    """
 
     name: str
     label: str
@@ -172,7 +183,9 @@ class Chart:
         steps: bool = False,
         data: str = "",
     ) -> None:
-        """A line through finite points; a gap where one is not. steps: each value holds until the next."""
+        """A line through finite points; a gap where one is not. steps: each value holds until the
+        next.
+        """
         x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
         if not steps:
             x, y = thinned(x, y)
@@ -236,7 +249,10 @@ class Chart:
         drawn = {
             "disc": f'<circle class="mark {kind}" cx="{u:.1f}" cy="{v:.1f}" r="4"/>',
             "ring": f'<circle class="mark hollow {kind}" cx="{u:.1f}" cy="{v:.1f}" r="4"/>',
-            "square": f'<rect class="mark {kind}" x="{u - 3.5:.1f}" y="{v - 3.5:.1f}" width="7" height="7"/>',
+            "square": (
+                f'<rect class="mark {kind}" x="{u - 3.5:.1f}" y="{v - 3.5:.1f}" width="7"'
+                ' height="7"/>'
+            ),
             "bar": f'<path class="line {kind}" d="M{u:.1f} {v - 5:.1f}v10"/>',
             "cross": f'<path class="line {kind}" d="M{u - 4:.1f} {v - 4:.1f}l8 8m0 -8l-8 8"/>',
         }
@@ -251,7 +267,9 @@ class Chart:
         anchor: str = "start",
         shift: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Words at a point, moved by ``shift`` units right and down; ``anchor``: which end of them, start, middle or end."""
+        """Words at a point, moved by ``shift`` units right and down; ``anchor``: which end of them,
+        start, middle or end.
+        """
         (u,), (v,) = (np.atleast_1d(w) for w in self.at(x, y))
         if math.isfinite(u) and math.isfinite(v):
             place = f'x="{u + shift[0]:.1f}" y="{v + shift[1]:.1f}"'
@@ -260,10 +278,15 @@ class Chart:
             )
 
     def cells(self, x: FloatArray, y: FloatArray, share: FloatArray, kind: str) -> None:
-        """A map: cells between the edges ``x`` (n + 1,) and ``y`` (m + 1,), as dense as ``share`` (n, m) of 0 to 1; none for 0."""
+        """A map: cells between the edges ``x`` (n + 1,) and ``y`` (m + 1,), as dense as ``share``
+        (n, m) of 0 to 1; none for 0.
+        """
         u, v = self.at(x, y[0])[0], self.at(x[0], y)[1]
         for i, j in zip(*np.nonzero(share), strict=True):
-            place = f'x="{u[i]:.1f}" y="{v[j + 1]:.1f}" width="{u[i + 1] - u[i]:.1f}" height="{v[j] - v[j + 1]:.1f}"'
+            place = (
+                f'x="{u[i]:.1f}" y="{v[j + 1]:.1f}" width="{u[i + 1] - u[i]:.1f}"'
+                f' height="{v[j] - v[j + 1]:.1f}"'
+            )
             self.marks.append(
                 f'<rect class="cell {kind}" {place} fill-opacity="{share[i, j]:.3f}"/>'
             )
@@ -290,9 +313,18 @@ class Chart:
         entries, rows = _legend(self.legend, WIDTH)
         total = self.height + (16 * rows + 4 if rows else 0)
         out = [
-            f'<svg class="chart" role="img" aria-label="{escape(self.label)}" viewBox="0 0 {WIDTH} {total}" ',
-            f'data-plot="{left},{top},{width},{height}" data-x="{self.x.low:.6g},{self.x.high:.6g}">',
-            f'<clipPath id="{self.name}-clip"><rect x="{left}" y="{top}" width="{width}" height="{height}"/></clipPath>',
+            (
+                f'<svg class="chart" role="img" aria-label="{escape(self.label)}" viewBox="0 0'
+                f' {WIDTH} {total}" '
+            ),
+            (
+                f'data-plot="{left},{top},{width},{height}"'
+                f' data-x="{self.x.low:.6g},{self.x.high:.6g}">'
+            ),
+            (
+                f'<clipPath id="{self.name}-clip"><rect x="{left}" y="{top}" width="{width}"'
+                f' height="{height}"/></clipPath>'
+            ),
             *self._grid(),
             f'<g clip-path="url(#{self.name}-clip)">{"".join(self.marks)}</g>',
             f'<path class="axis" d="M{left} {top}v{height}h{width}"/>',
@@ -300,12 +332,14 @@ class Chart:
         ]
         middle, low = left + width / 2, self.height - 5
         out.append(
-            f'<text class="label" text-anchor="middle" x="{middle:g}" y="{low}">{escape(self.x.label)}</text>'
+            f'<text class="label" text-anchor="middle" x="{middle:g}"'
+            f' y="{low}">{escape(self.x.label)}</text>'
         )
         for kind, words, x, row in entries:
             y = self.height + 12 + 16 * row
             out.append(
-                f'<g class="key">{_swatch(kind, x, y - 4)}<text x="{x + 28}" y="{y}">{escape(words)}</text></g>'
+                f'<g class="key">{_swatch(kind, x, y - 4)}<text x="{x + 28}"'
+                f' y="{y}">{escape(words)}</text></g>'
             )
         return Markup("".join([*out, "</svg>"]))
 
@@ -317,7 +351,8 @@ class Chart:
             out.append(f'<path class="grid" d="M{u:.1f} {top}v{height}"/>')
             u = min(u, WIDTH - 2 - 0.5 * _CHARACTER * len(words))
             out.append(
-                f'<text text-anchor="middle" x="{u:.1f}" y="{self.height - _BOTTOM + 14}">{escape(words)}</text>'
+                f'<text text-anchor="middle" x="{u:.1f}"'
+                f' y="{self.height - _BOTTOM + 14}">{escape(words)}</text>'
             )
         for value, words in self.y.ticks():
             v = top + height * (1.0 - float(self.y.place(value)))
@@ -330,7 +365,9 @@ class Chart:
 
 
 def rows_chart(name: str, label: str, x: Scale, rows: Sequence[str], height: int = 17) -> Chart:
-    """A chart with a row, ``height`` units high, for each of the names: row k at the height k, the first on top."""
+    """A chart with a row, ``height`` units high, for each of the names: row k at the height k, the
+    first on top.
+    """
     names = tuple((float(k), row) for k, row in enumerate(rows))
     return Chart(name, label, x, Scale("", len(rows) - 0.5, -0.5, names), 68 + height * len(rows))
 
@@ -341,7 +378,9 @@ def standalone(
     legend: Sequence[tuple[str, str]] = (),
     columns: int = 1,
 ) -> str:
-    """Charts with their captions as one file of its own, row by row, light and without any reference to another file."""
+    """Charts with their captions as one file of its own, row by row, light and without any
+    reference to another file.
+    """
     columns = min(columns, len(charts))
     width = columns * (WIDTH + _GAP) + _GAP
     parts, y = [], 0
@@ -369,7 +408,10 @@ def standalone(
             tallest = max(tallest, height)
         y += tallest + _GAP
     size = f'width="{2 * width if columns == 1 else width}" viewBox="0 0 {width} {y}"'
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" class="chart" role="img" aria-label="{escape(title)}" {size}>'
+    head = (
+        '<svg xmlns="http://www.w3.org/2000/svg" class="chart" role="img"'
+        f' aria-label="{escape(title)}" {size}>'
+    )
     paper = f'<rect width="{width}" height="{y}" fill="#ffffff"/>'
     return (
         visible("".join([head, f"<style>{_plain_style()}</style>", paper, *parts, "</svg>"])) + "\n"
@@ -407,7 +449,9 @@ def _plain_style() -> str:
 def thinned(
     x: FloatArray, y: FloatArray, most: int = _MOST_POINTS
 ) -> tuple[FloatArray, FloatArray]:
-    """A line of at most about ``most`` points that keeps every bucket's smallest and largest value, so no peak is lost."""
+    """A line of at most about ``most`` points that keeps every bucket's smallest and largest value,
+    so no peak is lost.
+    """
     if x.size <= most:
         return x, y
     edges = np.linspace(0, x.size, most // 2 + 1).astype(int)

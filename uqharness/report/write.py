@@ -1,4 +1,6 @@
-"""report.html of any folder of results, and figures/*.svg beside it: the drawings of the page as files."""
+"""report.html of any folder of results, and figures/*.svg beside it: the drawings of the page as
+files.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,10 @@ _NEXT_FLIGHT = "next-flight.json"
 
 
 def kind_of(folder: Path) -> str:
-    """Command whose results ``folder`` holds. Raises BadInputError for none, with what was looked for."""
+    """Command whose results ``folder`` holds.
+
+    Raises BadInputError for none, with what was looked for.
+    """
     if not folder.is_dir():
         raise BadInputError(f"{folder}: is no folder; report takes the --out of another command")
     for name, kind in KINDS:
@@ -45,15 +50,16 @@ def kind_of(folder: Path) -> str:
             return kind
     if (folder / _NEXT_FLIGHT).is_file():
         raise BadInputError(
-            f"{folder}: next-flight writes its report.html itself and report does not; open that page, or run uqharness "
-            "next-flight again to write it anew"
+            f"{folder}: next-flight writes its report.html itself and report does not; open that"
+            " page, or run uqharness next-flight again to write it anew"
         )
     looked = ", ".join(f"{name} ({kind})" for name, kind in KINDS)
     raise BadInputError(f"{folder}: no results to report on; looked for {looked}")
 
 
 def page_of(folder: Path, every_segment: bool = False) -> Page:
-    """The page of a folder of results; ``every_segment``: with the histories of all segments, not of the worst alone.
+    """The page of a folder of results; ``every_segment``: with the histories of all segments, not
+    of the worst alone.
 
     Raises BadInputError.
     """
@@ -93,7 +99,9 @@ _NAMED = 5
 
 @dataclass(frozen=True)
 class Report:
-    """What was written. ``damaged``: files of the folder that are not as they were written; ``rewritten``: those that now are."""
+    """What was written. ``damaged``: files of the folder that are not as they were written;
+    ``rewritten``: those that now are.
+    """
 
     path: Path
     figures: tuple[Path, ...]
@@ -119,7 +127,8 @@ class Report:
 
 
 def write_report(folder: Path, figures: bool = False) -> Report:
-    """Write ``folder``/report.html from the folder's own files. Same folder, same bytes. Raises BadInputError.
+    """Write ``folder``/report.html from the folder's own files. Same folder, same bytes. Raises
+    BadInputError.
 
     ``figures``: write its drawings into figures/ as well. Those of a campaign always are.
     """
@@ -140,7 +149,10 @@ def write_campaign_report(folder: Path) -> Report:
 
 
 def write_page(folder: Path, page: Page, drawn: Page | None = None) -> Report:
-    """Write a page as ``folder``/report.html, and the drawings of ``drawn`` into figures/. Raises BadInputError."""
+    """Write a page as ``folder``/report.html, and the drawings of ``drawn`` into figures/.
+
+    Raises BadInputError.
+    """
     path, found = folder / REPORT, faults(folder)
     drawings = () if drawn is None else tuple(write_figures(folder, drawn.sections, drawn.title))
     written = {item.relative_to(folder).as_posix() for item in (path, *drawings)}
@@ -168,7 +180,9 @@ def write_html(path: Path, page: Page) -> None:
 
 
 def write_figures(folder: Path, sections: Iterable[Section], title: str) -> list[Path]:
-    """Write the drawings of sections that name a file into ``folder``/figures; ``title`` heads those that share one."""
+    """Write the drawings of sections that name a file into ``folder``/figures; ``title`` heads
+    those that share one.
+    """
     place, paths = inner_folder(folder, "figures"), []
 
     def write(name: str, text: str) -> None:
@@ -236,12 +250,14 @@ def model_diff(done: Refinement) -> str:
     out: list[str] = []
     for name in names:
         a, b = (
-            (f / name)
-            .read_bytes()
-            .decode("utf-8", errors="surrogateescape")
-            .splitlines(keepends=True)
-            if (f / name).is_file()
-            else []
+            (
+                (f / name)
+                .read_bytes()
+                .decode("utf-8", errors="surrogateescape")
+                .splitlines(keepends=True)
+                if (f / name).is_file()
+                else []
+            )
             for f in (old, new)
         )
         out += difflib.unified_diff(a, b, f"a/{name}", f"b/{name}")

@@ -1,8 +1,9 @@
-"""Fly cases on a Dask cluster: ``campaign run --dask ADDRESS``. The journal stays with the campaign, on this machine.
+"""Fly cases on a Dask cluster: ``campaign run --dask ADDRESS``. The journal stays with the
+campaign, on this machine.
 
-Dask is asked for one thing: to bring a case to a worker that is there and its outcome back, again if the worker is lost on the
-way. What a flight may do to its process is dealt with on the worker's side, in dask_task.
-"""
+Dask is asked for one thing: to bring a case to a worker that is there and its outcome back, again
+if the worker is lost on the way. What a flight may do to its process is dealt with on the worker's
+side, in dask_task."""
 
 from __future__ import annotations
 
@@ -37,7 +38,8 @@ from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec
 
 CONNECT_S = 10.0
-# Enough on its way that a worker need not wait for this process between two cases that take milliseconds.
+# Enough on its way that a worker need not wait for this process between two cases that take
+# milliseconds.
 _ORDERS_PER_THREAD = 8
 _LOOK_S = 2.0
 _LOST_S = 30.0
@@ -46,11 +48,12 @@ _ROUNDS = 2
 
 
 class DaskExecutor:
-    """Flies on the cluster whose scheduler answers at ``address`` (tcp://host:8786, or the path of a scheduler file).
+    """Flies on the cluster whose scheduler answers at ``address`` (tcp://host:8786, or the path of
+    a scheduler file).
 
-    Raises BadInputError if dask is not installed or nobody answers. ``workers`` is the number of threads that the cluster has at
-    the time; they may come and go, and a cluster without any is waited for.
-    """
+    Raises BadInputError if dask is not installed or nobody answers. ``workers`` is the number of
+    threads that the cluster has at the time; they may come and go, and a cluster without any is
+    waited for."""
 
     def __init__(self, address: str, connect_s: float = CONNECT_S) -> None:
         self.address = address
@@ -62,7 +65,9 @@ class DaskExecutor:
     def run(
         self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]
     ) -> Iterator[list[CaseOutcome]]:
-        """Outcomes as they come. Raises BadInputError if the scheduler is lost or a worker cannot fly this campaign."""
+        """Outcomes as they come. Raises BadInputError if the scheduler is lost or a worker cannot
+        fly this campaign.
+        """
         return self.run_groups(OneByOne(fly), singly(flights))
 
     def run_groups(
@@ -82,7 +87,8 @@ class DaskExecutor:
             while True:
                 self._look()
                 while len(flying) < _ORDERS_PER_THREAD * max(self.workers, 1):
-                    # Dask suspects all that waited on a lost worker. With one suspect on its way at a time, the guilty is alone.
+                    # Dask suspects all that waited on a lost worker. With one suspect on its way at
+                    # a time, the guilty is alone.
                     alone = suspects and not any(
                         order.case_ids in rounds for _, order in flying.values()
                     )
@@ -130,7 +136,8 @@ class DaskExecutor:
 
     def _submit(self, key: str, order: Order) -> Any:
         with self._explained():
-            # Text, since Dask would look into other arguments for work of its own, and its workers run what is no data.
+            # Text, since Dask would look into other arguments for work of its own, and its workers
+            # run what is no data.
             return self._client.submit(fly_order, order_text(order), key=key, pure=False)
 
     def _look(self) -> None:
@@ -147,11 +154,14 @@ class DaskExecutor:
         self._looked = time.monotonic()
 
     def _answers(self, futures: list[Any]) -> Iterator[tuple[Any, Any]]:
-        """Each future with its answer; None where Dask gave the case up because the workers that had it were lost."""
+        """Each future with its answer; None where Dask gave the case up because the workers that
+        had it were lost.
+        """
         from distributed import KilledWorker
 
         if futures and all(future.status == "finished" for future in futures):
-            # In one go, which a lost worker may spoil: what it had is then asked for singly, and flown again by Dask.
+            # In one go, which a lost worker may spoil: what it had is then asked for singly, and
+            # flown again by Dask.
             results = None
             with contextlib.suppress(Exception):
                 results = self._client.gather(futures)
@@ -178,14 +188,15 @@ class DaskExecutor:
             raise self._lost() from error
         except Exception as error:
             raise BadInputError(
-                f"the Dask cluster at {self.address} cannot fly this campaign: {type(error).__name__}: {error}; uqharness and "
-                "what it needs must be installed for every worker, in the versions of this machine"
+                f"the Dask cluster at {self.address} cannot fly this campaign:"
+                f" {type(error).__name__}: {error}; uqharness and what it needs must be installed"
+                " for every worker, in the versions of this machine"
             ) from error
 
     def _lost(self) -> BadInputError:
         return BadInputError(
-            f"the Dask scheduler at {self.address} was lost; everything counted so far is kept: start it again, then run the same "
-            "command"
+            f"the Dask scheduler at {self.address} was lost; everything counted so far is kept:"
+            " start it again, then run the same command"
         )
 
 
@@ -194,13 +205,14 @@ def _connect(address: str, connect_s: float) -> Any:
         from distributed import Client
     except ImportError:
         raise BadInputError(
-            "--dask needs the packages dask and distributed, which are not installed; install them with: "
-            "pip install 'uqharness[dask]'"
+            "--dask needs the packages dask and distributed, which are not installed; install them"
+            " with: pip install 'uqharness[dask]'"
         ) from None
 
     class QuietClient(Client):
         def __del__(self) -> None:
-            # One that never connected cannot say goodbye, and would say so on the terminal, after our own words.
+            # One that never connected cannot say goodbye, and would say so on the terminal, after
+            # our own words.
             with contextlib.suppress(Exception):
                 self.close(timeout=1.0)
 
@@ -210,8 +222,8 @@ def _connect(address: str, connect_s: float) -> Any:
     except Exception as error:
         reason = str(error).strip() or type(error).__name__
         raise BadInputError(
-            f"--dask {address}: no Dask scheduler answers there ({reason}); start one with: dask scheduler, which says its "
-            "address, such as tcp://192.168.0.2:8786"
+            f"--dask {address}: no Dask scheduler answers there ({reason}); start one with: dask"
+            " scheduler, which says its address, such as tcp://192.168.0.2:8786"
         ) from None
 
 

@@ -1,8 +1,9 @@
-"""What a Dask worker does for a campaign: flies a group of cases in a process beside it, if it has what the campaign flies.
+"""What a Dask worker does for a campaign: flies a group of cases in a process beside it, if it has
+what the campaign flies.
 
-They never run in the Dask worker itself. A flight that ends the interpreter or hangs then costs a child process, is blamed for
-certain and counted with the words of a local run, and Dask sees nothing of it. Children stay for the next group.
-"""
+They never run in the Dask worker itself. A flight that ends the interpreter or hangs then costs a
+child process, is blamed for certain and counted with the words of a local run, and Dask sees
+nothing of it. Children stay for the next group."""
 
 from __future__ import annotations
 
@@ -49,13 +50,16 @@ T = TypeVar("T")
 OWN_FLIGHT = "uqharness.flight.fly:fly"
 OWN_GROUP = "uqharness.campaign.execution.worker:fly_group"
 MODULES_VARIABLE = "UQHARNESS_FLIGHT_MODULES"
-"""Environment variable of a worker: modules whose functions it may fly with beside this program's own, separated by commas."""
+"""Environment variable of a worker: modules whose functions it may fly with beside this program's
+own, separated by commas.
+"""
 
 
 @dataclass(frozen=True)
 class Order:
-    """Cases for a worker elsewhere. ``fly`` names the function that flies them, "module:function", ``together`` whether it takes
-    the group; ``content`` and ``versions`` are what aircraft, script and program must be there."""
+    """Cases for a worker elsewhere. ``fly`` names the function that flies them, "module:function",
+    ``together`` whether it takes the group; ``content`` and ``versions`` are what aircraft, script
+    and program must be there."""
 
     fly: str
     together: bool
@@ -78,15 +82,19 @@ class Answer:
 
 
 def order_text(order: Order) -> str:
-    """The order as JSON; numbers and paths come back as they are. Raises BadInputError for a path that is no text."""
+    """The order as JSON; numbers and paths come back as they are.
+
+    Raises BadInputError for a path that is no text.
+    """
     text = json.dumps(order, default=_plain, ensure_ascii=False)
     try:
         text.encode()
     except UnicodeEncodeError:
         case_id, flight = order.group.cases[0]
         raise BadInputError(
-            f"case {case_id}: a name with bytes that are no UTF-8 cannot be sent to a Dask cluster: aircraft "
-            f"{str(flight.aircraft)!r}, script {str(flight.script)!r}; rename it, or fly without --dask"
+            f"case {case_id}: a name with bytes that are no UTF-8 cannot be sent to a Dask cluster:"
+            f" aircraft {str(flight.aircraft)!r}, script {str(flight.script)!r}; rename it, or fly"
+            " without --dask"
         ) from None
     return text
 
@@ -104,7 +112,10 @@ def answer_text(answer: Answer) -> str:
 
 
 def answer_from(text: Any, case_ids: tuple[str, ...]) -> list[CaseOutcome]:
-    """Outcomes of the cases asked for. Raises BadInputError where the worker refused them, or for any other text."""
+    """Outcomes of the cases asked for.
+
+    Raises BadInputError where the worker refused them, or for any other text.
+    """
     answer = _read(Answer, text, "answer")
     if answer.outcomes is None:
         raise BadInputError(
@@ -112,19 +123,24 @@ def answer_from(text: Any, case_ids: tuple[str, ...]) -> list[CaseOutcome]:
         )
     if len(answer.outcomes) != len(case_ids):
         raise BadInputError(
-            f"a Dask worker answered with {len(answer.outcomes)} flights; asked for were {len(case_ids)}"
+            f"a Dask worker answered with {len(answer.outcomes)} flights; asked for were"
+            f" {len(case_ids)}"
         )
     for outcome, case_id in zip(answer.outcomes, case_ids, strict=True):
         if outcome.case_id != case_id or outcome.status not in STATUSES:
             raise BadInputError(
-                f"a Dask worker answered for case {outcome.case_id!r} with the status {outcome.status!r}; asked for was "
-                f"case {case_id!r} with one of {', '.join(STATUSES)}: every machine needs the same version of uqharness"
+                f"a Dask worker answered for case {outcome.case_id!r} with the status"
+                f" {outcome.status!r}; asked for was case {case_id!r} with one of"
+                f" {', '.join(STATUSES)}: every machine needs the same version of uqharness"
             )
     return list(answer.outcomes)
 
 
 def flight_name(fly: FlightFunction | GroupFunction) -> str:
-    """The name by which a worker finds a flight function. Raises BadInputError for what is not a function of a module."""
+    """The name by which a worker finds a flight function.
+
+    Raises BadInputError for what is not a function of a module.
+    """
     name = f"{getattr(fly, '__module__', '')}:{getattr(fly, '__qualname__', '')}"
     try:
         found = _function(name)
@@ -132,8 +148,8 @@ def flight_name(fly: FlightFunction | GroupFunction) -> str:
         found = None
     if found is not fly:
         raise BadInputError(
-            f"a Dask cluster flies with a function that its module holds by name, and not with {fly!r}; fly this campaign without "
-            "--dask"
+            "a Dask cluster flies with a function that its module holds by name, and not with"
+            f" {fly!r}; fly this campaign without --dask"
         )
     return name
 
@@ -145,15 +161,17 @@ def group_function(order: Order) -> GroupFunction:
 
 
 def flight_function(name: str) -> Any:
-    """The function of that name, if this machine flies with it: the program's own, or one of a module that its operator named.
+    """The function of that name, if this machine flies with it: the program's own, or one of a
+    module that its operator named.
 
     Nothing else is imported, for importing a module runs it. Raises BadInputError.
     """
     allowed = {module.strip() for module in os.environ.get(MODULES_VARIABLE, "").split(",")}
     if name not in (OWN_FLIGHT, OWN_GROUP) and name.partition(":")[0] not in allowed - {""}:
         raise BadInputError(
-            f"this worker flies with {OWN_FLIGHT} alone, and not with {name!r}; whoever trusts that module starts the worker with "
-            f"the environment variable {MODULES_VARIABLE}={name.partition(':')[0]}"
+            f"this worker flies with {OWN_FLIGHT} alone, and not with {name!r}; whoever trusts that"
+            " module starts the worker with the environment variable"
+            f" {MODULES_VARIABLE}={name.partition(':')[0]}"
         )
     return _function(name)
 
@@ -184,7 +202,8 @@ def _read(kind: Callable[..., T], text: Any, what: str) -> T:
         first = error.errors(include_url=False, include_input=False)[0]
         place = dotted(first["loc"]) or "the whole"
         raise BadInputError(
-            f"malformed {what} on the Dask cluster: {place}: {first['msg']}; every machine needs the same version of uqharness"
+            f"malformed {what} on the Dask cluster: {place}: {first['msg']}; every machine needs"
+            " the same version of uqharness"
         ) from None
 
 
@@ -207,7 +226,9 @@ _LONGEST_S, _FASTEST_HZ = 1e7, 1e5
 
 
 def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
-    """Hashes of the aircraft's and the script's content on this machine, ``ABSENT`` where there is none."""
+    """Hashes of the aircraft's and the script's content on this machine, ``ABSENT`` where there is
+    none.
+    """
     return (
         folder_hash(aircraft) if aircraft.is_dir() else ABSENT,
         file_sha256(script) if script.is_file() else ABSENT,
@@ -215,7 +236,9 @@ def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
 
 
 def fly_order(text: str) -> str:
-    """Fly an order and give the answer, both as text; refused where this machine's files or versions are not the campaign's."""
+    """Fly an order and give the answer, both as text; refused where this machine's files or
+    versions are not the campaign's.
+    """
     try:
         return answer_text(Answer(tuple(_flown(order_from(text)))))
     except BadInputError as error:
@@ -241,13 +264,16 @@ def _flown(order: Order) -> list[CaseOutcome]:
 
 
 def _refuse_unfit(group: Group) -> None:
-    """Refuse a group that no campaign sends: its files would not be compared, or its flights would not end."""
+    """Refuse a group that no campaign sends: its files would not be compared, or its flights would
+    not end.
+    """
     if not group.cases:
         raise BadInputError("malformed order on the Dask cluster: no case in it")
     # An executor that was given a function of its own names no engine.
     if group.engine not in ("", BATCH, JSBSIM, JUDGE, ONE_ULP_OFF):
         raise BadInputError(
-            f"malformed order on the Dask cluster: engine {group.engine[:40]!r}; allowed are {BATCH} and {JSBSIM}"
+            f"malformed order on the Dask cluster: engine {group.engine[:40]!r}; allowed are"
+            f" {BATCH} and {JSBSIM}"
         )
     if len({case_id for case_id, _ in group.cases}) < len(group.cases):
         raise BadInputError("malformed order on the Dask cluster: one case twice")
@@ -265,7 +291,8 @@ def _refuse_unfit(group: Group) -> None:
             # NaN is within no limits.
             if not 0.0 <= value <= most:
                 raise BadInputError(
-                    f"malformed order on the Dask cluster: {name} {value:g}; allowed is 0 to {most:g}"
+                    f"malformed order on the Dask cluster: {name} {value:g}; allowed is 0 to"
+                    f" {most:g}"
                 )
 
 
@@ -288,9 +315,11 @@ def _take(fly: str) -> ProcessExecutor:
         if found == fly:
             return executor
         executor.close()
-    # Dask's nannies start workers as daemons, which Python forbids children, lest they be orphaned: ours follow their parent.
+    # Dask's nannies start workers as daemons, which Python forbids children, lest they be orphaned:
+    # ours follow their parent.
     multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
-    # For good: the executors of several threads would otherwise restore it under one another's feet.
+    # For good: the executors of several threads would otherwise restore it under one another's
+    # feet.
     os.environ.update(CHILD_ENVIRONMENT)
     # This process has threads, so that a fork of it may hang.
     return ProcessExecutor(1, "spawn", keep=True)

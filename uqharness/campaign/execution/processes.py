@@ -1,8 +1,9 @@
-"""Fly cases, in this process or in many, and survive what they do: crash the interpreter, hang, raise, diverge.
+"""Fly cases, in this process or in many, and survive what they do: crash the interpreter, hang,
+raise, diverge.
 
-Each worker has a pipe of its own and no lock is shared, so that a worker may be killed at any instant (by a signal, by the
-system for want of memory, by its own abort) without harm to another, and the case it was flying is known for certain.
-"""
+Each worker has a pipe of its own and no lock is shared, so that a worker may be killed at any
+instant (by a signal, by the system for want of memory, by its own abort) without harm to another,
+and the case it was flying is known for certain."""
 
 from __future__ import annotations
 
@@ -34,32 +35,40 @@ BATCH_S = 0.25
 """Longest time that a finished case waits to be handed on."""
 
 _QUEUED_PER_WORKER = 2
-# A flight that diverges is not flown again: the same spec gives the same bytes. A worker's death may have been another's fault.
+# A flight that diverges is not flown again: the same spec gives the same bytes. A worker's death
+# may have been another's fault.
 _RETRIES = 1
-# Death by SIGKILL or SIGTERM comes from outside (a scheduler, a user, want of memory) and says less about the case.
+# Death by SIGKILL or SIGTERM comes from outside (a scheduler, a user, want of memory) and says less
+# about the case.
 _RETRIES_AFTER_OUTSIDE_KILL = 4
 _OUTSIDE_SIGNALS = (-9, -15)
 PARTS = 4
-"""A group that took its worker with it is flown again in so many parts, until the case that does so is alone."""
+"""A group that took its worker with it is flown again in so many parts, until the case that does so
+is alone.
+"""
 _GROUP_SHARE = 0.01
 _START_FAILURES_ALLOWED = 3
 _START_S = 120.0
 _GOODBYE_S = 2.0
 _GUARD = (
-    ". They look for the flight function in the script that was started, and run it to do so: move the function into a module, or "
-    'put what starts the campaign under if __name__ == "__main__":'
+    ". They look for the flight function in the script that was started, and run it to do so: move"
+    ' the function into a module, or put what starts the campaign under if __name__ == "__main__":'
 )
 
 
 class Executor(Protocol):
-    """Flies cases, singly or in groups; yields outcomes in any order, in batches no older than about BATCH_S, some empty."""
+    """Flies cases, singly or in groups; yields outcomes in any order, in batches no older than
+    about BATCH_S, some empty.
+    """
 
     workers: int
 
     def run(
         self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]
     ) -> Iterator[list[CaseOutcome]]:
-        """Fly every (case id, flight) and hand on outcomes in batches, in any order, each case exactly once."""
+        """Fly every (case id, flight) and hand on outcomes in batches, in any order, each case
+        exactly once.
+        """
         ...
 
     def run_groups(
@@ -70,7 +79,9 @@ class Executor(Protocol):
 
 
 def default_timeout_s(flight: FlightSpec) -> float:
-    """Seconds after which a flight counts as hung: 60 plus a tenth of the flown time, some 100 times what it should need."""
+    """Seconds after which a flight counts as hung: 60 plus a tenth of the flown time, some 100
+    times what it should need.
+    """
     return 60.0 + 0.1 * (flight.duration_s + flight.burn_in_s)
 
 
@@ -80,7 +91,10 @@ def singly(flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[Group]:
 
 
 class SerialExecutor:
-    """Flies in this very process: for debugging. A case that ends the interpreter ends the campaign (and resumes)."""
+    """Flies in this very process: for debugging.
+
+    A case that ends the interpreter ends the campaign (and resumes).
+    """
 
     workers = 1
 
@@ -121,12 +135,13 @@ class _Worker:
 
 
 class ProcessExecutor:
-    """Flies in ``workers`` processes; each case has a time limit, and a second chance if its worker dies or hangs.
+    """Flies in ``workers`` processes; each case has a time limit, and a second chance if its worker
+    dies or hangs.
 
-    A group whose worker dies or hangs is flown again in smaller groups, until the failing case is alone.
-    ``start_method`` is spawn (default, safe everywhere), forkserver or fork. ``timeout_s`` maps a flight to seconds. With ``keep``
-    the processes stay for the next call of run, which must be with the same flight function.
-    """
+    A group whose worker dies or hangs is flown again in smaller groups, until the failing case is
+    alone. ``start_method`` is spawn (default, safe everywhere), forkserver or fork. ``timeout_s``
+    maps a flight to seconds. With ``keep`` the processes stay for the next call of run, which must
+    be with the same flight function."""
 
     def __init__(
         self,
@@ -150,7 +165,9 @@ class ProcessExecutor:
     def run(
         self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]
     ) -> Iterator[list[CaseOutcome]]:
-        """Fly in worker processes that are replaced when they die or hang; see :meth:`Executor.run`."""
+        """Fly in worker processes that are replaced when they die or hang; see
+        :meth:`Executor.run`.
+        """
         return self.run_groups(OneByOne(fly), singly(flights))
 
     def run_groups(
@@ -212,7 +229,9 @@ class ProcessExecutor:
     def _feed(
         self, fly: GroupFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]
     ) -> None:
-        """Top up every worker, the emptiest first; start a worker only for a case that needs one."""
+        """Top up every worker, the emptiest first; start a worker only for a case that
+        needs one.
+        """
         tasks = itertools.chain(_drained(again), source)
         for depth in range(_QUEUED_PER_WORKER):
             for slot in range(self.workers):
@@ -249,7 +268,9 @@ class ProcessExecutor:
         return received
 
     def _limit_s(self, group: Group) -> float:
-        """That of its first flight, and a hundredth for each other: flights of a group share their steps."""
+        """That of its first flight, and a hundredth for each other: flights of a group share their
+        steps.
+        """
         first, *others = (self._timeout_s(flight) for _, flight in group.cases)
         return first + _GROUP_SHARE * sum(others)
 
@@ -265,7 +286,8 @@ class ProcessExecutor:
             ):
                 advice = _GUARD if self._scripted else ""
                 raise BadInputError(
-                    f"worker processes end before they start ({ending(code)}); see their message above{advice}"
+                    f"worker processes end before they start ({ending(code)}); see their message"
+                    f" above{advice}"
                 )
             again.extendleft(reversed(worker.tasks))
             return []
@@ -285,7 +307,9 @@ class ProcessExecutor:
     def _second_chance(
         self, worker: _Worker, again: deque[_Task], outside: bool, status: str, reason: str
     ) -> list[CaseOutcome]:
-        """The group at the head of the dead worker's queue gets the blame; those behind it were not begun."""
+        """The group at the head of the dead worker's queue gets the blame; those behind it were not
+        begun.
+        """
         if not worker.tasks:
             return []
         guilty = worker.tasks.popleft()
@@ -323,7 +347,9 @@ def _send(worker: _Worker, task: _Task) -> None:
 
 
 def _stop(pool: list[_Worker]) -> None:
-    """End the workers at once. What they were flying has not been counted and will be flown again."""
+    """End the workers at once. What they were flying has not been counted and will be flown
+    again.
+    """
     for worker in pool:
         if worker.tasks or not worker.ready:
             worker.process.kill()

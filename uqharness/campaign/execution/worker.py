@@ -1,4 +1,7 @@
-"""A campaign's worker: takes cases, flies them, sends what is kept of them. Imports little, for it starts often."""
+"""A campaign's worker: takes cases, flies them, sends what is kept of them.
+
+Imports little, for it starts often.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,9 @@ class Group:
 
 @dataclass(frozen=True)
 class OneByOne:
-    """A flight function as a group function: one flight after the other, whatever the engine is called."""
+    """A flight function as a group function: one flight after the other, whatever the engine is
+    called.
+    """
 
     fly: FlightFunction
 
@@ -50,7 +55,10 @@ class OneByOne:
 
 @dataclass(frozen=True)
 class CaseOutcome:
-    """What is kept of one flight: its result without the signals. ``bad_input``: refused as input, not flown."""
+    """What is kept of one flight: its result without the signals.
+
+    ``bad_input``: refused as input, not flown.
+    """
 
     case_id: str
     status: str
@@ -67,7 +75,9 @@ def attempt(fly: FlightFunction, case_id: str, flight: FlightSpec) -> CaseOutcom
 
 
 def attempt_group(fly: GroupFunction, group: Group) -> list[CaseOutcome]:
-    """Fly a group; of a case that raises, flown by itself, that becomes a crashed outcome with its reason."""
+    """Fly a group; of a case that raises, flown by itself, that becomes a crashed outcome with its
+    reason.
+    """
     try:
         results = fly(group.engine, [flight for _, flight in group.cases])
         return [
@@ -86,7 +96,8 @@ def attempt_group(fly: GroupFunction, group: Group) -> list[CaseOutcome]:
 def _outcome(case_id: str, result: FlightResult) -> CaseOutcome:
     if result.status not in STATUSES:
         raise ValueError(
-            f"the flight function returned status '{result.status}', not one of {', '.join(STATUSES)}"
+            f"the flight function returned status '{result.status}', not one of"
+            f" {', '.join(STATUSES)}"
         )
     return CaseOutcome(
         case_id,
@@ -107,7 +118,9 @@ def _one_line(text: str) -> str:
 
 
 def work(pipe: Connection, fly: GroupFunction) -> None:
-    """A worker's life: take a group, fly it, send the outcomes; end with the parent, or when it is sent None."""
+    """A worker's life: take a group, fly it, send the outcomes; end with the parent, or when it is
+    sent None.
+    """
     # Ctrl-C reaches the whole group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
@@ -127,7 +140,9 @@ def work(pipe: Connection, fly: GroupFunction) -> None:
 
 BATCH, JSBSIM = "batch", "jsbsim"
 JUDGE, ONE_ULP_OFF = "jsbsim as judge", "jsbsim one ulp off"
-"""JSBSim once more for the sake of comparison: with distances from each radius, and from a start moved by rounding alone."""
+"""JSBSim once more for the sake of comparison: with distances from each radius, and from a start
+moved by rounding alone.
+"""
 NEAREST = "nearest_"
 """Before the name of a count: how near the flight came to a radius at which it counts [m]."""
 
@@ -140,7 +155,9 @@ class Batch(Protocol):
         ...
 
     def refusals(self, spec: FlightSpec, varying: Collection[str]) -> tuple[str, ...]:
-        """What of aircraft and mission it does not understand, with file and line; ``varying``: properties that differ by case."""
+        """What of aircraft and mission it does not understand, with file and line; ``varying``:
+        properties that differ by case.
+        """
         ...
 
 
@@ -159,8 +176,11 @@ class OwnBatch:
 
 
 def why_not(engine: str) -> str | None:
-    """None if this machine can fly in the engine of that name, else the sentence that says why not."""
-    # Imported here, as below: a worker of JSBSim needs no compiler, one of the batch engine no JSBSim.
+    """None if this machine can fly in the engine of that name, else the sentence that says
+    why not.
+    """
+    # Imported here, as below: a worker of JSBSim needs no compiler, one of the batch engine no
+    # JSBSim.
     from uqharness.batch import available
 
     return available() if engine == BATCH else None
@@ -184,7 +204,9 @@ def fly_group(engine: str, flights: Sequence[FlightSpec]) -> Sequence[FlightResu
 
 
 def with_distances(result: FlightResult, flight: FlightSpec) -> FlightResult:
-    """The result with, for each count of excursions, how near the record came to a distance at which it counts or re-arms [m]."""
+    """The result with, for each count of excursions, how near the record came to a distance at
+    which it counts or re-arms [m].
+    """
     found: dict[str, float] = {}
     for radius in flight.excursion_radius_m:
         for distance_name, suffix in (("cross_track", ""), ("distance_3d", "_3d")):

@@ -1,4 +1,6 @@
-"""manifest.json: what a campaign folder belongs to, and the refusal to mix two campaigns in one folder."""
+"""manifest.json: what a campaign folder belongs to, and the refusal to mix two campaigns in one
+folder.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +83,10 @@ class _Content(_Part):
 
 
 def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The content with every setting of the campaign filled in. ValueError naming the first thing that is not what it must be."""
+    """The content with every setting of the campaign filled in.
+
+    ValueError naming the first thing that is not what it must be.
+    """
     try:
         found = _Content.model_validate(data)
     except ValidationError as error:
@@ -98,7 +103,9 @@ def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _as_it_was(campaign: dict[str, Any]) -> dict[str, Any]:
-    """Fill in what older versions flew: JSBSim as the engine, and corners without interior points or the nominal model."""
+    """Fill in what older versions flew: JSBSim as the engine, and corners without interior points
+    or the nominal model.
+    """
     filled = dict(campaign)
     if isinstance(section := campaign.get("campaign"), dict):
         filled["campaign"] = {"engine": "jsbsim", **section}
@@ -125,19 +132,26 @@ _MODULUS = 2**256
 
 
 class DamageError(BadInputError):
-    """Something in a campaign's folder is not as it was written. ``what`` is the short reason, without path and advice."""
+    """Something in a campaign's folder is not as it was written.
+
+    ``what`` is the short reason, without path and advice.
+    """
 
     def __init__(self, path: Path, what: str, folder: Path) -> None:
         self.what = what
         place = shlex.quote(str(folder))
         super().__init__(
-            f"{path}: damaged: {what}; nothing was changed. `uqharness campaign verify {place}` says what is whole, "
-            f"`uqharness campaign salvage {place}` keeps it and makes the rest again"
+            f"{path}: damaged: {what}; nothing was changed. `uqharness campaign verify {place}`"
+            f" says what is whole, `uqharness campaign salvage {place}` keeps it and makes the rest"
+            " again"
         )
 
 
 def digest_of_text(values: Any) -> str:
-    """SHA-256 over the canonical JSON of plain values. TypeError or ValueError for what JSON does not hold."""
+    """SHA-256 over the canonical JSON of plain values.
+
+    TypeError or ValueError for what JSON does not hold.
+    """
     return sha256_hex(json.dumps(values, sort_keys=True, separators=(",", ":")).encode())
 
 
@@ -152,7 +166,9 @@ def digest_of_rows(digests: Iterable[str]) -> str:
 
 
 def summed(total: str, added: Iterable[str], removed: Iterable[str] = ()) -> str:
-    """Sum of digests as numbers: tells whether a set of rows is complete, and may be kept up to date row by row."""
+    """Sum of digests as numbers: tells whether a set of rows is complete, and may be kept up to
+    date row by row.
+    """
     number = (
         int(total, 16)
         + sum(int(item, 16) for item in added)
@@ -208,21 +224,25 @@ def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> 
 
 
 def spec_of(manifest: Mapping[str, Any]) -> CampaignSpec:
-    """The campaign that a manifest describes. Raises BadInputError, if a file it names has gone for one."""
+    """The campaign that a manifest describes.
+
+    Raises BadInputError, if a file it names has gone for one.
+    """
     return campaign_from(manifest["campaign"], Path(manifest.get("campaign_file", "campaign.toml")))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Manifest of a campaign folder, every part of it checked.
 
-    Raises BadInputError if there is none or it is another program's; DamageError, which is one, if it is not as it was written.
-    """
+    Raises BadInputError if there is none or it is another program's; DamageError, which is one, if
+    it is not as it was written."""
     path = folder / MANIFEST
     try:
         content = read_regular(path, _MOST_BYTES)
     except FileNotFoundError:
         raise BadInputError(
-            f"{folder}: not a campaign folder (no {MANIFEST}); make one with: uqharness campaign run CAMPAIGN.toml --out DIR"
+            f"{folder}: not a campaign folder (no {MANIFEST}); make one with: uqharness campaign"
+            " run CAMPAIGN.toml --out DIR"
         ) from None
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
@@ -255,20 +275,28 @@ def _parsed(content: bytes, path: Path) -> dict[str, Any]:
 
 
 def has_digests(manifest: Mapping[str, Any]) -> bool:
-    """Whether the folder's journal and tables can be held against digests; not those of uqharness 0.1."""
+    """Whether the folder's journal and tables can be held against digests; not those of uqharness
+    0.1.
+    """
     return bool(manifest["format"] != FORMAT_WITHOUT_DIGESTS)
 
 
 def refuse_without_digests(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """BadInputError for a folder of uqharness 0.1: it may be read, but nothing may be flown into it."""
+    """BadInputError for a folder of uqharness 0.1: it may be read, but nothing may be flown into
+    it.
+    """
     if not has_digests(manifest):
         raise BadInputError(
-            f"{folder}: made by uqharness 0.1, whose flights carry no digests: finish it there, or fly it anew with another --out"
+            f"{folder}: made by uqharness 0.1, whose flights carry no digests: finish it there, or"
+            " fly it anew with another --out"
         )
 
 
 def read_complete(folder: Path) -> dict[str, Any]:
-    """Manifest of a campaign folder whose flights are all done. Raises BadInputError, also where some are missing."""
+    """Manifest of a campaign folder whose flights are all done.
+
+    Raises BadInputError, also where some are missing.
+    """
     manifest = read_manifest(folder)
     if manifest["state"] != COMPLETE:
         command = manifest["command"] or "the command that began it"
@@ -287,7 +315,8 @@ def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
 def refuse_if_different(
     folder: Path, old: Mapping[str, Any], new: Mapping[str, Any], but_for: tuple[str, ...] = ()
 ) -> None:
-    """BadInputError naming every difference that makes the folder's flights no part of the campaign now asked for.
+    """BadInputError naming every difference that makes the folder's flights no part of the campaign
+    now asked for.
 
     Versions and hashes named in ``but_for`` may differ.
     """
@@ -310,7 +339,8 @@ def refuse_if_different(
         if name not in but_for and before != after:
             what = now.get(f"campaign.{setting}")
             differences.append(
-                f"the content of the {name} ({what}) has changed: {before[:12]} then, {after[:12]} now"
+                f"the content of the {name} ({what}) has changed: {before[:12]} then,"
+                f" {after[:12]} now"
             )
     for role in sorted((old["hashes"].keys() | new["hashes"].keys()) - {"aircraft", "script"}):
         before, after = (
@@ -322,7 +352,8 @@ def refuse_if_different(
             )
     if differences:
         raise BadInputError(
-            f"{folder}: this folder holds another campaign: {'; '.join(differences)}. Choose another --out, or restore what changed"
+            f"{folder}: this folder holds another campaign: {'; '.join(differences)}. Choose"
+            " another --out, or restore what changed"
         )
 
 

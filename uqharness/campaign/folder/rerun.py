@@ -1,4 +1,6 @@
-"""Fly one case of a campaign again, with everything recorded and a plot, and say whether it came out as it did then."""
+"""Fly one case of a campaign again, with everything recorded and a plot, and say whether it came
+out as it did then.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ RECORD_HZ = 50.0
 
 @dataclass(frozen=True)
 class Rerun:
-    """What came of it. ``same``: status and every metric equal the stored ones; None where the case had not been flown yet."""
+    """What came of it. ``same``: status and every metric equal the stored ones; None where the case
+    had not been flown yet.
+    """
 
     case: Case
     outcome: CaseOutcome
@@ -54,7 +58,8 @@ class Rerun:
 
 @dataclass(frozen=True)
 class RecordedFlight:
-    """A flight function for a worker: flies and scores as the campaign does, then once more with all signals to ``path``.
+    """A flight function for a worker: flies and scores as the campaign does, then once more with
+    all signals to ``path``.
 
     The signals are JSBSim's, also of a flight in the batch ``engine``.
     """
@@ -87,10 +92,11 @@ class RecordedFlight:
 
 
 def rerun_case(folder: Path, case_id: str) -> Rerun:
-    """Fly the case (its id, or the unique beginning of one) in a process of its own, into ``folder``/rerun/<case id>.
+    """Fly the case (its id, or the unique beginning of one) in a process of its own, into
+    ``folder``/rerun/<case id>.
 
-    Raises BadInputError for a folder without a campaign, an unknown id, and an aircraft, script or version that is not as it was.
-    """
+    Raises BadInputError for a folder without a campaign, an unknown id, and an aircraft, script or
+    version that is not as it was."""
     manifest = read_manifest(folder)
     refuse_without_digests(folder, manifest)
     spec = spec_of(manifest)
@@ -100,7 +106,8 @@ def rerun_case(folder: Path, case_id: str) -> Rerun:
     reason = why_not(case.engine)
     if reason is not None:
         raise BadInputError(
-            f"{folder}: this campaign flies in the batch engine, and {reason}; fly the case where it was flown"
+            f"{folder}: this campaign flies in the batch engine, and {reason}; fly the case where"
+            " it was flown"
         )
     if needs_copy(spec):
         make_copy(spec, mission, folder)
@@ -134,7 +141,9 @@ def _at_rate(spec: FlightSpec, rate_hz: float) -> FlightSpec:
 
 
 def _more(metrics: Mapping[str, Any]) -> dict[str, Source]:
-    """What stands beside a flight record: errors as scored, position, levels, bounds and deltas, air."""
+    """What stands beside a flight record: errors as scored, position, levels, bounds and deltas,
+    air.
+    """
     table = {f"error_{key}": Source(card.true) for key, card in metrics.items()}
     table |= {
         f"error_{key}_measured": Source(card.measured)
@@ -165,7 +174,8 @@ def _find_case(cases: tuple[Case, ...], case_id: str, folder: Path) -> Case:
             f"--case {case_id}: {len(found)} cases of {folder} begin so; give more of the id"
         )
     raise BadInputError(
-        f"--case {case_id}: {folder} has no such case; ids stand in cases.parquet and, for failed ones, in report.html"
+        f"--case {case_id}: {folder} has no such case; ids stand in cases.parquet and, for failed"
+        " ones, in report.html"
     )
 
 

@@ -1,8 +1,9 @@
-"""A campaign in parts: each shard flies its share into a folder of its own, and merging makes one campaign folder of them.
+"""A campaign in parts: each shard flies its share into a folder of its own, and merging makes one
+campaign folder of them.
 
-For schedulers without a process pool across machines: n jobs with --shard 1/n ... n/n, on a shared folder or on folders that are
-copied together afterwards. A case belongs to a shard by its place in the campaign, so the merged tables are those of one run.
-"""
+For schedulers without a process pool across machines: n jobs with --shard 1/n ... n/n, on a shared
+folder or on folders that are copied together afterwards. A case belongs to a shard by its place in
+the campaign, so the merged tables are those of one run."""
 
 from __future__ import annotations
 
@@ -65,7 +66,9 @@ _WORDS = {"open": "inconclusive"}
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer of one condition to "at most ``acceptable_per_h`` excursions beyond ``radius_m`` at every corner?"."""
+    """Answer of one condition to "at most ``acceptable_per_h`` excursions beyond ``radius_m`` at
+    every corner?".
+    """
 
     condition: str
     radius_m: float
@@ -74,11 +77,14 @@ class Answer:
     reason: str
     hours: float
     flight_share_upper: float | None = None
-    """Upper limit of the share of flights with an excursion at the worst corner, where the number of flights was fixed."""
+    """Upper limit of the share of flights with an excursion at the worst corner, where the number
+    of flights was fixed.
+    """
 
 
 def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
-    """From decisions.csv, which a run that decides keeps up to date; else from the statements of a complete campaign; else none.
+    """From decisions.csv, which a run that decides keeps up to date; else from the statements of a
+    complete campaign; else none.
 
     Raises BadInputError where the table is not as it was written.
     """
@@ -124,7 +130,10 @@ def lines(answers: Sequence[Answer]) -> list[str]:
     first, count = answers[0], Counter(answer.answer for answer in answers)
     summary = ", ".join(f"{count[word]} {_WORDS.get(word, word)}" for word in _ORDER if count[word])
     found = [
-        f"at most {counted(first.acceptable_per_h, 'excursion')} per hour beyond {first.radius_m:g} m? {summary}"
+        (
+            f"at most {counted(first.acceptable_per_h, 'excursion')} per hour beyond {first.radius_m:g}"
+            f" m? {summary}"
+        )
     ]
     for answer in answers:
         reason = f" ({answer.reason})" if answer.reason else ""
@@ -132,7 +141,10 @@ def lines(answers: Sequence[Answer]) -> list[str]:
         said = (
             ""
             if share is None
-            else f", at most {percent(share)} of flights with an excursion at the worst corner (95 % limit)"
+            else (
+                f", at most {percent(share)} of flights with an excursion at the worst corner (95 %"
+                " limit)"
+            )
         )
         word = _WORDS.get(answer.answer, answer.answer)
         found.append(f"  {answer.condition}: {word}{reason}, {answer.hours:.4g} flight h{said}")
@@ -146,7 +158,9 @@ def lines(answers: Sequence[Answer]) -> list[str]:
 def sealed(
     manifest: Mapping[str, Any], store: Store, tables: Mapping[str, bytes]
 ) -> dict[str, Any]:
-    """The manifest of a campaign that is complete now: with digests of the journal's flights and of the tables."""
+    """The manifest of a campaign that is complete now: with digests of the journal's flights and of
+    the tables.
+    """
     digests = dict(manifest.get("tables", {})) | {
         name: sha256_hex(content) for name, content in tables.items()
     }
@@ -158,7 +172,10 @@ def sealed(
 
 
 def seal_files(folder: Path, earlier: checksums.Earlier | None = None) -> None:
-    """Write SHA256SUMS of a complete campaign's folder, the last file that a run writes. Raises BadInputError."""
+    """Write SHA256SUMS of a complete campaign's folder, the last file that a run writes.
+
+    Raises BadInputError.
+    """
     damaged = {} if earlier is None else dict(earlier.damaged)
     for name in (MANIFEST, JOURNAL, *TABLE_NAMES):
         damaged.pop(name, None)  # they have just been held against digests of their own, or written
@@ -166,7 +183,9 @@ def seal_files(folder: Path, earlier: checksums.Earlier | None = None) -> None:
 
 
 def refuse_if_not_whole(folder: Path, store: Store, manifest: Mapping[str, Any]) -> None:
-    """DamageError where the journal of a complete campaign is not the one that the manifest lists."""
+    """DamageError where the journal of a complete campaign is not the one that the manifest
+    lists.
+    """
     store.finished()
     if store.summary() != manifest["journal"]:
         raise DamageError(
@@ -181,7 +200,8 @@ def mend_tables(
     cases: Sequence[Case],
     store: Store,
 ) -> tuple[str, ...]:
-    """Write the tables of a complete campaign again if one is not as it was written; names of those that were not.
+    """Write the tables of a complete campaign again if one is not as it was written; names of those
+    that were not.
 
     The journal must be whole. A table of another command (sensitivity.csv) is left as it is.
     """
@@ -197,7 +217,8 @@ def mend_tables(
     tables = make_tables(spec, cases, store.outcomes(), rounds.decisions)
     if not damaged & set(tables):
         return ()
-    # Another version of a library may write other bytes of the same content: then all of them belong together.
+    # Another version of a library may write other bytes of the same content: then all of them
+    # belong together.
     write_tables(folder, tables)
     write_manifest(folder, sealed(manifest, store, tables))
     return tuple(name for name in tables if name in damaged)
@@ -224,7 +245,9 @@ class Shard:
 
 @dataclass(frozen=True)
 class Merged:
-    """What a merge found: cases of the campaign, those that no shard has flown, failures; damaged tables that are whole again."""
+    """What a merge found: cases of the campaign, those that no shard has flown, failures; damaged
+    tables that are whole again.
+    """
 
     folder: Path
     cases: int
@@ -258,21 +281,22 @@ def shard_folders(folder: Path) -> list[Path]:
 
 
 def merge(folder: Path) -> Merged:
-    """Bring the flights of all shards in ``folder`` together; with the last one in, write the tables.
+    """Bring the flights of all shards in ``folder`` together; with the last one in, write the
+    tables.
 
-    May be repeated: what is already there is kept. Raises BadInputError for shards of different campaigns and while one of them is
-    being flown.
-    """
+    May be repeated: what is already there is kept. Raises BadInputError for shards of different
+    campaigns and while one of them is being flown."""
     folders = shard_folders(folder)
     if not folders:
         raise BadInputError(
-            f"{folder}: has no shards (no {SHARDS}/*/manifest.json); fly them with: uqharness campaign run CAMPAIGN.toml "
-            f"--out {folder} --shard 1/2 and so on"
+            f"{folder}: has no shards (no {SHARDS}/*/manifest.json); fly them with: uqharness"
+            f" campaign run CAMPAIGN.toml --out {folder} --shard 1/2 and so on"
         )
     first = read_manifest(folders[0])
     refuse_without_digests(folders[0], first)
     spec = spec_of(first)
-    # Identity comes from the flights' own record: the files may lie elsewhere, or be gone, on the machine that merges.
+    # Identity comes from the flights' own record: the files may lie elsewhere, or be gone, on the
+    # machine that merges.
     hashes = first["hashes"]
     mission = Mission(Path(), hashes["aircraft"], Path(), hashes["script"])
     cases = build_cases(spec, mission)
@@ -289,7 +313,8 @@ def merge(folder: Path) -> Merged:
             refuse_if_different(part, found, manifest)
             if found["state"] == SPOILT:
                 raise BadInputError(
-                    f"{part}: aircraft or script was edited while it flew; remove it and fly that shard again"
+                    f"{part}: aircraft or script was edited while it flew; remove it and fly that"
+                    " shard again"
                 )
         if old is not None and old["state"] == COMPLETE:
             with Store(folder) as store:
@@ -327,7 +352,10 @@ def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def _merged_before(folder: Path, manifest: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Manifest of the folder where an earlier merge left one with a journal. Raises BadInputError for that of another campaign."""
+    """Manifest of the folder where an earlier merge left one with a journal.
+
+    Raises BadInputError for that of another campaign.
+    """
     if not (folder / MANIFEST).exists():
         return None
     old = read_manifest(folder)
@@ -355,11 +383,12 @@ def _merged(
 
 @dataclass(frozen=True)
 class Status:
-    """``state``: complete, running or interrupted; ``statuses``: number of finished flights by status.
+    """``state``: complete, running or interrupted; ``statuses``: number of finished flights by
+    status.
 
-    ``engine`` flies the campaign, ``why`` says for what reasons. ``joint`` says what its intervals hold together, ``joint_level``
-    at which confidence; None where that of the intervals is not known.
-    """
+    ``engine`` flies the campaign, ``why`` says for what reasons. ``joint`` says what its intervals
+    hold together, ``joint_level`` at which confidence; None where that of the intervals is not
+    known."""
 
     state: str
     cases: int

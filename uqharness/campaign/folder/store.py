@@ -1,13 +1,14 @@
-"""A campaign's journal: finished cases, each on the disk before it counts, in one SQLite file with one writer.
+"""A campaign's journal: finished cases, each on the disk before it counts, in one SQLite file with
+one writer.
 
-SQLite's rollback journal (DELETE, synchronous=EXTRA) is chosen over an append-only text file, because a torn last write,
-a full disk and a power cut are then its tested business, and over its write-ahead log, because that needs shared memory,
-which cluster file systems lack. A killed run leaves a journal that the next opening rolls back: a batch is there whole or
-not at all.
+SQLite's rollback journal (DELETE, synchronous=EXTRA) is chosen over an append-only text file,
+because a torn last write, a full disk and a power cut are then its tested business, and over its
+write-ahead log, because that needs shared memory, which cluster file systems lack. A killed run
+leaves a journal that the next opening rolls back: a batch is there whole or not at all.
 
-Damage is found, not believed: each row carries a digest of all its columns, a tally in the same transaction the number of rows
-by status and the sum of their digests, and the structure of the file is looked at when it is opened.
-"""
+Damage is found, not believed: each row carries a digest of all its columns, a tally in the same
+transaction the number of rows by status and the sum of their digests, and the structure of the file
+is looked at when it is opened."""
 
 from __future__ import annotations
 
@@ -47,12 +48,15 @@ SCHEMA = (
     "CREATE TABLE tally (statuses text not null, digest_sum text not null, digest text not null)",
 )
 COLUMNS = "case_id, status, reason, flown_s, metrics, undefined, digest"
-# A row of some 1200 bytes has no room on a page of 4096 with others and would take a page more: 4.7 kB a flight instead of 1.4.
+# A row of some 1200 bytes has no room on a page of 4096 with others and would take a page more: 4.7
+# kB a flight instead of 1.4.
 _PAGE_BYTES = 8192
 _BESIDE = ("-journal", "-wal", "-shm")
 """Endings of the files that SQLite keeps beside a database; the first is the rollback file."""
 _ROLLBACK_MAGIC = bytes.fromhex("d9d505f920a163d7")
-"""Begins a rollback file, and ends one that names a super journal (SQLite's file format, section 3.1)."""
+"""Begins a rollback file, and ends one that names a super journal (SQLite's file format, section
+3.1).
+"""
 # Far above any row; a damaged length then asks for no memory.
 LONGEST_BYTES = 16_000_000
 
@@ -73,9 +77,8 @@ _OF_THE_MACHINE = {
 class Store:
     """Outcomes of a campaign's cases.
 
-    Raises BadInputError where the folder cannot be written or read; DamageError, which is one, where the journal is not as it was
-    written.
-    """
+    Raises BadInputError where the folder cannot be written or read; DamageError, which is one,
+    where the journal is not as it was written."""
 
     def __init__(self, folder: Path, read_only: bool = False) -> None:
         self.folder = folder
@@ -95,8 +98,12 @@ class Store:
             on_failure.pop_all()
 
     def _begun(self) -> bool:
-        """Whether there is a file that SQLite may have written to. Raises BadInputError for what is no file of its kind."""
-        # Looked at, not opened: closing a second handle would drop the locks that SQLite holds in this process.
+        """Whether there is a file that SQLite may have written to.
+
+        Raises BadInputError for what is no file of its kind.
+        """
+        # Looked at, not opened: closing a second handle would drop the locks that SQLite holds in
+        # this process.
         refuse_traps(self.folder)
         try:
             require_regular(self._path)
@@ -118,7 +125,9 @@ class Store:
         return sqlite3.connect(self._path, timeout=30.0)
 
     def _schema(self) -> bool:
-        """Whether the tables are there; False in a file whose making was cut short, in which nothing was counted."""
+        """Whether the tables are there; False in a file whose making was cut short, in which
+        nothing was counted.
+        """
         found = [
             row[0] for row in self._database.execute("select sql from sqlite_master order by name")
         ]
@@ -137,7 +146,10 @@ class Store:
             raise self._damage(" ".join(str(said).split()))
 
     def add(self, outcomes: Iterable[CaseOutcome]) -> None:
-        """Store a batch; on return it is on the disk. On failure nothing of it is, and the journal is as before."""
+        """Store a batch; on return it is on the disk.
+
+        On failure nothing of it is, and the journal is as before.
+        """
         rows = {item.case_id: row_of(item) for item in outcomes}
         if rows:
             with self._explained("write"), self._database:
@@ -149,12 +161,18 @@ class Store:
         return {outcome.case_id for outcome in self.outcomes()}
 
     def statuses(self) -> Counter[str]:
-        """Number of finished cases by status, from the tally: reads none of the rows. Raises DamageError."""
+        """Number of finished cases by status, from the tally: reads none of the rows.
+
+        Raises DamageError.
+        """
         with self._explained("read"):
             return self._tally()[0] if self._schema() else Counter()
 
     def outcomes(self) -> Iterator[CaseOutcome]:
-        """All outcomes, ordered by case id. Raises DamageError at the row that is damaged, at the end if rows are missing."""
+        """All outcomes, ordered by case id.
+
+        Raises DamageError at the row that is damaged, at the end if rows are missing.
+        """
         with self._explained("read"):
             if not self._schema():
                 return
@@ -172,7 +190,8 @@ class Store:
                 self._database.rollback()
             if (counted, summed(f"{total:x}", ())) != expected:
                 raise self._damage(
-                    f"{counted.total()} flights are in it, {expected[0].total()} were stored, or they are not the same"
+                    f"{counted.total()} flights are in it, {expected[0].total()} were stored, or"
+                    " they are not the same"
                 )
 
     def outcome(self, case_id: str) -> CaseOutcome | None:
@@ -186,10 +205,11 @@ class Store:
             return None if row is None else self._outcome(row)
 
     def summary(self) -> dict[str, Any]:
-        """Number of ``rows`` and a ``digest`` over those of all rows in case-id order: what a manifest keeps of a finished journal.
+        """Number of ``rows`` and a ``digest`` over those of all rows in case-id order: what a
+        manifest keeps of a finished journal.
 
-        Takes the rows' digests as they stand: whoever must not trust them goes through ``outcomes`` as well.
-        """
+        Takes the rows' digests as they stand: whoever must not trust them goes through ``outcomes``
+        as well."""
         with self._explained("read"):
             digests = [
                 row[0]
@@ -227,7 +247,8 @@ class Store:
         try:
             yield
         except sqlite3.Error as error:
-            # Without a code it is Python's own complaint about what it was handed: text that is not UTF-8, say.
+            # Without a code it is Python's own complaint about what it was handed: text that is not
+            # UTF-8, say.
             code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
             forbidden = code == sqlite3.SQLITE_READONLY and os.access(self._path, os.W_OK)
             if code not in _OF_THE_MACHINE or (forbidden and os.access(self.folder, os.W_OK)):
@@ -237,16 +258,16 @@ class Store:
                 "free space or mend the folder's permissions, then run the same command again"
             ) from None
         except (OverflowError, MemoryError, ValueError) as error:
-            # SQLite's own message may quote a damaged name, which is no text; a digest may be no number.
+            # SQLite's own message may quote a damaged name, which is no text; a digest may be no
+            # number.
             raise self._damage(f"cannot be read ({type(error).__name__})") from None
 
 
 def journal_trap(folder: Path) -> str:
     """What SQLite would do elsewhere if it opened the journal of a folder, in words; "" if nothing.
 
-    SQLite follows a link in the place of a journal or of the files beside it, and writes there. A rollback file may name a "super
-    journal", which SQLite removes; this program's never does.
-    """
+    SQLite follows a link in the place of a journal or of the files beside it, and writes there. A
+    rollback file may name a "super journal", which SQLite removes; this program's never does."""
     for name in (JOURNAL, *(f"{JOURNAL}{ending}" for ending in _BESIDE)):
         path = folder / name
         if path.is_symlink():
@@ -286,7 +307,9 @@ def create_tables(database: sqlite3.Connection) -> None:
 def add_rows(
     database: sqlite3.Connection, rows: Iterable[Sequence[Any]], statuses: Counter[str], total: str
 ) -> None:
-    """Write rows within the transaction that is open and bring the tally, which was ``statuses`` and ``total``, up to date."""
+    """Write rows within the transaction that is open and bring the tally, which was ``statuses``
+    and ``total``, up to date.
+    """
     statuses, added, removed = statuses.copy(), [], []
     for row in rows:
         query = "select status, digest from outcome where case_id = ?"
@@ -306,12 +329,19 @@ def row_of(outcome: CaseOutcome) -> tuple[Any, ...]:
     """An outcome as the journal's columns, digest last."""
     # SQLite has no negative zero.
     columns = (outcome.case_id, outcome.status, outcome.reason, float(outcome.flown_s) + 0.0)
-    columns = (*columns, _plain(outcome.metrics), _plain(outcome.undefined))  # type: ignore[assignment]
+    columns = (  # type: ignore[assignment]
+        *columns,
+        _plain(outcome.metrics),
+        _plain(outcome.undefined),
+    )
     return (*columns, row_digest(columns))
 
 
 def outcome_of(row: Sequence[Any]) -> CaseOutcome:
-    """The outcome that a row holds. ValueError saying what is wrong where it is not the row that was written."""
+    """The outcome that a row holds.
+
+    ValueError saying what is wrong where it is not the row that was written.
+    """
     case_id, status, reason, flown_s, metrics, undefined, digest = row
     whole = all(
         isinstance(item, str) for item in (case_id, status, reason, metrics, undefined, digest)
@@ -326,7 +356,10 @@ def outcome_of(row: Sequence[Any]) -> CaseOutcome:
 
 
 def read_tally(database: sqlite3.Connection) -> tuple[Counter[str], str]:
-    """Number of rows by status and the sum of their digests. ValueError where they are not what was written."""
+    """Number of rows by status and the sum of their digests.
+
+    ValueError where they are not what was written.
+    """
     rows = database.execute("select statuses, digest_sum, digest from tally").fetchall()
     if (
         len(rows) != 1
@@ -364,9 +397,9 @@ def _plain(mapping: Mapping[str, object]) -> str:
 def run_lock(folder: Path) -> Iterator[None]:
     """Hold the folder for one run. Raises BadInputError if another process has it.
 
-    The system drops the lock when the process ends, however it ends. A record lock is used because children do not inherit
-    it: a worker that outlives a killed parent for a moment must not keep the folder shut.
-    """
+    The system drops the lock when the process ends, however it ends. A record lock is used because
+    children do not inherit it: a worker that outlives a killed parent for a moment must not keep
+    the folder shut."""
     path = folder / LOCK
     key = str(path.resolve())
     if key in _held:
@@ -376,10 +409,12 @@ def run_lock(folder: Path) -> Iterator[None]:
         handle = os.fdopen(open_no_link(path), "r+", encoding="utf-8")
     except OSError as error:
         raise BadInputError(
-            f"{path}: cannot be written: {error.strerror or error}; remove it or choose another --out"
+            f"{path}: cannot be written: {error.strerror or error}; remove it or choose another"
+            " --out"
         ) from None
     with handle:
-        # Somebody who only asks whether a run is on holds the lock for an instant, so one refusal is not yet an answer.
+        # Somebody who only asks whether a run is on holds the lock for an instant, so one refusal
+        # is not yet an answer.
         if not _try_lock(handle.fileno(), attempts=5):
             handle.seek(0)
             raise _in_use(folder, handle.read(200).strip() or "unknown process")
@@ -413,7 +448,8 @@ def is_running(folder: Path) -> bool:
 
 def _in_use(folder: Path, holder: str) -> BadInputError:
     return BadInputError(
-        f"{folder}: another run is using this folder ({holder}); wait for it, stop it, or choose another --out"
+        f"{folder}: another run is using this folder ({holder}); wait for it, stop it, or choose"
+        " another --out"
     )
 
 
@@ -434,16 +470,19 @@ def _try_lock(descriptor: int, attempts: int = 1) -> bool:
 # file it is found.
 
 LEFTOVER = f"{JOURNAL}-journal"
-"""What a writer that was killed leaves beside the journal; SQLite takes back what was half written by it."""
+"""What a writer that was killed leaves beside the journal; SQLite takes back what was half written
+by it.
+"""
 
 _UNREADABLE = (sqlite3.Error, OverflowError, MemoryError, UnicodeError)
 
 
 class JournalScan:
-    """Goes through a journal that may be damaged, without changing it; ``scratch`` is an empty folder for copies.
+    """Goes through a journal that may be damaged, without changing it; ``scratch`` is an empty
+    folder for copies.
 
-    ``damaged``: rows met that do not fit their digests. ``unreadable``: why not all of the file could be read, empty if it could.
-    """
+    ``damaged``: rows met that do not fit their digests. ``unreadable``: why not all of the file
+    could be read, empty if it could."""
 
     def __init__(self, folder: Path, scratch: Path) -> None:
         self.damaged = 0
@@ -451,7 +490,8 @@ class JournalScan:
         self._folder, self._scratch = folder, scratch
 
     def rows(self, wanted: Collection[str] = ()) -> Iterator[tuple[Any, ...]]:
-        """Sound rows, each once: forwards, backwards, each of the case ids ``wanted`` by itself, as far as that is needed.
+        """Sound rows, each once: forwards, backwards, each of the case ids ``wanted`` by itself, as
+        far as that is needed.
 
         Raises BadInputError where opening the journal would touch a file elsewhere.
         """
@@ -466,7 +506,9 @@ class JournalScan:
                 return
 
     def _variants(self) -> Iterator[Path]:
-        """The file as SQLite opens it, then with a first page that says again where its tables begin."""
+        """The file as SQLite opens it, then with a first page that says again where its tables
+        begin.
+        """
         source = self._folder / JOURNAL
         if (self._folder / LEFTOVER).is_file():
             source = copy_of(self._folder, self._scratch / "as-it-is")
@@ -527,7 +569,9 @@ class JournalScan:
 
 
 def copy_of(folder: Path, target: Path) -> Path:
-    """The journal and what lies beside it, copied: opening the copy changes nothing in ``folder``."""
+    """The journal and what lies beside it, copied: opening the copy changes nothing in
+    ``folder``.
+    """
     refuse_traps(folder)
     target.mkdir(parents=True, exist_ok=True)
     for name in (JOURNAL, LEFTOVER):
@@ -545,7 +589,10 @@ def _opened(path: Path) -> sqlite3.Connection:
 
 
 def _give_first_page(path: Path, empty: Path) -> bool:
-    """Put the first page of an empty journal over that of ``path``, for all begin alike. False for a file of no whole pages."""
+    """Put the first page of an empty journal over that of ``path``, for all begin alike.
+
+    False for a file of no whole pages.
+    """
     empty.unlink(missing_ok=True)
     with closing(sqlite3.connect(empty)) as database:
         database.execute("pragma page_size = 8192")

@@ -1,4 +1,6 @@
-"""The tables a campaign leaves behind, each whole or not at all: cases, p-boxes, excursions, statements."""
+"""The tables a campaign leaves behind, each whole or not at all: cases, p-boxes, excursions,
+statements.
+"""
 
 from __future__ import annotations
 
@@ -63,9 +65,8 @@ _ALWAYS = (
 def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Table:
     """Table of the cases that have an outcome.
 
-    ``duration_s`` is scored time: of a flight that failed, what it flew of it. Such a flight has no error statistics (they
-    would be those of a shorter flight), but keeps its counts so far.
-    """
+    ``duration_s`` is scored time: of a flight that failed, what it flew of it. Such a flight has no
+    error statistics (they would be those of a shorter flight), but keeps its counts so far."""
     by_id = {outcome.case_id: outcome for outcome in outcomes}
     radii = cases[0].flight.excursion_radius_m if cases else ()
     found = {name for outcome in by_id.values() for name in outcome.metrics}
@@ -82,7 +83,8 @@ def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Ta
 
 
 def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> pa.Table:
-    """The table, if it has every column of ``campaign`` (its settings as plain types) with values such as flights leave.
+    """The table, if it has every column of ``campaign`` (its settings as plain types) with values
+    such as flights leave.
 
     Raises BadInputError naming the first column that is missing or of another type.
     """
@@ -98,7 +100,8 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
             raise BadInputError(f"{path}: has no column {field.name}; run the campaign again")
         if found[field.name] != field.type:
             raise BadInputError(
-                f"{path}: column {field.name} is of type {found[field.name]}, not {field.type}; run the campaign again"
+                f"{path}: column {field.name} is of type {found[field.name]}, not {field.type}; run"
+                " the campaign again"
             )
     wrong = [name for name in _ALWAYS if table[name].null_count]
     allowed: dict[str, tuple[str, ...]] = {
@@ -109,7 +112,8 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
         wrong += [name] if set(table[name].unique().to_pylist()) - set(known) else []
     if wrong or not table.num_rows:
         raise BadInputError(
-            f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the campaign again"
+            f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the"
+            " campaign again"
         )
     return table
 
@@ -159,8 +163,10 @@ def _row(
         _ENGINE: case.engine,
         "duration_s": scored_s,
         "status": outcome.status,
-        "reason": outcome.reason
-        or "; ".join(f"{name}: {why}" for name, why in sorted(outcome.undefined.items())),
+        "reason": (
+            outcome.reason
+            or "; ".join(f"{name}: {why}" for name, why in sorted(outcome.undefined.items()))
+        ),
     }
     row |= {f"level_{name}": case.levels.get(name) for name in COEFFICIENTS} | dict(case.inputs)
     row |= {
@@ -215,7 +221,9 @@ def make_tables(
     outcomes: Iterable[CaseOutcome],
     decisions: bytes | None = None,
 ) -> dict[str, bytes]:
-    """cases.parquet, pbox.parquet, excursions.csv and statements.csv of what was flown, and ``decisions``, by name."""
+    """cases.parquet, pbox.parquet, excursions.csv and statements.csv of what was flown, and
+    ``decisions``, by name.
+    """
     table = build_table(cases, outcomes)
     frame, campaign = table.to_pandas(), spec.as_dict()
     found = statements(
@@ -320,7 +328,8 @@ MOST_CHECK_BYTES = 64_000_000
 
 @dataclass(frozen=True)
 class CheckRow:
-    """One metric of one flight in both engines, as text. ``part``: start (its first seconds) or whole.
+    """One metric of one flight in both engines, as text. ``part``: start (its first seconds) or
+    whole.
 
     ``difference`` is over ``spread``; ``verdict`` is alike, excused (with ``remark``) or differs.
     """
@@ -360,7 +369,9 @@ def write_check(folder: Path, rows: Iterable[CheckRow]) -> None:
 
 
 def read_check(folder: Path) -> list[CheckRow]:
-    """Its rows; none where it is not there or is not what this program wrote: then the flights are flown again."""
+    """Its rows; none where it is not there or is not what this program wrote: then the flights are
+    flown again.
+    """
     path = folder / ENGINE_CHECK
     try:
         rows = csv_rows(read_regular(path, MOST_CHECK_BYTES), path, (), _COLUMNS)
@@ -400,12 +411,15 @@ _MOST_TEXT_BYTES = 64_000_000
 
 
 def is_sealed(manifest: Mapping[str, Any]) -> bool:
-    """Whether the manifest holds the digests of all tables there are: of a complete campaign, not of uqharness 0.1."""
+    """Whether the manifest holds the digests of all tables there are: of a complete campaign, not
+    of uqharness 0.1.
+    """
     return has_digests(manifest) and manifest["state"] == COMPLETE
 
 
 def table_digests(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str | None]:
-    """Digest of each table that the manifest names as it is on the disk now; None for one that is not there.
+    """Digest of each table that the manifest names as it is on the disk now; None for one that is
+    not there.
 
     Raises BadInputError for one that cannot be read.
     """
@@ -423,7 +437,10 @@ def table_digests(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str | 
 
 
 def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
-    """Bytes of a table of a campaign. Raises BadInputError where it is not there, DamageError where it is not as it was written."""
+    """Bytes of a table of a campaign.
+
+    Raises BadInputError where it is not there, DamageError where it is not as it was written.
+    """
     path = folder / name
     try:
         content = read_regular(path, MOST_BYTES if path.suffix == ".parquet" else _MOST_TEXT_BYTES)
@@ -447,14 +464,20 @@ def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
 
 
 def read_cases(folder: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
-    """Flights of a complete campaign, with every column that such a table has. Raises BadInputError."""
+    """Flights of a complete campaign, with every column that such a table has.
+
+    Raises BadInputError.
+    """
     path = folder / CASES
     table = parse_table(read_checked(folder, manifest, CASES), path, int(manifest["cases"]))
     return checked_table(table, path, manifest["campaign"]).to_pandas()
 
 
 def read_decisions(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Rows of decisions.csv, as text; none where the campaign has no such table. Raises BadInputError."""
+    """Rows of decisions.csv, as text; none where the campaign has no such table.
+
+    Raises BadInputError.
+    """
     known = is_sealed(manifest)
     if DECISIONS not in manifest.get("tables", {}) if known else not (folder / DECISIONS).exists():
         return []
@@ -472,7 +495,9 @@ def read_engine_check(folder: Path, manifest: Mapping[str, Any]) -> list[CheckRo
 
 
 def record_table(folder: Path, name: str, content: bytes) -> None:
-    """Write a table that a command adds to a complete campaign's folder, and its digest into the manifest. Raises BadInputError."""
+    """Write a table that a command adds to a complete campaign's folder, and its digest into the
+    manifest. Raises BadInputError.
+    """
     write_bytes(folder / name, content)
     manifest = read_manifest(folder)
     if has_digests(manifest):

@@ -1,8 +1,7 @@
 """Is a folder of results as it was written? Changes nothing.
 
-Manifest, journal, tables and shards of a campaign are each looked at for themselves; every other file of a campaign, and those of a
-study or a refinement, by the digest in SHA256SUMS.
-"""
+Manifest, journal, tables and shards of a campaign are each looked at for themselves; every other
+file of a campaign, and those of a study or a refinement, by the digest in SHA256SUMS."""
 
 from __future__ import annotations
 
@@ -64,7 +63,9 @@ WHOLE, DAMAGED, MISSING, NO_DIGEST = "whole", "damaged", "missing", "no digests"
 
 @dataclass(frozen=True)
 class Item:
-    """Manifest, journal or table: its state, a remark, and of a table the digest of its bytes as they are now."""
+    """Manifest, journal or table: its state, a remark, and of a table the digest of its bytes as
+    they are now.
+    """
 
     name: str
     state: str
@@ -74,7 +75,10 @@ class Item:
 
 @dataclass(frozen=True)
 class Verified:
-    """What was found of one folder, and of the shards below it. ``complete`` None where the manifest cannot be read."""
+    """What was found of one folder, and of the shards below it.
+
+    ``complete`` None where the manifest cannot be read.
+    """
 
     folder: Path
     complete: bool | None
@@ -91,7 +95,9 @@ class Verified:
 
 @dataclass(frozen=True)
 class JournalFound:
-    """Rows of a journal that fit their digests, that do not, and that are missing (None: not known how many there were)."""
+    """Rows of a journal that fit their digests, that do not, and that are missing (None: not known
+    how many there were).
+    """
 
     sound: int
     damaged: int
@@ -107,7 +113,10 @@ class JournalFound:
 
 
 def verify(folder: Path) -> Verified:
-    """Look at a folder of a campaign, study or refinement and those within. Raises BadInputError for any other folder."""
+    """Look at a folder of a campaign, study or refinement and those within.
+
+    Raises BadInputError for any other folder.
+    """
     own = (folder / MANIFEST).exists() or (folder / JOURNAL).exists()
     parts = [*part_folders(folder), *_sealed_within(folder)]
     sealed = (folder / SUMS).exists() or (folder / SUMS).is_symlink()
@@ -194,11 +203,14 @@ def _journal_item(folder: Path, manifest: Mapping[str, Any] | None) -> Item:
 
 
 def look_at_journal(folder: Path, manifest: Mapping[str, Any] | None) -> JournalFound:
-    """Every row of a journal, damaged or not, and whether it is what the manifest of a complete campaign lists."""
+    """Every row of a journal, damaged or not, and whether it is what the manifest of a complete
+    campaign lists.
+    """
     with scratch_folder("verify") as scratch:
         try:
             if (folder / LEFTOVER).is_file() and not is_running(folder):
-                # Opening the journal itself would take back what was half written, which is for the next run to do.
+                # Opening the journal itself would take back what was half written, which is for the
+                # next run to do.
                 copy_of(folder, scratch.path / "opened")
                 problem, expected = _opened(scratch.path / "opened", folder)
             else:
@@ -219,7 +231,9 @@ def look_at_journal(folder: Path, manifest: Mapping[str, Any] | None) -> Journal
 
 
 def _opened(place: Path, folder: Path) -> tuple[str, int | None]:
-    """What is wrong with a journal as every command opens it, and how many flights its tally counts."""
+    """What is wrong with a journal as every command opens it, and how many flights its tally
+    counts.
+    """
     expected = None
     try:
         with closing(Store(place, read_only=True)) as store:
@@ -266,10 +280,11 @@ _OWN_TABLES = ("sensitivity.csv", "convergence.csv", "area.csv", ENGINE_CHECK)
 
 @dataclass(frozen=True)
 class Salvaged:
-    """What was done in one folder: flights kept and flown again, tables written again, files put aside by their new names.
+    """What was done in one folder: flights kept and flown again, tables written again, files put
+    aside by their new names.
 
-    ``missing``: flights that no shard has flown yet; ``parts``: the same for the shards that were not whole.
-    """
+    ``missing``: flights that no shard has flown yet; ``parts``: the same for the shards that were
+    not whole."""
 
     folder: Path
     kept: int
@@ -294,11 +309,11 @@ class Flying:
 def salvage(
     folder: Path, flying: Flying, campaign: CampaignSpec | None = None, command: str = ""
 ) -> Salvaged:
-    """Make the campaign in ``folder`` whole. ``campaign`` takes the place of a manifest that is damaged or gone, and ``command``
-    that of the command in it.
+    """Make the campaign in ``folder`` whole. ``campaign`` takes the place of a manifest that is
+    damaged or gone, and ``command`` that of the command in it.
 
-    Shards are made whole and merged again. Raises BadInputError where that cannot be done: nothing is lost then.
-    """
+    Shards are made whole and merged again. Raises BadInputError where that cannot be done: nothing
+    is lost then."""
     parts = part_folders(folder)
     if not parts:
         return _salvage_campaign(folder, flying, campaign, command)
@@ -329,7 +344,9 @@ def _is_whole(folder: Path) -> bool:
 
 
 def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """DamageError where the journal is not whole; a file whose writer was killed is looked at in a copy."""
+    """DamageError where the journal is not whole; a file whose writer was killed is looked at in a
+    copy.
+    """
     if is_sealed(manifest) and not (folder / JOURNAL).exists():
         raise DamageError(folder / JOURNAL, "it is gone", folder)
     if is_sealed(manifest):
@@ -350,7 +367,9 @@ def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def _mend_merged(folder: Path) -> list[str]:
-    """Put aside what is damaged in a folder of merged shards: merging makes it again, with the flights it has itself."""
+    """Put aside what is damaged in a folder of merged shards: merging makes it again, with the
+    flights it has itself.
+    """
     aside: list[str] = []
     try:
         manifest = read_manifest(folder)
@@ -384,7 +403,8 @@ def _salvage_campaign(
         spec, manifest, aside = _known_campaign(folder, campaign, command)
         if manifest["state"] == SPOILT:
             raise BadInputError(
-                f"{folder}: aircraft or script was edited while this campaign flew; remove it and run again"
+                f"{folder}: aircraft or script was edited while this campaign flew; remove it and"
+                " run again"
             )
         wanted = _case_ids(folder, spec, manifest)
         try:
@@ -415,13 +435,16 @@ def _salvage_campaign(
 def _known_campaign(
     folder: Path, campaign: CampaignSpec | None, command: str
 ) -> tuple[CampaignSpec, dict[str, Any], list[str]]:
-    """The campaign of the folder and its manifest, rebuilt from ``campaign`` where it is damaged; what was put aside."""
+    """The campaign of the folder and its manifest, rebuilt from ``campaign`` where it is damaged;
+    what was put aside.
+    """
     try:
         manifest = read_manifest(folder)
     except BadInputError as error:
         if campaign is None:
             raise BadInputError(
-                f"{error}. Without a manifest, say what was flown: uqharness campaign salvage {folder} --campaign CAMPAIGN.toml"
+                f"{error}. Without a manifest, say what was flown: uqharness campaign salvage"
+                f" {folder} --campaign CAMPAIGN.toml"
             ) from None
         _refuse_other_versions(folder)
         shard = _shard_of(folder)
@@ -444,7 +467,9 @@ def _known_campaign(
 
 
 def _refuse_other_versions(folder: Path) -> None:
-    """A damaged manifest can often still be read for the versions that flew; flights of two are not mixed."""
+    """A damaged manifest can often still be read for the versions that flew; flights of two are not
+    mixed.
+    """
     with contextlib.suppress(OSError, ValueError, RecursionError, AttributeError):
         said = json.loads(read_regular(folder / MANIFEST)).get("versions")
         differences = [
@@ -466,8 +491,9 @@ def _refuse_foreign_flights(
     foreign = len(found - wanted)
     if foreign:
         raise BadInputError(
-            f"{folder}: {foreign} of its {len(found)} sound flights are no part of {campaign.path}; give the campaign file, the "
-            "aircraft and the --hours or --samples that it was flown with"
+            f"{folder}: {foreign} of its {len(found)} sound flights are no part of {campaign.path};"
+            " give the campaign file, the aircraft and the --hours or --samples that it was flown"
+            " with"
         )
 
 
@@ -481,7 +507,9 @@ def _sound_ids(folder: Path, wanted: Collection[str]) -> set[str]:
 
 
 def _in_the_engine_flown(folder: Path, campaign: CampaignSpec, mission: Mission) -> CampaignSpec:
-    """The campaign in the engine whose flights the journal holds: ids tell, where the file leaves it to the first run."""
+    """The campaign in the engine whose flights the journal holds: ids tell, where the file leaves
+    it to the first run.
+    """
     if campaign.campaign.engine != "auto":
         return campaign
     both = {
@@ -498,7 +526,10 @@ def _in_the_engine_flown(folder: Path, campaign: CampaignSpec, mission: Mission)
 
 
 def _case_ids(folder: Path, spec: CampaignSpec, manifest: Mapping[str, Any]) -> set[str]:
-    """Ids of the campaign's flights. Raises BadInputError where aircraft, script or versions are not what they were."""
+    """Ids of the campaign's flights.
+
+    Raises BadInputError where aircraft, script or versions are not what they were.
+    """
     mission = find_mission(spec, folder)
     refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""))
     return {case.case_id for case in build_cases(spec, mission)}
@@ -511,7 +542,9 @@ def _not_complete(manifest: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _replace_journal(folder: Path, wanted: Collection[str] | None) -> list[str]:
-    """A new journal with every sound flight that can be found, in the place of the damaged one; the name that this has now."""
+    """A new journal with every sound flight that can be found, in the place of the damaged one; the
+    name that this has now.
+    """
     with _work_folder(folder) as work:
         with Store(work) as store:
             for source in _sources(folder):
@@ -528,7 +561,9 @@ def _replace_journal(folder: Path, wanted: Collection[str] | None) -> list[str]:
 
 
 def _sources(folder: Path) -> Iterator[Path]:
-    """Folders to read a ``journal.sqlite`` from: those put aside by an earlier salvage first, for the last one counts."""
+    """Folders to read a ``journal.sqlite`` from: those put aside by an earlier salvage first, for
+    the last one counts.
+    """
     for number in itertools.count(1):
         aside = folder / f"journal.damaged-{number}.sqlite"
         if not aside.exists():
@@ -568,7 +603,9 @@ def _keep_copy(folder: Path) -> list[str]:
 
 
 def _put_tables_aside(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
-    """Tables of other commands that are not as written cannot be made again here, and must not be taken for whole."""
+    """Tables of other commands that are not as written cannot be made again here, and must not be
+    taken for whole.
+    """
     written = manifest.get("tables", {})
     found = table_digests(folder, manifest)
     damaged = [name for name in _OWN_TABLES if name in found and found[name] != written[name]]
@@ -632,6 +669,7 @@ def _out_of(folder: Path, shard: Shard | None) -> Path:
     place = folder.resolve()
     if (place.parent.name, place.name) != (SHARDS, shard.folder):
         raise BadInputError(
-            f"{folder}: holds shard {shard} and must lie in {SHARDS}/{shard.folder} of the campaign's folder"
+            f"{folder}: holds shard {shard} and must lie in {SHARDS}/{shard.folder} of the"
+            " campaign's folder"
         )
     return place.parent.parent

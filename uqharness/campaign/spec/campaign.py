@@ -42,7 +42,10 @@ assert Coefficient.__args__ == COEFFICIENTS  # type: ignore[attr-defined]
 
 
 def ordered(value: tuple[str, ...]) -> tuple[str, ...]:
-    """Coefficients in the order in which they are always listed. ValueError for none or one twice."""
+    """Coefficients in the order in which they are always listed.
+
+    ValueError for none or one twice.
+    """
     if not value or len(set(value)) != len(value):
         raise ValueError("must name at least one coefficient, and none twice")
     return tuple(name for name in COEFFICIENTS if name in value)
@@ -56,18 +59,23 @@ SAMPLED = ("lhs", "white", "walk")
 MOST_SAMPLES = 1_000_000
 
 INTERIOR = 16
-"""Most interior points by default: so many with a model form, at most one per corner with constant bounds."""
+"""Most interior points by default: so many with a model form, at most one per corner with constant
+bounds.
+"""
 
 PUBLISHED_WALK_RATE_PER_SQRT_S = 0.0017 * 50.0**0.5
-"""0.17 % of the interval a sample (Hale 2016, Fig 3.3, CZ), the record taken as 50 Hz: what a walk moves at unless told."""
+"""0.17 % of the interval a sample (Hale 2016, Fig 3.3, CZ), the record taken as 50 Hz: what a walk
+moves at unless told.
+"""
 
 
 class ParametersSection(Section):
-    """Uncertainty of the identified parameters, from a fit: one draw of all of them belongs to an epistemic sample.
+    """Uncertainty of the identified parameters, from a fit: one draw of all of them belongs to an
+    epistemic sample.
 
-    ``distribution`` normal draws from the fit's covariance; box fills, by a Latin hypercube, the box of ``confidence`` (all
-    parameters at once, Bonferroni) about the estimates. ``parameters`` picks some of the fit's; absent = all identified ones.
-    """
+    ``distribution`` normal draws from the fit's covariance; box fills, by a Latin hypercube, the
+    box of ``confidence`` (all parameters at once, Bonferroni) about the estimates. ``parameters``
+    picks some of the fit's; absent = all identified ones."""
 
     fit: str = Field(min_length=1)
     parameters: Annotated[tuple[str, ...] | None, BeforeValidator(tupled)] = None
@@ -94,11 +102,11 @@ class ParametersSection(Section):
 class EpistemicSection(Section):
     """Ignorance: how the deltas move between their bounds.
 
-    ``bounds`` per coefficient, or the name of a model-form.json; absent = the aircraft's own. ``set``: the intervals' box, or the
-    ellipsoid of their joint confidence. ``transient``: the model form's transient error flies as well; absent = where there
-    is such a part. ``interior``: points of a Latin hypercube flown with the corners. ``nominal``: the model with all deltas zero is
-    flown with the corners as well (absent = true).
-    """
+    ``bounds`` per coefficient, or the name of a model-form.json; absent = the aircraft's own.
+    ``set``: the intervals' box, or the ellipsoid of their joint confidence. ``transient``: the
+    model form's transient error flies as well; absent = where there is such a part. ``interior``:
+    points of a Latin hypercube flown with the corners. ``nominal``: the model with all deltas zero
+    is flown with the corners as well (absent = true)."""
 
     method: Literal["none", "corners", "levels", "lhs", "white", "walk"]
     coefficients: Annotated[tuple[Coefficient, ...], BeforeValidator(tupled)] = COEFFICIENTS  # type: ignore[assignment]
@@ -122,7 +130,8 @@ class EpistemicSection(Section):
     def _bounds(cls, value: Any) -> Any:
         if isinstance(value, str) and not value.endswith(".json"):
             raise ValueError(
-                'must be numbers, as { CX = 0.008, ... }, or the file of a model form, as "model-form.json"'
+                "must be numbers, as { CX = 0.008, ... }, or the file of a model form, as"
+                ' "model-form.json"'
             )
         return (
             {n: _interval(str(n), item) for n, item in value.items()}
@@ -149,8 +158,9 @@ class EpistemicSection(Section):
         for name, rate in rates.items():
             if not is_number(rate) or not rate > 0:
                 raise ValueError(
-                    f"{name} = {as_toml(rate)}: a rate is a number above 0, the walk's standard deviation after one second as "
-                    "a share of the interval's width (0.012 for the published CZ)"
+                    f"{name} = {as_toml(rate)}: a rate is a number above 0, the walk's standard"
+                    " deviation after one second as a share of the interval's width (0.012 for the"
+                    " published CZ)"
                 )
         return {name: float(rate) for name, rate in rates.items()}
 
@@ -200,8 +210,9 @@ class EpistemicSection(Section):
             raise ValueError(f"{what} needs samples, the number of draws: samples = 2000")
         if not wanted and self.samples is not None:
             raise ValueError(
-                f'samples belongs to the methods {", ".join(SAMPLED)} and to [epistemic.parameters]; method = "{self.method}" '
-                "flies every combination there is"
+                f"samples belongs to the methods {', '.join(SAMPLED)} and to"
+                f' [epistemic.parameters]; method = "{self.method}" flies every combination'
+                " there is"
             )
 
     def _check_rates(self) -> None:
@@ -214,7 +225,8 @@ class EpistemicSection(Section):
         missing = [name for name in self.coefficients if name not in self.walk_rate_per_sqrt_s]
         if missing and not isinstance(self.bounds, str):
             raise ValueError(
-                f"walk_rate_per_sqrt_s lacks {', '.join(missing)}: give them, or leave them out of coefficients"
+                f"walk_rate_per_sqrt_s lacks {', '.join(missing)}: give them, or leave them out of"
+                " coefficients"
             )
 
     def _check_set(self) -> None:
@@ -224,12 +236,13 @@ class EpistemicSection(Section):
             )
         if self.interior and self.method != "corners":
             raise ValueError(
-                f'interior = {self.interior}: interior points are flown beside corners, not with method = "{self.method}"'
+                f"interior = {self.interior}: interior points are flown beside corners, not with"
+                f' method = "{self.method}"'
             )
         if self.nominal and self.method != "corners":
             raise ValueError(
-                f'nominal = true: the nominal model is flown with corners, not with method = "{self.method}"; method = "none" '
-                "flies it alone"
+                "nominal = true: the nominal model is flown with corners, not with method ="
+                f' "{self.method}"; method = "none" flies it alone'
             )
         if self.transient and self.method == "none":
             raise ValueError('transient = true: method = "none" flies no model error')
@@ -247,7 +260,8 @@ def _interval(name: str, item: Any) -> Any:
         raise ValueError(f"{name} = {as_toml(item)}: must be a number (±) or a pair [lower, upper]")
     if not item[0] <= 0 <= item[1]:
         raise ValueError(
-            f"{name} = {as_toml(item)}: must have lower <= 0 <= upper, so that the model itself lies inside"
+            f"{name} = {as_toml(item)}: must have lower <= 0 <= upper, so that the model itself"
+            " lies inside"
         )
     return (float(item[0]), float(item[1]))
 
@@ -273,11 +287,11 @@ _SETS_FLIGHTS = {"hours": "hours", "band-width": "band_width"}
 class StopSection(Section):
     """When it ends.
 
-    ``flights``: [aleatory] flights everywhere. ``hours``: that many flight hours per corner and condition. ``band-width``: as many
-    flights as bring the p-box's band within ``band_width`` (probability) of its envelope. All three are known beforehand.
-    ``decide``: a cell ends once "at most [metrics] acceptable_per_h excursions beyond radius_m?" is answered, [aleatory] flights at
-    the latest.
-    """
+    ``flights``: [aleatory] flights everywhere. ``hours``: that many flight hours per corner and
+    condition. ``band-width``: as many flights as bring the p-box's band within ``band_width``
+    (probability) of its envelope. All three are known beforehand. ``decide``: a cell ends once "at
+    most [metrics] acceptable_per_h excursions beyond radius_m?" is answered, [aleatory] flights at
+    the latest."""
 
     rule: Literal["flights", "hours", "band-width", "decide"] = "flights"
     hours: Annotated[Number, Field(gt=0)] | None = None
@@ -312,7 +326,9 @@ class StopSection(Section):
 
 
 def without_flights(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The content of a file whose rule says how many flights there are, with a place for the number; any other as it is."""
+    """The content of a file whose rule says how many flights there are, with a place for the
+    number; any other as it is.
+    """
     stop, air = data.get("stop"), data.get("aleatory")
     if not isinstance(stop, dict) or not isinstance(air, dict) or "flights" in air:
         return data
@@ -327,11 +343,11 @@ Pair = tuple[Number, Number]
 
 
 class VariableSection(Section):
-    """One random property, drawn once a flight. normal: ``mean``, ``std``; uniform: ``low``, ``high``, or ``mean``, ``half_width``.
+    """One random property, drawn once a flight. normal: ``mean``, ``std``; uniform: ``low``,
+    ``high``, or ``mean``, ``half_width``.
 
-    ``mean`` may be an interval [low, high]: then where the mean lies is not known, which is an epistemic input of its own.
-    Units are those of the JSBSim property (its name says them).
-    """
+    ``mean`` may be an interval [low, high]: then where the mean lies is not known, which is an
+    epistemic input of its own. Units are those of the JSBSim property (its name says them)."""
 
     distribution: Literal["normal", "uniform"]
     mean: Annotated[Number | Pair | None, BeforeValidator(tupled)] = None
@@ -362,7 +378,8 @@ class VariableSection(Section):
             raise ValueError(f"low = {self.low:g} must be less than high = {self.high:g}")
         if isinstance(self.mean, tuple) and not self.mean[0] < self.mean[1]:
             raise ValueError(
-                f"mean = [{self.mean[0]:g}, {self.mean[1]:g}]: an interval is [low, high] with low < high"
+                f"mean = [{self.mean[0]:g}, {self.mean[1]:g}]: an interval is [low, high] with low"
+                " < high"
             )
         return self
 
@@ -372,7 +389,9 @@ class VariableSection(Section):
         return self.mean if isinstance(self.mean, tuple) else None
 
     def value(self, unit_draw: float, mean_level: float) -> float:
-        """The variable for a draw in its unit (standard normal, or uniform in -1..1) and a level 0..1 of an uncertain mean."""
+        """The variable for a draw in its unit (standard normal, or uniform in -1..1) and a level
+        0..1 of an uncertain mean.
+        """
         if self.mean is None:
             assert self.low is not None
             assert self.high is not None
@@ -393,7 +412,9 @@ _ORDER = ("mean", "std", "low", "high", "half_width")
 
 @dataclass(frozen=True)
 class Estimates:
-    """Identified parameters: ``names`` (JSBSim properties), ``values`` (n,) and ``covariance`` (n, n), positive definite."""
+    """Identified parameters: ``names`` (JSBSim properties), ``values`` (n,) and ``covariance`` (n,
+    n), positive definite.
+    """
 
     names: tuple[str, ...]
     values: NDArray[np.float64]
@@ -411,12 +432,13 @@ class Estimates:
 
 @dataclass(frozen=True)
 class CampaignInputs:
-    """What the named files hold: the path of the model form, the coefficients it bounds, walk rates in 1/sqrt(s), the fit.
+    """What the named files hold: the path of the model form, the coefficients it bounds, walk rates
+    in 1/sqrt(s), the fit.
 
-    ``confidence`` is that of the model form's intervals; ``has_parts``: it separates transient from persistent model
-    error; ``transient_rates``, in 1/sqrt(s), are of the coefficients whose transient part is flown. ``hashes`` are SHA-256 of
-    the files by what they are named as: bounds, fit.
-    """
+    ``confidence`` is that of the model form's intervals; ``has_parts``: it separates transient from
+    persistent model error; ``transient_rates``, in 1/sqrt(s), are of the coefficients whose
+    transient part is flown. ``hashes`` are SHA-256 of the files by what they are named as: bounds,
+    fit."""
 
     model_form: Path | None = None
     coefficients: tuple[str, ...] = COEFFICIENTS
@@ -429,7 +451,10 @@ class CampaignInputs:
 
 
 def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
-    """Read the files that ``section`` names, relative to the folder ``beside`` first. Raises BadInputError."""
+    """Read the files that ``section`` names, relative to the folder ``beside`` first.
+
+    Raises BadInputError.
+    """
     hashes: dict[str, str] = {}
     model_form: Path | None = None
     coefficients: tuple[str, ...] = section.coefficients
@@ -450,8 +475,8 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
             lacking = [name for name in coefficients if not rates[name] > 0]
             if lacking:
                 raise BadInputError(
-                    f"{model_form}: no walk_rate for {', '.join(lacking)}; give walk_rate_per_sqrt_s in [epistemic], "
-                    "or take the bounds from a longer flight"
+                    f"{model_form}: no walk_rate for {', '.join(lacking)}; give"
+                    " walk_rate_per_sqrt_s in [epistemic], or take the bounds from a longer flight"
                 )
     estimates = None
     if section.parameters is not None:
@@ -533,17 +558,20 @@ def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadInputError(
-            f"{path}: not a fit with parameters, names and cov ({error}); make one with: uqharness identify"
+            f"{path}: not a fit with parameters, names and cov ({error}); make one with: uqharness"
+            " identify"
         ) from None
     if not names:
         raise BadInputError(
-            f"{path}: nothing was identified in this fit, so there is no parameter uncertainty to draw from"
+            f"{path}: nothing was identified in this fit, so there is no parameter uncertainty to"
+            " draw from"
         )
     if covariance.shape != (len(names), len(names)) or not (
         np.isfinite(covariance).all() and np.isfinite(values).all()
     ):
         raise BadInputError(
-            f"{path}: cov must be a finite {len(names)} x {len(names)} matrix, as many as there are names"
+            f"{path}: cov must be a finite {len(names)} x {len(names)} matrix, as many as there are"
+            " names"
         )
     if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
         raise BadInputError(f"{path}: cov is not symmetric")
@@ -552,7 +580,8 @@ def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
         unknown = [name for name in asked if name not in names]
         if unknown:
             raise BadInputError(
-                f"{path}: {', '.join(unknown)} is not among the identified parameters ({', '.join(names)})"
+                f"{path}: {', '.join(unknown)} is not among the identified parameters"
+                f" ({', '.join(names)})"
             )
         rows = [names.index(name) for name in asked]
         found = Estimates(asked, values[rows], found.covariance[np.ix_(rows, rows)])
@@ -568,11 +597,11 @@ def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
 
 
 class CampaignSection(Section):
-    """What flies: an aircraft (name under aircraft/, or folder), a run script, and the root seed of all streams.
+    """What flies: an aircraft (name under aircraft/, or folder), a run script, and the root seed of
+    all streams.
 
-    ``engine`` auto is batch where the batch engine understands aircraft and mission as a whole, else jsbsim; settled at the first
-    run.
-    """
+    ``engine`` auto is batch where the batch engine understands aircraft and mission as a whole,
+    else jsbsim; settled at the first run."""
 
     aircraft: str = Field(min_length=1)
     mission: str = Field(min_length=1)
@@ -581,10 +610,11 @@ class CampaignSection(Section):
 
 
 class AleatorySection(Section):
-    """Chance: flights per corner and condition, each ``duration_s`` scored after ``burn_in_s`` that is not.
+    """Chance: flights per corner and condition, each ``duration_s`` scored after ``burn_in_s`` that
+    is not.
 
-    ``sensor_noise`` absent: on where the aircraft has a sensors system, which is settled before the campaign is flown.
-    """
+    ``sensor_noise`` absent: on where the aircraft has a sensors system, which is settled before the
+    campaign is flown."""
 
     flights: int = Field(ge=1, le=1_000_000)
     duration_s: Number = Field(gt=0, le=86_400)
@@ -607,12 +637,13 @@ class AleatorySection(Section):
 
 
 class MetricsSection(Section):
-    """What is counted: excursions beyond each radius [m], re-armed ``rearm_m`` inside it, and how many of them are acceptable.
+    """What is counted: excursions beyond each radius [m], re-armed ``rearm_m`` inside it, and how
+    many of them are acceptable.
 
     ``acceptable_loss_per_h`` is that of aborted flights (default: as many as excursions).
-    ``dispersion`` is the largest ratio of variance to mean of the excursions of a flight that limits allow for (1: independent)
-    where the same air does not show one at a smaller radius; ``dispersion_radius_m`` are further radii counted for that alone.
-    """
+    ``dispersion`` is the largest ratio of variance to mean of the excursions of a flight that
+    limits allow for (1: independent) where the same air does not show one at a smaller radius;
+    ``dispersion_radius_m`` are further radii counted for that alone."""
 
     excursion_radius_m: Annotated[
         tuple[Annotated[Number, Field(gt=0)], ...], BeforeValidator(listed)
@@ -633,11 +664,13 @@ class MetricsSection(Section):
             raise ValueError("excursion_radius_m must name at least one radius, and none twice")
         if len(set(radii)) != len(radii) or max(further, default=0.0) > max(asked):
             raise ValueError(
-                "dispersion_radius_m must name radii below the largest of excursion_radius_m, none twice and none of those again"
+                "dispersion_radius_m must name radii below the largest of excursion_radius_m, none"
+                " twice and none of those again"
             )
         if self.rearm_m >= min(radii):
             raise ValueError(
-                f"rearm_m = {self.rearm_m:g} must be less than the smallest radius, {min(radii):g} m"
+                f"rearm_m = {self.rearm_m:g} must be less than the smallest radius,"
+                f" {min(radii):g} m"
             )
         return self
 
@@ -656,15 +689,17 @@ class Document(Section):
     def _consistent(self) -> Document:
         if (self.campaign.mission == STEADY) != (self.start is not None):
             raise ValueError(
-                f'mission = "{STEADY}" and a section [start] with V_mps and altitude_m belong together: '
-                "a trimmed flight needs both, a run script neither"
+                f'mission = "{STEADY}" and a section [start] with V_mps and altitude_m belong'
+                " together: a trimmed flight needs both, a run script neither"
             )
         return self
 
 
 @dataclass(frozen=True)
 class CampaignSpec:
-    """A validated campaign. ``path`` is the file it came from; ``source`` its text; ``inputs`` what the files it names hold."""
+    """A validated campaign. ``path`` is the file it came from; ``source`` its text; ``inputs`` what
+    the files it names hold.
+    """
 
     path: Path
     source: str
@@ -677,7 +712,9 @@ class CampaignSpec:
     inputs: CampaignInputs = field(default_factory=CampaignInputs)
 
     def as_dict(self) -> dict[str, Any]:
-        """Every setting, defaults included, as plain JSON types: two files that mean the same give the same."""
+        """Every setting, defaults included, as plain JSON types: two files that mean the same give
+        the same.
+        """
         sections = {name: getattr(self, name) for name in Document.model_fields}
         found = {
             name: section.model_dump(mode="json", exclude_none=True)
@@ -702,7 +739,9 @@ class CampaignSpec:
 
     @property
     def corner_count(self) -> int:
-        """Number of combinations that ``method`` lists: of bounds (or levels) and of the ends of uncertain means."""
+        """Number of combinations that ``method`` lists: of bounds (or levels) and of the ends of
+        uncertain means.
+        """
         section = self.epistemic
         means = sum(item.mean_interval is not None for item in self.aleatory.variables.values())
         moved = 0 if section.method == "none" else len(self.inputs.coefficients)
@@ -718,14 +757,17 @@ class CampaignSpec:
         return self.epistemic.interior_samples(self.corner_count)
 
     def with_hours(self, hours: float) -> CampaignSpec:
-        """The same campaign with as many flights as give ``hours`` of scored flight per corner and condition."""
+        """The same campaign with as many flights as give ``hours`` of scored flight per corner and
+        condition.
+        """
         if not (math.isfinite(hours) and hours > 0):
             raise BadInputError(
                 f"--hours {hours:g}: must be a number of flight hours greater than 0"
             )
         if self.stop.rule == "band-width":
             raise BadInputError(
-                f'--hours {hours:g}: [stop] rule = "band-width" says how much is flown; leave out one of them'
+                f'--hours {hours:g}: [stop] rule = "band-width" says how much is flown; leave out'
+                " one of them"
             )
         flights = math.ceil(hours * 3600.0 / self.aleatory.duration_s - 1e-9)
         given = (

@@ -54,13 +54,15 @@ _TERMS = 2000
 
 
 def joint_radius(dof: int, confidence: float) -> float:
-    """Radius [standard deviations] within which ``dof`` independent normals lie together: the root of chi-square's quantile.
+    """Radius [standard deviations] within which ``dof`` independent normals lie together: the root
+    of chi-square's quantile.
 
-    3.548 for six at 0.95. The same bits on every processor. ValueError for no dof, or a confidence not between 0 and 1 - 1e-9.
-    """
+    3.548 for six at 0.95. The same bits on every processor. ValueError for no dof, or a confidence
+    not between 0 and 1 - 1e-9."""
     if dof < 1 or not 0.0 < confidence <= 1.0 - 1e-9:
         raise ValueError(
-            f"dof = {dof}, confidence = {confidence}: at least 1, and a number above 0 and below 1 are needed"
+            f"dof = {dof}, confidence = {confidence}: at least 1, and a number above 0 and below 1"
+            " are needed"
         )
     low, high = 0.0, _MOST_SIGMA
     while True:
@@ -82,19 +84,25 @@ def reach(dof: int, confidence: float) -> float:
 
 
 def at(direction: Sequence[float], radius: float) -> tuple[float, ...]:
-    """Levels ``radius`` half-widths from the intervals' middles, component by component of ``direction``."""
+    """Levels ``radius`` half-widths from the intervals' middles, component by component of
+    ``direction``.
+    """
     return tuple(0.5 + 0.5 * component * radius for component in direction)
 
 
 def in_ball(levels: Sequence[float]) -> tuple[float, ...]:
-    """A point of the box of levels 0..1 as a point of the unit ball: the box's shells become the ball's, directions stay."""
+    """A point of the box of levels 0..1 as a point of the unit ball: the box's shells become the
+    ball's, directions stay.
+    """
     cube = [2.0 * level - 1.0 for level in levels]
     length = math.sqrt(math.fsum(c * c for c in cube))
     return tuple(c * max(map(abs, cube)) / length if length > 0.0 else 0.0 for c in cube)
 
 
 def _chi_distribution(r: float, dof: int) -> float:
-    """Probability that the length of ``dof`` standard normals is at most r, by the series of the incomplete gamma function."""
+    """Probability that the length of ``dof`` standard normals is at most r, by the series of the
+    incomplete gamma function.
+    """
     factor = random_numbers.exp(-0.5 * r * r) * (math.sqrt(2.0 / math.pi) if dof % 2 else 1.0)
     for n in range(dof, 0, -2):
         factor *= r * r / n if n > 1 else r
@@ -115,10 +123,11 @@ NOMINAL = "nominal"
 
 @dataclass(frozen=True)
 class Epistemic:
-    """One epistemic sample. ``levels``: level of each coefficient that is uncertain and stands still, 0..1 in the box of intervals.
+    """One epistemic sample. ``levels``: level of each coefficient that is uncertain and stands
+    still, 0..1 in the box of intervals.
 
-    ``driver``: those that move; ``means``: level, 0..1, of each uncertain mean; ``parameters``: values of the drawn parameters.
-    """
+    ``driver``: those that move; ``means``: level, 0..1, of each uncertain mean; ``parameters``:
+    values of the drawn parameters."""
 
     epistemic_id: str
     levels: Mapping[str, float]
@@ -130,12 +139,13 @@ class Epistemic:
 def epistemic_samples(spec: CampaignSpec) -> tuple[Epistemic, ...]:
     """The epistemic samples in their one order. Depends on the campaign alone.
 
-    A corner's id has one digit per coefficient in the order CX CY CZ Cl Cm Cn (``-`` for one that is not uncertain), then, after a
-    ``+``, one per uncertain mean; a draw of parameters adds ``+p`` and its number. Drawn samples are numbered: ``walk-000007``, and
-    the points between corners as those of a Latin hypercube. Of an ellipsoid, ``e010011`` is the point in a corner's direction,
-    ``a..1...`` the end of an axis, with ``.`` for a coefficient in the middle of its interval. ``nominal`` is the model with all
-    deltas zero and uncertain means in the middle of their intervals.
-    """
+    A corner's id has one digit per coefficient in the order CX CY CZ Cl Cm Cn (``-`` for one that
+    is not uncertain), then, after a ``+``, one per uncertain mean; a draw of parameters adds ``+p``
+    and its number. Drawn samples are numbered: ``walk-000007``, and the points between corners as
+    those of a Latin hypercube. Of an ellipsoid, ``e010011`` is the point in a corner's direction,
+    ``a..1...`` the end of an axis, with ``.`` for a coefficient in the middle of its interval.
+    ``nominal`` is the model with all deltas zero and uncertain means in the middle of their
+    intervals."""
     means = [
         name for name, item in spec.aleatory.variables.items() if item.mean_interval is not None
     ]
@@ -194,7 +204,9 @@ def _marked(levels: Mapping[str, float], separator: str = "") -> str:
 
 
 def _on_ellipsoid(spec: CampaignSpec) -> Iterator[tuple[str, dict[str, float]]]:
-    """Id and levels of the ellipsoid's points in the directions of the corners, then those at the ends of its axes."""
+    """Id and levels of the ellipsoid's points in the directions of the corners, then those at the
+    ends of its axes.
+    """
     moved = spec.inputs.coefficients
     radius, share = _reach(spec), 1.0 / math.sqrt(len(moved))
     for corner in _product((0.0, 1.0), len(moved)):
@@ -235,7 +247,9 @@ def _interior(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
 
 
 def _inside(spec: CampaignSpec, columns: Mapping[str, FloatArray], number: int) -> dict[str, float]:
-    """Levels of one point of a Latin hypercube, brought into the ellipsoid where that is the set."""
+    """Levels of one point of a Latin hypercube, brought into the ellipsoid where that is
+    the set.
+    """
     levels = [float(columns[name][number]) for name in spec.inputs.coefficients]
     if spec.epistemic.set == "ellipsoid":
         levels = list(at(in_ball(levels), _reach(spec)))
@@ -265,7 +279,8 @@ def _drawn(
 
 
 def latin_column(root_seed: int, name: str, samples: int) -> FloatArray:
-    """One dimension of a Latin hypercube, (samples,) in 0..1: one value in each of ``samples`` equal cells, in random order.
+    """One dimension of a Latin hypercube, (samples,) in 0..1: one value in each of ``samples``
+    equal cells, in random order.
 
     The stream is named after the dimension: adding another one moves none of these.
     """
@@ -286,18 +301,22 @@ def _parameter_draws(spec: CampaignSpec) -> list[dict[str, float]]:
 def parameter_draws(
     section: ParametersSection, estimates: Estimates, samples: int, root_seed: int
 ) -> FloatArray:
-    """Draws of the parameters, (samples, n): from N(values, covariance), or filling the simultaneous confidence box."""
+    """Draws of the parameters, (samples, n): from N(values, covariance), or filling the
+    simultaneous confidence box.
+    """
     if section.distribution == "normal":
         rows = [
             random_numbers.drawn(numbered_stream(root_seed, "parameters", n), len(estimates.names))
             for n in range(samples)
         ]
         found = np.tile(estimates.values, (samples, 1))
-        # Column by column: a matrix product's order, and so its last bits, is the library's and the processor's.
+        # Column by column: a matrix product's order, and so its last bits, is the library's and the
+        # processor's.
         for column, weights in zip(np.vstack(rows).T, estimates.factor().T, strict=True):
             found += column[:, None] * weights
         return found
-    # Bonferroni: each interval at 1 - (1 - confidence)/n, so that all n hold at once with at least ``confidence``.
+    # Bonferroni: each interval at 1 - (1 - confidence)/n, so that all n hold at once with at least
+    # ``confidence``.
     reach = random_numbers.normal_quantile(
         1.0 - (1.0 - section.box_confidence) / (2.0 * len(estimates.names))
     )
@@ -311,20 +330,29 @@ def parameter_draws(
 
 
 def read_campaign(path: str | Path) -> CampaignSpec:
-    """Read and validate a campaign file. Raises BadInputError that lists every mistake as ``file:line: ...``."""
+    """Read and validate a campaign file.
+
+    Raises BadInputError that lists every mistake as ``file:line: ...``.
+    """
     path = Path(path)
     data, text = read_toml(path)
     return campaign_from(data, path, text)
 
 
 def checked_settings(data: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a campaign as a manifest holds them, defaults filled in. Looks at no file; raises pydantic's ValidationError."""
+    """Settings of a campaign as a manifest holds them, defaults filled in.
+
+    Looks at no file; raises pydantic's ValidationError.
+    """
     document = Document.model_validate(without_flights(data))
     return document.model_dump(mode="json", exclude_none=True)
 
 
 def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignSpec:
-    """Validate the content of a campaign file, as TOML or a manifest holds it. ``path`` is where files it names are looked for."""
+    """Validate the content of a campaign file, as TOML or a manifest holds it.
+
+    ``path`` is where files it names are looked for.
+    """
     try:
         document = Document.model_validate(without_flights(data))
     except ValidationError as error:
@@ -338,25 +366,28 @@ def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignS
 
 
 def settled(spec: CampaignSpec, stated: bool) -> CampaignSpec:
-    """The campaign with the number of flights its rule asks for; ``stated``: the file gives a number as well.
+    """The campaign with the number of flights its rule asks for; ``stated``: the file gives a
+    number as well.
 
-    Raises BadInputError, with the line, where the two differ, where [stop] and [metrics] do not belong together, and where
-    [epistemic] asks for what its bounds do not hold.
-    """
+    Raises BadInputError, with the line, where the two differ, where [stop] and [metrics] do not
+    belong together, and where [epistemic] asks for what its bounds do not hold."""
     _agree_with_turbulence_model(spec)
     _agree_with_metrics(spec)
     _agree_with_form(spec)
     found, said = _planned(spec)
     if stated and found.aleatory.flights != spec.aleatory.flights:
         raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('aleatory', 'flights'))}: [aleatory] flights = {spec.aleatory.flights}, but "
-            f"[stop] {said} asks for {found.aleatory.flights}; leave [aleatory] flights out"
+            f"{spec.path}:{line_of(spec.source, ('aleatory', 'flights'))}: [aleatory] flights ="
+            f" {spec.aleatory.flights}, but [stop] {said} asks for {found.aleatory.flights}; leave"
+            " [aleatory] flights out"
         )
     return found
 
 
 def planned(spec: CampaignSpec) -> CampaignSpec:
-    """The campaign with the number of flights its rule asks for, after something that bears on it has been changed."""
+    """The campaign with the number of flights its rule asks for, after something that bears on it
+    has been changed.
+    """
     return _planned(spec)[0]
 
 
@@ -365,34 +396,40 @@ def _agree_with_metrics(spec: CampaignSpec) -> None:
     if stop.radius_m is not None and stop.radius_m not in metrics.excursion_radius_m:
         known = ", ".join(f"{radius:g}" for radius in metrics.excursion_radius_m)
         raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('stop', 'radius_m'))}: [stop] radius_m = {stop.radius_m:g}: must be among "
-            f"[metrics] excursion_radius_m ({known})"
+            f"{spec.path}:{line_of(spec.source, ('stop', 'radius_m'))}: [stop] radius_m ="
+            f" {stop.radius_m:g}: must be among [metrics] excursion_radius_m ({known})"
         )
     zone = stop.indifference_per_h
     if zone is not None and not zone[0] <= metrics.acceptable_per_h <= zone[1]:
         raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('stop', 'indifference_per_h'))}: [stop] indifference_per_h = [{zone[0]:g}, "
-            f"{zone[1]:g}]: must hold [metrics] acceptable_per_h = {metrics.acceptable_per_h:g}"
+            f"{spec.path}:{line_of(spec.source, ('stop', 'indifference_per_h'))}: [stop]"
+            f" indifference_per_h = [{zone[0]:g}, {zone[1]:g}]: must hold [metrics]"
+            f" acceptable_per_h = {metrics.acceptable_per_h:g}"
         )
 
 
 def _agree_with_turbulence_model(spec: CampaignSpec) -> None:
-    """Refuse a [start] above the turbulence model; the height of a script's start is found out by flying it."""
+    """Refuse a [start] above the turbulence model; the height of a script's start is found out by
+    flying it.
+    """
     air, start = spec.aleatory, spec.start
     turbulent = [name for name in air.turbulence if name != "none"]
     if start is None or not turbulent or air.turbulence_source != "spec":
         return
     if start.altitude_m > TURBULENCE_CEILING_M:
         raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('start', 'altitude_m'))}: [start] altitude_m = {start.altitude_m:g}: "
-            f"[aleatory] turbulence = {as_toml(turbulent)} is the low-altitude model of MIL-F-8785C, which "
-            f"reaches to {TURBULENCE_CEILING_M:g} m (1000 ft); {BELOW_CEILING}"
+            f"{spec.path}:{line_of(spec.source, ('start', 'altitude_m'))}: [start] altitude_m ="
+            f" {start.altitude_m:g}: [aleatory] turbulence = {as_toml(turbulent)} is the"
+            f" low-altitude model of MIL-F-8785C, which reaches to {TURBULENCE_CEILING_M:g} m (1000"
+            f" ft); {BELOW_CEILING}"
         )
 
 
 @contextlib.contextmanager
 def naming_keys(spec: CampaignSpec) -> Iterator[None]:
-    """Put file, line and section before a flight's refusal that begins with the name of a key of [aleatory]."""
+    """Put file, line and section before a flight's refusal that begins with the name of a key of
+    [aleatory].
+    """
     try:
         yield
     except BadInputError as error:
@@ -409,13 +446,15 @@ def _agree_with_form(spec: CampaignSpec) -> None:
     if section.transient and not spec.inputs.has_parts:
         lacks = "bounds are no model-form.json" if form is None else f"{form} has no transient part"
         raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('epistemic', 'transient'))}: [epistemic] transient = true: {lacks}; make a "
-            "model-form.json with `uqharness bounds`, or leave transient out"
+            f"{spec.path}:{line_of(spec.source, ('epistemic', 'transient'))}: [epistemic] transient"
+            f" = true: {lacks}; make a model-form.json with `uqharness bounds`, or leave"
+            " transient out"
         )
     if section.set == "ellipsoid" and form is None:
         raise BadInputError(
-            f'{spec.path}:{line_of(spec.source, ("epistemic", "set"))}: [epistemic] set = "ellipsoid": it needs intervals whose '
-            'confidence is known, bounds = "model-form.json"; bounds given as numbers, or an aircraft\'s own, are a box'
+            f"{spec.path}:{line_of(spec.source, ('epistemic', 'set'))}: [epistemic] set ="
+            ' "ellipsoid": it needs intervals whose confidence is known, bounds ='
+            ' "model-form.json"; bounds given as numbers, or an aircraft\'s own, are a box'
         )
 
 
@@ -439,11 +478,14 @@ def _planned(spec: CampaignSpec) -> tuple[CampaignSpec, str]:
 
 
 def with_samples(spec: CampaignSpec, samples: int) -> CampaignSpec:
-    """The same campaign with another number of drawn epistemic samples. Raises BadInputError where none are drawn."""
+    """The same campaign with another number of drawn epistemic samples.
+
+    Raises BadInputError where none are drawn.
+    """
     if spec.epistemic.samples is None:
         raise BadInputError(
-            f'--samples {samples}: {spec.path} draws no epistemic samples (method = "{spec.epistemic.method}"), '
-            "so their number cannot be changed"
+            f"--samples {samples}: {spec.path} draws no epistemic samples (method ="
+            f' "{spec.epistemic.method}"), so their number cannot be changed'
         )
     if not 1 <= samples <= MOST_SAMPLES:
         raise BadInputError(f"--samples {samples}: must be from 1 to {MOST_SAMPLES}")

@@ -91,19 +91,26 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
         if item.condition == condition
     )
     intro = (
-        "Each thin curve is one epistemic sample: the cumulative probability of its flights' median error. "
-        "The bold pair is their envelope, the p-box; its width is epistemic uncertainty, its slope aleatory. The "
-        "dashed band adds the sampling error of a finite number of flights: it holds for all corners and all values together at "
-        f"{_SURE}. At the cursor the figure names the sample behind either side: − for a coefficient at its lower bound, + "
-        "for one at its upper."
+        "Each thin curve is one epistemic sample: the cumulative probability of its flights'"
+        " median error. The bold pair is their envelope, the p-box; its width is epistemic"
+        " uncertainty, its slope aleatory. The dashed band adds the sampling error of a finite"
+        f" number of flights: it holds for all corners and all values together at {_SURE}. At the"
+        " cursor the figure names the sample behind either side: − for a coefficient at its lower"
+        " bound, + for one at its upper."
     )
     published = any(item.published is not None for item in found.findings)
     if published:
-        intro += " The published flight was measured by its own sensors, so it is marked only where the curves are measured too."
+        intro += (
+            " The published flight was measured by its own sensors, so it is marked only where the"
+            " curves are measured too."
+        )
     blocks: list[Block] = [Words(intro, note=True), Figures(figures, file="")]
     undrawn = len(conditions(found.frame)) - len(drawn)
     if undrawn > 0:
-        text = f"Further conditions, not drawn: {undrawn}; they are in the tables below and in pbox.parquet."
+        text = (
+            f"Further conditions, not drawn: {undrawn}; they are in the tables below and in"
+            " pbox.parquet."
+        )
         blocks.append(Words(text, note=True))
     between = any(item.widened is not None for item in found.findings)
     head = [
@@ -119,7 +126,8 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
         *(["Published flight"] if published else []),
     ]
     caption = (
-        "Where half of the flights stay below: the p-box's middle, the same with the band, and the samples that set its two ends"
+        "Where half of the flights stay below: the p-box's middle, the same with the band, and the"
+        " samples that set its two ends"
         + (
             ", and by which share of its area the interior points widen the whole."
             if between
@@ -174,12 +182,16 @@ def _median_row(
 def grid_section(
     signed: Sequence[Statement], title: str = "Where the answer is yes, no or inconclusive"
 ) -> Section:
-    """One grid a radius: wind across, turbulence down, each cell the answer and the worst corner's rate."""
+    """One grid a radius: wind across, turbulence down, each cell the answer and the worst corner's
+    rate.
+    """
     acceptable = f"{signed[0].acceptable_per_h:g}" if signed else ""
     text = (
-        f"The question of each cell: at most {acceptable} excursions per flight hour at every corner? ✓ yes: every corner lies at "
-        "or below; ✕ no: some corner lies above; ? inconclusive: too few flight hours, or for the reason in the cell. Below the "
-        f"answer stands the rate at the worst corner with its {_SURE} limits, in excursions per flight hour."
+        f"The question of each cell: at most {acceptable} excursions per flight hour at every"
+        " corner? ✓ yes: every corner lies at or below; ✕ no: some corner lies above; ?"
+        " inconclusive: too few flight hours, or for the reason in the cell. Below the answer"
+        f" stands the rate at the worst corner with its {_SURE} limits, in excursions per flight"
+        " hour."
     )
     if not signed:
         return Section(title, (Words("This campaign counts no excursions.", note=True),))
@@ -230,9 +242,12 @@ def rate_sections(found: CampaignFound) -> list[Section]:
     signed = found.signed
     acceptable = f"{found.campaign['metrics']['acceptable_per_h']:g}"
     text = (
-        f"Excursions per flight hour of the best and the worst corner with limits ({_SURE} each) that take the flight as the unit, "
-        'so they hold also where excursions come in clusters, and that hold for having picked the corner. The answer "yes" '
-        f'says that every corner lies at or below {acceptable} per hour, "no" that some corner lies above; each is wrong with '
+        f"Excursions per flight hour of the best and the worst corner with limits ({_SURE} each)"
+        " that take the flight as the unit, "
+        "so they hold also where excursions come in clusters, and that hold for having picked the"
+        ' corner. The answer "yes" '
+        f'says that every corner lies at or below {acceptable} per hour, "no" that some corner lies'
+        " above; each is wrong with "
         "a probability of at most the error rate of its condition."
     )
     kinds = report_statements.aborted_kinds(signed)
@@ -263,10 +278,11 @@ def rate_sections(found: CampaignFound) -> list[Section]:
         ),
     )
     text = (
-        f"In brackets: exact Poisson limits ({_SURE}) of that corner alone; after 0 the one-sided limit. The last limits hold for "
-        "all corners at once, so for having picked the best and the worst. Poisson limits take excursions as independent and "
-        "the hours as chosen beforehand; where that is not so, the table above holds. A failed flight counts as one more "
-        "excursion on the upper side."
+        f"In brackets: exact Poisson limits ({_SURE}) of that corner alone; after 0 the one-sided"
+        " limit. The last limits hold for all corners at once, so for having picked the best and"
+        " the worst. Poisson limits take excursions as independent and the hours as chosen"
+        " beforehand; where that is not so, the table above holds. A failed flight counts as one"
+        " more excursion on the upper side."
     )
     counted = (
         "Condition",
@@ -377,6 +393,9 @@ def _provenance(found: CampaignFound) -> Section:
         *hashes,
         (
             "Tables",
-            "cases.parquet (one row per flight), pbox.parquet, excursions.csv, statements.csv, beside this page",
+            (
+                "cases.parquet (one row per flight), pbox.parquet, excursions.csv, statements.csv,"
+                " beside this page"
+            ),
         ),
     )

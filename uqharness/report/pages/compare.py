@@ -40,7 +40,8 @@ LIMIT = 1.15
 
 
 def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEGMENTS) -> Page:
-    """The page of the folder that ``uqharness compare`` wrote, with so many segments' histories (None: all).
+    """The page of the folder that ``uqharness compare`` wrote, with so many segments' histories
+    (None: all).
 
     Raises BadInputError.
     """
@@ -65,21 +66,29 @@ def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEG
         _manoeuvre_section(found),
     ]
     sections += remarks({"notes": [with_shown_names(n, CHANNELS) for n in found.get("notes", ())]})
-    files = "compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv, histories.parquet, beside this page"
+    files = (
+        "compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv,"
+        " histories.parquet, beside this page"
+    )
     facts = (
         ("Command", found.get("command") or "not recorded"),
         ("Rule", found.get("rule", "not recorded")),
         ("Files", files),
     )
     sections.append(provenance(*facts))
-    asked = f"Does {found['aircraft']} fly {found['flight']} as it was flown, to within the sensors' noise?"
+    asked = (
+        f"Does {found['aircraft']} fly {found['flight']} as it was flown, to within the sensors'"
+        " noise?"
+    )
     return Page(
         f"{found['flight']} beside {found['aircraft']}", asked, _verdict(found), tuple(sections)
     )
 
 
 def noise_floor(reached: bool, above: Mapping[str, float], rule: str = "") -> str:
-    """Whether a model reaches the noise floor, in a sentence. above: channel -> rms over noise of those that do not."""
+    """Whether a model reaches the noise floor, in a sentence. above: channel -> rms over noise of
+    those that do not.
+    """
     by = f" ({rule})" if rule else ""
     if reached:
         return f"The model reaches the noise floor{by}."
@@ -101,14 +110,17 @@ def _verdict(found: Mapping[str, Any]) -> tuple[Say, ...]:
         worst = max(known, key=lambda c: known[c])
         said.append(
             Say(
-                f"Largest gap of a coefficient: {worst}, {known[worst]:.2f} times the rms that noise alone gives."
+                f"Largest gap of a coefficient: {worst}, {known[worst]:.2f} times the rms that"
+                " noise alone gives."
             )
         )
     return tuple(said)
 
 
 def in_shown_unit(name: str, row: Mapping[str, Any], *keys: str) -> tuple[str, list[float | None]]:
-    """``q [deg/s]`` of a channel or coefficient, and numbers of its row in that unit; None for one that is not known."""
+    """``q [deg/s]`` of a channel or coefficient, and numbers of its row in that unit; None for one
+    that is not known.
+    """
     quantity, unit, factor = shown_channel(name)
     return f"{quantity} [{unit}]", [
         None if row.get(key) is None else factor * row[key] for key in keys
@@ -170,7 +182,10 @@ def ratio_figure(
     series: Sequence[tuple[str, str, str]],
     what: str,
 ) -> Figure | None:
-    """rms over noise by row, one mark a series (key, class, shape); 1 is the noise itself. None without rows."""
+    """rms over noise by row, one mark a series (key, class, shape); 1 is the noise itself.
+
+    None without rows.
+    """
     if not ratios:
         return None
     largest = max(v for row in ratios.values() for v in row.values())

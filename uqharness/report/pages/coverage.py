@@ -27,7 +27,8 @@ from uqharness.result_documents import Coverage, read_document
 
 
 def coverage_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
-    """The page of the folder that ``uqharness validate-bounds --out`` wrote. ``only``: titles of the sections shown, if not all.
+    """The page of the folder that ``uqharness validate-bounds --out`` wrote. ``only``: titles of
+    the sections shown, if not all.
 
     Raises BadInputError.
     """
@@ -64,12 +65,14 @@ def coverage_page_of(
         )
     elif unsure:
         verdict = Say(
-            f"Inconclusive: the flight is too short to tell whether the bounds of {', '.join(unsure)} hold.",
+            "Inconclusive: the flight is too short to tell whether the bounds of"
+            f" {', '.join(unsure)} hold.",
             "warn",
         )
     else:
         verdict = Say(
-            "The bounds hold: every coefficient's share of this flight agrees with the 95 % that its bounds state.",
+            "The bounds hold: every coefficient's share of this flight agrees with the 95 % that"
+            " its bounds state.",
             "good",
         )
     asked = "Do the bounds hold on a flight that they were not made from?"
@@ -101,8 +104,8 @@ def _coverage_section(found: Mapping[str, Any]) -> Section:
         "Outside the data [%]",
     )
     text = (
-        "Samples are measured: the noise of this flight's sensors is added to the bounds. Mean width is without it. The standard "
-        "error counts autocorrelation."
+        "Samples are measured: the noise of this flight's sensors is added to the bounds. Mean"
+        " width is without it. The standard error counts autocorrelation."
     )
     table = Table(
         "Share of a new flight's samples inside the bounds, ± standard error.",
@@ -161,15 +164,16 @@ def _conformal_section(found: Mapping[str, Any]) -> tuple[Section, ...]:
     if not rows:
         return ()
     text = (
-        "Bounds this many times as wide hold 95 % of the samples of a further manoeuvre, at the level given, whatever the "
-        "distributions are, if manoeuvres are alike."
+        "Bounds this many times as wide hold 95 % of the samples of a further manoeuvre, at the"
+        " level given, whatever the distributions are, if manoeuvres are alike."
     )
     words = [Words(text, note=True)]
     unknown = [c for c, std in found.get("flight_variance", {}).items() if std is None]
     if unknown:
         words.append(
             Words(
-                f"How model error varies from flight to flight is not estimable for {', '.join(unknown)}: one flight.",
+                "How model error varies from flight to flight is not estimable for"
+                f" {', '.join(unknown)}: one flight.",
                 note=True,
             )
         )

@@ -1,4 +1,6 @@
-"""The page of two models flown side by side: what differs, when first, and the histories of both."""
+"""The page of two models flown side by side: what differs, when first, and the histories of
+both.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,8 @@ def _verdict(
         d = found[0]
         said.append(
             Say(
-                f"The models differ in {len(found)} channels, first in {d.channel} at {d.from_s:g} s of {d.flight}.",
+                f"The models differ in {len(found)} channels, first in {d.channel} at {d.from_s:g}"
+                f" s of {d.flight}.",
                 "bad",
             )
         )
@@ -103,7 +106,8 @@ def _channels(found: Sequence[Difference]) -> Section:
         "Times rounding",
     )
     note = Words(
-        "Ranked by time, then cause before effect: a surface moves a coefficient, a coefficient an acceleration.",
+        "Ranked by time, then cause before effect: a surface moves a coefficient, a coefficient an"
+        " acceleration.",
         note=True,
     )
     return Section(

@@ -1,4 +1,6 @@
-"""The dossier of a folder of results: evidence as those who judge a model read it, in one document that can be printed."""
+"""The dossier of a folder of results: evidence as those who judge a model read it, in one document
+that can be printed.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,9 @@ _MOST_DOTS = 250
 
 @dataclass(frozen=True)
 class Compared:
-    """Log and model of a step: which model (the ending of its columns), and in words on which flights."""
+    """Log and model of a step: which model (the ending of its columns), and in words on which
+    flights.
+    """
 
     step: Step
     segments: Sequence[History]
@@ -74,18 +78,26 @@ class Compared:
 
 
 def compared(found: Evidence) -> Compared | None:
-    """What the proof of match is made from: the last refinement's hold-out flights, else a comparison, else the identification."""
+    """What the proof of match is made from: the last refinement's hold-out flights, else a
+    comparison, else the identification.
+    """
     for kind, suffix, model in (
         (
             "refine",
             "_after",
-            "the refined model on hold-out flights, which were used neither for choosing nor for fitting",
+            (
+                "the refined model on hold-out flights, which were used neither for choosing nor"
+                " for fitting"
+            ),
         ),
         ("compare", "_model", "the model on a flight that it was compared with"),
         (
             "identify",
             "_model",
-            "the identified model on the flights that it was identified from: no hold-out flight is here",
+            (
+                "the identified model on the flights that it was identified from: no hold-out"
+                " flight is here"
+            ),
         ),
     ):
         for step in reversed(found.of(kind)):
@@ -108,21 +120,28 @@ def _noise(step: Step) -> dict[str, float | None]:
 
 
 def match_section(title: str, source: Compared | None) -> Section:
-    """The section: what was compared, a line for each test of the table, a line for each segment, the figures."""
+    """The section: what was compared, a line for each test of the table, a line for each segment,
+    the figures.
+    """
     if source is None:
-        text = f"Not in the data: the folder has no time histories of log and model, so none of the tests of {REGULATION} is here."
+        text = (
+            "Not in the data: the folder has no time histories of log and model, so none of the"
+            f" tests of {REGULATION} is here."
+        )
         return Section(title, (Words(text),))
     match = source.match
     intro = (
-        f"Judged is {source.model} ({source.step.kind}, {source.step.place}). Start states, sensor biases and delays of each "
-        "segment are estimated from that segment. Nothing is filtered: the sensors' noise is part of what was measured. The "
-        "controls are those of the log. A segment counts for a test where the test's control moves and no other does, whatever the "
-        "size of the input."
+        f"Judged is {source.model} ({source.step.kind}, {source.step.place}). Start states, sensor"
+        " biases and delays of each segment are estimated from that segment. Nothing is filtered:"
+        " the sensors' noise is part of what was measured. The controls are those of the log. A"
+        " segment counts for a test where the test's control moves and no other does, whatever the"
+        " size of the input."
     )
     about = (
-        f"Tolerances of {REGULATION}, edition of 1 January 2014, which is written for the evaluation of full flight simulators. "
-        "The numbers are used here as a yardstick. Flight conditions, configurations and the other tests of the table are not "
-        "looked at. Of two tolerances for one parameter the less restrictive counts."
+        f"Tolerances of {REGULATION}, edition of 1 January 2014, which is written for the"
+        " evaluation of full flight simulators. The numbers are used here as a yardstick. Flight"
+        " conditions, configurations and the other tests of the table are not looked at. Of two"
+        " tolerances for one parameter the less restrictive counts."
     )
     blocks: list[Block] = [Words(intro), Words(about, note=True), _summary(match), *_details(match)]
     figures = _figures(source)
@@ -169,7 +188,10 @@ def _details(match: Match) -> list[Block]:
         said = "; ".join(_row_words(r) for r in j.rows)
         segment = f"{j.segment.flight}, {j.segment.manoeuvre}, {j.segment.time_s[0]:.1f} s"
         rows.append((j.test.entry, segment, said, Cell(j.answer, _LEVELS[j.answer], small=j.why)))
-    caption = "Segments by test, the largest difference over its tolerance first: greatest difference / tolerance at that time."
+    caption = (
+        "Segments by test, the largest difference over its tolerance first: greatest difference /"
+        " tolerance at that time."
+    )
     if len(judged) > _MOST_ROWS:
         caption += f" {_MOST_ROWS} of {len(judged)} segments; dossier --json has all."
     return [Table(caption, ("Test", "Segment", "Greatest difference", "Answer"), tuple(rows))]
@@ -212,12 +234,17 @@ def _figures(source: Compared) -> tuple[Figure, ...]:
 def _drawn(
     judged: Judged, channel: str, band: Tolerance | None, suffix: str, of: int
 ) -> list[Figure]:
-    """Measured and model with the tolerance; beside it their difference, on which the tolerance is large enough to be seen."""
+    """Measured and model with the tolerance; beside it their difference, on which the tolerance is
+    large enough to be seen.
+    """
     segment = judged.segment
     quantity, unit, factor = shown_channel(channel)
     measured, model = (factor * segment.columns[c] for c in (channel, f"{channel}{suffix}"))
     name = f"match-{judged.test.entry.replace('.', '-')}-{channel}"
-    label = f"{judged.test.entry} {judged.test.title}: {quantity} [{unit}] against time, measured and model, {segment.title}."
+    label = (
+        f"{judged.test.entry} {judged.test.title}: {quantity} [{unit}] against time, measured and"
+        f" model, {segment.title}."
+    )
     which = f"the worst of {of} segments" if of > 1 else "the only segment"
     caption = f"{judged.test.entry}, {quantity}: {segment.manoeuvre}, {which}"
     if band is None:
@@ -322,7 +349,9 @@ _TITLES = (
 
 @dataclass(frozen=True)
 class Dossier:
-    """The page, the proof of match that it holds (None: the folder has no time histories), and what is missing."""
+    """The page, the proof of match that it holds (None: the folder has no time histories), and what
+    is missing.
+    """
 
     page: Page
     source: Compared | None
@@ -355,7 +384,10 @@ def dossier_of(found: Evidence) -> Dossier:
     if missing:
         front.append(Section("Missing or damaged", (Bullets(missing, key=True),)))
     title = f"Dossier: {_name(found)}"
-    asked = "What was flown, what does the model rest on, how near is it to the measured flight, and what is not known?"
+    asked = (
+        "What was flown, what does the model rest on, how near is it to the measured flight, and"
+        " what is not known?"
+    )
     return Dossier(
         Page(title, asked, _verdict(match, missing, found), (*front, *sections)), source, missing
     )
@@ -374,7 +406,8 @@ def _name(found: Evidence) -> str:
 def _verdict(match: Match, missing: Sequence[str], found: Evidence) -> tuple[Say, ...]:
     said = [
         Say(
-            "This dossier lays out evidence. It claims no compliance with any regulation or standard."
+            "This dossier lays out evidence. It claims no compliance with any regulation or"
+            " standard."
         )
     ]
     if missing:
@@ -427,8 +460,9 @@ def _provenance(title: str, found: Evidence) -> Section:
         where = "this folder" if step.place == "." else step.place
         rows.append((f"S{number}", step.kind, where, _outcome(step), digest))
     text = (
-        "Steps in the order in which they were made, each with the model that it wrote or used (the first 16 digits of the SHA-256 "
-        "over its files). Commands and versions stand with the sources."
+        "Steps in the order in which they were made, each with the model that it wrote or used (the"
+        " first 16 digits of the SHA-256 over its files). Commands and versions stand with the"
+        " sources."
     )
     blocks: list[Block] = [
         Words(text, note=True),
@@ -500,10 +534,16 @@ def _outcome(step: Step) -> str:
         rows = document["parameters"].values()
         sure = sum(r["status"] == "identified" for r in rows)
         converged = "converged" if document.get("converged") else "did not converge"
-        return f"{sure} of {len(rows)} parameters of {document['aircraft']} from {_list(document['flights'])}; {converged}"
+        return (
+            f"{sure} of {len(rows)} parameters of {document['aircraft']} from"
+            f" {_list(document['flights'])}; {converged}"
+        )
     if step.kind == "refine":
         named = "; ".join(e["name"] for e in document["effects"])
-        flights = f"chosen on {_list(document.get('train', ()))}, shown on {_list(document.get('test', ()))}"
+        flights = (
+            f"chosen on {_list(document.get('train', ()))}, shown on"
+            f" {_list(document.get('test', ()))}"
+        )
         return f"{document['verdict']}: {named or 'no effect'}; {flights}"
     if step.kind == "compare":
         return f"{document['aircraft']} beside {document['flight']}"
@@ -513,7 +553,10 @@ def _outcome(step: Step) -> str:
         verdicts = document.get("verdicts") or {}
         return "; ".join(f"{c} {v}" for c, v in verdicts.items()) or "coverage of the intervals"
     if step.kind == "campaign":
-        return f"{document.get('cases', '?')} flights of {Path(document['campaign']['campaign']['aircraft']).as_posix()}"
+        return (
+            f"{document.get('cases', '?')} flights of"
+            f" {Path(document['campaign']['campaign']['aircraft']).as_posix()}"
+        )
     return f"study {document['study']}: {document.get('state', 'running')}"
 
 
@@ -568,8 +611,9 @@ def _lines(path: Path) -> int:
 
 def _credibility(title: str, found: Evidence, match: Match) -> Section:
     text = (
-        f"Factors of credibility after {STANDARD}, with the evidence that this folder holds. No level is given: that is for those "
-        "who decide with the model's results. The names of the factors are to be checked against the edition that applies."
+        f"Factors of credibility after {STANDARD}, with the evidence that this folder holds. No"
+        " level is given: that is for those who decide with the model's results. The names of the"
+        " factors are to be checked against the edition that applies."
     )
     rows = []
     for factor in factors(found, match):
@@ -598,7 +642,9 @@ def _campaigns(found: Evidence) -> list[tuple[Step, CampaignFound]]:
 def _statements(
     found: Evidence, campaigns: Sequence[tuple[Step, CampaignFound]]
 ) -> list[tuple[str, tuple[Say, ...]]]:
-    """Sentences that the results allow, by where they stand: a study's own where it has drawn them, else each campaign's."""
+    """Sentences that the results allow, by where they stand: a study's own where it has drawn them,
+    else each campaign's.
+    """
     said: list[tuple[str, tuple[Say, ...]]] = []
     for study in found.of("study"):
         drawn = tuple(
@@ -654,18 +700,21 @@ def _assumptions(found: Evidence, source: Compared | None) -> list[str]:
     ]
     if source is not None:
         said.append(
-            "Sensors are where the aircraft's card puts them, and their noise is white with the standard deviations estimated."
+            "Sensors are where the aircraft's card puts them, and their noise is white with the"
+            " standard deviations estimated."
         )
     if found.of("bounds"):
         said.append(
-            "Outside the flight states of the flights that they were made from, intervals of the model's error are extrapolated."
+            "Outside the flight states of the flights that they were made from, intervals of the"
+            " model's error are extrapolated."
         )
     for step in found.of("campaign"):
         campaign = (step.document or {})["campaign"]
         air, unknown = campaign["aleatory"], campaign["epistemic"]
         said.append(
-            f"{step.place if step.place != '.' else 'Campaign'}: Dryden turbulence ({air['turbulence_source']}), steady wind; "
-            f"flights of {air['duration_s']:g} s; the model's error lies within its bounds ({unknown['method']})."
+            f"{step.place if step.place != '.' else 'Campaign'}: Dryden turbulence"
+            f" ({air['turbulence_source']}), steady wind; flights of {air['duration_s']:g} s; the"
+            f" model's error lies within its bounds ({unknown['method']})."
         )
     return said
 
@@ -708,7 +757,10 @@ def _envelope(
         "Quantity",
         *(f"{s.place if s.place != '.' else s.kind}: {flights[s.kind]}" for s, _ in columns),
     )
-    text = "Smallest and largest measured values of the segments. Outside them no flight supports the model."
+    text = (
+        "Smallest and largest measured values of the segments. Outside them no flight supports the"
+        " model."
+    )
     return Section(
         title,
         (Words(text, note=True), Table("Envelope box of the flights.", head, tuple(rows)), *shares),
@@ -753,7 +805,8 @@ def _not_done(title: str, found: Evidence, source: Compared | None) -> Section:
             "No test of the proof of match: the folder has no time histories of log and model."
         )
     said.append(
-        f"Tests of {REGULATION} on the ground, at take-off and landing, of engines, control forces and failures."
+        f"Tests of {REGULATION} on the ground, at take-off and landing, of engines, control forces"
+        " and failures."
     )
     for kind, words in (
         ("identify", "identification"),
@@ -804,7 +857,10 @@ def _sources(title: str, found: Evidence) -> Section:
         if len(found.sources) <= _MOST_SOURCES
         else f", the first {_MOST_SOURCES} of which are listed; dossier --json has all."
     )
-    text = f"Written by uqharness {__version__} from the files below and nothing else; nothing was flown or fitted for it."
+    text = (
+        f"Written by uqharness {__version__} from the files below and nothing else; nothing was"
+        " flown or fitted for it."
+    )
     blocks = (
         Words(text, note=True),
         Table("Commands.", ("Step", "Command", "Version of uqharness"), commands),

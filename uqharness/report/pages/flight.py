@@ -31,7 +31,9 @@ MOST_LISTED = 60
 
 @dataclass(frozen=True)
 class FlightAsked:
-    """What was flown: aircraft, script or mission, conditions in words, the record's file, the command that flies it again."""
+    """What was flown: aircraft, script or mission, conditions in words, the record's file, the
+    command that flies it again.
+    """
 
     aircraft: str
     script: str
@@ -41,7 +43,9 @@ class FlightAsked:
 
 
 def flight_page(asked: FlightAsked, columns: Columns, status: str, reason: str) -> Page:
-    """The page of a record, name -> (n,) with ``time_s``; ``status`` ok or what ended the flight, for which ``reason``."""
+    """The page of a record, name -> (n,) with ``time_s``; ``status`` ok or what ended the flight,
+    for which ``reason``.
+    """
     time_s = np.asarray(columns["time_s"], dtype=float)
     length = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
     names = (
@@ -80,7 +84,8 @@ def _verdict(length: float, columns: Columns, status: str, reason: str) -> tuple
         if np.isfinite(error).any():
             said.append(
                 Say(
-                    f"Distance from the commanded path: median {np.nanmedian(error):.3g} m, largest {np.nanmax(error):.3g} m."
+                    f"Distance from the commanded path: median {np.nanmedian(error):.3g} m, largest"
+                    f" {np.nanmax(error):.3g} m."
                 )
             )
     return tuple(said)
@@ -113,7 +118,9 @@ def manoeuvre_section(stretches: Sequence[tuple[float, float, str]]) -> tuple[Se
 def track_section(
     columns: Columns, words: str = "", circles: Sequence[Circle] = ()
 ) -> tuple[Section, ...]:
-    """The ground track, with circles that it was to keep where they are known; none where the position is not recorded."""
+    """The ground track, with circles that it was to keep where they are known; none where the
+    position is not recorded.
+    """
     figure = flown_track("ground-track", columns, words, circles)
     return () if figure is None else (Section("Ground track", (Figures((figure,), file=""),)),)
 

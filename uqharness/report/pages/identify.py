@@ -51,8 +51,8 @@ FIT = "fit.json"
 _IDENTIFIED = "identified"
 FILTER = "filter error"
 _NOT_SAID = (
-    ", and standard errors, which take the model for right, do not say how far off the estimates are. Next: compare, bounds or "
-    "refine."
+    ", and standard errors, which take the model for right, do not say how far off the estimates"
+    " are. Next: compare, bounds or refine."
 )
 
 
@@ -62,7 +62,8 @@ def identify_page(
     segments: int | None = MOST_SEGMENTS,
     only: Collection[str] | None = None,
 ) -> Page:
-    """The page of the folder that ``uqharness identify`` wrote, with so many segments' histories (None: all).
+    """The page of the folder that ``uqharness identify`` wrote, with so many segments' histories
+    (None: all).
 
     ``only``: titles of the sections that are shown, if not all. Raises BadInputError.
     """
@@ -88,7 +89,10 @@ def identify_page(
     }
     sections += [*remarks(said), _provenance(fit)]
     flights = ", ".join(fit["flights"])
-    asked = f"Which values of {len(parameters)} parameters of {fit['aircraft']} agree with {flights}, and how accurately?"
+    asked = (
+        f"Which values of {len(parameters)} parameters of {fit['aircraft']} agree with {flights},"
+        " and how accurately?"
+    )
     return Page(f"Identification of {fit['aircraft']}", asked, _verdict(fit), tuple(sections))
 
 
@@ -97,12 +101,17 @@ def _verdict(fit: Mapping[str, Any]) -> tuple[Say, ...]:
     known = [n for n, row in parameters.items() if row["status"] == _IDENTIFIED]
     missing = [n for n in parameters if n not in known]
     said = [
-        Say(f"Estimation converged ({fit.get('method', 'method not recorded')}).")
-        if fit.get("converged")
-        else Say("Estimation did not converge: the estimates below are not valid.", "bad")
+        (
+            Say(f"Estimation converged ({fit.get('method', 'method not recorded')}).")
+            if fit.get("converged")
+            else Say("Estimation did not converge: the estimates below are not valid.", "bad")
+        )
     ]
     if missing:
-        text = f"{len(known)} of {len(parameters)} parameters are identified; not identified: {', '.join(missing)}."
+        text = (
+            f"{len(known)} of {len(parameters)} parameters are identified; not identified:"
+            f" {', '.join(missing)}."
+        )
         said.append(Say(text, "warn" if known else "bad"))
     else:
         said.append(Say(f"All {len(parameters)} parameters are identified."))
@@ -123,10 +132,14 @@ def _output_left(channels: Mapping[str, Mapping[str, Any]]) -> list[Say]:
             f"{shown_channel(c)[0]} {r:.2f}"
             for c, r in sorted(above.items(), key=lambda item: -item[1])
         )
-        text = f"The model with the estimates does not reach the sensors' noise: rms over noise is {worst}."
+        text = (
+            "The model with the estimates does not reach the sensors' noise: rms over noise is"
+            f" {worst}."
+        )
         return [
             Say(
-                f"{text} A model term is missing: these parameters cannot remove the residual{_NOT_SAID}",
+                f"{text} A model term is missing: these parameters cannot remove the"
+                f" residual{_NOT_SAID}",
                 "warn",
             )
         ]
@@ -136,7 +149,10 @@ def _output_left(channels: Mapping[str, Mapping[str, Any]]) -> list[Say]:
 
 
 def _filter_left(channels: Mapping[str, Mapping[str, Any]], identified: bool) -> list[Say]:
-    """Whether filter error's innovations are white. Their size says nothing: the gusts of a sample are in it."""
+    """Whether filter error's innovations are white.
+
+    Their size says nothing: the gusts of a sample are in it.
+    """
     level = WHITENESS_LEVEL / max(len(channels), 1)
     coloured = {
         c: row["predictable_share"]
@@ -150,14 +166,19 @@ def _filter_left(channels: Mapping[str, Mapping[str, Any]], identified: bool) ->
             f"{shown_channel(c)[0]} {100.0 * s:.0f} %"
             for c, s in sorted(coloured.items(), key=lambda item: -item[1])
         )
-        text = f"Filter error does not explain the flights: its innovations can be predicted from their past: {worst}."
+        text = (
+            "Filter error does not explain the flights: its innovations can be predicted from"
+            f" their past: {worst}."
+        )
         return [Say(f"{text} A model term, or the noise of a state, is missing{_NOT_SAID}", "warn")]
     if not identified:
-        # White innovations do not vouch for a model whose estimates were refused for another reason.
+        # White innovations do not vouch for a model whose estimates were refused for another
+        # reason.
         return [Say("Filter error's innovations are white.")]
     return [
         Say(
-            "Filter error's innovations are white: the model and the process noise found explain the flights.",
+            "Filter error's innovations are white: the model and the process noise found explain"
+            " the flights.",
             "good",
         )
     ]
@@ -194,8 +215,8 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
     )
     table = Table("Parameters in the unit that the XML declares.", head, tuple(rows), key=True)
     words = Words(
-        "The standard error allows for coloured residuals, the Cramér-Rao bound does not. What is not identified keeps its "
-        "initial value.",
+        "The standard error allows for coloured residuals, the Cramér-Rao bound does not. What is"
+        " not identified keeps its initial value.",
         note=True,
     )
     figure = _change(parameters, prefix)
@@ -212,7 +233,9 @@ def _shared_reasons(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure | None:
-    """Change of each identified parameter from its initial value, in percent of that, with its 95 % interval."""
+    """Change of each identified parameter from its initial value, in percent of that, with its 95 %
+    interval.
+    """
     rows = [
         (
             name.removeprefix("aero/"),
@@ -234,7 +257,10 @@ def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure 
         chart.across(change - half, change + half, k, "plain")
         chart.marker(change, float(k), "first", "disc")
     note = f" {beyond} beyond the frame: see the table." if beyond else ""
-    caption = f"Change of the identified parameters that had an initial value [%]; bars: 95 % intervals.{note}"
+    caption = (
+        "Change of the identified parameters that had an initial value [%]; bars: 95 %"
+        f" intervals.{note}"
+    )
     return Figure(chart.name, chart.svg(), caption)
 
 
@@ -282,7 +308,10 @@ def _provenance(fit: Mapping[str, Any]) -> Section:
     items.append(
         (
             "Files",
-            "fit.json, parameters.csv, histories.parquet, aircraft/ (the XML with the estimates), beside this page",
+            (
+                "fit.json, parameters.csv, histories.parquet, aircraft/ (the XML with the"
+                " estimates), beside this page"
+            ),
         )
     )
     return provenance(*items)
@@ -298,7 +327,9 @@ def fit_document(
     command: Sequence[str],
     hashes: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """fit.json as a dictionary (docs/identification.md describes it); figures that are not finite are null."""
+    """fit.json as a dictionary (docs/identification.md describes it); figures that are not finite
+    are null.
+    """
     names = found.identified
     residual = [
         np.concatenate([block[:, k] for block in found.residual]) for k in range(len(found.outputs))
@@ -349,14 +380,18 @@ def fit_document(
         "command": shlex.join(command),
         "simulations": found.simulations,
         "seconds": round(found.seconds, 2),
-        "speed": None
-        if found.speed is None
-        else {k: round(v, 1) for k, v in asdict(found.speed).items()},
+        "speed": (
+            None
+            if found.speed is None
+            else {k: round(v, 1) for k, v in asdict(found.speed).items()}
+        ),
     }
 
 
 def parameter_rows(found: Identification) -> list[dict[str, str]]:
-    """The table as text, columns as Table 2.6: initial value, estimate, corrected standard error, Cramer-Rao bound, status."""
+    """The table as text, columns as Table 2.6: initial value, estimate, corrected standard error,
+    Cramer-Rao bound, status.
+    """
     rows = []
     for i, name in enumerate(found.names):
         known = found.status[name] == "identified"
@@ -382,15 +417,17 @@ def write_results(
     out: Path,
     hashes: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """fit.json, parameters.csv, histories.parquet and aircraft/ in ``out``; the document. Raises BadInputError.
+    """fit.json, parameters.csv, histories.parquet and aircraft/ in ``out``; the document. Raises
+    BadInputError.
 
-    hashes: SHA-256 of the flights' files, by which bounds know a flight that the model was identified from.
-    """
+    hashes: SHA-256 of the flights' files, by which bounds know a flight that the model was
+    identified from."""
     document = fit_document(found, flights, command, hashes)
     estimates = {
         n: Estimate(
             float(found.theta[i]),
-            f"{found.theta[i]:.4g} +/- {found.std[i]:.2g} by {found.method} from {', '.join(flights)}: uqharness identify",
+            f"{found.theta[i]:.4g} +/- {found.std[i]:.2g} by {found.method} from"
+            f" {', '.join(flights)}: uqharness identify",
         )
         for i, n in enumerate(found.names)
         if found.status[n] == "identified"
@@ -398,7 +435,8 @@ def write_results(
     unwritten = write_estimates(aircraft, estimates, out / "aircraft")
     if unwritten:
         document["warnings"].append(
-            f"not written into the XML, which does not declare them as <property value=...>: {', '.join(unwritten)}"
+            "not written into the XML, which does not declare them as <property value=...>:"
+            f" {', '.join(unwritten)}"
         )
     write_text(out / "parameters.csv", csv_text(parameter_rows(found)))
     write_histories(

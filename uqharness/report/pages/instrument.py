@@ -1,4 +1,6 @@
-"""The page of an instrumented aircraft: the bounds of each delta coefficient over the envelope, and where the deltas act."""
+"""The page of an instrumented aircraft: the bounds of each delta coefficient over the envelope, and
+where the deltas act.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ Constant = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Instrumentation:
-    """What was done: aircraft, (coefficient, axis, place) of each delta, notes, the check (None: not made), the command.
+    """What was done: aircraft, (coefficient, axis, place) of each delta, notes, the check (None:
+    not made), the command.
 
     check: whether the result flies as it should, and that in a sentence.
     """
@@ -47,10 +50,13 @@ class Instrumentation:
 
 
 def instrument_page(done: Instrumentation, form: ModelForm | None, constant: Constant) -> Page:
-    """The page of bounds from a model form, or ``constant`` (lower, upper) by coefficient; of neither, where all are zero."""
+    """The page of bounds from a model form, or ``constant`` (lower, upper) by coefficient; of
+    neither, where all are zero.
+    """
     asked = (
-        f"By how much may the coefficients of {done.aircraft} be off in a campaign? Each delta coefficient, dimensionless, in body "
-        "axes, stands between the lower and the upper bound: delta = lower + level (upper − lower), level 0 to 1."
+        f"By how much may the coefficients of {done.aircraft} be off in a campaign? Each delta"
+        " coefficient, dimensionless, in body axes, stands between the lower and the upper bound:"
+        " delta = lower + level (upper − lower), level 0 to 1."
     )
     sections = [_sizes(form, constant)]
     if form is not None:
@@ -84,7 +90,8 @@ def _verdict(done: Instrumentation, form: ModelForm | None, constant: Constant) 
         flights = ", ".join(f.name for f in form.flights) or "no flight named"
         said = [
             Say(
-                f"Bounds of {len(form.coefficients)} coefficients over the flight state, from {flights}."
+                f"Bounds of {len(form.coefficients)} coefficients over the flight state, from"
+                f" {flights}."
             )
         ]
         zero = [c for c in COEFFICIENTS if c not in form.coefficients]
@@ -104,7 +111,9 @@ def _verdict(done: Instrumentation, form: ModelForm | None, constant: Constant) 
 
 
 def main_state(b: CoefficientBounds, form: ModelForm) -> str:
-    """The state along whose range in the data the bounds move most, the other states at their medians."""
+    """The state along whose range in the data the bounds move most, the other states at their
+    medians.
+    """
 
     def moved(k: int) -> float:
         at = np.linspace(float(b.hull.low[k]), float(b.hull.high[k]), _SLICE)
@@ -152,8 +161,8 @@ def _sizes(form: ModelForm | None, constant: Constant) -> Section:
         "Main state",
     )
     text = (
-        "At the medians: every state at the median of the data. Least and largest: along the slices below, within the range of the "
-        "data. Main state: along which the bounds move most."
+        "At the medians: every state at the median of the data. Least and largest: along the slices"
+        " below, within the range of the data. Main state: along which the bounds move most."
     )
     table = Table(f"{100.0 * form.confidence:g} % bounds.", head, tuple(found), key=True)
     return Section("Sizes", (Words(text, note=True), table))

@@ -1,4 +1,6 @@
-"""The quick look at a log: what it serves, its findings flagged in the channels they concern, phases and manoeuvres shaded."""
+"""The quick look at a log: what it serves, its findings flagged in the channels they concern,
+phases and manoeuvres shaded.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +83,8 @@ def _verdict(info: LogInfo) -> tuple[Say, ...]:
     vehicle = info.vehicle or "vehicle not said"
     said = [
         Say(
-            f"{vehicle}, {info.dialect}: {info.duration_s:.1f} s on a grid of {info.grid_hz:.4g} Hz, {flight}."
+            f"{vehicle}, {info.dialect}: {info.duration_s:.1f} s on a grid of {info.grid_hz:.4g}"
+            f" Hz, {flight}."
         )
     ]
     serves, rest = ([p.name for p in info.purposes if p.serves is yes] for yes in (True, False))
@@ -151,14 +154,17 @@ def _findings(record: FlightRecord) -> Section:
         )
     head = ("Finding", "Severity", "Where", "What", "Spoils")
     table = Table("Findings by severity, one row a kind.", head, tuple(rows))
-    text = "In the charts below a finding stands in the caption of its channel; where the log tells when, the time is shaded."
+    text = (
+        "In the charts below a finding stands in the caption of its channel; where the log tells"
+        " when, the time is shaded."
+    )
     return Section("Findings", (Words(text, note=True), table))
 
 
 def _where(members: Sequence[Finding], record: FlightRecord) -> str:
     """Channels of findings of one kind, or their message, and the times where they are known."""
     names = list(
-        dict.fromkeys(n for f in members for n in (channels_of(f, record) or (f.channel,)) if n)
+        dict.fromkeys(n for f in members for n in channels_of(f, record) or (f.channel,) if n)
     )
     shown = ", ".join(names[:_SAME]) + (
         f" and {len(names) - _SAME} more" if len(names) > _SAME else ""

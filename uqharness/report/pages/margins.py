@@ -1,4 +1,6 @@
-"""The page of an autopilot's stability margins: each loop's frequency response in Bode's and Nichols' charts, margins marked."""
+"""The page of an autopilot's stability margins: each loop's frequency response in Bode's and
+Nichols' charts, margins marked.
+"""
 
 from __future__ import annotations
 
@@ -30,18 +32,21 @@ _MOST_TICKS = 8
 def margins_page(aircraft: str, flight: str, measured: Sequence[LoopMargins], command: str) -> Page:
     """The page of loops measured on the ``flight`` (loiter or straight) of an aircraft."""
     asked = (
-        f"How far are the loops of {aircraft}'s autopilot from instability? Measured in flight ({flight}, calm air, no sensor "
-        "noise): each loop is opened at its controller's output, the others stay closed."
+        f"How far are the loops of {aircraft}'s autopilot from instability? Measured in flight"
+        f" ({flight}, calm air, no sensor noise): each loop is opened at its controller's output,"
+        " the others stay closed."
     )
     verdict = tuple(Say(_sentence(item)) for item in measured)
     sections = [_table(measured), *(_loop(item) for item in measured)]
     text = (
-        "The response is L = -output/applied at the frequencies of an injected multisine, with servo, airframe, sensors, control "
-        "law, computing delay and hold in it. Where the autopilot mixes the output into a second actuator, the injection is mixed "
-        "in too. The multisine is flown with both signs, and the difference is read. The flight was stable, so the nearest "
-        "crossings of the negative real axis on either side of -1 are the gain margins. Between the frequencies gain and phase "
-        "are interpolated over the logarithm of frequency. Grey dots are frequencies at which the responses of the two signs "
-        "differ by 10 % or more; no margin is read there."
+        "The response is L = -output/applied at the frequencies of an injected multisine, with"
+        " servo, airframe, sensors, control law, computing delay and hold in it. Where the"
+        " autopilot mixes the output into a second actuator, the injection is mixed in too. The"
+        " multisine is flown with both signs, and the difference is read. The flight was stable, so"
+        " the nearest crossings of the negative real axis on either side of -1 are the gain"
+        " margins. Between the frequencies gain and phase are interpolated over the logarithm of"
+        " frequency. Grey dots are frequencies at which the responses of the two signs differ by 10"
+        " % or more; no margin is read there."
     )
     sections.append(Section("How it was measured", (Words(text),)))
     return Page(
@@ -61,8 +66,9 @@ def _sentence(item: LoopMargins) -> str:
     phase = f"{m.phase_deg:.1f} deg" if math.isfinite(m.phase_deg) else "none"
     delay = f"{1000.0 * m.delay_s:.0f} ms" if math.isfinite(m.delay_s) else "none"
     return (
-        f"{item.loop.capitalize()}: gain margin up {_decibel(m.gain_up_dB)}, down {_decibel(m.gain_down_dB)}; "
-        f"phase margin {phase}; delay margin {delay}; smallest |1+L| {m.modulus:.2f}."
+        f"{item.loop.capitalize()}: gain margin up {_decibel(m.gain_up_dB)}, down"
+        f" {_decibel(m.gain_down_dB)}; phase margin {phase}; delay margin {delay}; smallest |1+L|"
+        f" {m.modulus:.2f}."
     )
 
 
@@ -113,7 +119,9 @@ def _loop(item: LoopMargins) -> Section:
 
 
 class _Response:
-    """A loop's gain [dB] and phase [deg] at its reliable frequencies, on the branch whose phase margin is read at -180 deg."""
+    """A loop's gain [dB] and phase [deg] at its reliable frequencies, on the branch whose phase
+    margin is read at -180 deg.
+    """
 
     def __init__(self, item: LoopMargins) -> None:
         self.item, self.margins = item, item.margins

@@ -1,4 +1,6 @@
-"""The page of model-form bounds and of their validation, from model-form.json, bounds.json, coverage.json, residuals.parquet."""
+"""The page of model-form bounds and of their validation, from model-form.json, bounds.json,
+coverage.json, residuals.parquet.
+"""
 
 from __future__ import annotations
 
@@ -70,14 +72,17 @@ FORM, DETAILS, COVERAGE, RESIDUALS = (
     "residuals.parquet",
 )
 NEAR = 1.0
-"""A residual is near a slice when each of the other states is within so many standard deviations of the slice's."""
+"""A residual is near a slice when each of the other states is within so many standard deviations of
+the slice's.
+"""
 BEYOND = 0.3
 """Share of the data's width that a slice goes on beyond them."""
 _MOST_DOTS = 220
 
 
 def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
-    """The page of the folder that ``uqharness bounds`` wrote. ``only``: titles of the sections that are shown, if not all.
+    """The page of the folder that ``uqharness bounds`` wrote. ``only``: titles of the sections that
+    are shown, if not all.
 
     Raises BadInputError.
     """
@@ -86,7 +91,8 @@ def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     pieces = read_histories(folder / RESIDUALS)
     if pieces and not have(pieces, needed := [*form.states, *form.coefficients]):
         raise BadInputError(
-            f"{folder / RESIDUALS}: must have the columns {', '.join(needed)}; run its command again"
+            f"{folder / RESIDUALS}: must have the columns {', '.join(needed)}; run its command"
+            " again"
         )
     sections = [
         _width_section(form, details.get("coefficients", {})),
@@ -102,8 +108,9 @@ def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     sections += [*remarks(said, key=("notes",)), _provenance(form, details)]
     flights = ", ".join(f.name for f in form.flights)
     asked = (
-        f"By how much may the coefficients of {form.aircraft.name} be wrong, as functions of the flight state, judged by "
-        f"{flights}? {100 * form.confidence:g} % intervals of the model's error, dimensionless, body axes."
+        f"By how much may the coefficients of {form.aircraft.name} be wrong, as functions of the"
+        f" flight state, judged by {flights}? {100 * form.confidence:g} % intervals of the model's"
+        " error, dimensionless, body axes."
     )
     return Page(
         f"Model-form bounds of {form.aircraft.name}",
@@ -133,11 +140,17 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
     if kept:
         worst = min(kept, key=lambda c: kept[c])
         level: Any = "good" if kept[worst] >= HOLDS_FROM else "warn"
-        text = f"Bounds made without a manoeuvre hold {100 * kept[worst]:.0f} % of its samples or more ({worst} least)."
+        text = (
+            f"Bounds made without a manoeuvre hold {100 * kept[worst]:.0f} % of its samples or more"
+            f" ({worst} least)."
+        )
         said.append(Say(text, level))
     most, name = max((len(b.states), c) for c, b in form.coefficients.items())
     far = "grow" if form.outside == "grow" else "keep their values at the edge"
-    text = f"Bounds of {len(form.coefficients)} coefficients as functions of up to {most} states ({name}); outside the data "
+    text = (
+        f"Bounds of {len(form.coefficients)} coefficients as functions of up to {most} states"
+        f" ({name}); outside the data "
+    )
     text += f"they {far}."
     said.append(Say(text))
     return tuple(said)
@@ -194,11 +207,12 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
         "Rate of variation [%/√s]",
     )
     text = (
-        "Mean width: of the bounds that a campaign holds through a flight; they know the polynomial and what persists through a "
-        "manoeuvre. Persistent, transient, sensor noise: standard deviations; the transient part changes within seconds, "
-        "noise is in no bounds. Model error at most: 1.96 times the upper 95 % limit of its rms. Model error found: yes "
-        "where a model error is more likely than noise alone by 20 to 1 or more. Rate of variation: of the error within a flight, "
-        "in percent of its interval."
+        "Mean width: of the bounds that a campaign holds through a flight; they know the polynomial"
+        " and what persists through a manoeuvre. Persistent, transient, sensor noise: standard"
+        " deviations; the transient part changes within seconds, noise is in no bounds. Model error"
+        " at most: 1.96 times the upper 95 % limit of its rms. Model error found: yes where a model"
+        " error is more likely than noise alone by 20 to 1 or more. Rate of variation: of the error"
+        " within a flight, in percent of its interval."
     )
     wide = Table("Bounds by coefficient.", head, tuple(table), key=True)
     flights = [
@@ -220,12 +234,15 @@ def slice_section(
     prefix: str = "",
     baseline: Mapping[str, CoefficientBounds] | None = None,
 ) -> Section:
-    """Each coefficient's bounds along each of its states, the others at the data's medians; ``baseline``: others beside them."""
+    """Each coefficient's bounds along each of its states, the others at the data's medians;
+    ``baseline``: others beside them.
+    """
     text = (
         "Along each state the others stand at the medians of the data. Solid: "
         f"{100 * form.confidence:g} % bounds, dotted: 68 %; shaded: where the data are."
         + (
-            " Dots: flight minus model where the other states are within a standard deviation of the slice."
+            " Dots: flight minus model where the other states are within a standard deviation of"
+            " the slice."
             if pieces
             else ""
         )
@@ -281,8 +298,8 @@ def _slice(
         close = near_slice(b, state, states)
         near = np.flatnonzero(close)[:: max(1, int(close.sum()) // _MOST_DOTS)]
     label = (
-        f"Bounds of {coefficient} [-] along {quantity} [{unit}] from {factor * at[0]:.3g} to {factor * at[-1]:.3g}: "
-        f"{lower[40]:.2g} to {upper[40]:.2g} at the middle."
+        f"Bounds of {coefficient} [-] along {quantity} [{unit}] from {factor * at[0]:.3g} to"
+        f" {factor * at[-1]:.3g}: {lower[40]:.2g} to {upper[40]:.2g} at the middle."
     )
     y = scale(f"flight minus model, {coefficient} [-]", [lower, upper, *others, values[near]])
     x = scale(axis_label(state), [factor * at], margin=0.0)
@@ -299,7 +316,9 @@ def _slice(
 
 
 def slice_states(b: CoefficientBounds, state: str, at: FloatArray) -> dict[str, FloatArray]:
-    """States along a slice: ``state`` runs through ``at``, the others stand at the medians of the data."""
+    """States along a slice: ``state`` runs through ``at``, the others stand at the medians of the
+    data.
+    """
     middle = dict(zip(b.states, b.hull.middle[:, 1], strict=True))
     return {s: at if s == state else np.full(len(at), middle[s]) for s in b.states}
 
@@ -316,7 +335,9 @@ def near_slice(
 
 
 def variation_section(variations: Mapping[str, Variation]) -> Section:
-    """Density of the level's changes over 0.02 s, the normal fitted to it, and the rates that other steps would give."""
+    """Density of the level's changes over 0.02 s, the normal fitted to it, and the rates that other
+    steps would give.
+    """
     figures = []
     for c, found in variations.items():
         if len(found.increments) < 2 or not found.sigma > 0.0:
@@ -326,7 +347,10 @@ def variation_section(variations: Mapping[str, Variation]) -> Section:
         at = np.linspace(edges[0], edges[-1], 200)
         normal = np.exp(-0.5 * ((at - mean) / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
         steps = np.append(density, 0.0)
-        label = f"Changes of the level of {c} in {STEP_S:g} s: standard deviation {sigma:.2f} % of the interval's width."
+        label = (
+            f"Changes of the level of {c} in {STEP_S:g} s: standard deviation {sigma:.2f} % of the"
+            " interval's width."
+        )
         chart = Chart(
             f"variation-{c}",
             label,
@@ -351,7 +375,9 @@ def variation_section(variations: Mapping[str, Variation]) -> Section:
 def within_section(
     pieces: Sequence[History], names: Sequence[str], title: str, file: str, prefix: str = ""
 ) -> tuple[Section, ...]:
-    """Flight minus model within the bounds, pieces end to end; none where it was not kept. file: of its figures."""
+    """Flight minus model within the bounds, pieces end to end; none where it was not kept. file: of
+    its figures.
+    """
     if not pieces:
         return ()
     figures = []
@@ -374,7 +400,10 @@ def within_section(
         ends = (f"{c}_model_lower", f"{c}_model_upper")
         model = [(end, "second", "") for end in ends] if have(pieces, ends) else []
         apart = apart or bool(model)
-        label = f"Flight minus model, {c} [-], along the pieces within its bounds: {share:.1f} % of the samples lie inside."
+        label = (
+            f"Flight minus model, {c} [-], along the pieces within its bounds: {share:.1f} % of the"
+            " samples lie inside."
+        )
         figures.append(
             end_to_end(
                 pieces,
@@ -422,8 +451,9 @@ def _hull_section(form: ModelForm) -> Section:
                 *(shown(factor * float(v), ".4g") for v in values),
             )
     text = (
-        "A state is extrapolated (uq/extrapolated is 1) when one of its values lies beyond these, or its leverage is above the "
-        "data's largest: in a corner of the box where no combination of states was flown."
+        "A state is extrapolated (uq/extrapolated is 1) when one of its values lies beyond these,"
+        " or its leverage is above the data's largest: in a corner of the box where no combination"
+        " of states was flown."
     )
     head = ("State", "Smallest", "25 %", "50 %", "75 %", "Largest")
     table = Table(
@@ -461,7 +491,10 @@ def _share(value: float | None) -> Cell:
 def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
     cut = form.filtering
     airspeed = "none" if np.isinf(cut.airspeed_cutoff_hz) else f"{cut.airspeed_cutoff_hz:g} Hz"
-    filters = f"{cut.cutoff_hz:g} Hz, airspeed {airspeed}, walk {cut.walk_cutoff_hz:g} Hz, {cut.rate_hz:.0f} samples a second"
+    filters = (
+        f"{cut.cutoff_hz:g} Hz, airspeed {airspeed}, walk {cut.walk_cutoff_hz:g} Hz,"
+        f" {cut.rate_hz:.0f} samples a second"
+    )
     items = [
         ("Command", details.get("command") or "not recorded"),
         ("Version", f"uqharness {details.get('version', 'not recorded')}"),
@@ -473,7 +506,10 @@ def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
         ("Filter", filters),
         (
             "Files",
-            "model-form.json, model-form.xml (the same as a JSBSim system), residuals.parquet, beside this page",
+            (
+                "model-form.json, model-form.xml (the same as a JSBSim system), residuals.parquet,"
+                " beside this page"
+            ),
         ),
     ]
     return provenance(*items)
@@ -483,7 +519,9 @@ def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
 
 
 def forced_width(noise: float, confidence: float) -> float:
-    """Width of the interval that noise of this standard deviation forces: twice the normal quantile times it."""
+    """Width of the interval that noise of this standard deviation forces: twice the normal quantile
+    times it.
+    """
     return float(2.0 * normal_quantile(0.5 + 0.5 * confidence) * noise)
 
 
@@ -601,10 +639,11 @@ def _bins(found: Validation, kind: str, state: str) -> list[dict[str, Any]]:
 
 
 def write_residuals(form: ModelForm, residuals: Residuals, flights: str, out: Path) -> None:
-    """residuals.parquet in ``out``: by piece the states, flight minus model per coefficient and the bounds of its samples there.
+    """residuals.parquet in ``out``: by piece the states, flight minus model per coefficient and the
+    bounds of its samples there.
 
-    Where the form keeps noise apart, the samples' bounds hold the sensors' noise; ``<C>_model_lower``, ``_upper`` do not.
-    """
+    Where the form keeps noise apart, the samples' bounds hold the sensors' noise;
+    ``<C>_model_lower``, ``_upper`` do not."""
     columns = {state: [piece.states[state] for piece in residuals.pieces] for state in form.states}
     for name, bounds in form.coefficients.items():
         columns[name] = residuals.columns(name)

@@ -1,4 +1,6 @@
-"""The page of an aircraft's modes: eigenvalues between the Levels of MIL-F-8785C, and how they move with airspeed."""
+"""The page of an aircraft's modes: eigenvalues between the Levels of MIL-F-8785C, and how they move
+with airspeed.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,9 @@ _TALL = 250
 
 @dataclass(frozen=True)
 class ModesAsked:
-    """What the page is of: aircraft, category and class, facts of the trim (name, text), the command that makes it again."""
+    """What the page is of: aircraft, category and class, facts of the trim (name, text), the
+    command that makes it again.
+    """
 
     aircraft: str
     category: str
@@ -69,12 +73,16 @@ class ModesAsked:
 def modes_page(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Page:
     """The page of the modes at one speed and of ``locus``, which holds that ``point`` too."""
     which = f"category {asked.category}, class {asked.aircraft_class}"
-    question = f"Which Levels of MIL-F-8785C do the modes of {asked.aircraft} reach ({which}), and how do they move with airspeed?"
+    question = (
+        f"Which Levels of MIL-F-8785C do the modes of {asked.aircraft} reach ({which}), and how do"
+        " they move with airspeed?"
+    )
     sections = [_eigenvalues(point), _maps(asked, point, locus), _by_speed(locus), *_refused(locus)]
     sections.append(Section("Trim", (Facts(asked.trim),)))
     text = (
-        "Actuators are outside the linear model, and thrust follows its map at fixed throttle. MIL-F-8785C was written for piloted "
-        "aircraft; for a small unmanned one its Levels are a yardstick, not a requirement."
+        "Actuators are outside the linear model, and thrust follows its map at fixed throttle."
+        " MIL-F-8785C was written for piloted aircraft; for a small unmanned one its Levels are a"
+        " yardstick, not a requirement."
     )
     sections.append(Section("Assumptions", (Words(text),)))
     title = f"Modes of {asked.aircraft} at {point.V_mps:g} m/s"
@@ -160,8 +168,9 @@ def _maps(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Section:
     figures += [_pair(mode, asked, point, locus) for mode in OSCILLATORY if mode in drawn]
     figures += [_root(mode, asked, point, locus) for mode in ("roll", "spiral") if mode in drawn]
     text = (
-        "Each line joins the roots of one mode by rising speed, a dot at each speed. Areas and limits are those of the category "
-        "and class above; of two real roots in place of a pair both are drawn."
+        "Each line joins the roots of one mode by rising speed, a dot at each speed. Areas and"
+        " limits are those of the category and class above; of two real roots in place of a pair"
+        " both are drawn."
     )
     return Section(
         "Root locus over airspeed",
@@ -170,7 +179,9 @@ def _maps(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Section:
 
 
 def _branches(locus: Locus, mode: str) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Speed, real and imaginary part of a mode's roots along the speeds, NaN where there is no such root; one branch a root."""
+    """Speed, real and imaginary part of a mode's roots along the speeds, NaN where there is no such
+    root; one branch a root.
+    """
     found = [
         sorted((m for m in p.modes if m.name == mode), key=lambda m: m.real) for p in locus.points
     ]
@@ -188,7 +199,9 @@ def _ends(
     locus: Locus,
     place: Mapping[float, Sequence[tuple[float, float]]],
 ) -> None:
-    """The markers of slowest, fastest and asked speed; ``place``: where each speed's roots are in the chart."""
+    """The markers of slowest, fastest and asked speed; ``place``: where each speed's roots are in
+    the chart.
+    """
     slow, fast = locus.points[0].V_mps, locus.points[-1].V_mps
     for V, shape, kind, words in (
         (slow, "ring", "first", f"{slow:.4g} m/s"),
@@ -277,7 +290,10 @@ def _pair(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figu
     place = _roots(locus, mode)
     roots = [root for found in place.values() for root in found]
     here = ", ".join(f"{a.criterion} {shown(a.value)}" for a in point.levels if a.mode == mode)
-    label = f"Root locus of the {NAMES[mode]}, real [1/s] and imaginary part [rad/s]; at {point.V_mps:g} m/s {here}."
+    label = (
+        f"Root locus of the {NAMES[mode]}, real [1/s] and imaginary part [rad/s]; at"
+        f" {point.V_mps:g} m/s {here}."
+    )
     chart = _plane(f"locus-{mode}", label, roots)
     imag = np.linspace(0.0, chart.y.high, 121)
     edges = level_edges(mode, asked.category, asked.aircraft_class, imag)
@@ -305,7 +321,8 @@ def _pair(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figu
 
 
 def _cap(asked: ModesAsked, point: LocusPoint, locus: Locus) -> list[Figure]:
-    """Draw natural frequency over n/alpha with lines of equal CAP, as the specification's figures 1 to 3.
+    """Draw natural frequency over n/alpha with lines of equal CAP, as the specification's figures 1
+    to 3.
 
     Empty where CAP is defined at no speed, as for a statically unstable aircraft.
     """
@@ -332,7 +349,8 @@ def _cap(asked: ModesAsked, point: LocusPoint, locus: Locus) -> list[Figure]:
     told = ", ".join(f"CAP {shown(a.value)}" for a in point.levels if a.criterion == "CAP")
     chart = Chart(
         "locus-cap",
-        f"Natural frequency of the short period [rad/s] over n/alpha [g/rad]; at {point.V_mps:g} m/s {told}.",
+        f"Natural frequency of the short period [rad/s] over n/alpha [g/rad]; at {point.V_mps:g}"
+        f" m/s {told}.",
         x,
         y,
         _TALL,
@@ -345,8 +363,8 @@ def _cap(asked: ModesAsked, point: LocusPoint, locus: Locus) -> list[Figure]:
     chart.dots(n, wn, "dotfirst", radius=2.0)
     _ends(chart, point, locus, place)
     caption = (
-        f"Control anticipation parameter: Level 1 from {one_low:g} to {one_high:g}, Level 2 from {two_low:g} to {two_high:g} "
-        "1/(g s²), MIL-F-8785C 3.2.2.1.1."
+        f"Control anticipation parameter: Level 1 from {one_low:g} to {one_high:g}, Level 2 from"
+        f" {two_low:g} to {two_high:g} 1/(g s²), MIL-F-8785C 3.2.2.1.1."
     )
     return [Figure(chart.name, chart.svg(), caption)]
 

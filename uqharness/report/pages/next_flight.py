@@ -37,11 +37,13 @@ _BINS, _CELLS, _MOST_DOTS = 16, 24, 1500
 def next_flight_page(
     found: NextFlight, document: Mapping[str, Any], figures: Sequence[Figure], command: str
 ) -> Page:
-    """The page of a plan. document: next-flight.json; figures: of :func:`uncertainty_figures`, none to leave them out."""
+    """The page of a plan. document: next-flight.json; figures: of :func:`uncertainty_figures`, none
+    to leave them out.
+    """
     name = document["aircraft"]["name"]
     where = (
-        "Quartiles (25, 50, 75 %): of the data behind the bounds, of the mission, and of the mission weighted by the prediction "
-        "variance."
+        "Quartiles (25, 50, 75 %): of the data behind the bounds, of the mission, and of the"
+        " mission weighted by the prediction variance."
     )
     legend = (
         ("fillrange", "mission"),
@@ -53,9 +55,10 @@ def next_flight_page(
     )
     drawn = (Figures(tuple(figures), legend, True, "next-flight"),) if figures else ()
     fly = (
-        f"uqharness fly {name} --script next-flight.xml --out FILE flies it in simulation; test-points.csv is the same for an "
-        f"operator. Gain: share of the mean width that a point takes, given those chosen before it. {len(found.refused)} of "
-        f"{found.tried} test points were refused."
+        f"uqharness fly {name} --script next-flight.xml --out FILE flies it in simulation;"
+        " test-points.csv is the same for an operator. Gain: share of the mean width that a point"
+        f" takes, given those chosen before it. {len(found.refused)} of {found.tried} test points"
+        " were refused."
     )
     sections = (
         Section(
@@ -68,7 +71,10 @@ def next_flight_page(
             ("Files", "next-flight.json, next-flight.xml, test-points.csv, beside this page"),
         ),
     )
-    asked = f"What test flight narrows the interval of {found.coefficient} most in the mission's flight states?"
+    asked = (
+        f"What test flight narrows the interval of {found.coefficient} most in the mission's flight"
+        " states?"
+    )
     verdict = tuple(Say(text) for text in document["words"])
     return Page(f"Next test flight for {found.coefficient} of {name}", asked, verdict, sections)
 
@@ -111,7 +117,8 @@ def uncertainty_figures(
     outside: Outside,
     coefficient: str,
 ) -> list[Figure]:
-    """Half-width from the uncertainty of the polynomial along each state, and occupancy times variance over two states.
+    """Half-width from the uncertainty of the polynomial along each state, and occupancy times
+    variance over two states.
 
     mission: states (n,) of the mission; flown: of the planned flight.
     """
@@ -212,7 +219,10 @@ def _maps(
     )
     figures = []
     for (weights, x_edges, y_edges), when in zip(found, ("now", "after"), strict=True):
-        label = f"Occupancy times variance, {when}, over {axis_label(pair[0])} and {axis_label(pair[1])}."
+        label = (
+            f"Occupancy times variance, {when}, over {axis_label(pair[0])} and"
+            f" {axis_label(pair[1])}."
+        )
         chart = Chart(f"variance-{when}", label, scales[0], scales[1], 300)
         chart.cells(x_edges, y_edges, np.minimum(weights / most, 1.0), "")
         chart.path(across, up, "joint")
@@ -229,7 +239,9 @@ def _maps(
 
 
 def _reach(box: FloatArray, values: FloatArray) -> tuple[float, float]:
-    """Axis limits: the mission, and the flight as far as it lies within as much again on either side."""
+    """Axis limits: the mission, and the flight as far as it lies within as much again on either
+    side.
+    """
     span = float(box[1] - box[0])
     low, high = np.quantile(values, [0.01, 0.99])
     return max(min(float(box[0]), float(low)), float(box[0]) - span), min(
@@ -254,24 +266,32 @@ def words(
     low, high = (100.0 * s for s in winner.share)
     sure = "certain" if winner.certain else "not certain"
     out = [
-        f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric} ({winner.condition}; its lead is {sure})."
+        (
+            f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric} ({winner.condition};"
+            f" its lead is {sure})."
+        )
     ]
     out.append(
-        f"In the mission's flight states its interval is {p.now.total:.3g} wide on average. "
-        f"{_percent(found.extrapolated)} of the mission lies outside the data. The "
-        f"polynomial's uncertainty alone gives {p.now.parameter:.3g}, the scatter about it the rest."
+        f"In the mission's flight states its interval is {p.now.total:.3g} wide on average."
+        f" {_percent(found.extrapolated)} of the mission lies outside the data. The polynomial's"
+        f" uncertainty alone gives {p.now.parameter:.3g}, the scatter about it the rest."
     )
-    flight = f"The flight of {found.end_s / 60.0:.1f} min narrows the interval by {_percent(p.narrowing)} (its parameter part by "
+    flight = (
+        f"The flight of {found.end_s / 60.0:.1f} min narrows the interval by"
+        f" {_percent(p.narrowing)} (its parameter part by "
+    )
     flight += (
-        f"{_percent(p.parameter_narrowing)}); as long a repetition of what was flown before, by "
-        f"{_percent(1.0 - p.naive.total / p.now.total)} ({_percent(1.0 - p.naive.parameter / p.now.parameter)}); unlimited data "
-        f"of the same kind, by {_percent(p.at_most)}."
+        f"{_percent(p.parameter_narrowing)}); as long a repetition of what was flown before, by"
+        f" {_percent(1.0 - p.naive.total / p.now.total)}"
+        f" ({_percent(1.0 - p.naive.parameter / p.now.parameter)}); unlimited data of the same"
+        f" kind, by {_percent(p.at_most)}."
     )
     shown = 1.0 - p.redone.total / p.now.total
     if abs(shown - p.narrowing) > 0.01:
         flight += (
-            f" Bounds made again will come out {_percent(abs(shown))} {'narrower' if shown >= 0.0 else 'wider'}, because residuals "
-            "scatter differently at the speeds of these points; that difference is no information."
+            f" Bounds made again will come out {_percent(abs(shown))}"
+            f" {'narrower' if shown >= 0.0 else 'wider'}, because residuals scatter differently at"
+            " the speeds of these points; that difference is no information."
         )
     out.append(flight)
     out += _first_points(found)
@@ -302,33 +322,36 @@ def _first_points(found: NextFlight) -> list[str]:
     numbers = ", ".join(str(k + 1) for k in sorted(few))
     what = f"point {numbers} brings" if len(few) == 1 else f"points {numbers} bring"
     return [
-        f"Of what the flight takes off the mean width {what} {_percent(gained / total)}; a short flight would be those."
+        (
+            f"Of what the flight takes off the mean width {what} {_percent(gained / total)}; a short"
+            " flight would be those."
+        )
     ]
 
 
 def _why_not(found: NextFlight, p: Prospect) -> str:
     if p.at_most >= WORTH:
         return (
-            f"Not worth flying for {found.coefficient} alone ({_percent(WORTH)} is asked for): more minutes would bring up to "
-            f"{_percent(p.at_most)}."
+            f"Not worth flying for {found.coefficient} alone ({_percent(WORTH)} is asked for): more"
+            f" minutes would bring up to {_percent(p.at_most)}."
         )
     text = (
-        f"More data cannot narrow this interval: {_percent(1.0 - p.at_most)} of its width is scatter about the polynomial, which "
-        "stays. "
+        f"More data cannot narrow this interval: {_percent(1.0 - p.at_most)} of its width is"
+        " scatter about the polynomial, which stays. "
     )
     ratio = found.scatter / found.simulated_scatter
     if not math.isfinite(ratio):
         return text + "A longer flight (--minutes) would show whether that is noise or model form."
     if ratio > SENSORS:
         return (
-            text
-            + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): a term is "
-            "missing, or the air was rougher than simulated (--turbulence)."
+            text + f"It is {ratio:.1f} times what the model's own sensors and air give"
+            f" ({found.simulated_scatter:.2g}): a term is missing, or the air was rougher than"
+            " simulated (--turbulence)."
         )
     return (
-        text
-        + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): calmer air, "
-        "better sensors or a lower --cutoff-hz of the bounds narrow it, no manoeuvre does."
+        text + f"It is {ratio:.1f} times what the model's own sensors and air give"
+        f" ({found.simulated_scatter:.2g}): calmer air, better sensors or a lower --cutoff-hz of"
+        " the bounds narrow it, no manoeuvre does."
     )
 
 
@@ -339,16 +362,28 @@ def _of_form(found: NextFlight, missing: Sequence[MissingTerm] | None) -> list[s
         if found.worth_flying and not found.form_is_short:
             return []
         return [
-            "Give the flights behind the bounds (--flight FILE...) to learn whether a term is missing."
+            (
+                "Give the flights behind the bounds (--flight FILE...) to learn whether a term is"
+                " missing."
+            )
         ]
     if not missing:
         return [
-            f"In the flights given no term of second order is missing from the bounds of {c}: what scatters is noise and air."
+            (
+                f"In the flights given no term of second order is missing from the bounds of {c}: what"
+                " scatters is noise and air."
+            )
         ]
     listed = ", ".join(f"{m.name} ({_percent(m.share)})" for m in missing)
     states = ",".join(dict.fromkeys(s for m in missing for s in m.states))
-    text = f"Of what scatters in the flights given, this is explained by terms that the bounds of {c} lack: {listed}. More flying "
-    text += f"leaves it: put them into the model (uqharness refine) or their states ({states}) into the bounds (uqharness bounds "
+    text = (
+        f"Of what scatters in the flights given, this is explained by terms that the bounds of {c}"
+        f" lack: {listed}. More flying "
+    )
+    text += (
+        f"leaves it: put them into the model (uqharness refine) or their states ({states}) into the"
+        " bounds (uqharness bounds "
+    )
     return [text + f"--states {c}=...). In turbulence gusts can pass for such terms."]
 
 
@@ -383,7 +418,9 @@ def document(
     units: Mapping[str, str],
     warnings: Sequence[str],
 ) -> dict[str, Any]:
-    """next-flight.json. air: aircraft, bounds and conditions of the simulated flight, as they are to be written."""
+    """next-flight.json. air: aircraft, bounds and conditions of the simulated flight, as they are
+    to be written.
+    """
     return {
         "format": FORMAT,
         **air,
@@ -410,9 +447,9 @@ def document(
         },
         "prospects": {c: prospect_row(p) for c, p in found.prospects.items()},
         "scatter": {"bounds": found.scatter, "simulated": finite(found.simulated_scatter)},
-        "missing": None
-        if missing is None
-        else [{"term": m.name, "share": m.share} for m in missing],
+        "missing": (
+            None if missing is None else [{"term": m.name, "share": m.share} for m in missing]
+        ),
         "flight_s": found.end_s,
         "points": [point_row(found, k, units) for k in range(len(found.plan))],
         "tried": found.tried,

@@ -54,17 +54,20 @@ _MARKS = {
 
 @dataclass(frozen=True)
 class Named:
-    """A candidate that the page names: as what (chosen, withdrawn, alternative, left), and its |t| there; None where unknown."""
+    """A candidate that the page names: as what (chosen, withdrawn, alternative, left), and its |t|
+    there; None where unknown.
+    """
 
     part: str
     t: float | None
 
 
 def named_candidates(done: Mapping[str, Any]) -> dict[str, Named]:
-    """Candidates that a refinement names, by coefficient or subsystem and term; one that is named twice as the first of `Named`.
+    """Candidates that a refinement names, by coefficient or subsystem and term; one that is named
+    twice as the first of `Named`.
 
-    An alternative's |t| is that in the effect's place, the root of what it gains in twice the log likelihood.
-    """
+    An alternative's |t| is that in the effect's place, the root of what it gains in twice the log
+    likelihood."""
     rows: list[tuple[str, Mapping[str, Any], float | None]] = []
     for part, effects in (("chosen", done["effects"]), ("withdrawn", done.get("withdrawn", ()))):
         rows += [(part, e, e.get("evidence", {}).get("t")) for e in effects]
@@ -125,8 +128,9 @@ def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None
     if limit is not None:
         chart.upright(limit, "limit", "reached by chance by the best of all")
     caption = (
-        "What explains the disagreement of the train flights, |t| [-]: bars alone, discs beside the chosen effects (alternatives: "
-        "in the effect's place). \N{BLACK CIRCLE} chosen, \N{ALMOST EQUAL TO} alternative, \N{MULTIPLICATION X} withdrawn, ? left."
+        "What explains the disagreement of the train flights, |t| [-]: bars alone, discs beside the"
+        " chosen effects (alternatives: in the effect's place). \N{BLACK CIRCLE} chosen,"
+        " \N{ALMOST EQUAL TO} alternative, \N{MULTIPLICATION X} withdrawn, ? left."
     )
     return Figure(chart.name, chart.svg(), caption)
 
@@ -134,29 +138,42 @@ def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None
 # refinement.json in sentences: what the test flights say of an effect, what is left, and where.
 
 _AWAY = 1e9
-"""Change of twice a log likelihood that is no measure of noise any more: replays of one of the two models diverge."""
+"""Change of twice a log likelihood that is no measure of noise any more: replays of one of the two
+models diverge.
+"""
 
 
 def place_says(place: Mapping[str, Any]) -> list[str]:
-    """Where the strongest of what is left sits, in at most three lines; none where nothing is left."""
+    """Where the strongest of what is left sits, in at most three lines; none where nothing
+    is left.
+    """
     if place["channel"] is None:
         return []
     name, _, _ = shown_channel(place["channel"])
     side = "hold-out" if place["flights"] == "test" else "train"
     if place["from_s"] is None:
-        first = f"residual of {name}, {side} flights, {place['rms_over_noise']:.2f} times its noise: {place['reason']}"
+        first = (
+            f"residual of {name}, {side} flights, {place['rms_over_noise']:.2f} times its noise:"
+            f" {place['reason']}"
+        )
     else:
         share = place["share_of_excess"]
         held = "" if share is None else f", {100.0 * share:.0f} % of what is left of the channel"
-        when = f"{place['flight']}, {place['from_s']:.1f} to {place['to_s']:.1f} s ({place['manoeuvre']})"
+        when = (
+            f"{place['flight']}, {place['from_s']:.1f} to {place['to_s']:.1f} s"
+            f" ({place['manoeuvre']})"
+        )
         band = f"{place['from_Hz']:.2g} to {place['to_Hz']:.2g} Hz"
-        first = f"residual of {name}, {side} flight {when}, {band}: {place['rms_over_noise']:.2f} times its noise{held}"
+        first = (
+            f"residual of {name}, {side} flight {when}, {band}: {place['rms_over_noise']:.2f} times"
+            f" its noise{held}"
+        )
     goes = place["state"]
     if goes is not None:
         state, unit, factor = shown_channel(goes["state"])
         first += (
-            f"; its {goes['of']} goes with {state}, most at {factor * goes['low']:.3g} to {factor * goes['high']:.3g} {unit} "
-            f"({100.0 * goes['share']:.0f} % of its variance)"
+            f"; its {goes['of']} goes with {state}, most at {factor * goes['low']:.3g} to"
+            f" {factor * goes['high']:.3g} {unit} ({100.0 * goes['share']:.0f} % of its variance)"
         )
     near = ", ".join(
         f"{c['name']} {c['leaves']:.2f} (|t| {abs(c['t']):.1f})" for c in place["candidates"]
@@ -173,22 +190,28 @@ def smooth_says(smooth: Mapping[str, Any]) -> str:
         f", in place of {' and '.join(smooth['in_place_of'])}," if smooth["in_place_of"] else ""
     )
     return (
-        f"not named, no physics: a {smooth['name']} ({smooth['property']}){instead} brings {channel} on the train flights from "
-        f"{smooth['channel_on_train']:.2f} to {smooth['leaves']:.2f} times its noise; {test_says(smooth)}"
+        f"not named, no physics: a {smooth['name']} ({smooth['property']}){instead} brings"
+        f" {channel} on the train flights from {smooth['channel_on_train']:.2f} to"
+        f" {smooth['leaves']:.2f} times its noise; {test_says(smooth)}"
     )
 
 
 def nowhere(document: Mapping[str, Any]) -> str:
-    """What is said where no region stands out: nothing at all is missing, or what is missing shows over whole flights alone."""
+    """What is said where no region stands out: nothing at all is missing, or what is missing shows
+    over whole flights alone.
+    """
     named = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
     named += [abs(w["t"]) for w in document["remaining"]["where"] if "t" in w]
     if named:
         return (
-            "in no single region beyond what noise allows a sample; over all samples together the flights disagree with the "
-            f"model all the same (|t| up to {max(named):.0f})"
+            "in no single region beyond what noise allows a sample; over all samples together the"
+            f" flights disagree with the model all the same (|t| up to {max(named):.0f})"
         )
     if document["remaining"]["unexplained"]:
-        return "in no single region beyond what noise allows a sample, but the flights as a whole: see what is left"
+        return (
+            "in no single region beyond what noise allows a sample, but the flights as a whole: see"
+            " what is left"
+        )
     return "nowhere beyond what noise allows"
 
 
@@ -224,7 +247,10 @@ def test_says(effect: Mapping[str, Any]) -> str:
     number = f"twice the log likelihood {_with_error(change, std)} with it"
     if abs(change) >= _AWAY:
         more, leaves = ("more", "without") if change > 0.0 else ("less", "with")
-        number = f"twice the log likelihood over a billion {more} with it, for {leaves} it the model leaves the flights altogether"
+        number = (
+            f"twice the log likelihood over a billion {more} with it, for {leaves} it the model"
+            " leaves the flights altogether"
+        )
     share, wide = test.get("share_of_estimate"), test.get("share_std")
     # A standard error of half the way between none and all tells neither from the other.
     if share is not None and wide is not None and math.isfinite(share) and wide < 0.5:
@@ -234,14 +260,19 @@ def test_says(effect: Mapping[str, Any]) -> str:
     if test["gap"] == "grew":
         return f"on the test flights the gap grew: {number}; withdrawn"
     if test["gap"] == "too far":
-        far = f"{test['rms_over_that_of_train']:.0f} times as far from either model as the train flights"
+        far = (
+            f"{test['rms_over_that_of_train']:.0f} times as far from either model as the train"
+            " flights"
+        )
         return f"the test flights do not tell: they lie {far}; look for what is wrong with them"
     gone = "; withdrawn beside what nothing explains" if effect.get("withdrawn") else ""
     return f"the test flights do not tell whether the gap shrank: {number}{gone}"
 
 
 def _with_error(value: float, std: float) -> str:
-    """``value ± std`` with three significant figures of the standard error, and as many places of the value."""
+    """``value ± std`` with three significant figures of the standard error, and as many places of
+    the value.
+    """
     if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
         return f"{value:+.4g} ± {std:.3g}"
     places = 2 - math.floor(math.log10(std))
@@ -273,7 +304,8 @@ def capital(text: str) -> str:
 
 
 def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") -> Section:
-    """The effects: value with its error bar, what changed in the XML, alternatives, evidence; and who else was asked.
+    """The effects: value with its error bar, what changed in the XML, alternatives, evidence; and
+    who else was asked.
 
     diff: the text of model.diff
     """
@@ -309,7 +341,10 @@ def _value(e: Mapping[str, Any], off: Mapping[str, float], name: str) -> list[Bl
     without = float(off.get(e.get("property") or "", 0.0))
     ends = [float(v) for v in (low, high, without)]
     margin = 0.08 * (max(ends) - min(ends)) or 1.0
-    label = f"{capital(e['name'])}: 95 % interval {shown(low, '.5g')} to {shown(high, '.5g')}{_unit(e)}, without it {without:g}."
+    label = (
+        f"{capital(e['name'])}: 95 % interval {shown(low, '.5g')} to"
+        f" {shown(high, '.5g')}{_unit(e)}, without it {without:g}."
+    )
     unit = e.get("unit") or "-"
     axis = f"value [{'-' if unit == '1' else unit}]"
     chart = rows_chart(
@@ -333,13 +368,17 @@ def _value(e: Mapping[str, Any], off: Mapping[str, float], name: str) -> list[Bl
 
 
 def _change(e: Mapping[str, Any], diff: str) -> list[Block]:
-    """The lines of model.diff that name the effect or its property, with what stands around them."""
+    """The lines of model.diff that name the effect or its property, with what stands around
+    them.
+    """
     text = lines_naming(diff, [w for w in (e.get("property"), e["name"]) if w])
     return [Code(f"Change of the XML for {e['name']}", text)] if text else []
 
 
 def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
-    """Changed lines of a unified difference in which one of the words stands, with ``around`` lines on either side."""
+    """Changed lines of a unified difference in which one of the words stands, with ``around`` lines
+    on either side.
+    """
     lines = [line for line in diff.splitlines() if not line.startswith(("--- ", "+++ ", "@@"))]
     own = [k for k, line in enumerate(lines) if line[:1] in "+-" and any(w in line for w in words)]
     near = sorted(
@@ -354,9 +393,11 @@ def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
 def _others(e: Mapping[str, Any]) -> list[Block]:
     """What the effect is confounded with, and which alternatives the flights exclude."""
     told = [
-        f"Distinguished from {a['name']}."
-        if a["separable"]
-        else f"Confounded with {a['name']}. Would separate them: {a['would_separate']}."
+        (
+            f"Distinguished from {a['name']}."
+            if a["separable"]
+            else f"Confounded with {a['name']}. Would separate them: {a['would_separate']}."
+        )
         for a in e.get("alternatives", ())
     ]
     return [Bullets(tuple(told))] if told else []
@@ -419,8 +460,14 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         "Test samples inside before [%]",
         "After [%]",
     )
-    caption = f"{100.0 * intervals['confidence']:g} % intervals of each model, fitted on the train flights."
-    text = "As uqharness bounds fits them, one set for each model; ± is one standard error, neighbouring samples being alike."
+    caption = (
+        f"{100.0 * intervals['confidence']:g} % intervals of each model, fitted on the train"
+        " flights."
+    )
+    text = (
+        "As uqharness bounds fits them, one set for each model; ± is one standard error,"
+        " neighbouring samples being alike."
+    )
     figures = Figures(
         _interval_figures(intervals, prefix),
         (("second", "before"), ("first", "after")),
@@ -432,7 +479,9 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
 
 
 def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure, ...]:
-    """Mean width after over before, and the share of the test samples inside with its 95 % limits."""
+    """Mean width after over before, and the share of the test samples inside with its 95 %
+    limits.
+    """
     rows = intervals["coefficients"]
     widths = {
         c: r["width_after"] / r["width_before"]
@@ -469,7 +518,10 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
         if r[f"coverage_{when}"] is not None
     ]
     if known:
-        label = f"Test samples inside the intervals [%], {min(row[3] for row in known):.1f} at the least."
+        label = (
+            f"Test samples inside the intervals [%], {min(row[3] for row in known):.1f} at the"
+            " least."
+        )
         least = min(share - half for *_, share, half in known)
         x = Scale("test samples inside [%], with 95 % limits", max(0.0, least - 2.0), 101.0)
         chart = rows_chart(f"{prefix}interval-coverage", label, x, tuple(rows), 24)
@@ -503,9 +555,9 @@ def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> S
 
     folders = mission["folders"]
     said = (
-        f"{mission['mission']}, {mission['corners']} corners, {mission['flights_per_corner']} flights of "
-        f"{mission['duration_s']:g} s each, the same air for both models. Failed flights: {mission['before']['failed']} before, "
-        f"{mission['after']['failed']} after."
+        f"{mission['mission']}, {mission['corners']} corners, {mission['flights_per_corner']}"
+        f" flights of {mission['duration_s']:g} s each, the same air for both models. Failed"
+        f" flights: {mission['before']['failed']} before, {mission['after']['failed']} after."
     )
     if len(folders) < 2:
         return Section(
@@ -544,15 +596,18 @@ def smooth_lines(done: Mapping[str, Any]) -> tuple[Say, ...]:
 
 
 def smooth_sections(done: Mapping[str, Any], prefix: str = "") -> list[Section]:
-    """The term with its curve, what it does to the flights, and the forms that it resembles; none where none is offered."""
+    """The term with its curve, what it does to the flights, and the forms that it resembles; none
+    where none is offered.
+    """
     smooth = done["remaining"].get("smooth")
     if not smooth:
         return []
     text = (
-        f"Nothing of the catalogue explains what is left. {capital(smooth_says(smooth))}. The term has "
-        f"{smooth['effective_degrees_of_freedom']:.1f} effective degrees of freedom. It is a description and no effect: find the "
-        "physics that would make this shape, or fly what tells more. Nothing is known outside the range drawn; the table holds its "
-        f"ends there. The model with it: {smooth['model']}."
+        f"Nothing of the catalogue explains what is left. {capital(smooth_says(smooth))}. The term"
+        f" has {smooth['effective_degrees_of_freedom']:.1f} effective degrees of freedom. It is a"
+        " description and no effect: find the physics that would make this shape, or fly what"
+        " tells more. Nothing is known outside the range drawn; the table holds its ends there."
+        f" The model with it: {smooth['model']}."
     )
     figures = Figures((_curve_figure(smooth, prefix),), file="unnamed")
     return [
@@ -570,7 +625,10 @@ def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
     what = f"{smooth['coefficient']} [-]" + (f" over {smooth['times']}" if smooth["times"] else "")
     y = scale(what, [value, low, high])
     foot = y.low + 0.25 * (y.high - y.low) * samples / max(samples.max(), 1.0)
-    label = f"{capital(smooth['name'])}: {value.min():.3g} to {value.max():.3g} over {smooth['state']} {at[0]:.3g} to {at[-1]:.3g}."
+    label = (
+        f"{capital(smooth['name'])}: {value.min():.3g} to {value.max():.3g} over {smooth['state']}"
+        f" {at[0]:.3g} to {at[-1]:.3g}."
+    )
     chart = Chart(
         f"{prefix}unnamed", label, scale(f"{smooth['state']} [{smooth['unit']}]", [at]), y
     )
@@ -587,8 +645,8 @@ def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
     chart.band(at, low, high, "fill1", "95 % band")
     chart.line(at, value, "first", "smooth term")
     caption = (
-        "A smooth term, not an effect: which physics would make this shape? It is less the best straight line where the model "
-        "has one. Grey: where the data lie."
+        "A smooth term, not an effect: which physics would make this shape? It is less the best"
+        " straight line where the model has one. Grey: where the data lie."
     )
     return Figure(chart.name, chart.svg(), caption)
 
@@ -619,7 +677,10 @@ def _shape_table(smooth: Mapping[str, Any]) -> Table:
         (capital(s["form"]), shown(s["correlation"], ".3f"), shown(s["leaves"], ".3f"))
         for s in smooth["shapes"]
     )
-    caption = f"Forms that it resembles, and what each leaves of {name} on the train flights in its place ({smooth['leaves']:.3f})."
+    caption = (
+        f"Forms that it resembles, and what each leaves of {name} on the train flights in its place"
+        f" ({smooth['leaves']:.3f})."
+    )
     return Table(
         caption, (f"Form in {smooth['state']}", "Correlation [-]", "Rms over noise left [-]"), rows
     )
@@ -630,7 +691,8 @@ _DIFF_LINES = 400
 
 
 def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
-    """The page of the folder that ``uqharness refine`` wrote. ``only``: titles of the sections that are shown, if not all.
+    """The page of the folder that ``uqharness refine`` wrote. ``only``: titles of the sections that
+    are shown, if not all.
 
     Raises BadInputError.
     """
@@ -650,8 +712,8 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     figures = _coefficient_figures(histories, touched, gap, prefix)
     if figures:
         text = (
-            "What the test flights demand minus what the model gives, before and after, segments end to end. The band is what "
-            "the sensors' noise alone gives in 95 % of the samples."
+            "What the test flights demand minus what the model gives, before and after, segments"
+            " end to end. The band is what the sensors' noise alone gives in 95 % of the samples."
         )
         legend = (
             ("second thin", "before"),
@@ -687,11 +749,17 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
         ("Time", f"{shown(done.get('seconds'), '.0f')} s"),
         (
             "Files",
-            "refinement.json, model.diff, histories.parquet, aircraft/ (the refined model), beside this page",
+            (
+                "refinement.json, model.diff, histories.parquet, aircraft/ (the refined model),"
+                " beside this page"
+            ),
         ),
     )
     sections.append(provenance(*facts))
-    asked = f"What does the model lack? Effects were chosen on {train} and shown on the hold-out flights {test}."
+    asked = (
+        f"What does the model lack? Effects were chosen on {train} and shown on the hold-out"
+        f" flights {test}."
+    )
     return Page("Refinement", asked, _verdict(done), tuple(sections))
 
 
@@ -766,7 +834,9 @@ def _diff(folder: Path) -> str:
 
 
 def _place_sections(done: Mapping[str, Any]) -> list[Section]:
-    """Where the strongest of what is left sits; none where nothing is left, or where the folder is older than that."""
+    """Where the strongest of what is left sits; none where nothing is left, or where the folder is
+    older than that.
+    """
     place = done["remaining"].get("place")
     if not place or place["channel"] is None:
         return []
@@ -837,8 +907,9 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
             )
         )
     text = (
-        "Before: the model with its parameters identified again, without the effects. After: with them. Start states and biases "
-        "are each flight's own. ✓: smaller than before, ✕: larger, by what three figures show."
+        "Before: the model with its parameters identified again, without the effects. After: with"
+        " them. Start states and biases are each flight's own. ✓: smaller than before, ✕: larger,"
+        " by what three figures show."
     )
     table = Table(
         "Gap on the test flights: rms of log minus model.",
@@ -854,8 +925,8 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
 
 
 _TURBULENT = (
-    "The flights were turbulent. The gap above is of replays, as compare has it, and holds what the gusts did; effects are judged "
-    "by the errors of predictions one sample ahead."
+    "The flights were turbulent. The gap above is of replays, as compare has it, and holds what the"
+    " gusts did; effects are judged by the errors of predictions one sample ahead."
 )
 
 
@@ -882,7 +953,10 @@ def _coefficient_figures(
         if noise is not None:
             half = [np.full(len(h.time_s), Z95 * noise) for h in histories]
             band = ([-h for h in half], half, "")
-        label = f"{c} [-] demanded by the test flights minus the model's, before and after, segments end to end."
+        label = (
+            f"{c} [-] demanded by the test flights minus the model's, before and after, segments"
+            " end to end."
+        )
         series = [(f"{c}_gap_before", "second thin", ""), (f"{c}_gap_after", "first thin", "")]
         out.append(
             end_to_end(

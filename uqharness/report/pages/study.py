@@ -1,4 +1,6 @@
-"""The page of a whole study: answer, ground track, p-box, effect and cells; folded, all findings and what each stage found."""
+"""The page of a whole study: answer, ground track, p-box, effect and cells; folded, all findings
+and what each stage found.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +67,9 @@ Sides = Mapping[str, CampaignFound]
 
 
 def answer_says(answer: Mapping[str, Any]) -> tuple[Say, ...]:
-    """The answer with its level, then why, what the model lacked, and what to do next as plain facts."""
+    """The answer with its level, then why, what the model lacked, and what to do next as plain
+    facts.
+    """
     level: Level = answer["level"] if answer["level"] in ("good", "warn", "bad") else ""
     rest = (answer[part] for part in ("why", "lacked", "next"))
     return Say(answer["answer"], level), *(Say(text) for text in rest if text)
@@ -74,7 +78,8 @@ def answer_says(answer: Mapping[str, Any]) -> tuple[Say, ...]:
 def first_figures(
     folder: Path, study: Mapping[str, Any], sides: Sides, missing: list[str]
 ) -> tuple[Block, ...]:
-    """One lap as ground track and as distance over time, and the p-box, all of the hardest condition; those of them that there are.
+    """One lap as ground track and as distance over time, and the p-box, all of the hardest
+    condition; those of them that there are.
 
     Damage is told in ``missing``.
     """
@@ -133,15 +138,19 @@ def _pbox(sides: Sides) -> Figure | None:
             for when, f in found.items()
         )
         caption = (
-            f"P-box of the {item.words} error, {condition.words}: {len(item.samples)} epistemic samples, "
-            f"{len(item.samples[0].values)} flights each. Half of the flights stay below {halves}."
+            f"P-box of the {item.words} error, {condition.words}: {len(item.samples)} epistemic"
+            f" samples, {len(item.samples[0].values)} flights each. Half of the flights stay below"
+            f" {halves}."
         )
         return pbox_figure("answer-pbox", item.axis, item.unit, boxes, caption)
     return None
 
 
 def effect_section(folder: Path) -> Section:
-    """Which effects were found, and log against simulation on the held-out flights. Raises BadInputError."""
+    """Which effects were found, and log against simulation on the held-out flights.
+
+    Raises BadInputError.
+    """
     done = read_document(folder / "refinement.json", Refinement)
     gap = done["gap"]["test"]["channels"]
     rows = []
@@ -180,7 +189,9 @@ def effect_section(folder: Path) -> Section:
 
 
 def cells_section(sides: Sides) -> Section:
-    """A row per condition and radius: the answer before and after, with the rate and its limits at the worst corner."""
+    """A row per condition and radius: the answer before and after, with the rate and its limits at
+    the worst corner.
+    """
     *_, last = sides.values()
     if not last.signed:
         return Section(
@@ -202,8 +213,8 @@ def cells_section(sides: Sides) -> Section:
     names = [f"Answer {when}" for when in sides] if len(sides) > 1 else ["Answer"]
     head = ("Wind, turbulence", "Radius", *names, "Flight hours", *aborted_head(kinds))
     text = (
-        f"At most {acceptable} excursions beyond the radius per flight hour at every corner? Below each answer the rate at the "
-        f"worst corner [1/h] and its {_SURE} limits. "
+        f"At most {acceptable} excursions beyond the radius per flight hour at every corner? Below"
+        f" each answer the rate at the worst corner [1/h] and its {_SURE} limits. "
     )
     text += (
         f"Aborted flights of all corners by kind{', before / after' if len(sides) > 1 else ''}."
@@ -284,7 +295,10 @@ _PAGES: Mapping[str, Callable[[Path, str], Page]] = {
 
 
 def study_page(folder: Path) -> Page:
-    """The page of the folder that ``uqharness study`` wrote, finished or not. Raises BadInputError."""
+    """The page of the folder that ``uqharness study`` wrote, finished or not.
+
+    Raises BadInputError.
+    """
     study = read_document(folder / STUDY, Study)
     missing: list[str] = []
     both = study.get("before_after") or {}
@@ -322,7 +336,9 @@ def study_page(folder: Path) -> Page:
 
 
 def _one_campaign(study: Mapping[str, Any]) -> dict[str, str]:
-    """Folder of the first campaign of a study without refinement, under no name; empty without one."""
+    """Folder of the first campaign of a study without refinement, under no name; empty
+    without one.
+    """
     done = [
         s["folder"]
         for s in study["stages"]
@@ -334,7 +350,9 @@ def _one_campaign(study: Mapping[str, Any]) -> dict[str, str]:
 def _answered(
     folder: Path, study: Mapping[str, Any], sides: Mapping[str, CampaignFound], missing: list[str]
 ) -> tuple[list[Section], tuple[Block, ...]]:
-    """The sections that stand open, and the figures beside the answer; no figure for a study without an answer."""
+    """The sections that stand open, and the figures beside the answer; no figure for a study
+    without an answer.
+    """
     sections: list[Section] = []
     refined = [
         s["folder"]
@@ -361,7 +379,8 @@ def _verdict(study: Mapping[str, Any]) -> tuple[Say, ...]:
         said.insert(
             0,
             Say(
-                f"The study stopped: {bad} failed. The same command goes on once the cause is gone.",
+                f"The study stopped: {bad} failed. The same command goes on once the cause is"
+                " gone.",
                 "bad",
             ),
         )
