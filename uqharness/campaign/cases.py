@@ -73,8 +73,8 @@ def uq_properties(spec: CampaignSpec, sample: Epistemic) -> dict[str, float]:
     Bounds given as numbers are written over the aircraft's own, those of a certain coefficient as
     zero; bounds that the aircraft computes stay, and a certain coefficient is switched off by its
     uq/<C>/active."""
-    moved = sample.driver.coefficients if sample.driver is not None else tuple(sample.levels)
-    if not moved:
+    varied = sample.driver.coefficients if sample.driver is not None else tuple(sample.levels)
+    if not varied:
         return {}
     properties = {"uq/active": 1.0}
     bounds = spec.epistemic.bounds
@@ -82,9 +82,9 @@ def uq_properties(spec: CampaignSpec, sample: Epistemic) -> dict[str, float]:
         if name in sample.levels:
             properties[f"uq/{name}/level"] = float(sample.levels[name])
         if isinstance(bounds, dict):
-            lower, upper = bounds[name] if name in moved else (0.0, 0.0)  # type: ignore[index]
+            lower, upper = bounds[name] if name in varied else (0.0, 0.0)  # type: ignore[index]
             properties[f"uq/{name}/lower"], properties[f"uq/{name}/upper"] = lower, upper
-        elif name not in moved:
+        elif name not in varied:
             properties[f"uq/{name}/active"] = 0.0
     return properties
 
@@ -107,19 +107,22 @@ def build_cases(spec: CampaignSpec, mission: Mission, part: Part | None = None) 
     An engine not settled is JSBSim.
     """
     air = spec.aleatory
-    whole = Part(range(air.flights), tuple(itertools.product(air.wind_mps, air.turbulence)))
-    return tuple(_cases(spec, mission, part or whole))
+    all_cases = Part(range(air.flights), tuple(itertools.product(air.wind_mps, air.turbulence)))
+    return tuple(_cases(spec, mission, part or all_cases))
 
 
 def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
     air, root_seed = spec.aleatory, spec.campaign.seed
     engine = BATCH if spec.campaign.engine == BATCH else JSBSIM
     radii = counted_radii(dict(spec.metrics))
-    wanted = epistemic_samples(spec)
+    requested_samples = epistemic_samples(spec)
     if part.samples is not None:
-        wanted = wanted[part.samples.start : part.samples.stop]
-    samples = [(sample, uq_properties(spec, sample) | dict(sample.parameters)) for sample in wanted]
-    _refuse_twice(samples[0][1], air.variables)
+        requested_samples = requested_samples[part.samples.start : part.samples.stop]
+    samples = [
+        (sample, uq_properties(spec, sample) | dict(sample.parameters))
+        for sample in requested_samples
+    ]
+    _refuse_conflicting_properties(samples[0][1], air.variables)
     for aleatory_id in part.aleatory_ids:
         seed_turbulence = flight_seed(root_seed, aleatory_id, "turbulence")
         seed_noise = flight_seed(root_seed, aleatory_id, "noise")
@@ -180,10 +183,10 @@ def unit_draw(root_seed: int, aleatory_id: int, name: str, variable: VariableSec
 
     Depends on (root seed, aleatory id, property) alone.
     """
-    stream = numbered_stream(root_seed, "variable", aleatory_id, name)
+    seed_sequence = numbered_stream(root_seed, "variable", aleatory_id, name)
     if variable.distribution == "normal":
-        return float(random_numbers.drawn(stream, 1)[0])
-    return float(np.random.Generator(np.random.PCG64(stream)).uniform(-1.0, 1.0))
+        return float(random_numbers.drawn(seed_sequence, 1)[0])
+    return float(np.random.Generator(np.random.PCG64(seed_sequence)).uniform(-1.0, 1.0))
 
 
 def _columns(sample: Epistemic, values: Mapping[str, float]) -> dict[str, float]:
@@ -192,13 +195,13 @@ def _columns(sample: Epistemic, values: Mapping[str, float]) -> dict[str, float]
     return columns | {f"variable_{name}": value for name, value in values.items()}
 
 
-def _refuse_twice(
+def _refuse_conflicting_properties(
     properties: Mapping[str, float], variables: Mapping[str, VariableSection]
 ) -> None:
-    twice = [name for name in variables if name in properties]
-    if twice:
+    conflicting = [name for name in variables if name in properties]
+    if conflicting:
         raise BadInputError(
-            f'[aleatory.variables."{twice[0]}"]: the property is set by [epistemic] as well; it can'
+            f'[aleatory.variables."{conflicting[0]}"]: the property is set by [epistemic] as well; it can'
             " be either random from flight to flight or unknown, not both: give one of them (an"
             " unknown mean is an interval)"
         )
@@ -239,31 +242,31 @@ GROUP_S = 20.0
 """Core time that a group should take: a kill loses no more, and what a worker does once a group
 does not show.
 """
-FLOWN_PER_CORE = 90_000.0
+FLIGHT_S_PER_CORE_S = 90_000.0
 """Flight time over core time of the batch engine, roughly; only sizes of groups depend on it."""
-MOST_LANES = 1024
-LEAST_LANES = 64
+MAX_LANES = 1024
+MIN_LANES = 64
 """Below that vectors and steps are badly used."""
 _GROUPS_PER_WORKER = 4
 
 
-def lanes_of(cases: Sequence[Case], workers: int) -> int:
+def lanes_per_group(cases: Sequence[Case], workers: int) -> int:
     """Cases to fly together: some 20 s of a core, and a few groups for every worker where there are
     cases enough.
     """
     flight = cases[0].flight
-    by_time = GROUP_S * FLOWN_PER_CORE / (flight.duration_s + flight.burn_in_s)
+    by_time = GROUP_S * FLIGHT_S_PER_CORE_S / (flight.duration_s + flight.burn_in_s)
     by_worker = math.ceil(len(cases) / (_GROUPS_PER_WORKER * max(workers, 1)))
-    return min(MOST_LANES, max(1, int(by_time)), max(LEAST_LANES, by_worker))
+    return min(MAX_LANES, max(1, int(by_time)), max(MIN_LANES, by_worker))
 
 
-def groups_of(cases: Sequence[Case], workers: int) -> list[Group]:
+def group_cases(cases: Sequence[Case], workers: int) -> list[Group]:
     """Cases of one condition each, in case order; the largest groups first, so that no worker waits
     long for the last.
     """
     if not cases:
         return []
-    lanes = lanes_of(cases, workers)
+    lanes = lanes_per_group(cases, workers)
     corners = len({case.epistemic_id for case in cases})
     if lanes > corners:
         # Whole airs: streams of air and noise are made once for all who fly in it.

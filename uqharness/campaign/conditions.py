@@ -93,10 +93,10 @@ class ExcursionCell:
     rates: tuple[ExcursionRate, ...]
 
 
-def hardest_of(found: Iterable[Condition]) -> Condition:
+def hardest_condition(candidates: Iterable[Condition]) -> Condition:
     """The strongest turbulence, in it the strongest wind."""
     order = tuple(TURBULENCE_W20_KT)
-    return max(found, key=lambda item: (order.index(item.turbulence), item.wind_mps))
+    return max(candidates, key=lambda item: (order.index(item.turbulence), item.wind_mps))
 
 
 def conditions(frame: pd.DataFrame) -> list[Condition]:
@@ -120,18 +120,22 @@ def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
     counted, not dropped.
     """
     values = frame[metric].to_numpy(dtype=float)
-    known = np.isfinite(values) & (frame["status"] == "ok").to_numpy()
-    which, names = pd.factorize(frame["epistemic_id"])
-    order = np.argsort(which, kind="stable")
-    edges = np.searchsorted(which[order], np.arange(len(names) + 1))
-    places = [order[begin:end] for begin, end in pairwise(edges)]
-    airs = frame["aleatory_id"].to_numpy() if "aleatory_id" in frame else None
-    found = []
-    for name, rows in zip(names, places, strict=True):
-        good, bad = rows[known[rows]], rows[~known[rows]]
-        flown = None if airs is None else airs[np.concatenate([good, bad])]
-        found.append(Sample(str(name), values[good], bad.size, flown))
-    return found
+    is_valid = np.isfinite(values) & (frame["status"] == "ok").to_numpy()
+    corner_index, names = pd.factorize(frame["epistemic_id"])
+    order = np.argsort(corner_index, kind="stable")
+    edges = np.searchsorted(corner_index[order], np.arange(len(names) + 1))
+    corner_rows = [order[begin:end] for begin, end in pairwise(edges)]
+    aleatory_ids = frame["aleatory_id"].to_numpy() if "aleatory_id" in frame else None
+    result = []
+    for name, rows in zip(names, corner_rows, strict=True):
+        valid_rows, invalid_rows = rows[is_valid[rows]], rows[~is_valid[rows]]
+        flight_airs = (
+            None
+            if aleatory_ids is None
+            else aleatory_ids[np.concatenate([valid_rows, invalid_rows])]
+        )
+        result.append(Sample(str(name), values[valid_rows], invalid_rows.size, flight_airs))
+    return result
 
 
 def pboxes(
@@ -143,9 +147,9 @@ def pboxes(
     """
     for metric in (*ERROR_METRICS, *(name for name in UNCOMMANDED_METRICS if name in frame)):
         for condition in conditions(frame):
-            found = samples(in_condition(frame, condition), metric)
-            if any(sample.values.size for sample in found):
-                yield metric, condition, pbox(found, confidence)
+            corner_samples = samples(in_condition(frame, condition), metric)
+            if any(sample.values.size for sample in corner_samples):
+                yield metric, condition, pbox(corner_samples, confidence)
 
 
 def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[ExcursionCell]:
@@ -197,5 +201,5 @@ class _Corner:
     hours: float
 
     def rate(self, counts: NDArray[np.float64], corners: int) -> ExcursionRate:
-        known = [None if np.isnan(count) else int(count) for count in counts[self.places]]
-        return excursion_rate(self.name, known, self.failed, self.hours, corners, CONFIDENCE)
+        known_counts = [None if np.isnan(count) else int(count) for count in counts[self.places]]
+        return excursion_rate(self.name, known_counts, self.failed, self.hours, corners, CONFIDENCE)

@@ -35,7 +35,7 @@ CONVERGENCE = "convergence.csv"
 METRICS = ("cross_track_median_m", "altitude_median_m", "speed_median_mps")
 REPEATS = 10
 
-_INDEPENDENT = ("white", "walk")
+_RANDOM_METHODS = ("white", "walk")
 
 _COLUMNS = (
     "kind",
@@ -57,7 +57,7 @@ _COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Converged:
+class MetricConvergence:
     """One metric in one condition. ``repeats`` are of ``epistemic_id``, the sample whose repeats
     lie farthest apart.
 
@@ -71,59 +71,65 @@ class Converged:
     growth: tuple[Growth, ...]
 
 
-def study(folder: Path, metrics: Sequence[str] = (), number: int = REPEATS) -> list[Converged]:
+def study_convergence(
+    folder: Path, metrics: Sequence[str] = (), number: int = REPEATS
+) -> list[MetricConvergence]:
     """Convergence of a complete campaign. Raises BadInputError."""
     manifest = read_complete(folder)
     if number < 2:
         raise BadInputError(f"--repeats {number}: must be at least 2")
     frame = read_cases(folder, manifest)
-    known = [name for name in ERROR_METRICS if name in frame and frame[name].notna().any()]
-    wanted = list(metrics) or [name for name in METRICS if name in known]
-    unknown = [name for name in wanted if name not in known]
+    available = [name for name in ERROR_METRICS if name in frame and frame[name].notna().any()]
+    requested = list(metrics) or [name for name in METRICS if name in available]
+    unknown = [name for name in requested if name not in available]
     if unknown:
         raise BadInputError(
-            f"--metric {unknown[0]}: not in {folder / CASES}; it has {', '.join(known)}"
+            f"--metric {unknown[0]}: not in {folder / CASES}; it has {', '.join(available)}"
         )
     epistemic = manifest["campaign"]["epistemic"]
-    drawn = epistemic["method"] in _INDEPENDENT or "parameters" in epistemic
-    found = [
+    is_random = epistemic["method"] in _RANDOM_METHODS or "parameters" in epistemic
+    results = [
         item
-        for name in wanted
-        for item in converged(frame, name, number, drawn, int(manifest["seed"]))
+        for name in requested
+        for item in metric_convergence(frame, name, number, is_random, int(manifest["seed"]))
     ]
-    if all(item.repeats is None and not item.growth for item in found):
+    if all(item.repeats is None and not item.growth for item in results):
         raise BadInputError(
             f"{folder}: nothing to compare: {number} repeats need at least {2 * number} flights of"
             " an epistemic sample, and epistemic convergence needs at least 4 samples drawn at"
             " random (white, walk, parameters); fly more, or give fewer --repeats"
         )
-    return found
+    return results
 
 
-def converged(
-    frame: pd.DataFrame, metric: str, number: int, drawn: bool, seed: int
-) -> Iterator[Converged]:
-    """Convergence of one metric of a case table, condition by condition: ``number`` repeats; growth
-    where samples are ``drawn``.
+def metric_convergence(
+    frame: pd.DataFrame, metric: str, repeat_count: int, is_random: bool, seed: int
+) -> Iterator[MetricConvergence]:
+    """Convergence of one metric of a case table, condition by condition: ``repeat_count`` repeats; growth
+    where samples are ``is_random``.
     """
     for condition in conditions(frame):
         groups = {
             str(name): _values(rows, metric)
             for name, rows in in_condition(frame, condition).groupby("epistemic_id", sort=False)
         }
-        apart = {
-            name: repeats(values, number, CONFIDENCE)
+        repeats_by_sample = {
+            name: repeats(values, repeat_count, CONFIDENCE)
             for name, values in groups.items()
-            if values.size >= 2 * number
+            if values.size >= 2 * repeat_count
         }
-        name = max(apart, key=lambda item: apart[item].distance) if apart else ""
-        enough = (
-            drawn
+        name = (
+            max(repeats_by_sample, key=lambda item: repeats_by_sample[item].distance)
+            if repeats_by_sample
+            else ""
+        )
+        has_growth = (
+            is_random
             and len(groups) >= 4
             and any(np.isfinite(values).any() for values in groups.values())
         )
-        grown = tuple(growth(list(groups.values()), seed)) if enough else ()
-        yield Converged(metric, condition, name, apart.get(name), grown)
+        growth_curve = tuple(growth(list(groups.values()), seed)) if has_growth else ()
+        yield MetricConvergence(metric, condition, name, repeats_by_sample.get(name), growth_curve)
 
 
 def _values(rows: pd.DataFrame, metric: str) -> Any:
@@ -133,10 +139,10 @@ def _values(rows: pd.DataFrame, metric: str) -> Any:
     return np.where(np.isfinite(values) & (rows["status"] == "ok").to_numpy(), values, np.inf)
 
 
-def as_rows(found: Sequence[Converged]) -> list[dict[str, Any]]:
+def as_rows(results: Sequence[MetricConvergence]) -> list[dict[str, Any]]:
     """One row per set of repeats and per size of p-box; what does not apply is empty."""
     rows: list[dict[str, Any]] = []
-    for item in found:
+    for item in results:
         common = {"metric": item.metric, "condition": item.condition.label}
         if item.repeats is not None:
             part = item.repeats
@@ -168,12 +174,12 @@ def as_rows(found: Sequence[Converged]) -> list[dict[str, Any]]:
     return rows
 
 
-def table(found: Sequence[Converged]) -> bytes:
+def convergence_table(results: Sequence[MetricConvergence]) -> bytes:
     """convergence.csv."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, _COLUMNS, restval="", lineterminator="\n")
     writer.writeheader()
-    for row in as_rows(found):
+    for row in as_rows(results):
         writer.writerow(
             {
                 key: f"{value:.6g}" if isinstance(value, float) else value
@@ -183,38 +189,38 @@ def table(found: Sequence[Converged]) -> bytes:
     return buffer.getvalue().encode()
 
 
-def sentences(found: Sequence[Converged]) -> list[str]:
+def sentences(results: Sequence[MetricConvergence]) -> list[str]:
     """What came out, in words."""
     lines = []
-    for item in found:
-        where = f"{item.metric}, {item.condition.label}"
+    for item in results:
+        label = f"{item.metric}, {item.condition.label}"
         if item.repeats is not None:
             part = item.repeats
             lines.append(
-                f"{where}: {part.repeats} repeats of {part.flights} flights lie within"
+                f"{label}: {part.repeats} repeats of {part.flights} flights lie within"
                 f" {part.distance:.3g} of each other (chance alone: up to {part.expected:.3g});"
                 f" medians {part.medians.min():.4g} to {part.medians.max():.4g}"
             )
         if item.growth:
-            half, whole = item.growth[-2], item.growth[-1]
-            gained = 1.0 - half.area / whole.area if whole.area > 0 else 0.0
+            half_size, full = item.growth[-2], item.growth[-1]
+            gained = 1.0 - half_size.area / full.area if full.area > 0 else 0.0
             lines.append(
-                f"{where}: from {half.samples} to {whole.samples} epistemic samples the p-box grew"
+                f"{label}: from {half_size.samples} to {full.samples} epistemic samples the p-box grew"
                 f" by {percent(gained)} of its area; one more lies outside, at any value, with a"
-                f" chance of at most {percent(whole.chance_of_more)}"
+                f" chance of at most {percent(full.chance_of_more)}"
             )
     return lines
 
 
-def write_convergence(folder: Path, metrics: Sequence[str], number: int) -> list[Converged]:
+def write_convergence(folder: Path, metrics: Sequence[str], number: int) -> list[MetricConvergence]:
     """Study convergence as `study` does and write convergence.csv. Raises BadInputError."""
-    result = study(folder, metrics, number)
-    record_table(folder, CONVERGENCE, table(result))
+    result = study_convergence(folder, metrics, number)
+    record_table(folder, CONVERGENCE, convergence_table(result))
     return result
 
 
 def convergence_document(
-    folder: Path, result: Sequence[Converged], figures: Sequence[Path]
+    folder: Path, result: Sequence[MetricConvergence], figures: Sequence[Path]
 ) -> dict[str, Any]:
     """The document of ``campaign convergence --json``."""
     return {
@@ -228,8 +234,8 @@ def convergence_document(
 # condition.
 
 AREAS = "area.csv"
-_WHERE = ("wind_mps", "turbulence")
-_PLAIN = (
+_CONDITION_COLUMNS = ("wind_mps", "turbulence")
+_COLUMN_TYPES = (
     pa.types.is_floating,
     pa.types.is_integer,
     pa.types.is_boolean,
@@ -249,17 +255,17 @@ _AREA_COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Compared:
+class AreaComparison:
     """Flights against the p-box of one metric in one condition."""
 
     metric: str
     condition: Condition
-    found: AreaMetric
+    area_metric: AreaMetric
 
     @property
     def verdict(self) -> str:
         """Outside where the flights contradict the p-box beyond chance, else no contradiction."""
-        return "outside" if self.found.beyond_chance > 0.0 else "no contradiction"
+        return "outside" if self.area_metric.beyond_chance > 0.0 else "no contradiction"
 
 
 def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame:
@@ -282,78 +288,85 @@ def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame
 
 def _read_table(path: Path) -> pd.DataFrame:
     if path.suffix == ".parquet":
-        found = read_table(path)
-        for field in found.schema:
+        table = read_table(path)
+        for field in table.schema:
             if (
-                not any(test(field.type) for test in _PLAIN)
-                or found.column_names.count(field.name) > 1
+                not any(test(field.type) for test in _COLUMN_TYPES)
+                or table.column_names.count(field.name) > 1
             ):
                 raise BadInputError(
                     f"{path}: column {field.name} is of type {field.type}, or there twice; columns"
                     " of numbers and texts are compared, each there once"
                 )
-        return found.to_pandas()
+        return table.to_pandas()
     try:
         return pd.DataFrame(read_small_table(path))
     except (OSError, LogError) as error:
         raise BadInputError(f"{path}: cannot be read as a table of flights: {error}") from None
 
 
-def compare(folder: Path, flights: pd.DataFrame) -> list[Compared]:
+def compare_flights(folder: Path, flights: pd.DataFrame) -> list[AreaComparison]:
     """Compare every metric that both have, in every condition; a flight with a condition of its own
     in that one. BadInputError.
     """
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
     confidence = band_confidence(manifest["campaign"], CONFIDENCE)
-    found, known = [], set()
+    comparisons, compared_metrics = [], set()
     for metric, condition, box in pboxes(frame, confidence):
-        known.add(metric)
-        rows = _there(flights, condition)
+        compared_metrics.add(metric)
+        rows = _flights_in(flights, condition)
         if metric in rows:
             values = pd.to_numeric(rows[metric], errors="coerce").to_numpy(dtype=float)
             values = values[np.isfinite(values)]
             if values.size:
-                found.append(Compared(metric, condition, area_metric(box, values, CONFIDENCE)))
-    if not found:
+                comparisons.append(
+                    AreaComparison(metric, condition, area_metric(box, values, CONFIDENCE))
+                )
+    if not comparisons:
         raise BadInputError(
             f"{folder}: the flights have no metric of this campaign in a condition it flew; columns"
             f" are {', '.join(map(str, flights.columns))}, needed is one of"
-            f" {', '.join(sorted(known))}"
+            f" {', '.join(sorted(compared_metrics))}"
         )
-    return found
+    return comparisons
 
 
-def _there(flights: pd.DataFrame, condition: Condition) -> pd.DataFrame:
-    return in_condition(flights, condition) if all(name in flights for name in _WHERE) else flights
+def _flights_in(flights: pd.DataFrame, condition: Condition) -> pd.DataFrame:
+    return (
+        in_condition(flights, condition)
+        if all(name in flights for name in _CONDITION_COLUMNS)
+        else flights
+    )
 
 
-def area_table(found: Sequence[Compared]) -> bytes:
+def area_table(comparisons: Sequence[AreaComparison]) -> bytes:
     """area.csv."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_AREA_COLUMNS)
-    for item in found:
-        part = item.found
+    for item in comparisons:
+        metric = item.area_metric
         numbers = [
-            f"{value:.6g}" for value in (part.area, part.below, part.above, part.beyond_chance)
+            f"{value:.6g}"
+            for value in (metric.area, metric.below, metric.above, metric.beyond_chance)
         ]
-        writer.writerow([item.metric, item.condition.label, part.flights, *numbers, item.verdict])
+        writer.writerow([item.metric, item.condition.label, metric.flights, *numbers, item.verdict])
     return buffer.getvalue().encode()
 
 
-def write_area(folder: Path, flights: pd.DataFrame) -> list[Compared]:
+def write_area(folder: Path, flights: pd.DataFrame) -> list[AreaComparison]:
     """Compare flights as `compare` does and write area.csv. Raises BadInputError."""
-    result = compare(folder, flights)
-    record_table(folder, AREAS, area_table(result))
-    return result
+    comparisons = compare_flights(folder, flights)
+    record_table(folder, AREAS, area_table(comparisons))
+    return comparisons
 
 
-def area_document(folder: Path, result: Sequence[Compared]) -> dict[str, Any]:
+def area_document(folder: Path, comparisons: Sequence[AreaComparison]) -> dict[str, Any]:
     """The document of ``campaign area --json``."""
     rows = [
         {"metric": item.metric, "condition": item.condition.label, "verdict": item.verdict}
-        | asdict(item.found)
-        for item in result
+        | asdict(item.area_metric)
+        for item in comparisons
     ]
     return {"table": str(folder / AREAS), "rows": rows}

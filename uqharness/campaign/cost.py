@@ -56,7 +56,7 @@ class Size:
     flight_s: float
     at_most: bool
     interior: int = 0
-    tried: int = 0
+    trial_conditions: int = 0
     """Conditions that are tried out before it."""
 
     @property
@@ -117,7 +117,7 @@ class Cost:
         return self.pace.startup_s + flying
 
     @property
-    def least_seconds(self) -> float:
+    def min_seconds(self) -> float:
         """Time that it takes on the fastest machine there may be."""
         hours = self.missing * self.size.flight_s / 3600.0
         return 3600.0 * hours / FASTEST_HOURS_PER_CORE_HOUR[self.engine] / max(self.workers, 1)
@@ -125,16 +125,16 @@ class Cost:
     @property
     def is_long(self) -> bool:
         """Whether it takes more than a day of this machine."""
-        return max(self.seconds or 0.0, self.least_seconds) > DAY_S
+        return max(self.seconds or 0.0, self.min_seconds) > DAY_S
 
     @property
     def words(self) -> str:
         """All of it in one line."""
         size = self.size
-        most = "at most " if size.at_most else ""
-        between = f", {size.interior} of them between the corners" if size.interior else ""
+        at_most = "at most " if size.at_most else ""
+        interior = f", {size.interior} of them between the corners" if size.interior else ""
         text = (
-            f"{most}{size.flights} flights ({_count(size.epistemic, 'epistemic sample')}{between},"
+            f"{at_most}{size.flights} flights ({_count(size.epistemic, 'epistemic sample')}{interior},"
             f" {_count(size.conditions, 'condition')}, {size.aleatory} each),"
             f" {hours_in_words(size.hours)} flight h"
         )
@@ -143,7 +143,7 @@ class Cost:
         if self.seconds is not None:
             text += f"; about {time_in_words(self.seconds)} on {processes} of this machine"
         elif self.is_long:
-            text += f"; at least {time_in_words(self.least_seconds)} on {processes} of this machine"
+            text += f"; at least {time_in_words(self.min_seconds)} on {processes} of this machine"
         return f"{text}, {disk_in_words(size.disk_bytes)} of disk"
 
 
@@ -207,12 +207,14 @@ def trial_conditions(
 
     Each turbulence is among them with winds evenly spaced over the sorted ones, the weakest and the
     strongest included."""
-    each = max(2, TRIAL_CONDITIONS // len(turbulences))
-    ordered = sorted(winds_mps)
-    if len(ordered) > each:
-        last = len(ordered) - 1
-        places = {round(step * last / (each - 1)) for step in range(each)}
-        chosen = {ordered[place] for place in places}
+    winds_per_turbulence = max(2, TRIAL_CONDITIONS // len(turbulences))
+    sorted_winds = sorted(winds_mps)
+    if len(sorted_winds) > winds_per_turbulence:
+        last = len(sorted_winds) - 1
+        places = {
+            round(step * last / (winds_per_turbulence - 1)) for step in range(winds_per_turbulence)
+        }
+        chosen = {sorted_winds[place] for place in places}
         winds_mps = [wind for wind in winds_mps if wind in chosen]
     return tuple(itertools.product(winds_mps, turbulences))
 
@@ -238,41 +240,41 @@ def one_case_each(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
     )
 
 
-def measured_pace(
-    flown: Callable[[FlightSpec], bool], brief: FlightSpec, whole: FlightSpec
+def measure_pace(
+    fly: Callable[[FlightSpec], bool], brief: FlightSpec, full: FlightSpec
 ) -> Pace | None:
     """The pace from a few flights of a process that has flown ``brief`` before; None where one of
     them does not end well.
 
-    ``flown`` flies and says whether that went well; ``whole`` is the flight as the campaign has it.
+    ``fly`` flies and says whether that went well; ``full`` is the flight as the campaign has it.
     """
-    length = min(_CALIBRATION_S, whole.burn_in_s + whole.duration_s)
-    first = _timed(flown, brief)
-    if first is None:
+    length_s = min(_CALIBRATION_S, full.burn_in_s + full.duration_s)
+    brief_s = _flight_time(fly, brief)
+    if brief_s is None:
         return None
-    if first > _SLOW_S or length < 2.0 * brief.duration_s:
-        return Pace(0.0, first / brief.duration_s)
-    second = _timed(flown, dataclasses.replace(brief, duration_s=length))
-    if second is None:
+    if brief_s > _SLOW_S or length_s < 2.0 * brief.duration_s:
+        return Pace(0.0, brief_s / brief.duration_s)
+    long_s = _flight_time(fly, dataclasses.replace(brief, duration_s=length_s))
+    if long_s is None:
         return None
-    per_second = max(second - first, 0.0) / (length - brief.duration_s)
-    return Pace(max(first - per_second * brief.duration_s, 0.0), per_second)
+    per_second = max(long_s - brief_s, 0.0) / (length_s - brief.duration_s)
+    return Pace(max(brief_s - per_second * brief.duration_s, 0.0), per_second)
 
 
-def _timed(flown: Callable[[FlightSpec], bool], flight: FlightSpec) -> float | None:
+def _flight_time(fly: Callable[[FlightSpec], bool], flight: FlightSpec) -> float | None:
     """The lesser of two times: other work on the machine only ever adds."""
-    least = math.inf
+    shortest_s = math.inf
     for _ in range(2):
-        started = time.monotonic()
-        if not flown(flight):
+        start_s = time.monotonic()
+        if not fly(flight):
             return None
-        least = min(least, time.monotonic() - started)
-    return least
+        shortest_s = min(shortest_s, time.monotonic() - start_s)
+    return shortest_s
 
 
-def refuse_if_long(cost: Cost, agreed: bool, path: object) -> None:
+def refuse_if_long(cost: Cost, confirmed: bool, path: object) -> None:
     """BadInputError for a campaign of more than a day that was not agreed to."""
-    if cost.is_long and not agreed:
+    if cost.is_long and not confirmed:
         raise BadInputError(
             f"{path}: {cost.words}: that is more than a day of this machine; give --yes to fly it"
             " all the same, or --hours H for fewer flights per corner and condition"

@@ -34,17 +34,17 @@ from uqharness.campaign.execution.worker import (
     FlightFunction,
     Group,
     GroupFunction,
+    LocalBatch,
     OneByOne,
-    OwnBatch,
     fly_group,
 )
 from uqharness.campaign.folder.manifest import MANIFEST, read_manifest
 from uqharness.campaign.folder.shards import SHARDS, shard_folders
 from uqharness.campaign.folder.tables import (
     ENGINE_CHECK,
+    FULL_FLIGHT,
     START,
     STATUS,
-    WHOLE,
     CheckRow,
     as_number,
     as_text,
@@ -93,8 +93,8 @@ def named_aircraft(spec: CampaignSpec) -> Aircraft:
     """The aircraft that the campaign names: beside its own file, else as ``uqharness fly`` finds
     it. Raises BadInputError.
     """
-    named = spec.path.resolve().parent / spec.campaign.aircraft
-    return find_aircraft(named if named.is_dir() else spec.campaign.aircraft)
+    relative_path = spec.path.resolve().parent / spec.campaign.aircraft
+    return find_aircraft(relative_path if relative_path.is_dir() else spec.campaign.aircraft)
 
 
 def has_sensors(aircraft: Aircraft) -> bool:
@@ -116,7 +116,7 @@ def require_plugin(spec: CampaignSpec, aircraft: Aircraft) -> None:
         system_file(aircraft)
 
 
-def with_own_noise(spec: CampaignSpec, aircraft: Aircraft) -> CampaignSpec:
+def with_noise_of(spec: CampaignSpec, aircraft: Aircraft) -> CampaignSpec:
     """The campaign with ``sensor_noise`` settled: where the file does not say, on if the aircraft
     has a sensors system.
     """
@@ -129,7 +129,7 @@ def with_default_noise(spec: CampaignSpec, mission: Mission) -> CampaignSpec:
     """Return the campaign with ``sensor_noise`` settled by the aircraft that the mission flies."""
     # A copy of the aircraft may not have been made yet; its sensors are those of its source.
     source = mission.source if mission.source != Path() else mission.aircraft
-    return with_own_noise(spec, find_aircraft(source))
+    return with_noise_of(spec, find_aircraft(source))
 
 
 def noise_notes(spec: CampaignSpec) -> list[str]:
@@ -155,15 +155,15 @@ def bounds_notes(spec: CampaignSpec) -> list[str]:
     made_for, aircraft = read_bounds(spec.inputs.model_form).aircraft, named_aircraft(spec)
     if made_for.sha256 == content_hash(aircraft):
         return []
-    whose = f"'{made_for.name}' as it was then"
+    origin = f"'{made_for.name}' as it was then"
     if made_for.name != aircraft.name:
-        whose = f"'{made_for.name}', not '{aircraft.name}'"
-    meant = "they mean something only if its aerodynamics are the same"
+        origin = f"'{made_for.name}', not '{aircraft.name}'"
+    consequence = "they mean something only if its aerodynamics are the same"
     path = spec.inputs.model_form
     return [
         (
-            f"{path}: the bounds were made for aircraft {whose} (SHA-256 {made_for.sha256[:12]}...);"
-            f" {meant}"
+            f"{path}: the bounds were made for aircraft {origin} (SHA-256 {made_for.sha256[:12]}...);"
+            f" {consequence}"
         )
     ]
 
@@ -177,12 +177,12 @@ def find_copied_mission(
     ``script`` None: the steady flight of [start]. Raises BadInputError as :func:`make_copy` does.
     """
     with scratch_folder("copy") as scratch:
-        made = _copy(spec, aircraft, scratch.path)
-        aircraft_hash = content_hash(find_aircraft(made))
+        copy = _copy_aircraft(spec, aircraft, scratch.path)
+        aircraft_hash = content_hash(find_aircraft(copy))
         script_hash = sha256_hex(read_xml(script or scratch.path / SCRIPT))
     place = folder.resolve()
     return Mission(
-        place / _COPIED / made.name,
+        place / _COPIED / copy.name,
         aircraft_hash,
         (script or place / SCRIPT).resolve(),
         script_hash,
@@ -195,41 +195,41 @@ def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
 
     Raises BadInputError if the aircraft does not carry the plugin, cannot have these bounds, or has
     no trim."""
-    for left in folder.glob(f"{_UNFINISHED}*"):
-        shutil.rmtree(left, ignore_errors=True)
+    for unfinished in folder.glob(f"{_UNFINISHED}*"):
+        shutil.rmtree(unfinished, ignore_errors=True)
     target = mission.aircraft
     if target.exists() and content_hash(find_aircraft(target)) == mission.aircraft_hash:
         return
     with tempfile.TemporaryDirectory(prefix=_UNFINISHED, dir=folder) as name:
-        made = _copy(spec, find_aircraft(mission.source), Path(name))
+        copy = _copy_aircraft(spec, find_aircraft(mission.source), Path(name))
         # A folder with flights of another aircraft is refused before; what is left to find here is
         # half a copy.
         shutil.rmtree(target, ignore_errors=True)
-        for sub in ("engine", "systems", SCRIPT):
-            if (Path(name) / sub).exists():
-                shutil.rmtree(folder / sub, ignore_errors=True)
-                os.replace(Path(name) / sub, folder / sub)
-        os.replace(made, inner_folder(folder, _COPIED) / target.name)
+        for entry in ("engine", "systems", SCRIPT):
+            if (Path(name) / entry).exists():
+                shutil.rmtree(folder / entry, ignore_errors=True)
+                os.replace(Path(name) / entry, folder / entry)
+        os.replace(copy, inner_folder(folder, _COPIED) / target.name)
 
 
-def _copy(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
-    made = root / _COPIED / aircraft.folder.name
-    copy_folder(aircraft.folder, made)
+def _copy_aircraft(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
+    copy = root / _COPIED / aircraft.folder.name
+    copy_folder(aircraft.folder, copy)
     copy_beside(aircraft, root, engine.default_root())
     if spec.inputs.model_form is not None:
-        put_bounds(made, aircraft, spec.inputs.model_form)
+        put_bounds(copy, aircraft, spec.inputs.model_form)
     if spec.start is not None:
-        write_steady_start(find_aircraft(made), spec.start, root / SCRIPT, str(spec.path))
-    return made
+        write_steady_start(find_aircraft(copy), spec.start, root / SCRIPT, str(spec.path))
+    return copy
 
 
-def put_bounds(made: Path, aircraft: Aircraft, model_form: Path) -> None:
-    """Give the copy ``made`` of an aircraft the bounds of a model-form.json.
+def put_bounds(copy: Path, aircraft: Aircraft, model_form: Path) -> None:
+    """Give the copy ``copy`` of an aircraft the bounds of a model-form.json.
 
     Raises BadInputError as :func:`make_copy` does.
     """
     text = model_form_xml(read_bounds(model_form), aircraft)
-    destination = made / system_file(aircraft).relative_to(aircraft.folder)
+    destination = copy / system_file(aircraft).relative_to(aircraft.folder)
     destination.unlink()
     destination.write_bytes(text)
 
@@ -237,8 +237,8 @@ def put_bounds(made: Path, aircraft: Aircraft, model_form: Path) -> None:
 def system_file(aircraft: Aircraft) -> Path:
     """The file of the aircraft's model-form system."""
     for system in parse_xml(aircraft.xml).getroot().iter("system"):
-        named = system.get("file", "").removesuffix(".xml")
-        if named == SYSTEM:
+        system_name = system.get("file", "").removesuffix(".xml")
+        if system_name == SYSTEM:
             for path in (
                 aircraft.folder / "Systems" / f"{SYSTEM}.xml",
                 aircraft.folder / f"{SYSTEM}.xml",
@@ -251,8 +251,8 @@ def system_file(aircraft: Aircraft) -> Path:
     )
 
 
-_ASKED = "it was asked for"
-_SHOWN = 8
+_REQUESTED = "it was asked for"
+_MAX_REASONS = 8
 
 
 @dataclass(frozen=True)
@@ -281,7 +281,7 @@ class Engines:
             )
         from uqharness.flight.fly import fly as own
 
-        return Engines(own, fly_group, OwnBatch())
+        return Engines(own, fly_group, LocalBatch())
 
     def unavailable(self) -> str | None:
         """Why the batch engine cannot fly on this machine; None if it can."""
@@ -289,14 +289,14 @@ class Engines:
 
 
 @dataclass(frozen=True)
-class Settled:
+class EngineChoice:
     """A campaign whose engine is settled: ``spec`` has its name, ``asked`` what was asked for,
     ``why`` the reasons.
     """
 
     spec: CampaignSpec
-    asked: str
-    why: tuple[str, ...]
+    requested: str
+    reasons: tuple[str, ...]
 
     @property
     def engine(self) -> str:
@@ -306,43 +306,45 @@ class Settled:
     @property
     def words(self) -> str:
         """The engine and why, in one line."""
-        return engine_words(self.engine, self.why)
+        return engine_words(self.engine, self.reasons)
 
     def as_dict(self) -> dict[str, Any]:
         """What a manifest keeps beside the engine's name."""
-        return {"asked": self.asked, "why": list(self.why)}
+        return {"asked": self.requested, "why": list(self.reasons)}
 
 
-def engine_words(engine: str, why: tuple[str, ...]) -> str:
+def engine_words(engine: str, reasons: tuple[str, ...]) -> str:
     """``jsbsim, because ...``: the first reasons."""
-    more = f"; and {len(why) - _SHOWN} more" if len(why) > _SHOWN else ""
-    return f"{engine}, because {'; '.join(why[:_SHOWN])}{more}" if why else engine
+    more = f"; and {len(reasons) - _MAX_REASONS} more" if len(reasons) > _MAX_REASONS else ""
+    return f"{engine}, because {'; '.join(reasons[:_MAX_REASONS])}{more}" if reasons else engine
 
 
 @dataclass(frozen=True)
-class Earlier:
+class PreviousEngine:
     """The engine of a campaign that has begun, and why it was taken."""
 
     engine: str
-    why: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
 
 
-def settle(
-    spec: CampaignSpec, mission: Mission, engines: Engines, earlier: Earlier | None = None
-) -> Settled:
-    """Settle the engine of a campaign: what is asked for, else that of its ``earlier`` flights,
+def choose_engine(
+    spec: CampaignSpec, mission: Mission, engines: Engines, previous: PreviousEngine | None = None
+) -> EngineChoice:
+    """Settle the engine of a campaign: what is asked for, else that of its ``previous`` flights,
     else batch where it can fly it.
 
     Raises BadInputError where the batch engine is asked for, or flew before, and cannot fly it
     here."""
-    asked = spec.campaign.engine
-    goes_on = earlier is not None and asked in ("auto", earlier.engine)
-    wanted, why = (
-        (earlier.engine, earlier.why) if earlier is not None and goes_on else (asked, (_ASKED,))
+    requested = spec.campaign.engine
+    continues = previous is not None and requested in ("auto", previous.engine)
+    engine_name, given_reasons = (
+        (previous.engine, previous.reasons)
+        if previous is not None and continues
+        else (requested, (_REQUESTED,))
     )
-    if wanted == JSBSIM:
-        return Settled(spec.with_engine(JSBSIM), asked, why)
-    if goes_on and wanted == BATCH:
+    if engine_name == JSBSIM:
+        return EngineChoice(spec.with_engine(JSBSIM), requested, given_reasons)
+    if continues and engine_name == BATCH:
         # What it understands was asked at the first run, of the same aircraft and version.
         reason = engines.unavailable()
         if reason is not None:
@@ -350,19 +352,19 @@ def settle(
                 f"{spec.path}: this campaign flies in the batch engine, and {reason}; fly it where"
                 " it began"
             )
-        return Settled(spec.with_engine(BATCH), asked, why)
+        return EngineChoice(spec.with_engine(BATCH), requested, given_reasons)
     reasons = reasons_against(spec, mission, engines)
-    if wanted == BATCH:
+    if engine_name == BATCH:
         if reasons:
             raise BadInputError(
                 f"{spec.path}: the batch engine was asked for and cannot fly this campaign:",
                 *reasons,
             )
-        return Settled(spec.with_engine(BATCH), asked, (_ASKED,))
+        return EngineChoice(spec.with_engine(BATCH), requested, (_REQUESTED,))
     if reasons:
-        return Settled(spec.with_engine(JSBSIM), asked, reasons)
-    return Settled(
-        spec.with_engine(BATCH), asked, ("it understands the whole aircraft and mission",)
+        return EngineChoice(spec.with_engine(JSBSIM), requested, reasons)
+    return EngineChoice(
+        spec.with_engine(BATCH), requested, ("it understands the whole aircraft and mission",)
     )
 
 
@@ -372,15 +374,15 @@ def reasons_against(spec: CampaignSpec, mission: Mission, engines: Engines) -> t
     if reason is not None or engines.batch is None:
         return (reason or engines.no_batch,)
     varying = varying_properties(spec)
-    with laid_out(spec, mission) as there:
-        found = [
+    with staged_mission_of(spec, mission) as staged:
+        refusals = [
             text
-            for case in one_case_each(spec, there)
+            for case in one_case_each(spec, staged)
             for text in _refusals(engines.batch, case.flight, varying)
         ]
         return tuple(
             dict.fromkeys(
-                text.replace(str(there.aircraft), str(mission.aircraft)) for text in found
+                text.replace(str(staged.aircraft), str(mission.aircraft)) for text in refusals
             )
         )
 
@@ -400,31 +402,31 @@ def _refusals(batch: Batch, flight: FlightSpec, varying: tuple[str, ...]) -> tup
 
 def varying_properties(spec: CampaignSpec) -> tuple[str, ...]:
     """Properties whose values differ between the cases of a campaign."""
-    moved = () if spec.epistemic.method == "none" else spec.inputs.coefficients
-    names = [f"uq/{name}/level" for name in moved]
+    coefficients = () if spec.epistemic.method == "none" else spec.inputs.coefficients
+    names = [f"uq/{name}/level" for name in coefficients]
     if spec.epistemic.parameters is not None and spec.inputs.estimates is not None:
         names += spec.inputs.estimates.names
     return tuple(dict.fromkeys([*names, *spec.aleatory.variables]))
 
 
-def earlier_engine(folder: Path) -> Earlier | None:
+def previous_engine(folder: Path) -> PreviousEngine | None:
     """Engine of the campaign whose flights ``folder`` holds, or those of the shards beside it; None
     where there are none.
     """
-    beside = shard_folders(folder.parent.parent) if folder.parent.name == SHARDS else []
-    for place in (folder, *beside):
+    sibling_shards = shard_folders(folder.parent.parent) if folder.parent.name == SHARDS else []
+    for place in (folder, *sibling_shards):
         if (place / MANIFEST).exists():
             # What is wrong with it is said by whoever goes on with the campaign.
             with contextlib.suppress(BadInputError):
                 manifest = read_manifest(place)
                 engine = str(manifest["campaign"]["campaign"]["engine"])
                 if engine in (BATCH, JSBSIM):
-                    return Earlier(engine, tuple(manifest.get("engine", {}).get("why", ())))
+                    return PreviousEngine(engine, tuple(manifest.get("engine", {}).get("why", ())))
     return None
 
 
 @contextlib.contextmanager
-def laid_out(spec: CampaignSpec, mission: Mission) -> Iterator[Mission]:
+def staged_mission_of(spec: CampaignSpec, mission: Mission) -> Iterator[Mission]:
     """The mission with an aircraft to look at, where the copy that is going to fly has not been
     made yet.
     """
@@ -434,9 +436,9 @@ def laid_out(spec: CampaignSpec, mission: Mission) -> Iterator[Mission]:
     with scratch_folder("engine") as scratch:
         aircraft = scratch.path / mission.aircraft.parent.name / mission.aircraft.name
         script = scratch.path / SCRIPT if spec.start is not None else mission.script
-        there = dataclasses.replace(mission, aircraft=aircraft, script=script)
-        make_copy(spec, there, scratch.path)
-        yield there
+        staged = dataclasses.replace(mission, aircraft=aircraft, script=script)
+        make_copy(spec, staged, scratch.path)
+        yield staged
 
 
 # JSBSim as the judge of the batch engine in every campaign: some flights in both, and no
@@ -448,32 +450,32 @@ def laid_out(spec: CampaignSpec, mission: Mission) -> Iterator[Mission]:
 
 TOLERANCE = 1e-6
 """Largest difference of a metric over its spread."""
-LEAST_SHARE, LEAST_SPREAD = 1e-3, 1e-2
+MIN_SHARE_OF_MEDIAN, MIN_SCALE = 1e-3, 1e-2
 """A spread is the interquartile range of the condition's flights, at least that share of the
 median, and that in the metric's unit: positions are rounded to some 1e-9 m, so a condition without
 any chance would otherwise be judged by rounding."""
-NEAR_M = 1e-6
+RADIUS_MARGIN_M = 1e-6
 """A count may differ where the flight came so near to a radius."""
 ONE_IN = 1000
 """Share of the cases that are flown in JSBSim as well, beside the first of each condition."""
 
-_JUDGED = "jsbsim:"
-_ENOUGH = 64
+_JSBSIM_PREFIX = "jsbsim:"
+_FLIGHTS_FOR_SCALE = 64
 # Other sums in another order are worth some 1e-10 of a signal, where one unit in the last place is
 # 1e-16, and damped flight hides most of either: from there on both grow alike.
 _TIMES_ROUNDING = 1e5
-_LOST = "loss_of_control"
+_LOSS_OF_CONTROL = "loss_of_control"
 _TIMEOUT, _NOT_COMPARED = (
     "timeout",
     "a flight had no result within its time limit: nothing is compared",
 )
-_ALIKE, _EXCUSED, _DIFFERS = "alike", "excused", "differs"
+_EQUAL, _EXCUSED, _DIFFERS = "alike", "excused", "differs"
 
-Spreads = Mapping[str, float]
+Scales = Mapping[str, float]
 Refly = Callable[[Case], CaseOutcome]
 
 
-class Judge:
+class EngineComparison:
     """Compares a campaign's flights in the batch engine with JSBSim's as they come in, and keeps
     engine-check.csv.
 
@@ -492,7 +494,7 @@ class Judge:
         self._in_condition = dict.fromkeys(self._condition.values(), 0)
         for condition in self._condition.values():
             self._in_condition[condition] += 1
-        self._cases = {case.case_id: case for case in _judged(cases)}
+        self._cases = {case.case_id: case for case in _cases_to_compare(cases)}
         self._values: dict[Condition, dict[str, array[float]]] = {
             condition: {} for condition in self._in_condition
         }
@@ -506,63 +508,70 @@ class Judge:
 
     def groups(self, cases: Iterable[Case]) -> list[Group]:
         """JSBSim's flights that are still wanted of these cases."""
-        wanted = [
+        uncompared = [
             case
             for case in cases
             if case.case_id in self._cases and case.case_id not in self._jsbsim
         ]
-        return [Group(JUDGE, ((_JUDGED + case.case_id, case.flight),)) for case in wanted]
+        return [
+            Group(JUDGE, ((_JSBSIM_PREFIX + case.case_id, case.flight),)) for case in uncompared
+        ]
 
     def take(self, outcomes: Iterable[CaseOutcome]) -> list[CaseOutcome]:
         """Learn what was flown; the flights that are the campaign's own.
 
         Raises EnginesDifferError once that is certain.
         """
-        own: list[CaseOutcome] = []
+        campaign_outcomes: list[CaseOutcome] = []
         for outcome in outcomes:
-            if outcome.case_id.startswith(_JUDGED):
-                case_id = outcome.case_id.removeprefix(_JUDGED)
+            if outcome.case_id.startswith(_JSBSIM_PREFIX):
+                case_id = outcome.case_id.removeprefix(_JSBSIM_PREFIX)
                 self._jsbsim[case_id] = dataclasses.replace(outcome, case_id=case_id)
             else:
                 self._learn(outcome)
-                own.append(outcome)
-        return own
+                campaign_outcomes.append(outcome)
+        return campaign_outcomes
 
-    def look(self, final: bool) -> None:
+    def compare(self, final: bool) -> None:
         """Compare what is new, or (``final``) everything by the spreads of all flights.
 
         Raises EnginesDifferError.
         """
-        spreads: dict[Condition, Spreads] = {}
-        looked = False
+        scales: dict[Condition, Scales] = {}
+        has_new = False
         for case_id, case in self._cases.items():
             if case_id not in self._batch or case_id not in self._jsbsim:
                 continue
             condition = self._condition[case_id]
-            known = self._flown[condition] >= min(_ENOUGH, self._in_condition[condition])
-            if not (final or (known and (WHOLE, case_id) not in self._rows)):
+            is_scale_known = self._flown[condition] >= min(
+                _FLIGHTS_FOR_SCALE, self._in_condition[condition]
+            )
+            if not (final or (is_scale_known and (FULL_FLIGHT, case_id) not in self._rows)):
                 continue
-            if condition not in spreads:
-                spreads[condition] = {
-                    name: spread(values) for name, values in self._values[condition].items()
+            if condition not in scales:
+                scales[condition] = {
+                    name: difference_scale(values)
+                    for name, values in self._values[condition].items()
                 }
             pair = (self._batch[case_id], self._jsbsim[case_id])
-            self._rows[WHOLE, case_id] = compared(
-                WHOLE, case, pair, spreads[condition], self._refly
+            self._rows[FULL_FLIGHT, case_id] = compare_outcomes(
+                FULL_FLIGHT, case, pair, scales[condition], self._refly
             )
-            looked = True
-        if looked:
+            has_new = True
+        if has_new:
             self._write()
 
     def begin(self, rows: Sequence[CheckRow]) -> None:
         """Keep the comparison of the flights' first seconds. Raises EnginesDifferError."""
-        self._rows = {key: kept for key, kept in self._rows.items() if key[0] != START}
+        self._rows = {
+            key: rows_of_case for key, rows_of_case in self._rows.items() if key[0] != START
+        }
         for row in rows:
             self._rows.setdefault((START, row.case_id), []).append(row)
         self._write()
 
     def _write(self) -> None:
-        rows = [row for kept in self._rows.values() for row in kept]
+        rows = [row for flight_rows in self._rows.values() for row in flight_rows]
         write_check(self._folder, rows)
         refuse_difference(self._folder, rows)
 
@@ -584,28 +593,28 @@ class Judge:
         by_flight: dict[tuple[str, str], list[CheckRow]] = {}
         for row in rows:
             by_flight.setdefault((row.part, row.case_id), []).append(row)
-        for (part, case_id), kept in by_flight.items():
-            status = [row.jsbsim for row in kept if row.metric == STATUS]
-            known = (
+        for (part, case_id), flight_rows in by_flight.items():
+            status = [row.jsbsim for row in flight_rows if row.metric == STATUS]
+            is_usable = (
                 len(status) == 1
                 and status[0] != _TIMEOUT
-                and all(row.verdict != _DIFFERS for row in kept)
+                and all(row.verdict != _DIFFERS for row in flight_rows)
             )
-            if part == WHOLE and case_id in self._cases and known:
+            if part == FULL_FLIGHT and case_id in self._cases and is_usable:
                 metrics = {
-                    row.metric: as_number(row.jsbsim) for row in kept if row.metric != STATUS
+                    row.metric: as_number(row.jsbsim) for row in flight_rows if row.metric != STATUS
                 }
                 self._jsbsim[case_id] = CaseOutcome(case_id, status[0], "", 0.0, metrics)
-                self._rows[part, case_id] = kept
+                self._rows[part, case_id] = flight_rows
 
 
-def _judged(cases: Sequence[Case]) -> Iterator[Case]:
+def _cases_to_compare(cases: Sequence[Case]) -> Iterator[Case]:
     """The first case of each condition, and those whose hash says so."""
-    met: set[Condition] = set()
+    visited: set[Condition] = set()
     for case in cases:
         condition = condition_of(case)
-        if condition not in met or int(case.case_id, 16) % ONE_IN == 0:
-            met.add(condition)
+        if condition not in visited or int(case.case_id, 16) % ONE_IN == 0:
+            visited.add(condition)
             yield case
 
 
@@ -614,106 +623,115 @@ def condition_of(case: Case) -> Condition:
     return Condition(case.wind_mps, case.turbulence)
 
 
-def spread(values: Sequence[float]) -> float:
+def difference_scale(values: Sequence[float]) -> float:
     """What a difference is measured by: the interquartile range, bounded from below."""
-    known = np.asarray(values, dtype=float)
-    known = known[np.isfinite(known)]
-    if known.size == 0:
-        return LEAST_SPREAD
-    low, middle, high = np.percentile(known, (25.0, 50.0, 75.0))
-    return float(max(high - low, LEAST_SHARE * abs(middle), LEAST_SPREAD))
+    finite = np.asarray(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    if finite.size == 0:
+        return MIN_SCALE
+    low, middle, high = np.percentile(finite, (25.0, 50.0, 75.0))
+    return float(max(high - low, MIN_SHARE_OF_MEDIAN * abs(middle), MIN_SCALE))
 
 
-def compared(
-    part: str, case: Case, pair: tuple[CaseOutcome, CaseOutcome], spreads: Spreads, refly: Refly
+def compare_outcomes(
+    part: str, case: Case, pair: tuple[CaseOutcome, CaseOutcome], scales: Scales, refly: Refly
 ) -> list[CheckRow]:
     """Rows of one case flown in the batch engine and in JSBSim, which are the ``pair``."""
     batch, jsbsim = pair
     # A limit on time says how busy the machine is, and nothing of either engine.
-    late = _TIMEOUT in (batch.status, jsbsim.status)
-    found: list[CaseOutcome] = []
+    timed_out = _TIMEOUT in (batch.status, jsbsim.status)
+    perturbed: list[CaseOutcome] = []
 
-    def moved() -> CaseOutcome:
-        if not found:
-            found.append(refly(case))
-        return found[0]
+    def perturbed_outcome() -> CaseOutcome:
+        if not perturbed:
+            perturbed.append(refly(case))
+        return perturbed[0]
 
     def row(
-        metric: str, ours: str, theirs: str, share: tuple[str, str], judged: tuple[str, str]
+        metric: str, ours: str, theirs: str, share: tuple[str, str], verdict: tuple[str, str]
     ) -> CheckRow:
         return CheckRow(
-            part, condition_of(case).label, case.case_id, metric, ours, theirs, *share, *judged
+            part, condition_of(case).label, case.case_id, metric, ours, theirs, *share, *verdict
         )
 
-    alike = batch.status == jsbsim.status
-    excused = not alike and (late or moved().status != jsbsim.status)
-    why = _NOT_COMPARED if late else "JSBSim's own differs after one ulp"
-    rows = [row(STATUS, batch.status, jsbsim.status, ("", ""), _verdict(alike, excused, why))]
+    is_equal = batch.status == jsbsim.status
+    is_excused = not is_equal and (timed_out or perturbed_outcome().status != jsbsim.status)
+    excuse = _NOT_COMPARED if timed_out else "JSBSim's own differs after one ulp"
+    rows = [
+        row(STATUS, batch.status, jsbsim.status, ("", ""), _verdict(is_equal, is_excused, excuse))
+    ]
     for name in sorted(batch.metrics.keys() | jsbsim.metrics.keys()):
         ours, theirs = batch.metrics.get(name, math.nan), jsbsim.metrics.get(name, math.nan)
         if name.startswith(NEAREST):
-            rows.append(row(name, "", as_text(theirs), ("", ""), (_ALIKE, "")))
+            rows.append(row(name, "", as_text(theirs), ("", ""), (_EQUAL, "")))
             continue
-        scale = 1.0 if is_count(name) else spreads.get(name, LEAST_SPREAD)
+        scale = 1.0 if is_count(name) else scales.get(name, MIN_SCALE)
         share = (
             0.0
             if ours == theirs or (math.isnan(ours) and math.isnan(theirs))
             else abs(ours - theirs) / scale
         )
-        alike = share <= TOLERANCE
-        why = "" if alike else _NOT_COMPARED if late else _excuse(name, pair, moved)
-        if batch.status != jsbsim.status and not why:
+        is_equal = share <= TOLERANCE
+        excuse = (
+            ""
+            if is_equal
+            else _NOT_COMPARED
+            if timed_out
+            else _excuse(name, pair, perturbed_outcome)
+        )
+        if batch.status != jsbsim.status and not excuse:
             # What is left of a flight that ended otherwise is judged by how it ended.
-            why = "the flight ended otherwise" if rows[0].verdict == _EXCUSED else ""
+            excuse = "the flight ended otherwise" if rows[0].verdict == _EXCUSED else ""
         rows.append(
             row(
                 name,
                 as_text(ours),
                 as_text(theirs),
                 (as_text(scale), as_text(share)),
-                _verdict(alike, bool(why), why),
+                _verdict(is_equal, bool(excuse), excuse),
             )
         )
     return rows
 
 
-def _verdict(alike: bool, excused: bool, why: str) -> tuple[str, str]:
-    return (_ALIKE, "") if alike else (_EXCUSED, why) if excused else (_DIFFERS, "")
+def _verdict(is_equal: bool, is_excused: bool, reason: str) -> tuple[str, str]:
+    return (_EQUAL, "") if is_equal else (_EXCUSED, reason) if is_excused else (_DIFFERS, "")
 
 
 def _excuse(
-    name: str, pair: tuple[CaseOutcome, CaseOutcome], moved: Callable[[], CaseOutcome]
+    name: str, pair: tuple[CaseOutcome, CaseOutcome], perturbed_outcome: Callable[[], CaseOutcome]
 ) -> str:
     """Why a difference is no fault of the engine; empty where it is."""
     batch, jsbsim = pair
-    if is_count(name) and jsbsim.metrics.get(NEAREST + name, math.inf) <= NEAR_M:
-        return f"the flight came within {NEAR_M:g} m of the radius"
-    lost = any(outcome.metrics.get(_LOST, 0.0) != 0.0 for outcome in pair)
-    if not lost:
+    if is_count(name) and jsbsim.metrics.get(NEAREST + name, math.inf) <= RADIUS_MARGIN_M:
+        return f"the flight came within {RADIUS_MARGIN_M:g} m of the radius"
+    lost_control = any(outcome.metrics.get(_LOSS_OF_CONTROL, 0.0) != 0.0 for outcome in pair)
+    if not lost_control:
         return ""
-    ours, theirs, other = (
-        outcome.metrics.get(name, math.nan) for outcome in (batch, jsbsim, moved())
+    ours, theirs, perturbed = (
+        outcome.metrics.get(name, math.nan) for outcome in (batch, jsbsim, perturbed_outcome())
     )
-    if abs(ours - theirs) <= _TIMES_ROUNDING * abs(other - theirs):
+    if abs(ours - theirs) <= _TIMES_ROUNDING * abs(perturbed - theirs):
         return "control was lost, and JSBSim's own differs after one ulp"
     return ""
 
 
 def is_count(name: str) -> bool:
     """Whether a metric is a whole number that is alike or not."""
-    return name.startswith("excursions_") or name == _LOST
+    return name.startswith("excursions_") or name == _LOSS_OF_CONTROL
 
 
 def refuse_difference(folder: Path, rows: Sequence[CheckRow]) -> None:
     """EnginesDifferError that names the worst of what differs."""
-    wrong = [row for row in rows if row.verdict == _DIFFERS]
-    if not wrong:
+    differing = [row for row in rows if row.verdict == _DIFFERS]
+    if not differing:
         return
     worst = max(
-        wrong, key=lambda row: math.inf if row.difference in ("", "nan") else float(row.difference)
+        differing,
+        key=lambda row: math.inf if row.difference in ("", "nan") else float(row.difference),
     )
     when = " in its first seconds" if worst.part == START else ""
-    apart = (
+    distance = (
         f", {float(worst.difference):.2g} of its spread apart (at most {TOLERANCE:g})"
         if worst.difference
         else ""
@@ -721,7 +739,7 @@ def refuse_difference(folder: Path, rows: Sequence[CheckRow]) -> None:
     raise EnginesDifferError(
         f"{folder}: the batch engine differs from JSBSim: case {worst.case_id}"
         f" ({worst.condition}){when} has {worst.metric} {worst.batch or 'undefined'} in the batch"
-        f" engine and {worst.jsbsim or 'undefined'} in JSBSim{apart}; {len(wrong)} such rows in"
+        f" engine and {worst.jsbsim or 'undefined'} in JSBSim{distance}; {len(differing)} such rows in"
         f" {folder / ENGINE_CHECK}. The results in this folder are not valid: fly the campaign with"
         " --engine jsbsim into another --out, and report the aircraft"
     )
@@ -770,74 +788,81 @@ def compare_start(
         for values in zip(*((air.wind_mps, air.turbulence) for air in by_condition), strict=True)
     )
     # A shard need not hold a case of each condition.
-    tried = {
+    trial = {
         Condition(*pair) for pair in trial_conditions(winds, turbulences)
     } & by_condition.keys()
-    for members in (by_condition[air] for air in by_condition if air in tried):
+    for members in (by_condition[air] for air in by_condition if air in trial):
         picked = [
             _brief(case) for case in members[:: max(1, len(members) // CASES_EACH)][:CASES_EACH]
         ]
-        batch = _flown(
+        batch = _fly_by_case(
             engines, process, [Group(BATCH, tuple((case.case_id, case.flight) for case in picked))]
         )
-        jsbsim = _flown(
+        jsbsim = _fly_by_case(
             engines, process, [Group(JUDGE, ((case.case_id, case.flight),)) for case in picked]
         )
         values: dict[str, array[float]] = {}
         for outcome in batch.values():
             for name, value in outcome.metrics.items():
                 values.setdefault(name, array("d")).append(value)
-        spreads = {name: spread(found) for name, found in values.items()}
+        scales = {name: difference_scale(metric_values) for name, metric_values in values.items()}
         for case in picked:
             pair = (batch[case.case_id], jsbsim[case.case_id])
-            rows += compared(
-                START, case, pair, spreads, lambda case: one_ulp_off(engines, case, process)
+            rows += compare_outcomes(
+                START, case, pair, scales, lambda case: one_ulp_off(engines, case, process)
             )
     return rows
 
 
-def settled_by_flight(
-    spec: CampaignSpec, mission: Mission, engines: Engines, earlier: Earlier | None
-) -> Settled:
+def choose_engine_by_flight(
+    spec: CampaignSpec, mission: Mission, engines: Engines, previous: PreviousEngine | None
+) -> EngineChoice:
     """``settle``; where the batch engine would be taken by itself, both fly a few seconds, and
     JSBSim is taken if they differ.
 
     Raises BadInputError as ``settle`` does.
     """
-    settled = settle(spec, mission, engines, earlier)
-    if settled.asked != "auto" or settled.engine != BATCH or earlier is not None:
-        return settled
-    with laid_out(spec, mission) as there, contextlib.closing(throwaway_process()) as process:
-        case = _brief(one_case_each(settled.spec, there)[-1])
+    choice = choose_engine(spec, mission, engines, previous)
+    if choice.requested != "auto" or choice.engine != BATCH or previous is not None:
+        return choice
+    with (
+        staged_mission_of(spec, mission) as staged,
+        contextlib.closing(throwaway_process()) as process,
+    ):
+        case = _brief(one_case_each(choice.spec, staged)[-1])
         ours, theirs = (
             next(iter(_outcomes(engines, process, [Group(engine, ((case.case_id, case.flight),))])))
             for engine in (BATCH, JUDGE)
         )
-    why = _apart(ours, theirs)
-    return settled if why is None else Settled(spec.with_engine(JSBSIM), settled.asked, (why,))
+    difference = _first_difference(ours, theirs)
+    return (
+        choice
+        if difference is None
+        else EngineChoice(spec.with_engine(JSBSIM), choice.requested, (difference,))
+    )
 
 
-def _apart(ours: CaseOutcome, theirs: CaseOutcome) -> str | None:
+def _first_difference(ours: CaseOutcome, theirs: CaseOutcome) -> str | None:
     """A sentence if two short flights differ; what cannot be flown by either is told by whoever
     flies first.
     """
     if theirs.bad_input or theirs.status != "ok":
         return None
-    said = f"in the first {START_S:g} s the batch engine differs from JSBSim"
+    message = f"in the first {START_S:g} s the batch engine differs from JSBSim"
     if ours.status != "ok":
-        return f"{said}: {ours.status}, {ours.reason}"
+        return f"{message}: {ours.status}, {ours.reason}"
     for name, value in theirs.metrics.items():
-        found = ours.metrics.get(name, value)
-        if math.isfinite(value) and not abs(found - value) <= _FIRST_SECONDS_ALIKE * max(
+        batch_value = ours.metrics.get(name, value)
+        if math.isfinite(value) and not abs(batch_value - value) <= _FIRST_SECONDS_ALIKE * max(
             abs(value), 1.0
         ):
-            return f"{said}: {name} {found:.6g}, in JSBSim {value:.6g}"
+            return f"{message}: {name} {batch_value:.6g}, in JSBSim {value:.6g}"
     return None
 
 
 def one_ulp_off(engines: Engines, case: Case, process: ProcessExecutor) -> CaseOutcome:
     """JSBSim's flight of the case from a start that is one unit in the last place off."""
-    return _flown(engines, process, [Group(ONE_ULP_OFF, ((case.case_id, case.flight),))])[
+    return _fly_by_case(engines, process, [Group(ONE_ULP_OFF, ((case.case_id, case.flight),))])[
         case.case_id
     ]
 
@@ -852,22 +877,22 @@ def batch_pace(engines: Engines, cases: Sequence[Case], process: ProcessExecutor
     """How fast one process flies in the batch engine; None where the flights that tell do not end
     well.
     """
-    whole = cases[0].flight
-    length = min(_PACE_S, whole.duration_s + whole.burn_in_s)
+    full = cases[0].flight
+    length = min(_PACE_S, full.duration_s + full.burn_in_s)
     lanes = tuple(
         (f"{number}", dataclasses.replace(case.flight, duration_s=length, burn_in_s=0.0))
         for number, case in zip(range(_PACE_LANES), itertools.cycle(cases), strict=False)
     )
-    least = float("inf")
+    shortest_s = float("inf")
     for _ in range(2):
-        started = time.monotonic()
+        start_s = time.monotonic()
         if any(
             outcome.status != "ok" for outcome in _outcomes(engines, process, [Group(BATCH, lanes)])
         ):
             return None
         # Other work on the machine only ever adds.
-        least = min(least, time.monotonic() - started)
-    return Pace(STORING_S, least / (len(lanes) * length))
+        shortest_s = min(shortest_s, time.monotonic() - start_s)
+    return Pace(STORING_S, shortest_s / (len(lanes) * length))
 
 
 def _brief(case: Case) -> Case:
@@ -880,14 +905,14 @@ def _brief(case: Case) -> Case:
     )
 
 
-def _flown(
+def _fly_by_case(
     engines: Engines, process: ProcessExecutor, groups: Iterable[Group]
 ) -> dict[str, CaseOutcome]:
-    found = {outcome.case_id: outcome for outcome in _outcomes(engines, process, groups)}
-    for outcome in found.values():
+    outcomes = {outcome.case_id: outcome for outcome in _outcomes(engines, process, groups)}
+    for outcome in outcomes.values():
         if outcome.bad_input:
             raise BadInputError(outcome.reason)
-    return found
+    return outcomes
 
 
 def _outcomes(

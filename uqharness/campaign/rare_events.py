@@ -24,7 +24,7 @@ DISTANCE = "cross_track"
 
 
 @dataclass(frozen=True)
-class Hit:
+class FirstExcursion:
     """A path's first excursion beyond the radius of that place: which flight, where it branched, in
     which frame, how far out.
     """
@@ -66,13 +66,13 @@ class Lookahead:
 
 
 @dataclass(frozen=True)
-class Watch:
+class CheckpointPlan:
     """How paths are looked at: a checkpoint every ``step_s`` seconds, and their score there; so
     many first excursions beyond each radius are noted with their path."""
 
     step_s: float
     score: Score
-    noted: int = 0
+    max_noted: int = 0
 
 
 class LoiterPaths:
@@ -83,18 +83,22 @@ class LoiterPaths:
     """
 
     def __init__(
-        self, specs: Sequence[FlightSpec], aleatory_ids: Sequence[int], root: int, watch: Watch
+        self,
+        specs: Sequence[FlightSpec],
+        aleatory_ids: Sequence[int],
+        root: int,
+        watch: CheckpointPlan,
     ) -> None:
         """Raises BadInputError for what the batch engine cannot fly, an aircraft without a
         commanded path, and a step that is no whole number of recorded rows."""
         first = specs[0]
-        made = ready(first)
-        if DISTANCE not in made.table:
+        prepared = ready(first)
+        if DISTANCE not in prepared.table:
             raise BadInputError(
                 f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics]: nothing to"
                 " leave"
             )
-        source, dt_s = made.table[DISTANCE], made.lanes.dt_s
+        source, dt_s = prepared.table[DISTANCE], prepared.lanes.dt_s
         self._stride = record_stride(first, dt_s)
         self._row_s = self._stride * dt_s
         rows = round(watch.step_s / self._row_s)
@@ -105,10 +109,10 @@ class LoiterPaths:
             )
         self._step, self._watch, self._root = rows * self._stride, watch, root
         self._channel, self._factor = (
-            list(made.lanes.program.records).index(source.property),
+            list(prepared.lanes.program.records).index(source.property),
             source.factor,
         )
-        self._course = Course.begun(made, specs)
+        self._course = Course.begun(prepared, specs)
         self._course.fly(row_counts(first, self._row_s)[0] * self._stride)
         self._course.taken()
         self._ids = np.asarray(aleatory_ids)
@@ -116,28 +120,32 @@ class LoiterPaths:
         self._outside = np.zeros((len(specs), self._radii.size), dtype=bool)
         self._had = np.zeros_like(self._outside)
         self._numbers: dict[tuple[int, int], int] = {}
-        self.hits: list[Hit] = []
+        self.hits: list[FirstExcursion] = []
 
     def advance(self) -> Seen | None:
         """Fly to the next checkpoint; None behind the last."""
         course = self._course
         if course.frame >= course.last:
             return None
-        begun = course.frame
-        course.fly(min(begun + self._step, course.last))
+        start_frame = course.frame
+        course.fly(min(start_frame + self._step, course.last))
         ended = np.array([end.status != "ok" for end in course.ends])
         distance = self._distances(course.taken())
         events = np.zeros(self._outside.shape, dtype=np.int64)
         for row in range(distance.shape[1]):
-            here = distance[:, row, None]
-            beyond = here > self._radii
-            events += beyond & ~self._outside
-            self._note(beyond & ~self._had, begun + (row + 1) * self._stride, distance[:, row])
-            self._had |= beyond
-            self._outside = beyond | (self._outside & ~(here < self._radii - self._rearm))
-        closing = (distance[:, -1] - distance[:, -2]) / self._row_s
-        watched = {name: course.watched(name) for name in self._watch.score.properties}
-        score = self._watch.score.of(watched, distance[:, -1], closing)
+            row_distance = distance[:, row, None]
+            is_outside = row_distance > self._radii
+            events += is_outside & ~self._outside
+            self._note(
+                is_outside & ~self._had, start_frame + (row + 1) * self._stride, distance[:, row]
+            )
+            self._had |= is_outside
+            self._outside = is_outside | (
+                self._outside & ~(row_distance < self._radii - self._rearm)
+            )
+        closing_mps = (distance[:, -1] - distance[:, -2]) / self._row_s
+        score_inputs = {name: course.watched(name) for name in self._watch.score.properties}
+        score = self._watch.score.of(score_inputs, distance[:, -1], closing_mps)
         return Seen(np.where(ended, -np.inf, score), events, ended)
 
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
@@ -161,19 +169,21 @@ class LoiterPaths:
 
     def _distances(self, rows: Sequence[FloatArray]) -> FloatArray:
         """(paths, rows) [m] without sign; NaN behind a flight's end."""
-        found = np.full((len(rows), max(2, *(each.shape[1] for each in rows))), np.nan)
+        channel = np.full((len(rows), max(2, *(each.shape[1] for each in rows))), np.nan)
         for place, each in enumerate(rows):
-            found[place, : each.shape[1]] = each[self._channel]
-        return np.abs(found * self._factor)
+            channel[place, : each.shape[1]] = each[self._channel]
+        return np.abs(channel * self._factor)
 
     def _note(self, first: NDArray[np.bool_], frame: int, distance: FloatArray) -> None:
-        if not self._watch.noted:
+        if not self._watch.max_noted:
             return
         for path, kind in np.argwhere(first):
-            if sum(hit.kind == kind for hit in self.hits) < self._watch.noted:
+            if sum(hit.kind == kind for hit in self.hits) < self._watch.max_noted:
                 splits = self._course.splits[path]
                 self.hits.append(
-                    Hit(int(self._ids[path]), int(kind), frame, float(distance[path]), splits)
+                    FirstExcursion(
+                        int(self._ids[path]), int(kind), frame, float(distance[path]), splits
+                    )
                 )
 
 
@@ -191,7 +201,7 @@ HORIZONS_S = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0)
 """Behind ten seconds a loiter's state is forgotten: the prediction is then the mean of that place
 on the circle.
 """
-NOW_M = 0.05
+CURRENT_SIGMA_M = 0.05
 """Standard deviation of the distance that is there: a path beyond the radius has a score
 above 0.
 """
@@ -202,7 +212,7 @@ of opposite signs.
 
 
 @dataclass(frozen=True)
-class Predicted:
+class DistancePredictor:
     """Predictions at horizons [s] (h,): ``coefficients`` (h, k) of the regressors, ``constants``
     [m] and ``sigmas`` [m] (h,).
     """
@@ -226,44 +236,46 @@ class Predicted:
         for place in range(slopes.shape[1]):
             expected += regressors[..., place, None] * slopes[:, place]
         ahead = ((expected - self.radius_m) / np.array(self.sigmas)).max(axis=-1)
-        return np.asarray(np.maximum(ahead, (distance_m - self.radius_m) / NOW_M))
+        return np.asarray(np.maximum(ahead, (distance_m - self.radius_m) / CURRENT_SIGMA_M))
 
 
-def fit(
+def fit_predictors(
     regressors: FloatArray,
     distance_m: FloatArray,
     row_s: float,
     radius_m: float,
     horizons_s: Sequence[float] = HORIZONS_S,
-) -> Predicted:
+) -> DistancePredictor:
     """Least squares at each horizon that is a whole number of rows, from flights (flights, rows, k)
     and (flights, rows).
 
     Raises ValueError for flights no longer than the last horizon, and where no horizon is a whole
     number of rows."""
-    ahead = {
+    rows_ahead = {
         h: round(h / row_s)
         for h in horizons_s
         if round(h / row_s) > 0 and abs(round(h / row_s) * row_s - h) < 1e-9
     }
-    if not ahead or max(ahead.values()) >= distance_m.shape[1]:
+    if not rows_ahead or max(rows_ahead.values()) >= distance_m.shape[1]:
         raise ValueError(
             f"{distance_m.shape[1]} rows {row_s:g} s apart: more than {max(horizons_s):g} s of rows"
             " are needed, and horizons that are whole numbers of them; received"
             f" {tuple(horizons_s)}"
         )
     coefficients, constants, sigmas = [], [], []
-    for rows in ahead.values():
+    for rows in rows_ahead.values():
         x = regressors[:, :-rows].reshape(-1, regressors.shape[2])
         y = distance_m[:, rows:].ravel()
-        centre, spread = x.mean(axis=0), x.std(axis=0)
-        unit = np.where(spread > 0.0, spread, 1.0)
-        z = (x - centre) / unit
+        centre, standard_deviation = x.mean(axis=0), x.std(axis=0)
+        scale = np.where(standard_deviation > 0.0, standard_deviation, 1.0)
+        z = (x - centre) / scale
         slopes = (
             np.linalg.solve(z.T @ z + RIDGE * len(z) * np.eye(z.shape[1]), z.T @ (y - y.mean()))
-            / unit
+            / scale
         )
         constants.append(float(y.mean() - centre @ slopes))
         coefficients.append(tuple(map(float, slopes)))
         sigmas.append(float((y - x @ slopes - constants[-1]).std()))
-    return Predicted(radius_m, tuple(ahead), tuple(coefficients), tuple(constants), tuple(sigmas))
+    return DistancePredictor(
+        radius_m, tuple(rows_ahead), tuple(coefficients), tuple(constants), tuple(sigmas)
+    )

@@ -50,27 +50,27 @@ _BY_STATUS = {
 
 
 @dataclass(frozen=True)
-class Aborted:
+class AbortedFlights:
     """Aborted flights of one condition, per corner and flight (c, n), NaN where a corner flew
     fewer.
 
-    ``lost``: 1 where the flight was aborted; ``missing``: the share of its time that was not flown;
+    ``is_aborted``: 1 where the flight was aborted; ``missing``: the share of its time that was not flown;
     ``kinds``: how many there are."""
 
-    lost: FloatArray
+    is_aborted: FloatArray
     missing: FloatArray
     kinds: dict[str, int]
 
     @property
     def total(self) -> int:
         """Aborted flights of all corners."""
-        return int(np.nansum(self.lost))
+        return int(np.nansum(self.is_aborted))
 
     @property
     def missing_shares(self) -> FloatArray:
         """Flights' worth of time that was not flown, per corner (c,)."""
-        found: FloatArray = np.nansum(self.missing, axis=1)
-        return found
+        shares: FloatArray = np.nansum(self.missing, axis=1)
+        return shares
 
     def upper(self, error: float, assumed: float | None) -> FloatArray:
         """Upper limits (c,) of aborted flights per flight's length flown, each missed with
@@ -79,8 +79,8 @@ class Aborted:
         A flight is aborted once, so its count clusters no more than independent ones do.
         """
         flights, total = (
-            np.isfinite(self.lost).sum(axis=1).astype(float),
-            np.nansum(self.lost, axis=1),
+            np.isfinite(self.is_aborted).sum(axis=1).astype(float),
+            np.nansum(self.is_aborted, axis=1),
         )
         return upper_limits(
             flights, total, np.ones_like(total), error, assumed, self.missing_shares
@@ -97,27 +97,29 @@ def aborted_flight(outcome: CaseOutcome, flight: FlightSpec) -> tuple[float, flo
     return 1.0, 1.0 - scored_s / flight.duration_s
 
 
-def aborted(groups: Sequence[Any], duration_s: float) -> Aborted:
+def count_aborted(groups: Sequence[Any], duration_s: float) -> AbortedFlights:
     """From a condition's rows of a case table, one group a corner."""
-    lost, missing = np.full((2, len(groups), max(len(group) for group in groups)), np.nan)
+    is_aborted, missing = np.full((2, len(groups), max(len(group) for group in groups)), np.nan)
     kinds = dict.fromkeys(KINDS, 0)
     for row, group in enumerate(groups):
-        ended = [_BY_STATUS.get(str(status), "") for status in group["status"]]
-        flags = [0.0] * len(group)
+        end_kinds = [_BY_STATUS.get(str(status), "") for status in group["status"]]
+        control_lost = [0.0] * len(group)
         if LOSS_OF_CONTROL in group:
-            flags = np.nan_to_num(
+            control_lost = np.nan_to_num(
                 group[LOSS_OF_CONTROL].to_numpy(dtype=float, na_value=np.nan)
             ).tolist()
-        found = [
+        flight_kinds = [
             kind or (LOSS_OF_CONTROL if flag else "")
-            for kind, flag in zip(ended, flags, strict=True)
+            for kind, flag in zip(end_kinds, control_lost, strict=True)
         ]
-        for kind in filter(None, found):
+        for kind in filter(None, flight_kinds):
             kinds[kind] += 1
-        flown = np.clip(group["duration_s"].to_numpy(dtype=float) / duration_s, 0.0, 1.0)
-        lost[row, : len(group)] = [float(bool(kind)) for kind in found]
-        missing[row, : len(group)] = np.where([bool(kind) for kind in ended], 1.0 - flown, 0.0)
-    return Aborted(lost, missing, kinds)
+        flown_shares = np.clip(group["duration_s"].to_numpy(dtype=float) / duration_s, 0.0, 1.0)
+        is_aborted[row, : len(group)] = [float(bool(kind)) for kind in flight_kinds]
+        missing[row, : len(group)] = np.where(
+            [bool(kind) for kind in end_kinds], 1.0 - flown_shares, 0.0
+        )
+    return AbortedFlights(is_aborted, missing, kinds)
 
 
 DECISIONS = "decisions.csv"
@@ -215,13 +217,13 @@ def band_confidence(campaign: Mapping[str, Any], confidence: float) -> float:
 
 
 class Rounds:
-    """Goes through a campaign's rounds. ``most`` is the number of cases that will be flown at most.
+    """Goes through a campaign's rounds. ``max_cases`` is the number of cases that will be flown at most.
 
     ``decisions`` is decisions.csv after the last look, None without one; it is written to
     ``folder``, if that is given, after each."""
 
     def __init__(self, spec: CampaignSpec, cases: Sequence[Case], folder: Path | None) -> None:
-        self.most = len(cases)
+        self.max_cases = len(cases)
         self.decisions: bytes | None = None
         self._cases, self._folder = cases, folder
         self._rule = rule_of(spec.as_dict(), len({case.epistemic_id for case in cases}))
@@ -240,26 +242,26 @@ class Rounds:
             yield list(self._cases)
             return
         order = {case.case_id: place for place, case in enumerate(self._cases)}
-        first, flown, flights = 0, 0, 1 + max(case.aleatory_id for case in self._cases)
+        first, flown_cases, flights = 0, 0, 1 + max(case.aleatory_id for case in self._cases)
         while first < flights and any(cell.evidence.open.any() for cell in self._cells):
             ids = range(first, min(first + self._rule.look_every, flights))
-            now = sorted(
+            round_cases = sorted(
                 (case for cell in self._cells for case in cell.open_cases(ids)),
                 key=lambda case: order[case.case_id],
             )
-            flown += len(now)
-            yield now
-            outcomes = {case.case_id: _outcome(store, case) for case in now}
+            flown_cases += len(round_cases)
+            yield round_cases
+            outcomes = {case.case_id: _outcome(store, case) for case in round_cases}
             for cell in self._cells:
                 cell.learn(ids, outcomes)
             first = ids.stop
-            self.most = flown + sum(int(cell.evidence.open.sum()) for cell in self._cells) * (
-                flights - first
-            )
+            self.max_cases = flown_cases + sum(
+                int(cell.evidence.open.sum()) for cell in self._cells
+            ) * (flights - first)
             self._write()
         for cell in self._cells:
             cell.evidence = close(cell.evidence)
-        self.most = flown
+        self.max_cases = flown_cases
         self._write()
 
     def _write(self) -> None:
@@ -296,69 +298,69 @@ class _Cell:
         self.evidence: Evidence = begin(len(self._corners))
 
     def open_cases(self, ids: range) -> Iterator[Case]:
-        for corner, still in zip(self._corners, self.evidence.open, strict=True):
-            if still:
+        for corner, is_open in zip(self._corners, self.evidence.open, strict=True):
+            if is_open:
                 yield from (self._by_place[corner, number] for number in ids)
 
     def learn(self, ids: range, outcomes: Mapping[str, CaseOutcome]) -> None:
-        low, high, lost, missing = np.full((4, len(self._corners), len(ids)), np.nan)
+        low, high, is_aborted, missing = np.full((4, len(self._corners), len(ids)), np.nan)
         for row in np.flatnonzero(self.evidence.open):
             for column, number in enumerate(ids):
                 case = self._by_place[self._corners[row], number]
                 outcome = outcomes[case.case_id]
-                lost[row, column], missing[row, column] = aborted_flight(outcome, case.flight)
-                low[row, column], high[row, column] = _counts(outcome, self._column)
-        high = np.fmax(high, np.where(lost > 0.0, 1.0, high))
+                is_aborted[row, column], missing[row, column] = aborted_flight(outcome, case.flight)
+                low[row, column], high[row, column] = _excursion_range(outcome, self._column)
+        high = np.fmax(high, np.where(is_aborted > 0.0, 1.0, high))
         self.evidence = look(
-            add(self.evidence, self._question, low, high, lost, missing), self._question
+            add(self.evidence, self._question, low, high, is_aborted, missing), self._question
         )
 
     def rows(self, rule: Rule) -> Iterator[list[Any]]:
-        found, hours = self.evidence, self.first.flight.duration_s / 3600.0
+        evidence, hours = self.evidence, self.first.flight.duration_s / 3600.0
         condition = [
             f"{self.first.wind_mps:g} m/s {self.first.turbulence}",
             f"{self.first.wind_mps:g}",
             self.first.turbulence,
         ]
-        asked = [f"{rule.radius_m:g}", f"{rule.acceptable_per_h:g}"]
-        rate = found.total / np.maximum(found.flights, 1.0) / hours
+        question = [f"{rule.radius_m:g}", f"{rule.acceptable_per_h:g}"]
+        rate = evidence.total / np.maximum(evidence.flights, 1.0) / hours
         worst = int(rate.argmax())
-        sums = [
-            int(found.flights.sum()),
-            f"{found.flights.sum() * hours:.6f}",
-            int(found.total.sum()),
+        totals = [
+            int(evidence.flights.sum()),
+            f"{evidence.flights.sum() * hours:.6f}",
+            int(evidence.total.sum()),
             f"{rate[worst]:.6g}",
         ]
-        rest = [f"{rule.dispersion:g}", f"{rule.error_rate:.6g}"]
-        answer = found.cell or "flying"
+        assumptions = [f"{rule.dispersion:g}", f"{rule.error_rate:.6g}"]
+        answer = evidence.cell or "flying"
         yield [
             *condition,
-            *asked,
+            *question,
             ALL_CORNERS,
             answer,
-            found.reason,
-            *sums,
-            f"{found.dispersion[worst]:.6g}",
-            *rest,
+            evidence.reason,
+            *totals,
+            f"{evidence.dispersion[worst]:.6g}",
+            *assumptions,
         ]
         for row, corner in enumerate(self._corners):
             # A corner left behind when its cell was answered has no answer of its own.
-            own = found.answers[row] or ("open" if found.cell else "flying")
-            number = [
-                int(found.flights[row]),
-                f"{found.flights[row] * hours:.6f}",
-                int(found.total[row]),
+            corner_answer = evidence.answers[row] or ("open" if evidence.cell else "flying")
+            counts = [
+                int(evidence.flights[row]),
+                f"{evidence.flights[row] * hours:.6f}",
+                int(evidence.total[row]),
                 f"{rate[row]:.6g}",
             ]
             yield [
                 *condition,
-                *asked,
+                *question,
                 corner,
-                own,
+                corner_answer,
                 "",
-                *number,
-                f"{found.dispersion[row]:.6g}",
-                *rest,
+                *counts,
+                f"{evidence.dispersion[row]:.6g}",
+                *assumptions,
             ]
 
 
@@ -369,19 +371,19 @@ def _cells(cases: Sequence[Case], rule: Rule) -> list[_Cell]:
     return [_Cell(group, rule) for group in grouped.values()]
 
 
-def _counts(outcome: CaseOutcome, column: str) -> tuple[float, float]:
+def _excursion_range(outcome: CaseOutcome, column: str) -> tuple[float, float]:
     """Least and most excursions of a flight: a failed one, or one without a count, may have had one
     more than was seen.
     """
     value = outcome.metrics.get(column, float("nan"))
-    known = bool(np.isfinite(value))
-    if outcome.status == "ok" and not known:
+    has_count = bool(np.isfinite(value))
+    if outcome.status == "ok" and not has_count:
         raise BadInputError(
             f'[stop] rule = "decide": a flight that went well has no {column}'
             f" ({outcome.undefined.get(column, 'not scored')}), so there is nothing to decide by;"
             ' use rule = "flights"'
         )
-    counted = float(round(value)) if known else 0.0
+    counted = float(round(value)) if has_count else 0.0
     return counted, counted + (outcome.status != "ok")
 
 

@@ -13,18 +13,18 @@ from typing import Any
 
 from sysid.digests import sha256_hex
 from uqharness import checksums
-from uqharness.campaign.cases import Case, Mission, build_cases, groups_of
-from uqharness.campaign.cost import Cost, Pace, measured_pace, one_case, one_case_each, size_of
+from uqharness.campaign.cases import Case, Mission, build_cases, group_cases
+from uqharness.campaign.cost import Cost, Pace, measure_pace, one_case, one_case_each, size_of
 from uqharness.campaign.engines import (
+    EngineChoice,
+    EngineComparison,
     Engines,
-    Judge,
-    Settled,
     batch_pace,
+    choose_engine_by_flight,
     compare_start,
-    earlier_engine,
-    laid_out,
     one_ulp_off_alone,
-    settled_by_flight,
+    previous_engine,
+    staged_mission_of,
     throwaway_process,
 )
 from uqharness.campaign.execution.processes import Executor, ProcessExecutor
@@ -33,7 +33,7 @@ from uqharness.campaign.folder.manifest import (
     COMPLETE,
     INTERRUPTED,
     MANIFEST,
-    SPOILT,
+    MIXED,
     DamageError,
     describe,
     read_manifest,
@@ -44,8 +44,8 @@ from uqharness.campaign.folder.manifest import (
 from uqharness.campaign.folder.shards import (
     SHARDS,
     Shard,
-    mend_tables,
-    refuse_if_not_whole,
+    refuse_if_changed,
+    rewrite_damaged_tables,
     seal_files,
     sealed,
 )
@@ -65,7 +65,7 @@ VALIDATION_S = 5.0
 case.
 """
 
-MANY = 1_000_000
+MANY_FLIGHTS = 1_000_000
 """Flights whose cases take some 0.6 GB and a minute to make; the cost of more is told before."""
 
 
@@ -171,7 +171,7 @@ def run_campaign(
     DamageError, and changes nothing, where the journal is not as it was written. Raises
     EnginesDifferError where the batch engine differs from JSBSim."""
     engines = Engines.of(fly)
-    given = mission is not None
+    has_mission = mission is not None
     folder = Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder
     if executor is not None and not hasattr(executor, "run_groups"):
         engines = dataclasses.replace(
@@ -182,20 +182,20 @@ def run_campaign(
     from uqharness.campaign.engines import with_default_noise
 
     spec = with_default_noise(spec, mission)
-    settled = settled_by_flight(spec, mission, engines, earlier_engine(folder))
-    spec = settled.spec
+    engine_choice = choose_engine_by_flight(spec, mission, engines, previous_engine(folder))
+    spec = engine_choice.spec
     size, processes = size_of(spec, 1 if shard is None else shard.count), executor.workers
 
-    def told(pace: Pace | None, done: int) -> None:
-        before_flying(Cost(size, done, pace, processes, settled.engine))
+    def report_cost(pace: Pace | None, done: int) -> None:
+        before_flying(Cost(size, done, pace, processes, engine_choice.engine))
 
     if not (folder / JOURNAL).exists():
-        if Cost(size, 0, None, processes, settled.engine).is_long:
-            told(None, 0)
-        elif size.flights > MANY:
+        if Cost(size, 0, None, processes, engine_choice.engine).is_long:
+            report_cost(None, 0)
+        elif size.flights > MANY_FLIGHTS:
             with naming_keys(spec):
-                pace = _pace_of_a_few(settled, mission, engines)
-            told(pace, 0)
+                pace = _trial_pace(engine_choice, mission, engines)
+            report_cost(pace, 0)
     cases = build_cases(spec, mission)
     rounds = Rounds(spec, cases, folder)
     if shard is not None:
@@ -210,31 +210,33 @@ def run_campaign(
     with contextlib.suppress(OSError):
         if not (folder / LOCK).exists():
             _refuse_foreign(folder)
-    with run_lock(_made(folder)):
+    with run_lock(_make_folder(folder)):
         manifest = describe(spec, mission, len(cases), command) | (
             {} if shard is None else {"shard": str(shard)}
         )
-        old, finished = _earlier(folder, manifest)
-        if not given:
+        old, finished = _previous_run(folder, manifest)
+        if not has_mission:
             from uqharness.campaign.engines import make_copy, needs_copy
 
             if needs_copy(spec):
                 make_copy(spec, mission, folder)
         if old is not None and old["state"] == COMPLETE:
-            found = _look_again(folder, old, spec, cases, shard is None, executor.workers)
-            return dataclasses.replace(found, engine=settled.engine)
+            done_before = _check_complete(folder, old, spec, cases, shard is None, executor.workers)
+            return dataclasses.replace(done_before, engine=engine_choice.engine)
         # Tables that other commands added are of these flights, and stay.
         manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
         manifest |= {
-            "engine": settled.as_dict() if old is None or "engine" not in old else old["engine"]
+            "engine": engine_choice.as_dict()
+            if old is None or "engine" not in old
+            else old["engine"]
         }
-        earlier = checksums.take_away(folder)
+        previous_sums = checksums.take_away(folder)
         write_manifest(folder, manifest)
         with Store(folder) as store:
             try:
                 judge = None
-                if settled.engine == BATCH:
-                    judge = Judge(
+                if engine_choice.engine == BATCH:
+                    judge = EngineComparison(
                         folder,
                         cases,
                         lambda case: one_ulp_off_alone(engines, case),
@@ -242,14 +244,16 @@ def run_campaign(
                     )
                 with naming_keys(spec):
                     summary = _fly_missing(
-                        store, finished, rounds, executor, engines, judge, on_progress, told
+                        store, finished, rounds, executor, engines, judge, on_progress, report_cost
                     )
             except BaseException:
                 # On a full disk this fails too, and the first reason is the one to hear.
                 with contextlib.suppress(BadInputError):
                     write_manifest(folder, manifest | {"state": INTERRUPTED})
                 raise
-            _refuse_if_edited(folder, manifest, mission if given else find_mission(spec, folder))
+            _refuse_if_edited(
+                folder, manifest, mission if has_mission else find_mission(spec, folder)
+            )
             tables = (
                 {}
                 if shard is not None
@@ -257,13 +261,13 @@ def run_campaign(
             )
             write_tables(folder, tables)
             write_manifest(folder, sealed(manifest | {"cases": summary.cases}, store, tables))
-        seal_files(folder, earlier)
-    return dataclasses.replace(summary, engine=settled.engine)
+        seal_files(folder, previous_sums)
+    return dataclasses.replace(summary, engine=engine_choice.engine)
 
 
 def check_campaign(
     spec: CampaignSpec, mission: Mission, scratch: Path
-) -> tuple[Settled, Pace | None]:
+) -> tuple[EngineChoice, Pace | None]:
     """The engine that a campaign will fly in, and its pace on this machine; what is compared on the
     way lies in ``scratch``.
 
@@ -273,25 +277,27 @@ def check_campaign(
     from uqharness.campaign.engines import with_default_noise
 
     spec = with_default_noise(spec, mission)
-    settled = settled_by_flight(spec, mission, engines, None)
+    engine_choice = choose_engine_by_flight(spec, mission, engines, None)
     with naming_keys(spec):
-        if settled.engine != BATCH:
-            return settled, validate_model(engines.fly, one_case(settled.spec, mission))
-        cases = one_case_each(settled.spec, mission)
-        judge = Judge(scratch, cases, lambda case: one_ulp_off_alone(engines, case))
-        return settled, _checked_start(judge, engines, cases)
+        if engine_choice.engine != BATCH:
+            return engine_choice, validate_model(engines.fly, one_case(engine_choice.spec, mission))
+        cases = one_case_each(engine_choice.spec, mission)
+        judge = EngineComparison(scratch, cases, lambda case: one_ulp_off_alone(engines, case))
+        return engine_choice, _check_start(judge, engines, cases)
 
 
-def _pace_of_a_few(settled: Settled, mission: Mission, engines: Engines) -> Pace | None:
+def _trial_pace(engine_choice: EngineChoice, mission: Mission, engines: Engines) -> Pace | None:
     """The pace on this machine, by flights of which none is a case of the campaign."""
-    with laid_out(settled.spec, mission) as there:
-        if settled.engine != BATCH:
-            return validate_model(engines.fly, one_case(settled.spec, there))
+    with staged_mission_of(engine_choice.spec, mission) as copied_mission:
+        if engine_choice.engine != BATCH:
+            return validate_model(engines.fly, one_case(engine_choice.spec, copied_mission))
         with contextlib.closing(throwaway_process()) as process:
-            return batch_pace(engines, one_case_each(settled.spec, there), process)
+            return batch_pace(engines, one_case_each(engine_choice.spec, copied_mission), process)
 
 
-def _earlier(folder: Path, manifest: Mapping[str, Any]) -> tuple[dict[str, Any] | None, set[str]]:
+def _previous_run(
+    folder: Path, manifest: Mapping[str, Any]
+) -> tuple[dict[str, Any] | None, set[str]]:
     """Manifest of the folder if it is complete or holds flights, and the flights that need not be
     flown.
 
@@ -305,18 +311,18 @@ def _earlier(folder: Path, manifest: Mapping[str, Any]) -> tuple[dict[str, Any] 
     old = read_manifest(folder)
     refuse_without_digests(folder, old)
     complete = old["state"] == COMPLETE
-    finished = set() if complete else _finished(folder)
+    finished = set() if complete else _finished_cases(folder)
     if not complete and not finished:
         return None, finished
     refuse_if_different(folder, old, manifest)
-    if old["state"] == SPOILT:
-        raise _spoilt(folder)
+    if old["state"] == MIXED:
+        raise _edited_error(folder)
     if complete and not (folder / JOURNAL).exists():
         raise DamageError(folder / JOURNAL, "it is gone", folder)
     return old, finished
 
 
-def _look_again(
+def _check_complete(
     folder: Path,
     manifest: dict[str, Any],
     spec: CampaignSpec,
@@ -328,9 +334,11 @@ def _look_again(
     written is written again.
     """
     with Store(folder) as store:
-        refuse_if_not_whole(folder, store, manifest)
+        refuse_if_changed(folder, store, manifest)
         statuses = dict(sorted(store.statuses().items()))
-        rewritten = mend_tables(folder, manifest, spec, cases, store) if with_tables else ()
+        rewritten = (
+            rewrite_damaged_tables(folder, manifest, spec, cases, store) if with_tables else ()
+        )
     if manifest.get("sums") and not (folder / checksums.SUMS).exists():
         seal_files(folder)
     done = sum(statuses.values())
@@ -349,7 +357,7 @@ def validate_model(fly: FlightFunction, case: Case) -> Pace | None:
     )
     throwaway = ProcessExecutor(1, timeout_s=lambda flight: 120.0, retries=0, keep=True)
 
-    def flown(flight: FlightSpec) -> bool:
+    def fly_well(flight: FlightSpec) -> bool:
         batches = throwaway.run(fly, [("validation", flight)])
         return all(outcome.status == "ok" for batch in batches for outcome in batch)
 
@@ -357,7 +365,7 @@ def validate_model(fly: FlightFunction, case: Case) -> Pace | None:
         for batch in throwaway.run(fly, [("validation", brief)]):
             for outcome in batch:
                 _refuse_if_not_flown(outcome, brief)
-        return measured_pace(flown, brief, case.flight)
+        return measure_pace(fly_well, brief, case.flight)
 
 
 def _most_turbulent(cases: Sequence[Case]) -> Case:
@@ -367,16 +375,16 @@ def _most_turbulent(cases: Sequence[Case]) -> Case:
     return max(cases, key=lambda case: TURBULENCE_W20_KT[case.turbulence])
 
 
-def _checked_start(judge: Judge, engines: Engines, cases: Sequence[Case]) -> Pace | None:
+def _check_start(judge: EngineComparison, engines: Engines, cases: Sequence[Case]) -> Pace | None:
     """Compare the first seconds of each condition in both engines.
 
     Raises EnginesDifferError, and BadInputError as above.
     """
-    begun = time.monotonic()
+    start_s = time.monotonic()
     with contextlib.closing(throwaway_process()) as process:
         judge.begin(compare_start(engines, cases, process))
         # The run starts processes and compiles the same programs once more.
-        startup_s = time.monotonic() - begun
+        startup_s = time.monotonic() - start_s
         pace = batch_pace(engines, cases, process)
         return None if pace is None else dataclasses.replace(pace, startup_s=startup_s)
 
@@ -400,18 +408,18 @@ def _refuse_if_edited(folder: Path, manifest: dict[str, Any], mission: Mission) 
         mission.aircraft_hash,
         mission.script_hash,
     ):
-        write_manifest(folder, manifest | {"state": SPOILT})
-        raise _spoilt(folder)
+        write_manifest(folder, manifest | {"state": MIXED})
+        raise _edited_error(folder)
 
 
-def _spoilt(folder: Path) -> BadInputError:
+def _edited_error(folder: Path) -> BadInputError:
     return BadInputError(
         f"{folder}: the aircraft or the script was edited while this campaign flew, so its flights"
         " are of both versions; remove the folder and run again"
     )
 
 
-def _made(path: Path) -> Path:
+def _make_folder(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -421,7 +429,7 @@ def _made(path: Path) -> Path:
     return path
 
 
-def _finished(folder: Path) -> set[str]:
+def _finished_cases(folder: Path) -> set[str]:
     """What has been counted there, every row looked at: a campaign refused before its first flight
     may be mended and run again.
     """
@@ -438,12 +446,12 @@ def _refuse_foreign(folder: Path) -> None:
     """
     if not folder.is_dir() or (folder / MANIFEST).exists() or (folder / JOURNAL).exists():
         return
-    others = sorted(
+    foreign_files = sorted(
         item.name for item in folder.iterdir() if item.name != LOCK and item.suffix != PART
     )
-    if others:
+    if foreign_files:
         raise BadInputError(
-            f"{folder}: not empty and not a campaign folder (it has {others[0]}); choose another"
+            f"{folder}: not empty and not a campaign folder (it has {foreign_files[0]}); choose another"
             " --out"
         )
 
@@ -454,20 +462,20 @@ def _fly_missing(
     rounds: Rounds,
     executor: Executor,
     engines: Engines,
-    judge: Judge | None,
+    judge: EngineComparison | None,
     on_progress: Callable[[Progress], None] | None,
     before_flying: Callable[[Pace | None, int], None],
 ) -> CampaignSummary:
     statuses: Counter[str] = store.statuses()
     done_before = statuses.total()
-    flown_s, checked = 0.0, False
-    started = time.monotonic()
+    flown_s, start_checked = 0.0, False
+    start_s = time.monotonic()
 
     def progress() -> Progress:
         done = statuses.total()
-        elapsed_s = time.monotonic() - started
+        elapsed_s = time.monotonic() - start_s
         return Progress(
-            rounds.most,
+            rounds.max_cases,
             done,
             done_before,
             done - statuses["ok"],
@@ -476,42 +484,42 @@ def _fly_missing(
             executor.workers,
         )
 
-    for wanted in rounds(store):
-        missing = [case for case in wanted if case.case_id not in finished]
-        judged = [] if judge is None else judge.groups(wanted)
-        if not missing and not judged:
+    for round_cases in rounds(store):
+        missing = [case for case in round_cases if case.case_id not in finished]
+        comparison_groups = [] if judge is None else judge.groups(round_cases)
+        if not missing and not comparison_groups:
             continue
-        if not checked:
+        if not start_checked:
             pace = (
                 validate_model(engines.fly, _most_turbulent(missing))
                 if judge is None
-                else _checked_start(judge, engines, missing or wanted)
+                else _check_start(judge, engines, missing or round_cases)
             )
             before_flying(pace, done_before)
-            checked, started = True, time.monotonic()
+            start_checked, start_s = True, time.monotonic()
         if judge is None:
             batches = executor.run(engines.fly, ((case.case_id, case.flight) for case in missing))
         else:
             # The judge's first: what is wrong is then seen soon.
             batches = executor.run_groups(
-                engines.fly_group, [*judged, *groups_of(missing, executor.workers)]
+                engines.fly_group, [*comparison_groups, *group_cases(missing, executor.workers)]
             )
         try:
-            for found in batches:
-                batch = found if judge is None else judge.take(found)
+            for outcomes in batches:
+                batch = outcomes if judge is None else judge.take(outcomes)
                 store.add(batch)
                 statuses.update(outcome.status for outcome in batch)
                 flown_s += sum(outcome.flown_s for outcome in batch)
                 if on_progress is not None:
                     on_progress(progress())
                 if judge is not None:
-                    judge.look(final=False)
+                    judge.compare(final=False)
             if judge is not None:
-                judge.look(final=True)
+                judge.compare(final=True)
         finally:
             close = getattr(batches, "close", None)
             if close is not None:
                 close()
     return CampaignSummary(
-        store.folder, rounds.most, done_before, dict(sorted(statuses.items())), progress()
+        store.folder, rounds.max_cases, done_before, dict(sorted(statuses.items())), progress()
     )

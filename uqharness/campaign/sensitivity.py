@@ -28,7 +28,7 @@ from uqharness.campaign.conditions import (
 from uqharness.campaign.folder.manifest import read_complete
 from uqharness.campaign.folder.tables import CASES, read_cases, read_checked
 from uqharness.campaign.spec.samples import INTERIOR_MARK, NOMINAL
-from uqharness.campaign.statements import number
+from uqharness.campaign.statements import format_number
 from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
 from uqharness.sensitivity import Evaluations, MethodResult, PairRange, Study
@@ -37,7 +37,7 @@ from uqharness.sensitivity.problem import corners as box_corners
 from uqharness.sensitivity.result import Ranking, rank, unit_of, words
 from uqharness.text_tables import csv_rows
 
-MOST_LOST = 0.1
+MAX_LEFT_OUT = 0.1
 """Largest share of aleatory samples that may be left out because a flight of theirs failed in some
 corner.
 """
@@ -46,7 +46,7 @@ _RANKS_BY = ("levels", "corners")
 
 
 @dataclass(frozen=True)
-class Flown:
+class CornerCampaign:
     """Flights of one campaign: its table, its manifest, and the coefficients that are uncertain in
     it.
     """
@@ -72,40 +72,45 @@ class Flown:
 
 
 @dataclass(frozen=True)
-class _Grouped:
+class _LevelFlights:
     """Flights of one condition by their levels: ``places`` (n, A) in the campaign's table, in the
-    order of the aleatory ids, and ``flown`` (n, A) where a flight did not fail."""
+    order of the aleatory ids, and ``is_valid`` (n, A) where a flight did not fail."""
 
     keys: tuple[tuple[float, ...], ...]
     places: NDArray[np.intp]
-    flown: NDArray[np.bool_]
+    is_valid: NDArray[np.bool_]
 
-    def values(self, of: Flown, metric: str) -> FloatArray:
+    def values(self, campaign: CornerCampaign, metric: str) -> FloatArray:
         """(n, A) of a metric; NaN where a flight failed.
 
         Raises BadInputError for one that the table has not.
         """
-        if metric not in of.frame:
+        if metric not in campaign.frame:
             raise BadInputError(
-                f"metric {metric}: not in {of.folder / CASES}; it has {', '.join(metrics_of(of))}"
+                f"metric {metric}: not in {campaign.folder / CASES}; it has {', '.join(metrics_of(campaign))}"
             )
-        return np.where(self.flown, of.frame[metric].to_numpy(dtype=float)[self.places], np.nan)
+        return np.where(
+            self.is_valid, campaign.frame[metric].to_numpy(dtype=float)[self.places], np.nan
+        )
 
 
 @dataclass(frozen=True)
-class _Table:
+class _ConditionFlights:
     """One campaign in one condition: corners and levels, and the interior points flown
     beside them.
     """
 
-    of: Flown
-    levels: _Grouped
-    points: _Grouped
+    campaign: CornerCampaign
+    levels: _LevelFlights
+    points: _LevelFlights
 
     @staticmethod
-    def read(flown: Flown, condition: Condition) -> _Table:
+    def read(campaign: CornerCampaign, condition: Condition) -> _ConditionFlights:
         """Raises BadInputError where the combinations of levels did not fly the same air."""
-        return _Table(flown, *(_grouped(flown, condition, interior) for interior in (False, True)))
+        return _ConditionFlights(
+            campaign,
+            *(_group_by_levels(campaign, condition, interior) for interior in (False, True)),
+        )
 
 
 @dataclass(frozen=True)
@@ -122,18 +127,20 @@ class MetricSensitivity:
     words: str
 
 
-def read_corner_campaign(folder: Path) -> Flown:
+def read_corner_campaign(folder: Path) -> CornerCampaign:
     """A campaign that flew all corners.
 
     Raises BadInputError for one that is not complete or has no corners.
     """
-    flown = _read(folder)
-    epistemic = flown.manifest["campaign"]["epistemic"]
+    campaign = _read_campaign(folder)
+    epistemic = campaign.manifest["campaign"]["epistemic"]
     method, levels = epistemic["method"], epistemic.get("levels")
     if method not in _RANKS_BY or (method == "levels" and not {0.0, 1.0} <= set(levels or ())):
-        found = f'method = "{method}"' + (f" with levels {levels}" if method == "levels" else "")
+        description = f'method = "{method}"' + (
+            f" with levels {levels}" if method == "levels" else ""
+        )
         raise BadInputError(
-            f"{folder}: not a corner campaign ({found}); sensitivity compares corners: fly one with"
+            f"{folder}: not a corner campaign ({description}); sensitivity compares corners: fly one with"
             ' method = "corners", or "levels" that include 0 and 1'
         )
     if epistemic["set"] != "box":
@@ -146,20 +153,20 @@ def read_corner_campaign(folder: Path) -> Flown:
             f"{folder}: each of its corners was flown with several draws of [epistemic.parameters],"
             " which are no corners; fly one without that section"
         )
-    return flown
+    return campaign
 
 
-def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
+def read_interior_campaign(folder: Path, corners: CornerCampaign) -> CornerCampaign:
     """A campaign of levels between the bounds that meets the same air as ``corners``.
 
     Raises BadInputError naming what differs.
     """
-    flown = _read(folder)
-    if flown.manifest["campaign"]["epistemic"]["method"] != "levels":
+    interior = _read_campaign(folder)
+    if interior.manifest["campaign"]["epistemic"]["method"] != "levels":
         raise BadInputError(
             f'{folder}: not a campaign of levels; fly one with method = "levels", levels = [0.5]'
         )
-    mine, theirs = flown.manifest["campaign"], corners.manifest["campaign"]
+    mine, theirs = interior.manifest["campaign"], corners.manifest["campaign"]
     different = [key for key in ("seed",) if mine["campaign"][key] != theirs["campaign"][key]]
     different += [
         key
@@ -174,7 +181,7 @@ def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
     different += [
         key
         for key, value in corners.manifest["hashes"].items()
-        if flown.manifest["hashes"].get(key) != value
+        if interior.manifest["hashes"].get(key) != value
     ]
     if mine["aleatory"]["flights"] < theirs["aleatory"]["flights"]:
         different.append(
@@ -185,24 +192,26 @@ def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
         raise BadInputError(
             f"{folder}: does not belong to {corners.folder}: {', '.join(different)} differ"
         )
-    return flown
+    return interior
 
 
-def _read(folder: Path) -> Flown:
+def _read_campaign(folder: Path) -> CornerCampaign:
     manifest = read_complete(folder)
-    return Flown(folder, read_cases(folder, manifest), manifest)
+    return CornerCampaign(folder, read_cases(folder, manifest), manifest)
 
 
-def metrics_of(flown: Flown) -> tuple[str, ...]:
+def metrics_of(campaign: CornerCampaign) -> tuple[str, ...]:
     """Error statistics and excursion counts that the table has."""
-    radii = flown.manifest["campaign"]["metrics"]["excursion_radius_m"]
+    radii = campaign.manifest["campaign"]["metrics"]["excursion_radius_m"]
     names = (*ERROR_METRICS, *UNCOMMANDED_METRICS, *excursion_columns(radii))
-    return tuple(name for name in names if name in flown.frame and flown.frame[name].notna().any())
+    return tuple(
+        name for name in names if name in campaign.frame and campaign.frame[name].notna().any()
+    )
 
 
 def analyse_campaign(
-    flown: Flown,
-    interior: Flown | None = None,
+    campaign: CornerCampaign,
+    interior: CornerCampaign | None = None,
     metrics: Sequence[str] | None = None,
     seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
@@ -211,95 +220,105 @@ def analyse_campaign(
 
     Raises BadInputError where the table is not what it should be.
     """
-    wanted = tuple(metrics) if metrics else metrics_of(flown)
-    there = conditions(flown.frame)
-    found: list[MetricSensitivity] = []
-    for condition in there:
-        table = _Table.read(flown, condition)
-        between = None if interior is None else _Table.read(interior, condition)
-        for metric in wanted:
-            found.append(_analyse(table, between, condition, metric, seed))
+    requested = tuple(metrics) if metrics else metrics_of(campaign)
+    grid = conditions(campaign.frame)
+    results: list[MetricSensitivity] = []
+    for condition in grid:
+        table = _ConditionFlights.read(campaign, condition)
+        between = None if interior is None else _ConditionFlights.read(interior, condition)
+        for metric in requested:
+            results.append(_analyse(table, between, condition, metric, seed))
             if on_progress is not None:
-                on_progress(len(found), len(there) * len(wanted))
-    return found
+                on_progress(len(results), len(grid) * len(requested))
+    return results
 
 
 def _analyse(
-    table: _Table, between: _Table | None, condition: Condition, metric: str, seed: int
+    table: _ConditionFlights,
+    between: _ConditionFlights | None,
+    condition: Condition,
+    metric: str,
+    seed: int,
 ) -> MetricSensitivity:
-    flown = table.of
-    names = flown.coefficients
+    campaign = table.campaign
+    names = campaign.coefficients
     d = len(names)
-    values = dict(zip(table.levels.keys, table.levels.values(flown, metric), strict=True))
+    values = dict(zip(table.levels.keys, table.levels.values(campaign, metric), strict=True))
     ends = box_corners(np.zeros(d), np.ones(d))
     try:
         y = np.array([values.pop(tuple(corner)) for corner in ends])
     except KeyError as missing:
         raise BadInputError(
-            f"{flown.folder}: the corner {missing} was not flown in {condition.words}"
+            f"{campaign.folder}: the corner {missing} was not flown in {condition.words}"
         ) from None
     inside = np.array(list(values.values())) if values else None
     if between is not None:
-        others = zip(between.levels.keys, between.levels.values(between.of, metric), strict=True)
-        added = np.array([v[: y.shape[1]] for key, v in others if not set(key) <= {0.0, 1.0}])
+        interior_values = zip(
+            between.levels.keys, between.levels.values(between.campaign, metric), strict=True
+        )
+        added = np.array(
+            [v[: y.shape[1]] for key, v in interior_values if not set(key) <= {0.0, 1.0}]
+        )
         if added.size:
             inside = added if inside is None else np.concatenate([inside, added])
-    known = np.all(np.isfinite(y), axis=0)
+    is_valid = np.all(np.isfinite(y), axis=0)
     if inside is not None:
-        known &= np.all(np.isfinite(inside), axis=0)
-    inside = _with_points(inside, list(table.points.values(flown, metric)), known)
-    lost = int(np.count_nonzero(~known))
-    if lost <= MOST_LOST * known.size:
-        y, inside = y[:, known], None if inside is None else inside[:, known]
+        is_valid &= np.all(np.isfinite(inside), axis=0)
+    inside = _with_points(inside, list(table.points.values(campaign, metric)), is_valid)
+    left_out = int(np.count_nonzero(~is_valid))
+    if left_out <= MAX_LEFT_OUT * is_valid.size:
+        y, inside = y[:, is_valid], None if inside is None else inside[:, is_valid]
     zero, one = np.zeros(d), np.ones(d)
     study = Study(names, zero, one, 0.5 * one, 0.01 * one, np.empty((0, d)), True, {})
     result = corner_pairs(study, Evaluations(corners=y, interior=inside), seed)
-    ranking = rank(result, lost)
-    said = words(result, metric, ranking, lost, known.size)
-    return MetricSensitivity(condition, metric, result, y.shape[1], lost, ranking, said)
+    ranking = rank(result, left_out)
+    text = words(result, metric, ranking, left_out, is_valid.size)
+    return MetricSensitivity(condition, metric, result, y.shape[1], left_out, ranking, text)
 
 
 def _with_points(
-    inside: FloatArray | None, points: list[FloatArray], known: NDArray[np.bool_]
+    inside: FloatArray | None, points: list[FloatArray], is_valid: NDArray[np.bool_]
 ) -> FloatArray | None:
     """``inside`` with a campaign's interior points: they check the corners and leave out no air;
     one that failed is dropped.
     """
-    whole = [point for point in points if np.all(np.isfinite(point[known]))]
-    found = ([] if inside is None else [inside]) + ([np.array(whole)] if whole else [])
-    return np.concatenate(found) if found else None
+    complete = [point for point in points if np.all(np.isfinite(point[is_valid]))]
+    parts = ([] if inside is None else [inside]) + ([np.array(complete)] if complete else [])
+    return np.concatenate(parts) if parts else None
 
 
-def _grouped(flown: Flown, condition: Condition, interior: bool) -> _Grouped:
+def _group_by_levels(
+    campaign: CornerCampaign, condition: Condition, interior: bool
+) -> _LevelFlights:
     """The corners and levels of a condition, or the ``interior`` points flown beside them.
 
     Raises BadInputError.
     """
-    rows = in_condition(flown.frame.reset_index(drop=True), condition)
+    rows = in_condition(campaign.frame.reset_index(drop=True), condition)
     rows = rows[rows["epistemic_id"].str.startswith(INTERIOR_MARK) == interior]
     # The nominal model has no levels: it stands at no place of the box of bounds.
     rows = rows[~rows["epistemic_id"].str.startswith(NOMINAL)]
-    level_names = [f"level_{name}" for name in flown.coefficients]
+    level_names = [f"level_{name}" for name in campaign.coefficients]
     ids = np.sort(rows["aleatory_id"].unique())
     keys, places, complete = [], [], []
     for key, group in rows.groupby(level_names, sort=False):
         ordered = group.sort_values("aleatory_id")
         if not np.array_equal(ordered["aleatory_id"].to_numpy(), ids):
             raise BadInputError(
-                f"{flown.folder}: {condition.words}: not every corner flew the same aleatory"
+                f"{campaign.folder}: {condition.words}: not every corner flew the same aleatory"
                 " samples"
             )
         ok = (ordered["status"] == "ok").to_numpy()
         durations = ordered["duration_s"].to_numpy()[ok]
         if durations.size and np.ptp(durations) > 1e-6:
             raise BadInputError(
-                f"{flown.folder}: {condition.words}: flights of unequal duration cannot be compared"
+                f"{campaign.folder}: {condition.words}: flights of unequal duration cannot be compared"
             )
         keys.append(tuple(np.atleast_1d(np.asarray(key, dtype=float)).tolist()))
         places.append(ordered.index.to_numpy())
         complete.append(ok)
     shape = (len(keys), len(ids))
-    return _Grouped(
+    return _LevelFlights(
         tuple(keys),
         np.array(places, dtype=np.intp).reshape(shape),
         np.array(complete, dtype=bool).reshape(shape),
@@ -334,11 +353,11 @@ COLUMNS = (
 )
 
 
-def _rows(found: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
+def _rows(results: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
     """Rows under COLUMNS. ``share_low`` and ``share_high`` bound ``share_min`` and ``share_max``
     with 95 % confidence for all coefficients at once; an undefined number is empty and ``reason``
     says why."""
-    for item in found:
+    for item in results:
         details = item.result.details
         for i, (name, index) in enumerate(item.result.indices.items()):
             assert isinstance(index, PairRange)
@@ -360,29 +379,29 @@ def _rows(found: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
                 item.metric,
                 unit_of(item.metric),
                 name,
-                *map(number, [*shares, *shrink, *width]),
+                *map(format_number, [*shares, *shrink, *width]),
                 str(item.flights),
                 str(item.left_out),
-                number(details.get("interior_outside", math.nan)),
+                format_number(details.get("interior_outside", math.nan)),
                 index.reason,
             ]
 
 
-def as_csv(found: Sequence[MetricSensitivity]) -> bytes:
+def as_csv(results: Sequence[MetricSensitivity]) -> bytes:
     """The table, one row per condition, metric and coefficient."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(COLUMNS)
-    writer.writerows(_rows(found))
+    writer.writerows(_rows(results))
     return buffer.getvalue().encode()
 
 
-def as_json(found: Sequence[MetricSensitivity]) -> dict[str, dict[str, Any]]:
+def as_json(results: Sequence[MetricSensitivity]) -> dict[str, dict[str, Any]]:
     """By condition, then metric: indices, what to reduce first, whether that is certain, and the
     words.
     """
     by_condition: dict[str, dict[str, Any]] = {}
-    for item in found:
+    for item in results:
         by_condition.setdefault(item.condition.label, {})[item.metric] = item.result.as_dict() | {
             "flights": item.flights,
             "left_out": item.left_out,
@@ -460,31 +479,31 @@ def find_winner(
 
     Raises BadInputError: no corner campaign, an unknown metric, nothing that could be compared, or
     no coefficient that wins."""
-    flown = read_corner_campaign(folder)
-    there = metrics_of(flown)
-    chosen = metric or (DEFAULT_METRIC if DEFAULT_METRIC in there else (there or ("",))[0])
-    if chosen not in there:
+    campaign = read_corner_campaign(folder)
+    available = metrics_of(campaign)
+    chosen = metric or (DEFAULT_METRIC if DEFAULT_METRIC in available else (available or ("",))[0])
+    if chosen not in available:
         raise BadInputError(
-            f"--metric {chosen}: {folder} has {', '.join(there) or 'no metric that any flight got'}"
+            f"--metric {chosen}: {folder} has {', '.join(available) or 'no metric that any flight got'}"
         )
-    found = [
+    results = [
         f
-        for f in analyse_campaign(flown, metrics=[chosen], seed=seed, on_progress=on_progress)
+        for f in analyse_campaign(campaign, metrics=[chosen], seed=seed, on_progress=on_progress)
         if f.ranking.first
     ]
-    if not found:
+    if not results:
         raise BadInputError(
             f"{folder}: no sensitivity of {chosen} (uqharness sensitivity {folder} says why); fly"
             " more of the campaign, choose another --metric, or name a --coefficient"
         )
     parts: dict[str, float] = {}
-    for item in found:
+    for item in results:
         for name, index in item.result.indices.items():
             assert isinstance(index, PairRange)
             middle = 0.5 * (index.minimum.value + index.maximum.value)
             parts[name] = parts.get(name, 0.0) + middle * float(item.result.details["area"])
-    first = max(parts, key=lambda name: parts[name])
-    name = coefficient or first
+    largest = max(parts, key=lambda name: parts[name])
+    name = coefficient or largest
     if name not in parts:
         raise BadInputError(
             f"--coefficient {name}: not uncertain in {folder}; there are {', '.join(parts)}"
@@ -495,14 +514,14 @@ def find_winner(
             " measure it. For the aerodynamic coefficient that matters most name it:"
             " --coefficient C"
         )
-    best = max(found, key=lambda f: float(f.result.details["area"]))
-    index = best.result.indices[name]
+    widest = max(results, key=lambda f: float(f.result.details["area"]))
+    index = widest.result.indices[name]
     assert isinstance(index, PairRange)
     return Winner(
         name,
         chosen,
         (index.minimum.value, index.maximum.value),
-        best.condition.label,
-        all(f.ranking.first == name and f.ranking.certain for f in found),
-        tuple(f"{f.condition.words}: {f.words}" for f in found),
+        widest.condition.label,
+        all(f.ranking.first == name and f.ranking.certain for f in results),
+        tuple(f"{f.condition.words}: {f.words}" for f in results),
     )

@@ -36,9 +36,9 @@ from uqharness.campaign.rounds import (
     DIVERGED,
     GROUND_CONTACT,
     LOSS_OF_CONTROL,
-    Aborted,
+    AbortedFlights,
     Rule,
-    aborted,
+    count_aborted,
     rule_of,
 )
 from uqharness.campaign.spec import samples
@@ -67,25 +67,25 @@ from uqharness.statistics import (
 
 ENOUGH_EXCURSIONS = 30
 """Excursions of a corner at a smaller radius that measure how they cluster."""
-TOLD = 10
+MIN_EXCURSIONS = 10
 """Excursions of a corner from which on its ratio of variance to mean is told, and may contradict
 the carried one.
 """
 RARE_PER_H = 1.0
-BEYOND = "clusters beyond the carried limit"
+DISPERSION_EXCEEDED = "clusters beyond the carried limit"
 
 
 @dataclass(frozen=True)
-class Carried:
+class DispersionBound:
     """Per corner (c,): the largest variance over mean that limits carry, and the radius [m] it was
     measured at, NaN where assumed.
 
-    ``beyond``: whether some corner's flights contradict it.
+    ``is_contradicted``: whether some corner's flights contradict it.
     """
 
     dispersion: FloatArray
     radius_m: FloatArray
-    beyond: bool
+    is_contradicted: bool
 
     @property
     def measured(self) -> int:
@@ -98,20 +98,20 @@ class Carried:
         return float(np.nanmin(self.radius_m)) if self.measured else float("nan")
 
 
-def carried(
+def bound_dispersion(
     counts: Mapping[float, FloatArray],
     radius_m: float,
     flown_h: FloatArray,
     assumed: float,
     error: float,
-) -> Carried:
+) -> DispersionBound:
     """``counts`` (c, n) of each flight beyond each radius [m], NaN marking none; ``flown_h`` (c,)
     hours; asked beyond ``radius_m``.
 
     A measured limit fails with about ``error`` at each corner; what contradicts the carried one
     does so at all corners together."""
     corners = flown_h.size
-    found, where, shown = (
+    bound, measured_at, lower_bound = (
         np.full(corners, float(assumed)),
         np.full(corners, np.nan),
         np.zeros(corners),
@@ -126,14 +126,14 @@ def carried(
             lower_limits(counts[radius], error) * np.isfinite(counts[radius]).sum(axis=1)
             >= RARE_PER_H * flown_h
         )
-        told = (events >= TOLD) & (~frequent | (radius == radius_m))
-        shown = np.where(told, np.maximum(shown, low), shown)
+        is_informative = (events >= MIN_EXCURSIONS) & (~frequent | (radius == radius_m))
+        lower_bound = np.where(is_informative, np.maximum(lower_bound, low), lower_bound)
         if radius < radius_m:
             enough = (events >= ENOUGH_EXCURSIONS) & rare
-            found = np.where(enough, dispersion_limits(counts[radius], error)[1], found)
-            where = np.where(enough, radius, where)
-    anywhere = np.where(np.isnan(where), shown.max(), shown)
-    return Carried(found, where, bool(np.any(anywhere > found)))
+            bound = np.where(enough, dispersion_limits(counts[radius], error)[1], bound)
+            measured_at = np.where(enough, radius, measured_at)
+    contradicting = np.where(np.isnan(measured_at), lower_bound.max(), lower_bound)
+    return DispersionBound(bound, measured_at, bool(np.any(contradicting > bound)))
 
 
 # What the intervals flown say together: the joint level of a campaign's epistemic set, and the
@@ -164,22 +164,22 @@ def joint_words(manifest: Mapping[str, Any]) -> list[str]:
     level, bounds = joint_level(manifest), manifest.get("bounds")
     if level is None or bounds is None:
         return []
-    epistemic, each = manifest["campaign"]["epistemic"], float(bounds["confidence"])
+    epistemic, confidence = manifest["campaign"]["epistemic"], float(bounds["confidence"])
     names = epistemic["coefficients"]
-    one = samples.marginal_radius(each)
+    radius_of_one = samples.marginal_radius(confidence)
     if epistemic["set"] == "ellipsoid":
-        radius = samples.reach(len(names), each) * one
-        said = (
-            f"joint {_percent(each)} ellipsoid of {len(names)} intervals, {radius:.2f} standard"
+        radius = samples.joint_reach(len(names), confidence) * radius_of_one
+        text = (
+            f"joint {_percent(confidence)} ellipsoid of {len(names)} intervals, {radius:.2f} standard"
             " deviations from their middles"
         )
     else:
-        said = (
-            f"box of {len(names)} intervals of {_percent(each)} each: together they hold at"
+        text = (
+            f"box of {len(names)} intervals of {_percent(confidence)} each: together they hold at"
             f" {_percent(level)} if independent; its corners lie at"
-            f" {math.sqrt(len(names)) * one:.2f} standard deviations"
+            f" {math.sqrt(len(names)) * radius_of_one:.2f} standard deviations"
         )
-    return [said, *_transient(epistemic, bounds["transient"])]
+    return [text, *_transient_words(epistemic, bounds["transient"])]
 
 
 def points_flown(epistemic: Mapping[str, Any]) -> str:
@@ -219,9 +219,9 @@ def corners_only_words(epistemic: Mapping[str, Any]) -> list[str]:
     return [text]
 
 
-def _transient(epistemic: Mapping[str, Any], moved: list[str]) -> list[str]:
-    if moved:
-        return [f"transient model error of {', '.join(moved)} walks in every flight"]
+def _transient_words(epistemic: Mapping[str, Any], walking: list[str]) -> list[str]:
+    if walking:
+        return [f"transient model error of {', '.join(walking)} walks in every flight"]
     if "transient" in epistemic:
         return ["no transient model error is flown"]
     return []
@@ -313,7 +313,7 @@ class Statement:
     acceptable_loss_per_h: float
     loss_upper_per_h: float
     aborted: Mapping[str, int]
-    dispersion: Carried
+    dispersion: DispersionBound
     quiet_hours_needed: float
     yes_up_to_dispersion: float
     reason: str = ""
@@ -343,11 +343,11 @@ def statements(
         for row in decisions
         if row["epistemic_id"] == ALL_CORNERS
     }
-    found = []
-    flown: dict[Condition, _Flown] = {}
+    result = []
+    flights_by_condition: dict[Condition, _ConditionFlights] = {}
     for cell in excursion_cells(frame, campaign["metrics"]["excursion_radius_m"]):
-        if cell.condition not in flown:
-            flown[cell.condition] = _Flown.of(
+        if cell.condition not in flights_by_condition:
+            flights_by_condition[cell.condition] = _ConditionFlights.of(
                 in_condition(frame, cell.condition), float(campaign["aleatory"]["duration_s"])
             )
         decided = (
@@ -355,23 +355,25 @@ def statements(
             if cell.distance == "horizontal"
             else None
         )
-        found.append(_statement(flown[cell.condition], campaign, cell, rule, decided))
-    return found
+        result.append(
+            _statement(flights_by_condition[cell.condition], campaign, cell, rule, decided)
+        )
+    return result
 
 
 @dataclass(frozen=True)
-class _Flown:
+class _ConditionFlights:
     """A condition's rows of a case table, each corner's places among them, which of them failed,
     the aborted flights and the hours that each corner flew (c,)."""
 
     rows: Any
     places: list[Any]
     failed: Any
-    losses: Aborted
+    losses: AbortedFlights
     hours: FloatArray
 
     @classmethod
-    def of(cls, rows: Any, duration_s: float) -> _Flown:
+    def of(cls, rows: Any, duration_s: float) -> _ConditionFlights:
         groups = [group for _, group in rows.groupby("epistemic_id", sort=False)]
         hours = np.array([float(group["duration_s"].sum()) for group in groups]) / 3600.0
         places = rows.groupby("epistemic_id", sort=False).indices
@@ -380,66 +382,77 @@ class _Flown:
             rows,
             [places[n] for n in rows["epistemic_id"].unique()],
             failed,
-            aborted(groups, duration_s),
+            count_aborted(groups, duration_s),
             hours,
         )
 
 
 def _statement(
-    flown: _Flown,
+    flights_flown: _ConditionFlights,
     campaign: Mapping[str, Any],
     cell: ExcursionCell,
     rule: Rule | None,
     decided: str | None,
 ) -> Statement:
-    rows, losses, flown_h = flown.rows, flown.losses, flown.hours
+    rows, losses, flown_h = flights_flown.rows, flights_flown.losses, flights_flown.hours
     metrics, hours = campaign["metrics"], float(campaign["aleatory"]["duration_s"]) / 3600.0
-    low, high = _counts(flown, excursion_column(cell.radius_m, cell.distance))
+    low, high = _count_ranges(flights_flown, excursion_column(cell.radius_m, cell.distance))
     flights, total = np.isfinite(high).sum(axis=1).astype(float), np.nansum(high, axis=1)
     assumed = float(metrics["dispersion"])
     # After a rule that looked at the flights only limits that hold at any moment are limits.
     anytime = None if rule is None else assumed
-    error, corners = 1.0 - CONFIDENCE, len(flown.places)
+    error, corners = 1.0 - CONFIDENCE, len(flights_flown.places)
     side = error / 2.0
-    radii = (
+    smaller_radii = (
         []
         if rule is not None
         else [radius for radius in counted_radii(metrics) if radius < cell.radius_m]
     )
-    nearer = {
-        radius: _counts(flown, excursion_column(radius, cell.distance))[1] for radius in radii
+    counts_at_smaller_radii = {
+        radius: _count_ranges(flights_flown, excursion_column(radius, cell.distance))[1]
+        for radius in smaller_radii
     }
-    clusters = carried(nearer | {cell.radius_m: high}, cell.radius_m, flown_h, assumed, error)
+    clusters = bound_dispersion(
+        counts_at_smaller_radii | {cell.radius_m: high}, cell.radius_m, flown_h, assumed, error
+    )
     observed = observed_dispersion(high)
-    ended = np.where(losses.missing > 0.0, high, 0.0).max(axis=1)
-    allowed = np.maximum(np.maximum(observed, clusters.dispersion), ended)
-    largest = float(clusters.dispersion.max())
+    ended_early = np.where(losses.missing > 0.0, high, 0.0).max(axis=1)
+    allowed = np.maximum(np.maximum(observed, clusters.dispersion), ended_early)
+    largest_dispersion = float(clusters.dispersion.max())
 
-    def upper_per_h(wrong: float) -> FloatArray:
-        return upper_limits(flights, total, allowed, wrong, anytime, losses.missing_shares) / hours
+    def upper_per_h(error_rate: float) -> FloatArray:
+        return (
+            upper_limits(flights, total, allowed, error_rate, anytime, losses.missing_shares)
+            / hours
+        )
 
     lower, lower_all = lower_limits(low, side) / hours, lower_limits(low, side / corners) / hours
     upper, upper_all = upper_per_h(side), upper_per_h(side / corners)
     loss_upper = losses.upper(side, None if rule is None else 1.0) / hours
-    counted, possible = (_per_hour(np.nansum(counts, axis=1), flown_h) for counts in (low, high))
+    best_rates, worst_rates = (
+        _per_hour(np.nansum(counts, axis=1), flown_h) for counts in (low, high)
+    )
     at_best, at_worst = (
-        int(np.where(np.isnan(counted), np.inf, counted).argmin()),
-        int(possible.argmax()),
+        int(np.where(np.isnan(best_rates), np.inf, best_rates).argmin()),
+        int(worst_rates.argmax()),
     )
     names = [rate.epistemic_id for rate in cell.rates]
     acceptable = float(metrics["acceptable_per_h"])
     acceptable_loss = float(metrics.get("acceptable_loss_per_h") or acceptable)
-    told = observed[total >= TOLD]
+    informative = observed[total >= MIN_EXCURSIONS]
     answer, reason = OPEN, ""
     if np.all(upper <= acceptable) and np.all(loss_upper <= acceptable_loss):
-        answer, reason = (OPEN, BEYOND) if clusters.beyond else (YES, "")
-    elif _shown_above(
-        (low, losses.lost), losses.missing, (acceptable * hours, acceptable_loss * hours), error
+        answer, reason = (OPEN, DISPERSION_EXCEEDED) if clusters.is_contradicted else (YES, "")
+    elif _is_above(
+        (low, losses.is_aborted),
+        losses.missing,
+        (acceptable * hours, acceptable_loss * hours),
+        error,
     ):
         answer = NO
-    stands = float("nan")
+    yes_up_to = float("nan")
     if (decided or answer) == YES:
-        stands = float(
+        yes_up_to = float(
             dispersion_that_allows(
                 acceptable * hours, flights, total, side, anytime, losses.missing_shares
             ).min()
@@ -447,15 +460,18 @@ def _statement(
     return Statement(
         cell,
         RateRange(
-            float(counted[at_best]), float(lower.min()), float(upper_all.min()), names[at_best]
+            float(best_rates[at_best]), float(lower.min()), float(upper_all.min()), names[at_best]
         ),
         RateRange(
-            float(possible[at_worst]), float(lower_all.max()), float(upper.max()), names[at_worst]
+            float(worst_rates[at_worst]),
+            float(lower_all.max()),
+            float(upper.max()),
+            names[at_worst],
         ),
         decided or answer,
         acceptable,
-        largest,
-        float(told.max()) if told.size else float("nan"),
+        largest_dispersion,
+        float(informative.max()) if informative.size else float("nan"),
         float(rows["extrapolated_share"].mean()),
         np.column_stack([lower_all, upper_all]),
         observed,
@@ -468,8 +484,8 @@ def _statement(
         float(loss_upper.max()),
         losses.kinds,
         clusters,
-        quiet_flights(acceptable * hours, largest, side, rule is not None) * hours,
-        stands,
+        quiet_flights(acceptable * hours, largest_dispersion, side, rule is not None) * hours,
+        yes_up_to,
         "" if decided else reason,
         points_flown(campaign.get("epistemic", {})),
     )
@@ -477,12 +493,12 @@ def _statement(
 
 def _per_hour(counts: FloatArray, hours: FloatArray) -> FloatArray:
     """Rates; where nothing was flown, infinite for a count and undefined without."""
-    nothing = np.where(counts > 0, np.inf, np.nan)
-    found: FloatArray = np.where(hours > 0, counts / np.where(hours > 0, hours, 1.0), nothing)
-    return found
+    no_time = np.where(counts > 0, np.inf, np.nan)
+    rates: FloatArray = np.where(hours > 0, counts / np.where(hours > 0, hours, 1.0), no_time)
+    return rates
 
 
-def _shown_above(
+def _is_above(
     counts: tuple[FloatArray, FloatArray],
     missing: FloatArray,
     acceptable: tuple[float, float],
@@ -508,27 +524,27 @@ def _shown_above(
     return bool(np.logaddexp.reduce(evidence) - np.log(evidence.size) >= -np.log(error))
 
 
-def _counts(flown: _Flown, column: str) -> tuple[FloatArray, FloatArray]:
+def _count_ranges(flights: _ConditionFlights, column: str) -> tuple[FloatArray, FloatArray]:
     """Least and most excursions of each flight, (corners, flights); NaN where a corner flew fewer.
 
     A flight that failed may have had one more than was seen; one that lost control and flew on
     counts as one at least."""
-    low, high = np.full((2, *flown.losses.lost.shape), np.nan)
-    counts = flown.rows[column].to_numpy(dtype=float, na_value=np.nan)
-    for row, places in enumerate(flown.places):
+    low, high = np.full((2, *flights.losses.is_aborted.shape), np.nan)
+    counts = flights.rows[column].to_numpy(dtype=float, na_value=np.nan)
+    for row, places in enumerate(flights.places):
         counted = counts[places]
-        uncertain = flown.failed[places] | ~np.isfinite(counted)
+        uncertain = flights.failed[places] | ~np.isfinite(counted)
         low[row, : counted.size] = np.nan_to_num(counted)
         high[row, : counted.size] = np.nan_to_num(counted) + uncertain
-    return low, np.fmax(high, np.where(flown.losses.lost > 0, 1.0, high))
+    return low, np.fmax(high, np.where(flights.losses.is_aborted > 0, 1.0, high))
 
 
-def statements_csv(found: Sequence[Statement]) -> bytes:
+def statements_csv(statements: Sequence[Statement]) -> bytes:
     """statements.csv: one row per statement."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_COLUMNS)
-    for item in found:
+    for item in statements:
         cell, rates = item.cell, item.cell.rates
         row = [
             cell.condition.label,
@@ -549,33 +565,33 @@ def statements_csv(found: Sequence[Statement]) -> bytes:
             item.answer,
             f"{CONFIDENCE:g}",
         ]
-        row += [f"{item.dispersion_allowed:g}", number(item.dispersion_observed)]
+        row += [f"{item.dispersion_allowed:g}", format_number(item.dispersion_observed)]
         row += [
             str(sum(rate.flights for rate in rates)),
             f"{sum(rate.hours for rate in rates):.6f}",
         ]
         row += [
             str(sum(rate.failed for rate in rates)),
-            number(item.extrapolated_share),
-            number(item.flight_share_upper),
+            format_number(item.extrapolated_share),
+            format_number(item.flight_share_upper),
         ]
         row += [
             f"{item.acceptable_loss_per_h:g}",
-            number(item.loss_upper_per_h),
+            format_number(item.loss_upper_per_h),
             str(sum(item.aborted.values())),
         ]
         row += [str(item.aborted[kind]) for kind in (LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED)]
         row += [
             item.reason,
             str(item.dispersion.measured),
-            number(item.dispersion.nearest_m),
-            number(item.quiet_hours_needed),
+            format_number(item.dispersion.nearest_m),
+            format_number(item.quiet_hours_needed),
         ]
-        row += [number(item.yes_up_to_dispersion), item.points]
+        row += [format_number(item.yes_up_to_dispersion), item.points]
         writer.writerow(row)
     return buffer.getvalue().encode()
 
 
-def number(value: float) -> str:
+def format_number(value: float) -> str:
     """Empty where undefined."""
     return "" if np.isnan(value) else f"{value:.6g}"

@@ -26,7 +26,7 @@ from uqharness.campaign import (
     band_confidence,
     corners_only_words,
     engine_words,
-    hardest_of,
+    hardest_condition,
     in_condition,
     joint_words,
     read_sensitivity,
@@ -34,8 +34,8 @@ from uqharness.campaign import (
 )
 from uqharness.campaign.conditions import conditions
 from uqharness.campaign.folder import (
+    FULL_FLIGHT,
     STATUS,
-    WHOLE,
     CheckRow,
     as_number,
     read_cases,
@@ -471,7 +471,7 @@ def _verdict(
     what failed.
     """
     kind = kind_of(campaign["epistemic"])
-    hardest = hardest_of(conditions(frame))
+    hardest = hardest_condition(conditions(frame))
     duration = campaign["aleatory"]["duration_s"]
     said = [Say(f"Hardest condition flown: {hardest.words}.")]
     for statement in signed:
@@ -512,7 +512,7 @@ def hardest_first(found: Sequence[Condition]) -> list[Condition]:
     """Conditions from the strongest turbulence and wind to the weakest."""
     left, out = list(found), []
     while left:
-        out.append(hardest_of(left))
+        out.append(hardest_condition(left))
         left.remove(out[-1])
     return out
 
@@ -775,7 +775,7 @@ def shown_cases(frame: pd.DataFrame) -> tuple[str, ...]:
     are fewer, none for a mission without a path."""
     if _WORST not in frame or not frame[_WORST].notna().any():
         return ()
-    rows = in_condition(frame, hardest_of(conditions(frame)))
+    rows = in_condition(frame, hardest_condition(conditions(frame)))
     known = rows[rows[_WORST].notna()].sort_values([_WORST, "case_id"], ascending=[False, True])
     return (
         tuple(str(case) for case in dict.fromkeys(known["case_id"].iloc[[0, len(known) // 2]]))
@@ -788,7 +788,7 @@ def worst_case(frame: pd.DataFrame) -> str:
     """Case with the largest median cross-track error that is known in the hardest condition, the
     first by its id among equals.
     """
-    rows = in_condition(frame, hardest_of(conditions(frame)))
+    rows = in_condition(frame, hardest_condition(conditions(frame)))
     known = rows[rows[_WORST].notna()]
     rows = rows if known.empty else known.sort_values([_WORST, "case_id"], ascending=[False, True])
     return str(rows["case_id"].iloc[0])
@@ -814,7 +814,7 @@ def engine_section(manifest: Mapping[str, Any], rows: Sequence[CheckRow]) -> Sec
     why = tuple(manifest.get("engine", {}).get("why", ()))
     said = engine_words(_NAMES[engine], why)
     blocks: list[Block] = [Words(f"Flown in {said}.")]
-    whole = [row for row in rows if row.part == WHOLE]
+    whole = [row for row in rows if row.part == FULL_FLIGHT]
     if engine == "batch":
         flights = len({row.case_id for row in whole})
         text = (

@@ -15,7 +15,7 @@ import pandas as pd
 
 from sysid.arrays import FloatArray
 from sysid.units import RAD_DEG
-from uqharness.campaign.folder import Rerun
+from uqharness.campaign.folder import RerunResult
 from uqharness.files import write_text
 from uqharness.flight import COEFFICIENTS, FlightSpec
 from uqharness.replay import History, axis_label, shown_channel
@@ -279,7 +279,7 @@ _ANGLES = ("phi_rad", "theta_rad", "alpha_rad", "beta_rad")
 _SURFACES = ("elevator", "aileron", "rudder")
 
 
-def draw_rerun(found: Rerun) -> list[Path]:
+def draw_rerun(found: RerunResult) -> list[Path]:
     """Draw a case that was flown again beside its record; none where it left no record."""
     record = next((path for path in found.files if path.suffix == ".parquet"), None)
     if record is None:

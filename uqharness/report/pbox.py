@@ -16,7 +16,7 @@ import pandas as pd
 
 from sysid.arrays import FloatArray
 from sysid.distributions import normal_tail
-from uqharness.campaign import Converged
+from uqharness.campaign import MetricConvergence
 from uqharness.campaign.spec import NOMINAL
 from uqharness.report.parts import Figure, Figures, Section, shown
 from uqharness.report.svg import Chart, Scale, scale
@@ -309,7 +309,7 @@ def _between(first: float, steps: FloatArray) -> FloatArray:
 # and p-boxes that grow.
 
 
-def convergence_section(item: Converged) -> Section:
+def convergence_section(item: MetricConvergence) -> Section:
     """Repeats, and the area of the p-box against the number of epistemic samples, whichever there
     are.
     """
@@ -320,7 +320,7 @@ def convergence_section(item: Converged) -> Section:
     return Section(f"{item.metric}, {item.condition.words}", (drawn,))
 
 
-def _repeats(item: Converged, place: str) -> Figure | None:
+def _repeats(item: MetricConvergence, place: str) -> Figure | None:
     found = item.repeats
     if found is None:
         return None
@@ -338,7 +338,7 @@ def _repeats(item: Converged, place: str) -> Figure | None:
     return Figure(chart.name, chart.svg(), words)
 
 
-def _growth(item: Converged, place: str) -> Figure | None:
+def _growth(item: MetricConvergence, place: str) -> Figure | None:
     if not item.growth:
         return None
     at = np.log2([float(part.samples) for part in item.growth])

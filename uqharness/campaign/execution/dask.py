@@ -25,7 +25,7 @@ from uqharness.campaign.execution.dask_task import (
     fly_order,
     order_text,
 )
-from uqharness.campaign.execution.processes import BATCH_S, PARTS, singly
+from uqharness.campaign.execution.processes import BATCH_S, PARTS, single_groups
 from uqharness.campaign.execution.worker import (
     CaseOutcome,
     FlightFunction,
@@ -59,8 +59,8 @@ class DaskExecutor:
         self.address = address
         self._client = _connect(address, connect_s)
         self.workers = 0
-        self._looked = -_LOOK_S
-        self._look()
+        self._checked_s = -_LOOK_S
+        self._check_cluster()
 
     def run(
         self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]
@@ -68,16 +68,16 @@ class DaskExecutor:
         """Outcomes as they come. Raises BadInputError if the scheduler is lost or a worker cannot
         fly this campaign.
         """
-        return self.run_groups(OneByOne(fly), singly(flights))
+        return self.run_groups(OneByOne(fly), single_groups(flights))
 
     def run_groups(
         self, fly: GroupFunction, groups: Iterable[Group]
     ) -> Iterator[list[CaseOutcome]]:
         """The same with cases that fly together."""
-        orders = _orders(fly, groups)
+        orders = _make_orders(fly, groups)
         suspects: deque[Order] = deque()
         flying: dict[str, tuple[Any, Order]] = {}
-        landed: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
         rounds: dict[tuple[str, ...], int] = {}
         prefix = uuid.uuid4().hex
         number = 0
@@ -85,23 +85,23 @@ class DaskExecutor:
         handed_on = time.monotonic()
         try:
             while True:
-                self._look()
+                self._check_cluster()
                 while len(flying) < _ORDERS_PER_THREAD * max(self.workers, 1):
                     # Dask suspects all that waited on a lost worker. With one suspect on its way at
                     # a time, the guilty is alone.
-                    alone = suspects and not any(
+                    next_suspect = suspects and not any(
                         order.case_ids in rounds for _, order in flying.values()
                     )
-                    order = suspects.popleft() if alone else next(orders, None)
+                    order = suspects.popleft() if next_suspect else next(orders, None)
                     if order is None:
                         break
                     number += 1
                     future = self._submit(f"{prefix}-{number}", order)
                     flying[future.key] = (future, order)
-                    future.add_done_callback(landed.put)
+                    future.add_done_callback(finished.put)
                 if not flying:
                     break
-                for future, answer in self._answers(_drain(landed)):
+                for future, answer in self._answers(_drain(finished)):
                     _, order = flying.pop(future.key)
                     if answer is not None:
                         batch += answer_from(answer, order.case_ids)
@@ -114,7 +114,7 @@ class DaskExecutor:
                     elif rounds[order.case_ids] < _ROUNDS:
                         suspects.append(order)
                     else:
-                        batch.append(_given_up(order))
+                        batch.append(_lost_outcome(order))
                 if time.monotonic() - handed_on >= BATCH_S:
                     yield batch
                     batch, handed_on = [], time.monotonic()
@@ -140,18 +140,18 @@ class DaskExecutor:
             # run what is no data.
             return self._client.submit(fly_order, order_text(order), key=key, pure=False)
 
-    def _look(self) -> None:
+    def _check_cluster(self) -> None:
         """Count the cluster's threads now and then, and notice that it has gone."""
-        if time.monotonic() - self._looked < _LOOK_S:
+        if time.monotonic() - self._checked_s < _LOOK_S:
             return
         with self._explained():
             deadline = time.monotonic() + _LOST_S
             while self._client.status != "running":
                 if time.monotonic() > deadline or self._client.status == "closed":
-                    raise self._lost()
+                    raise self._lost_error()
                 time.sleep(0.1)
             self.workers = sum(self._client.nthreads().values())
-        self._looked = time.monotonic()
+        self._checked_s = time.monotonic()
 
     def _answers(self, futures: list[Any]) -> Iterator[tuple[Any, Any]]:
         """Each future with its answer; None where Dask gave the case up because the workers that
@@ -185,7 +185,7 @@ class DaskExecutor:
         except BadInputError:
             raise
         except (CancelledError, OSError) as error:
-            raise self._lost() from error
+            raise self._lost_error() from error
         except Exception as error:
             raise BadInputError(
                 f"the Dask cluster at {self.address} cannot fly this campaign:"
@@ -193,7 +193,7 @@ class DaskExecutor:
                 " for every worker, in the versions of this machine"
             ) from error
 
-    def _lost(self) -> BadInputError:
+    def _lost_error(self) -> BadInputError:
         return BadInputError(
             f"the Dask scheduler at {self.address} was lost; everything counted so far is kept:"
             " start it again, then run the same command"
@@ -216,9 +216,9 @@ def _connect(address: str, connect_s: float) -> Any:
             with contextlib.suppress(Exception):
                 self.close(timeout=1.0)
 
-    where = {"scheduler_file": address} if Path(address).is_file() else {"address": address}
+    location = {"scheduler_file": address} if Path(address).is_file() else {"address": address}
     try:
-        return QuietClient(**where, timeout=connect_s, set_as_default=False)
+        return QuietClient(**location, timeout=connect_s, set_as_default=False)
     except Exception as error:
         reason = str(error).strip() or type(error).__name__
         raise BadInputError(
@@ -227,9 +227,9 @@ def _connect(address: str, connect_s: float) -> Any:
         ) from None
 
 
-def _orders(fly: GroupFunction, groups: Iterable[Group]) -> Iterator[Order]:
+def _make_orders(fly: GroupFunction, groups: Iterable[Group]) -> Iterator[Order]:
     content: dict[tuple[Path, Path], tuple[str, str]] = {}
-    together = not isinstance(fly, OneByOne)
+    takes_groups = not isinstance(fly, OneByOne)
     versions, name = binding_versions(), flight_name(fly.fly if isinstance(fly, OneByOne) else fly)
     for group in groups:
         _, first = group.cases[0]
@@ -240,17 +240,19 @@ def _orders(fly: GroupFunction, groups: Iterable[Group]) -> Iterator[Order]:
             (case_id, replace(flight, aircraft=aircraft, script=script))
             for case_id, flight in group.cases
         )
-        yield Order(name, together, Group(group.engine, cases), content[aircraft, script], versions)
+        yield Order(
+            name, takes_groups, Group(group.engine, cases), content[aircraft, script], versions
+        )
 
 
-def _drain(landed: queue.SimpleQueue[Any]) -> list[Any]:
-    found = []
+def _drain(finished: queue.SimpleQueue[Any]) -> list[Any]:
+    futures = []
     with contextlib.suppress(queue.Empty):
-        found.append(landed.get(timeout=BATCH_S))
+        futures.append(finished.get(timeout=BATCH_S))
         while True:
-            found.append(landed.get_nowait())
-    return found
+            futures.append(finished.get_nowait())
+    return futures
 
 
-def _given_up(order: Order) -> CaseOutcome:
+def _lost_outcome(order: Order) -> CaseOutcome:
     return CaseOutcome(order.case_ids[0], "crashed", "every Dask worker that flew it was lost", 0.0)

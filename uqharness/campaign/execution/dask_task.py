@@ -34,7 +34,7 @@ from uqharness.campaign.execution.worker import (
     Group,
     GroupFunction,
     OneByOne,
-    why_not,
+    unavailable_reason,
 )
 from uqharness.campaign.folder.manifest import binding_versions
 from uqharness.child_process import CHILD_ENVIRONMENT
@@ -86,7 +86,7 @@ def order_text(order: Order) -> str:
 
     Raises BadInputError for a path that is no text.
     """
-    text = json.dumps(order, default=_plain, ensure_ascii=False)
+    text = json.dumps(order, default=_as_json_type, ensure_ascii=False)
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -107,7 +107,9 @@ def order_from(text: str) -> Order:
 def answer_text(answer: Answer) -> str:
     """The answer as JSON."""
     return (
-        json.dumps(answer, default=_plain, ensure_ascii=False).encode("utf-8", "replace").decode()
+        json.dumps(answer, default=_as_json_type, ensure_ascii=False)
+        .encode("utf-8", "replace")
+        .decode()
     )
 
 
@@ -143,10 +145,10 @@ def flight_name(fly: FlightFunction | GroupFunction) -> str:
     """
     name = f"{getattr(fly, '__module__', '')}:{getattr(fly, '__qualname__', '')}"
     try:
-        found = _function(name)
+        function = _function(name)
     except BadInputError:
-        found = None
-    if found is not fly:
+        function = None
+    if function is not fly:
         raise BadInputError(
             "a Dask cluster flies with a function that its module holds by name, and not with"
             f" {fly!r}; fly this campaign without --dask"
@@ -156,8 +158,8 @@ def flight_name(fly: FlightFunction | GroupFunction) -> str:
 
 def group_function(order: Order) -> GroupFunction:
     """What flies an order's group. Raises BadInputError as `flight_function` does."""
-    found = flight_function(order.fly)
-    return found if order.together else OneByOne(found)
+    function = flight_function(order.fly)
+    return function if order.together else OneByOne(function)
 
 
 def flight_function(name: str) -> Any:
@@ -179,14 +181,14 @@ def flight_function(name: str) -> Any:
 def _function(name: str) -> Any:
     module, _, qualname = name.partition(":")
     try:
-        found = vars(importlib.import_module(module)).get(qualname)
+        function = vars(importlib.import_module(module)).get(qualname)
     except (ImportError, ValueError) as error:
         raise BadInputError(
             f"the module of the flight function {name!r} cannot be imported: {error}"
         ) from None
-    if not isinstance(found, types.FunctionType):
+    if not isinstance(function, types.FunctionType):
         raise BadInputError(f"there is no flight function {name!r}")
-    return found
+    return function
 
 
 @cache
@@ -194,20 +196,20 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 
-def _read(kind: Callable[..., T], text: Any, what: str) -> T:
+def _read(kind: Callable[..., T], text: Any, kind_name: str) -> T:
     try:
-        found: T = _adapter(kind).validate_json(text, strict=True)
-        return found
+        parsed: T = _adapter(kind).validate_json(text, strict=True)
+        return parsed
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         place = dotted(first["loc"]) or "the whole"
         raise BadInputError(
-            f"malformed {what} on the Dask cluster: {place}: {first['msg']}; every machine needs"
+            f"malformed {kind_name} on the Dask cluster: {place}: {first['msg']}; every machine needs"
             " the same version of uqharness"
         ) from None
 
 
-def _plain(value: Any) -> Any:
+def _as_json_type(value: Any) -> Any:
     """What json does not know, in what it knows."""
     if is_dataclass(value):
         return vars(value)
@@ -240,27 +242,27 @@ def fly_order(text: str) -> str:
     versions are not the campaign's.
     """
     try:
-        return answer_text(Answer(tuple(_flown(order_from(text)))))
+        return answer_text(Answer(tuple(_fly_group(order_from(text)))))
     except BadInputError as error:
         return answer_text(Answer(None, f"Dask worker on {socket.gethostname()}: {error}"))
 
 
-def _flown(order: Order) -> list[CaseOutcome]:
+def _fly_group(order: Order) -> list[CaseOutcome]:
     fly = group_function(order)
     _refuse_unfit(order.group)
     _, flight = order.group.cases[0]
-    _refuse_unlike(order.versions, order.content, flight.aircraft, flight.script)
+    _refuse_other_versions(order.versions, order.content, flight.aircraft, flight.script)
     _refuse_without_engine(order.group.engine)
-    executor = _take(order.fly)
+    executor = _take_executor(order.fly)
     try:
-        found = {
+        outcomes = {
             item.case_id: item
             for batch in executor.run_groups(fly, [order.group])
             for item in batch
         }
     finally:
         _idle.append((order.fly, executor))
-    return [found[case_id] for case_id in order.case_ids]
+    return [outcomes[case_id] for case_id in order.case_ids]
 
 
 def _refuse_unfit(group: Group) -> None:
@@ -287,17 +289,17 @@ def _refuse_unfit(group: Group) -> None:
             "burn_in_s": (flight.burn_in_s, _LONGEST_S),
             "record_rate_hz": (flight.record_rate_hz, _FASTEST_HZ),
         }
-        for name, (value, most) in limits.items():
+        for name, (value, upper) in limits.items():
             # NaN is within no limits.
-            if not 0.0 <= value <= most:
+            if not 0.0 <= value <= upper:
                 raise BadInputError(
                     f"malformed order on the Dask cluster: {name} {value:g}; allowed is 0 to"
-                    f" {most:g}"
+                    f" {upper:g}"
                 )
 
 
 def _refuse_without_engine(name: str) -> None:
-    reason = why_not(name)
+    reason = unavailable_reason(name)
     if reason is not None:
         raise BadInputError(f"the campaign flies in the batch engine, and {reason}")
 
@@ -306,13 +308,13 @@ def _refuse_without_engine(name: str) -> None:
 _idle: list[tuple[str, ProcessExecutor]] = []
 
 
-def _take(fly: str) -> ProcessExecutor:
+def _take_executor(fly: str) -> ProcessExecutor:
     while _idle:
         try:
-            found, executor = _idle.pop()
+            name, executor = _idle.pop()
         except IndexError:
             break
-        if found == fly:
+        if name == fly:
             return executor
         executor.close()
     # Dask's nannies start workers as daemons, which Python forbids children, lest they be orphaned:
@@ -328,23 +330,23 @@ def _take(fly: str) -> ProcessExecutor:
 _versions_here = lru_cache(maxsize=1)(binding_versions)
 
 
-def _refuse_unlike(
+def _refuse_other_versions(
     versions: tuple[tuple[str, str], ...], content: tuple[str, str], aircraft: Path, script: Path
 ) -> None:
-    there, here = dict(versions), dict(_versions_here())
+    campaign_versions, local_versions = dict(versions), dict(_versions_here())
     unlike = [
-        f"{name} {there.get(name, 'unknown')} there, {here.get(name, 'unknown')} here"
-        for name in dict.fromkeys([*there, *here])
-        if there.get(name) != here.get(name)
+        f"{name} {campaign_versions.get(name, 'unknown')} there, {local_versions.get(name, 'unknown')} here"
+        for name in dict.fromkeys([*campaign_versions, *local_versions])
+        if campaign_versions.get(name) != local_versions.get(name)
     ]
-    found = content_of(aircraft, script)
-    for what, path, wanted, have in zip(
-        ("aircraft", "script"), (aircraft, script), content, found, strict=True
+    local_content = content_of(aircraft, script)
+    for kind, path, expected_hash, local_hash in zip(
+        ("aircraft", "script"), (aircraft, script), content, local_content, strict=True
     ):
-        if have == ABSENT:
-            unlike.append(f"{what} {path} is not here")
-        elif have != wanted:
-            unlike.append(f"{what} {path} has other content here")
+        if local_hash == ABSENT:
+            unlike.append(f"{kind} {path} is not here")
+        elif local_hash != expected_hash:
+            unlike.append(f"{kind} {path} has other content here")
     if unlike:
         raise BadInputError(
             f"{'; '.join(unlike)}. Every machine needs the same versions, and the files "

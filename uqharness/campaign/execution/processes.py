@@ -85,7 +85,7 @@ def default_timeout_s(flight: FlightSpec) -> float:
     return 60.0 + 0.1 * (flight.duration_s + flight.burn_in_s)
 
 
-def singly(flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[Group]:
+def single_groups(flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[Group]:
     """Groups of one."""
     return (Group("", (case,)) for case in flights)
 
@@ -102,7 +102,7 @@ class SerialExecutor:
         self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]
     ) -> Iterator[list[CaseOutcome]]:
         """Fly one after another in this process; see :meth:`Executor.run`."""
-        yield from self.run_groups(OneByOne(fly), singly(flights))
+        yield from self.run_groups(OneByOne(fly), single_groups(flights))
 
     def run_groups(
         self, fly: GroupFunction, groups: Iterable[Group]
@@ -152,8 +152,8 @@ class ProcessExecutor:
         keep: bool = False,
     ) -> None:
         if start_method not in multiprocessing.get_all_start_methods():
-            known = ", ".join(multiprocessing.get_all_start_methods())
-            raise BadInputError(f"start method '{start_method}': this system has {known}")
+            available = ", ".join(multiprocessing.get_all_start_methods())
+            raise BadInputError(f"start method '{start_method}': this system has {available}")
         self.workers = whole("workers", workers, 1)
         self._context: Any = multiprocessing.get_context(start_method)
         self._timeout_s = timeout_s
@@ -168,23 +168,23 @@ class ProcessExecutor:
         """Fly in worker processes that are replaced when they die or hang; see
         :meth:`Executor.run`.
         """
-        return self.run_groups(OneByOne(fly), singly(flights))
+        return self.run_groups(OneByOne(fly), single_groups(flights))
 
     def run_groups(
         self, fly: GroupFunction, groups: Iterable[Group]
     ) -> Iterator[list[CaseOutcome]]:
         """Fly groups in worker processes; see :meth:`Executor.run_groups`."""
         source = (_Task(group) for group in groups)
-        again: deque[_Task] = deque()
+        retry_queue: deque[_Task] = deque()
         pool: list[_Worker] = self._kept
         self._start_failures, self._scripted = (
             0,
-            _of_the_script(fly.fly if isinstance(fly, OneByOne) else fly),
+            _is_defined_in_script(fly.fly if isinstance(fly, OneByOne) else fly),
         )
         done = False
         with child_settings():
             try:
-                yield from self._loop(fly, source, again, pool)
+                yield from self._loop(fly, source, retry_queue, pool)
                 done = True
             finally:
                 if not (done and self._keep):
@@ -195,12 +195,16 @@ class ProcessExecutor:
         _stop(self._kept)
 
     def _loop(
-        self, fly: GroupFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]
+        self,
+        fly: GroupFunction,
+        source: Iterator[_Task],
+        retry_queue: deque[_Task],
+        pool: list[_Worker],
     ) -> Iterator[list[CaseOutcome]]:
         batch: list[CaseOutcome] = []
         handed_on = time.monotonic()
         while True:
-            self._feed(fly, source, again, pool)
+            self._feed(fly, source, retry_queue, pool)
             busy = [worker for worker in pool if worker.tasks]
             if not busy:
                 break
@@ -209,30 +213,34 @@ class ProcessExecutor:
                 timeout=BATCH_S,
             )
             for worker in list(pool):
-                alive = (
+                is_alive = (
                     worker.process.is_alive()
                 )  # asked before reading, so that nothing sent before death is missed
                 batch += self._receive(worker)
-                if not alive:
+                if not is_alive:
                     pool.remove(worker)
-                    batch += self._bury(worker, again)
+                    batch += self._bury(worker, retry_queue)
                 elif worker.tasks:
                     limit = self._limit_s(worker.tasks[0].group) if worker.ready else _START_S
                     if time.monotonic() - worker.head_since > limit:
                         pool.remove(worker)
-                        batch += self._give_up(worker, again, limit)
+                        batch += self._give_up(worker, retry_queue, limit)
             if time.monotonic() - handed_on >= BATCH_S:
                 yield batch
                 batch, handed_on = [], time.monotonic()
         yield batch
 
     def _feed(
-        self, fly: GroupFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]
+        self,
+        fly: GroupFunction,
+        source: Iterator[_Task],
+        retry_queue: deque[_Task],
+        pool: list[_Worker],
     ) -> None:
         """Top up every worker, the emptiest first; start a worker only for a case that
         needs one.
         """
-        tasks = itertools.chain(_drained(again), source)
+        tasks = itertools.chain(_drained(retry_queue), source)
         for depth in range(_QUEUED_PER_WORKER):
             for slot in range(self.workers):
                 if slot < len(pool) and len(pool[slot].tasks) > depth:
@@ -271,10 +279,10 @@ class ProcessExecutor:
         """That of its first flight, and a hundredth for each other: flights of a group share their
         steps.
         """
-        first, *others = (self._timeout_s(flight) for _, flight in group.cases)
-        return first + _GROUP_SHARE * sum(others)
+        first, *remaining_limits = (self._timeout_s(flight) for _, flight in group.cases)
+        return first + _GROUP_SHARE * sum(remaining_limits)
 
-    def _bury(self, worker: _Worker, again: deque[_Task]) -> list[CaseOutcome]:
+    def _bury(self, worker: _Worker, retry_queue: deque[_Task]) -> list[CaseOutcome]:
         worker.process.join()
         code = worker.process.exitcode
         worker.pipe.close()
@@ -289,45 +297,55 @@ class ProcessExecutor:
                     f"worker processes end before they start ({ending(code)}); see their message"
                     f" above{advice}"
                 )
-            again.extendleft(reversed(worker.tasks))
+            retry_queue.extendleft(reversed(worker.tasks))
             return []
         outside = code in _OUTSIDE_SIGNALS
         return self._second_chance(
-            worker, again, outside, "crashed", f"the worker process ended: {ending(code)}"
+            worker, retry_queue, outside, "crashed", f"the worker process ended: {ending(code)}"
         )
 
-    def _give_up(self, worker: _Worker, again: deque[_Task], limit_s: float) -> list[CaseOutcome]:
+    def _give_up(
+        self, worker: _Worker, retry_queue: deque[_Task], limit_s: float
+    ) -> list[CaseOutcome]:
         worker.process.kill()
         worker.process.join()
         worker.pipe.close()
         return self._second_chance(
-            worker, again, False, "timeout", f"no result after {limit_s:g} s"
+            worker, retry_queue, False, "timeout", f"no result after {limit_s:g} s"
         )
 
     def _second_chance(
-        self, worker: _Worker, again: deque[_Task], outside: bool, status: str, reason: str
+        self,
+        worker: _Worker,
+        retry_queue: deque[_Task],
+        killed_from_outside: bool,
+        status: str,
+        reason: str,
     ) -> list[CaseOutcome]:
         """The group at the head of the dead worker's queue gets the blame; those behind it were not
         begun.
         """
         if not worker.tasks:
             return []
-        guilty = worker.tasks.popleft()
-        again.extendleft(reversed(worker.tasks))
-        if len(guilty.group.cases) > 1:
-            again.extendleft(_Task(part) for part in reversed(guilty.group.parts(PARTS)))
+        failed_task = worker.tasks.popleft()
+        retry_queue.extendleft(reversed(worker.tasks))
+        if len(failed_task.group.cases) > 1:
+            retry_queue.extendleft(_Task(part) for part in reversed(failed_task.group.parts(PARTS)))
             return []
-        guilty.failures += not outside
-        guilty.outside_kills += outside
-        if guilty.failures <= self._retries and guilty.outside_kills <= _RETRIES_AFTER_OUTSIDE_KILL:
-            again.appendleft(guilty)
+        failed_task.failures += not killed_from_outside
+        failed_task.outside_kills += killed_from_outside
+        if (
+            failed_task.failures <= self._retries
+            and failed_task.outside_kills <= _RETRIES_AFTER_OUTSIDE_KILL
+        ):
+            retry_queue.appendleft(failed_task)
             return []
-        times = guilty.failures + guilty.outside_kills
-        ((case_id, _),) = guilty.group.cases
+        times = failed_task.failures + failed_task.outside_kills
+        ((case_id, _),) = failed_task.group.cases
         return [CaseOutcome(case_id, status, f"{reason} (tried {times} times)", 0.0)]
 
 
-def _of_the_script(fly: FlightFunction | GroupFunction) -> bool:
+def _is_defined_in_script(fly: FlightFunction | GroupFunction) -> bool:
     """Whether a worker needs the script that was started in order to find the flight function."""
     return "__main__" in (getattr(fly, "__module__", ""), type(fly).__module__)
 

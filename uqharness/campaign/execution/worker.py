@@ -161,12 +161,12 @@ class Batch(Protocol):
         ...
 
 
-class OwnBatch:
+class LocalBatch:
     """This program's batch engine."""
 
     def available(self) -> str | None:
         """None if it can fly on this machine, else the sentence that says why not."""
-        return why_not(BATCH)
+        return unavailable_reason(BATCH)
 
     def refusals(self, spec: FlightSpec, varying: Collection[str]) -> tuple[str, ...]:
         """See :class:`Batch`."""
@@ -175,7 +175,7 @@ class OwnBatch:
         return refusals(spec, varying)
 
 
-def why_not(engine: str) -> str | None:
+def unavailable_reason(engine: str) -> str | None:
     """None if this machine can fly in the engine of that name, else the sentence that says
     why not.
     """
@@ -207,7 +207,7 @@ def with_distances(result: FlightResult, flight: FlightSpec) -> FlightResult:
     """The result with, for each count of excursions, how near the record came to a distance at
     which it counts or re-arms [m].
     """
-    found: dict[str, float] = {}
+    distances: dict[str, float] = {}
     for radius in flight.excursion_radius_m:
         for distance_name, suffix in (("cross_track", ""), ("distance_3d", "_3d")):
             distance = np.abs(result.signals.get(distance_name, np.zeros(0)))
@@ -216,5 +216,5 @@ def with_distances(result: FlightResult, flight: FlightSpec) -> FlightResult:
                 for limit in (radius, radius - flight.rearm_m)
                 if distance.size
             ]
-            found[f"{NEAREST}excursions_{radius:g}m{suffix}"] = float(min(gaps, default=np.nan))
-    return replace(result, metrics={**result.metrics, **found})
+            distances[f"{NEAREST}excursions_{radius:g}m{suffix}"] = float(min(gaps, default=np.nan))
+    return replace(result, metrics={**result.metrics, **distances})

@@ -29,7 +29,7 @@ from uqharness.files import write_bytes
 FORMAT = 2
 FORMAT_WITHOUT_DIGESTS = 1
 """What uqharness 0.1 wrote."""
-RUNNING, INTERRUPTED, COMPLETE, SPOILT = "running", "interrupted", "complete", "spoilt"
+RUNNING, INTERRUPTED, COMPLETE, MIXED = "running", "interrupted", "complete", "spoilt"
 """States; spoilt: aircraft or script was edited while it flew."""
 
 _Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
@@ -73,7 +73,7 @@ class _Content(_Part):
     sums: Literal["SHA256SUMS"] | None = None
 
     @model_validator(mode="after")
-    def _whole(self) -> _Content:
+    def _check_complete(self) -> _Content:
         missing = [name for name in ("aircraft", "script") if name not in self.hashes]
         if missing:
             raise ValueError(f"hashes lack {missing[0]}")
@@ -88,21 +88,21 @@ def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
     ValueError naming the first thing that is not what it must be.
     """
     try:
-        found = _Content.model_validate(data)
+        content = _Content.model_validate(data)
     except ValidationError as error:
-        raise ValueError(_words(error)) from None
+        raise ValueError(_error_text(error)) from None
     try:
-        settings = checked_settings(_as_it_was(found.campaign))
+        settings = checked_settings(_fill_old_defaults(content.campaign))
     except ValidationError as error:
-        raise ValueError(_words(error, "campaign")) from None
-    if settings["campaign"]["seed"] != found.seed:
+        raise ValueError(_error_text(error, "campaign")) from None
+    if settings["campaign"]["seed"] != content.seed:
         raise ValueError(
-            f"seed is {found.seed}, that of the campaign in it {settings['campaign']['seed']}"
+            f"seed is {content.seed}, that of the campaign in it {settings['campaign']['seed']}"
         )
     return {**data, "campaign": settings}
 
 
-def _as_it_was(campaign: dict[str, Any]) -> dict[str, Any]:
+def _fill_old_defaults(campaign: dict[str, Any]) -> dict[str, Any]:
     """Fill in what older versions flew: JSBSim as the engine, and corners without interior points
     or the nominal model.
     """
@@ -117,13 +117,13 @@ def _as_it_was(campaign: dict[str, Any]) -> dict[str, Any]:
     return filled
 
 
-def _words(error: ValidationError, *section: str) -> str:
+def _error_text(error: ValidationError, *section: str) -> str:
     first = error.errors()[0]
     place = ".".join(map(str, (*section, *first["loc"])))
     if first["type"] == "missing":
         return f"{place} is missing"
-    said = first["msg"].removeprefix("Value error, ").replace("Input should", "must")
-    return f"{place}: {said}" if place else said
+    message = first["msg"].removeprefix("Value error, ").replace("Input should", "must")
+    return f"{place}: {message}" if place else message
 
 
 # Digests by which a campaign's folder shows damage, and the one sentence that tells of it.
@@ -137,11 +137,11 @@ class DamageError(BadInputError):
     ``what`` is the short reason, without path and advice.
     """
 
-    def __init__(self, path: Path, what: str, folder: Path) -> None:
-        self.what = what
+    def __init__(self, path: Path, problem: str, folder: Path) -> None:
+        self.what = problem
         place = shlex.quote(str(folder))
         super().__init__(
-            f"{path}: damaged: {what}; nothing was changed. `uqharness campaign verify {place}`"
+            f"{path}: damaged: {problem}; nothing was changed. `uqharness campaign verify {place}`"
             f" says what is whole, `uqharness campaign salvage {place}` keeps it and makes the rest"
             " again"
         )
@@ -165,7 +165,7 @@ def digest_of_rows(digests: Iterable[str]) -> str:
     return sha256_of_parts(digest.encode() for digest in digests)
 
 
-def summed(total: str, added: Iterable[str], removed: Iterable[str] = ()) -> str:
+def sum_digests(total: str, added: Iterable[str], removed: Iterable[str] = ()) -> str:
     """Sum of digests as numbers: tells whether a set of rows is complete, and may be kept up to
     date row by row.
     """
@@ -187,18 +187,18 @@ _RECORDED_VERSIONS = ("scipy", "pyarrow", "pandas", "llvmlite")
 
 def versions() -> dict[str, str]:
     """Versions of this program, of what it flies with and of what writes its tables."""
-    found = {"uqharness": uqharness.__version__, "python": platform.python_version()}
+    result = {"uqharness": uqharness.__version__, "python": platform.python_version()}
     for name in (*_BINDING_VERSIONS[1:], *_RECORDED_VERSIONS):
         # llvmlite may be left out.
         with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
+            result[name] = metadata.version(name)
+    return result
 
 
 def binding_versions() -> tuple[tuple[str, str], ...]:
     """Names and versions of what must be alike wherever flights of one campaign are flown."""
-    found = versions()
-    return tuple((name, found[name]) for name in _BINDING_VERSIONS)
+    installed = versions()
+    return tuple((name, installed[name]) for name in _BINDING_VERSIONS)
 
 
 def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> dict[str, Any]:
@@ -261,15 +261,15 @@ def _parsed(content: bytes, path: Path) -> dict[str, Any]:
         raise ValueError("not text in UTF-8") from None
     except ValueError as error:
         raise ValueError(f"not JSON: {error}") from None
-    known = (FORMAT, FORMAT_WITHOUT_DIGESTS)
+    readable_formats = (FORMAT, FORMAT_WITHOUT_DIGESTS)
     if (
         not isinstance(manifest, dict)
-        or type(found := manifest.get("format")) is not int
-        or found not in known
+        or type(file_format := manifest.get("format")) is not int
+        or file_format not in readable_formats
     ):
         raise BadInputError(f"{path}: written by another version of uqharness, or not by uqharness")
     digest = manifest.pop("digest", None)
-    if digest != (digest_of_text(manifest) if found == FORMAT else None):
+    if digest != (digest_of_text(manifest) if file_format == FORMAT else None):
         raise ValueError("its content does not fit its digest")
     return checked_content(manifest)
 
@@ -313,42 +313,44 @@ def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def refuse_if_different(
-    folder: Path, old: Mapping[str, Any], new: Mapping[str, Any], but_for: tuple[str, ...] = ()
+    folder: Path, old: Mapping[str, Any], new: Mapping[str, Any], ignore: tuple[str, ...] = ()
 ) -> None:
     """BadInputError naming every difference that makes the folder's flights no part of the campaign
     now asked for.
 
-    Versions and hashes named in ``but_for`` may differ.
+    Versions and hashes named in ``ignore`` may differ.
     """
     differences = [
         f"{name} {old['versions'].get(name)} then, {new['versions'].get(name)} now"
         for name in _BINDING_VERSIONS
-        if name not in but_for and old["versions"].get(name) != new["versions"].get(name)
+        if name not in ignore and old["versions"].get(name) != new["versions"].get(name)
     ]
-    was, now = _flat(old["campaign"]), _flat(new["campaign"])
-    for key in sorted(was.keys() | now.keys()):
-        if key == "campaign.engine" and now.get(key, "auto") == "auto":
+    old_settings, new_settings = _flatten(old["campaign"]), _flatten(new["campaign"])
+    for key in sorted(old_settings.keys() | new_settings.keys()):
+        if key == "campaign.engine" and new_settings.get(key, "auto") == "auto":
             continue  # whichever flew before
-        if key not in ("campaign.aircraft", "campaign.mission") and was.get(key) != now.get(key):
+        if key not in ("campaign.aircraft", "campaign.mission") and old_settings.get(
+            key
+        ) != new_settings.get(key):
             section, _, name = key.partition(".")
             differences.append(
-                f"[{section}] {name} was {json.dumps(was.get(key))}, is {json.dumps(now.get(key))}"
+                f"[{section}] {name} was {json.dumps(old_settings.get(key))}, is {json.dumps(new_settings.get(key))}"
             )
     for name, setting in (("aircraft", "aircraft"), ("script", "mission")):
-        before, after = old["hashes"][name], new["hashes"][name]
-        if name not in but_for and before != after:
-            what = now.get(f"campaign.{setting}")
+        old_hash, new_hash = old["hashes"][name], new["hashes"][name]
+        if name not in ignore and old_hash != new_hash:
+            setting_value = new_settings.get(f"campaign.{setting}")
             differences.append(
-                f"the content of the {name} ({what}) has changed: {before[:12]} then,"
-                f" {after[:12]} now"
+                f"the content of the {name} ({setting_value}) has changed: {old_hash[:12]} then,"
+                f" {new_hash[:12]} now"
             )
     for role in sorted((old["hashes"].keys() | new["hashes"].keys()) - {"aircraft", "script"}):
-        before, after = (
+        old_hash, new_hash = (
             hashes.get(role, "absent")[:12] for hashes in (old["hashes"], new["hashes"])
         )
-        if before != after:
+        if old_hash != new_hash:
             differences.append(
-                f"the content of the file named as {role} has changed: {before} then, {after} now"
+                f"the content of the file named as {role} has changed: {old_hash} then, {new_hash} now"
             )
     if differences:
         raise BadInputError(
@@ -357,11 +359,11 @@ def refuse_if_different(
         )
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
+def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, Mapping):
-            found |= _flat(value, f"{prefix}{key}.")
+            flat |= _flatten(value, f"{prefix}{key}.")
         else:
-            found[f"{prefix}{key}"] = value
-    return found
+            flat[f"{prefix}{key}"] = value
+    return flat

@@ -15,7 +15,7 @@ from sysid.units import FT_M
 from uqharness.campaign.cases import Case, build_cases
 from uqharness.campaign.engines import make_copy, needs_copy
 from uqharness.campaign.execution.processes import ProcessExecutor
-from uqharness.campaign.execution.worker import JSBSIM, CaseOutcome, fly_group, why_not
+from uqharness.campaign.execution.worker import JSBSIM, CaseOutcome, fly_group, unavailable_reason
 from uqharness.campaign.folder.manifest import (
     describe,
     read_manifest,
@@ -43,7 +43,7 @@ RECORD_HZ = 50.0
 
 
 @dataclass(frozen=True)
-class Rerun:
+class RerunResult:
     """What came of it. ``same``: status and every metric equal the stored ones; None where the case
     had not been flown yet.
     """
@@ -82,7 +82,7 @@ class RecordedFlight:
             if mission.aircraft.has_card
             else {name: table.pop(name) for name in set(table) - set(properties.STANDARD)}
         )
-        optional |= properties.standard_positions() | _more(mission.aircraft.card.metrics)
+        optional |= properties.standard_positions() | _extra_signals(mission.aircraft.card.metrics)
         rate_hz = min(RECORD_HZ, 1.0 / mission.aircraft.dt_s)
         full = record_mission(mission, _at_rate(spec, rate_hz), table, optional, keep_burn_in=True)
         frame = pd.DataFrame(full.signals)
@@ -91,7 +91,7 @@ class RecordedFlight:
         return result
 
 
-def rerun_case(folder: Path, case_id: str) -> Rerun:
+def rerun_case(folder: Path, case_id: str) -> RerunResult:
     """Fly the case (its id, or the unique beginning of one) in a process of its own, into
     ``folder``/rerun/<case id>.
 
@@ -103,7 +103,7 @@ def rerun_case(folder: Path, case_id: str) -> Rerun:
     mission = find_mission(spec, folder)
     refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""))
     case = _find_case(build_cases(spec, mission), case_id, folder)
-    reason = why_not(case.engine)
+    reason = unavailable_reason(case.engine)
     if reason is not None:
         raise BadInputError(
             f"{folder}: this campaign flies in the batch engine, and {reason}; fly the case where"
@@ -131,7 +131,7 @@ def rerun_case(folder: Path, case_id: str) -> Rerun:
     differences = () if stored is None else tuple(_differences(stored, outcome))
     same = None if stored is None else not differences
     files = _write(target, case, outcome, same, differences, record)
-    return Rerun(case, outcome, same, differences, target, files)
+    return RerunResult(case, outcome, same, differences, target, files)
 
 
 def _at_rate(spec: FlightSpec, rate_hz: float) -> FlightSpec:
@@ -140,7 +140,7 @@ def _at_rate(spec: FlightSpec, rate_hz: float) -> FlightSpec:
     return replace(spec, record_rate_hz=rate_hz)
 
 
-def _more(metrics: Mapping[str, Any]) -> dict[str, Source]:
+def _extra_signals(metrics: Mapping[str, Any]) -> dict[str, Source]:
     """What stands beside a flight record: errors as scored, position, levels, bounds and deltas,
     air.
     """
@@ -156,8 +156,8 @@ def _more(metrics: Mapping[str, Any]) -> dict[str, Source]:
         "load_factor": Source("accelerations/Nz"),
     }
     for name in COEFFICIENTS:
-        for what in ("level", "lower", "upper", "delta", "transient-level"):
-            table[f"{what.replace('-', '_')}_{name}"] = Source(f"uq/{name}/{what}")
+        for quantity in ("level", "lower", "upper", "delta", "transient-level"):
+            table[f"{quantity.replace('-', '_')}_{name}"] = Source(f"uq/{name}/{quantity}")
     table |= {name: Source(f"uq/{name}") for name in ("extrapolated", "extrapolation")}
     return table | {
         f"wind_{axis}_mps": Source(f"atmosphere/total-wind-{axis}-fps", FT_M)
@@ -166,12 +166,12 @@ def _more(metrics: Mapping[str, Any]) -> dict[str, Source]:
 
 
 def _find_case(cases: tuple[Case, ...], case_id: str, folder: Path) -> Case:
-    found = [case for case in cases if case_id and case.case_id.startswith(case_id)]
-    if len(found) == 1:
-        return found[0]
-    if found:
+    matches = [case for case in cases if case_id and case.case_id.startswith(case_id)]
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
         raise BadInputError(
-            f"--case {case_id}: {len(found)} cases of {folder} begin so; give more of the id"
+            f"--case {case_id}: {len(matches)} cases of {folder} begin so; give more of the id"
         )
     raise BadInputError(
         f"--case {case_id}: {folder} has no such case; ids stand in cases.parquet and, for failed"
@@ -181,24 +181,24 @@ def _find_case(cases: tuple[Case, ...], case_id: str, folder: Path) -> Case:
 
 def _stored(folder: Path, case_id: str) -> CaseOutcome | None:
     with Store(folder, read_only=True) as store:
-        found = store.outcome(case_id)
-        if found is None:
+        outcome = store.outcome(case_id)
+        if outcome is None:
             # Not flown yet, if all that was flown is there.
             store.finished()
-        return found
+        return outcome
 
 
 def _differences(stored: CaseOutcome, outcome: CaseOutcome) -> list[str]:
-    found = (
+    differences = (
         []
         if stored.status == outcome.status
         else [f"status {stored.status} then, {outcome.status} now"]
     )
     for name in sorted(stored.metrics.keys() | outcome.metrics.keys()):
-        then, now = (item.metrics.get(name, math.nan) for item in (stored, outcome))
-        if then != now and not (math.isnan(then) and math.isnan(now)):
-            found.append(f"{name} {then!r} then, {now!r} now")
-    return found
+        stored_value, new_value = (item.metrics.get(name, math.nan) for item in (stored, outcome))
+        if stored_value != new_value and not (math.isnan(stored_value) and math.isnan(new_value)):
+            differences.append(f"{name} {stored_value!r} then, {new_value!r} now")
+    return differences
 
 
 def _write(

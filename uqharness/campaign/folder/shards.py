@@ -27,8 +27,8 @@ from uqharness.campaign.folder.manifest import (
     COMPLETE,
     INTERRUPTED,
     MANIFEST,
+    MIXED,
     RUNNING,
-    SPOILT,
     DamageError,
     describe,
     has_digests,
@@ -129,7 +129,7 @@ def lines(answers: Sequence[Answer]) -> list[str]:
         return []
     first, count = answers[0], Counter(answer.answer for answer in answers)
     summary = ", ".join(f"{count[word]} {_WORDS.get(word, word)}" for word in _ORDER if count[word])
-    found = [
+    result = [
         (
             f"at most {counted(first.acceptable_per_h, 'excursion')} per hour beyond {first.radius_m:g}"
             f" m? {summary}"
@@ -138,7 +138,7 @@ def lines(answers: Sequence[Answer]) -> list[str]:
     for answer in answers:
         reason = f" ({answer.reason})" if answer.reason else ""
         share = answer.flight_share_upper
-        said = (
+        share_text = (
             ""
             if share is None
             else (
@@ -147,8 +147,10 @@ def lines(answers: Sequence[Answer]) -> list[str]:
             )
         )
         word = _WORDS.get(answer.answer, answer.answer)
-        found.append(f"  {answer.condition}: {word}{reason}, {answer.hours:.4g} flight h{said}")
-    return found
+        result.append(
+            f"  {answer.condition}: {word}{reason}, {answer.hours:.4g} flight h{share_text}"
+        )
+    return result
 
 
 # The end of a campaign: digests of its journal and tables in the manifest, and whether they
@@ -171,18 +173,18 @@ def sealed(
     return {**manifest, **ending, "sums": checksums.SUMS}
 
 
-def seal_files(folder: Path, earlier: checksums.Earlier | None = None) -> None:
+def seal_files(folder: Path, previous: checksums.Earlier | None = None) -> None:
     """Write SHA256SUMS of a complete campaign's folder, the last file that a run writes.
 
     Raises BadInputError.
     """
-    damaged = {} if earlier is None else dict(earlier.damaged)
+    damaged = {} if previous is None else dict(previous.damaged)
     for name in (MANIFEST, JOURNAL, *TABLE_NAMES):
         damaged.pop(name, None)  # they have just been held against digests of their own, or written
     checksums.write_sums(folder, checksums.Earlier(damaged))
 
 
-def refuse_if_not_whole(folder: Path, store: Store, manifest: Mapping[str, Any]) -> None:
+def refuse_if_changed(folder: Path, store: Store, manifest: Mapping[str, Any]) -> None:
     """DamageError where the journal of a complete campaign is not the one that the manifest
     lists.
     """
@@ -193,7 +195,7 @@ def refuse_if_not_whole(folder: Path, store: Store, manifest: Mapping[str, Any])
         )
 
 
-def mend_tables(
+def rewrite_damaged_tables(
     folder: Path,
     manifest: Mapping[str, Any],
     spec: CampaignSpec,
@@ -205,9 +207,9 @@ def mend_tables(
 
     The journal must be whole. A table of another command (sensitivity.csv) is left as it is.
     """
-    written = manifest.get("tables", {})
+    digests = manifest.get("tables", {})
     damaged = {
-        name for name, digest in table_digests(folder, manifest).items() if digest != written[name]
+        name for name, digest in table_digests(folder, manifest).items() if digest != digests[name]
     }
     if not damaged:
         return ()
@@ -244,7 +246,7 @@ class Shard:
 
 
 @dataclass(frozen=True)
-class Merged:
+class MergeResult:
     """What a merge found: cases of the campaign, those that no shard has flown, failures; damaged
     tables that are whole again.
     """
@@ -269,10 +271,10 @@ class Merged:
 
 def parse_shard(text: str) -> Shard:
     """``2/8`` as a shard. Raises BadInputError."""
-    found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip())
-    if not found or not 1 <= int(found.group(1)) <= int(found.group(2)):
+    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip())
+    if not match or not 1 <= int(match.group(1)) <= int(match.group(2)):
         raise BadInputError(f"--shard {text}: must be i/n with 1 <= i <= n, such as 2/8")
-    return Shard(int(found.group(1)), int(found.group(2)))
+    return Shard(int(match.group(1)), int(match.group(2)))
 
 
 def shard_folders(folder: Path) -> list[Path]:
@@ -280,7 +282,7 @@ def shard_folders(folder: Path) -> list[Path]:
     return sorted(path.parent for path in (folder / SHARDS).glob(f"*/{MANIFEST}"))
 
 
-def merge(folder: Path) -> Merged:
+def merge(folder: Path) -> MergeResult:
     """Bring the flights of all shards in ``folder`` together; with the last one in, write the
     tables.
 
@@ -300,37 +302,39 @@ def merge(folder: Path) -> Merged:
     hashes = first["hashes"]
     mission = Mission(Path(), hashes["aircraft"], Path(), hashes["script"])
     cases = build_cases(spec, mission)
-    wanted = {case.case_id for case in cases}
+    case_ids = {case.case_id for case in cases}
     command = first["command"].partition(" --shard ")[0]
     manifest = describe(spec, mission, len(cases), command) | {
         name: first[name] for name in ("versions", "engine") if name in first
     }
     with run_lock(folder):
-        old = _merged_before(folder, manifest)
+        old = _previous_merge(folder, manifest)
         for part in folders:
-            found = read_manifest(part)
-            refuse_without_digests(part, found)
-            refuse_if_different(part, found, manifest)
-            if found["state"] == SPOILT:
+            part_manifest = read_manifest(part)
+            refuse_without_digests(part, part_manifest)
+            refuse_if_different(part, part_manifest, manifest)
+            if part_manifest["state"] == MIXED:
                 raise BadInputError(
                     f"{part}: aircraft or script was edited while it flew; remove it and fly that"
                     " shard again"
                 )
         if old is not None and old["state"] == COMPLETE:
             with Store(folder) as store:
-                refuse_if_not_whole(folder, store, old)
-                rewritten = mend_tables(folder, old, spec, cases, store)
+                refuse_if_changed(folder, store, old)
+                rewritten = rewrite_damaged_tables(folder, old, spec, cases, store)
                 return _merged(folder, cases, store.statuses(), 0, folders, rewritten)
         manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
         for part in (*folders, *([folder] if old is not None else [])):
             _refuse_damage(part, read_manifest(part))
-        earlier = checksums.take_away(folder)
+        previous_sums = checksums.take_away(folder)
         write_manifest(folder, manifest | {"state": INTERRUPTED})
         with Store(folder) as store:
             for part in folders:
-                with run_lock(part), Store(part, read_only=True) as flown:
-                    store.add(outcome for outcome in flown.outcomes() if outcome.case_id in wanted)
-            missing = len(wanted - store.finished())
+                with run_lock(part), Store(part, read_only=True) as part_store:
+                    store.add(
+                        outcome for outcome in part_store.outcomes() if outcome.case_id in case_ids
+                    )
+            missing = len(case_ids - store.finished())
             if not missing:
                 tables = make_tables(spec, cases, store.outcomes())
                 write_tables(folder, tables)
@@ -338,7 +342,7 @@ def merge(folder: Path) -> Merged:
                 write_manifest(folder, sealed(manifest, store, tables))
             statuses = store.statuses()
         if not missing:
-            seal_files(folder, earlier)
+            seal_files(folder, previous_sums)
         return _merged(folder, cases, statuses, missing, folders, ())
 
 
@@ -346,12 +350,12 @@ def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Before anything is written: DamageError where the journal is not as it was written."""
     with Store(folder, read_only=True) as store:
         if manifest["state"] == COMPLETE:
-            refuse_if_not_whole(folder, store, manifest)
+            refuse_if_changed(folder, store, manifest)
         else:
             store.finished()
 
 
-def _merged_before(folder: Path, manifest: Mapping[str, Any]) -> dict[str, Any] | None:
+def _previous_merge(folder: Path, manifest: Mapping[str, Any]) -> dict[str, Any] | None:
     """Manifest of the folder where an earlier merge left one with a journal.
 
     Raises BadInputError for that of another campaign.
@@ -373,9 +377,11 @@ def _merged(
     missing: int,
     folders: Sequence[Path],
     rewritten: tuple[str, ...],
-) -> Merged:
+) -> MergeResult:
     names = tuple(path.name for path in folders)
-    return Merged(folder, len(cases), missing, dict(sorted(statuses.items())), names, rewritten)
+    return MergeResult(
+        folder, len(cases), missing, dict(sorted(statuses.items())), names, rewritten
+    )
 
 
 # How far a campaign is: its own folder, or the shards below it.
@@ -386,7 +392,7 @@ class Status:
     """``state``: complete, running or interrupted; ``statuses``: number of finished flights by
     status.
 
-    ``engine`` flies the campaign, ``why`` says for what reasons. ``joint`` says what its intervals
+    ``engine`` flies the campaign, ``reasons`` says for what reasons. ``joint`` says what its intervals
     hold together, ``joint_level`` at which confidence; None where that of the intervals is not
     known."""
 
@@ -396,7 +402,7 @@ class Status:
     answers: tuple[Answer, ...]
     command: str
     engine: str = JSBSIM
-    why: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
     joint: tuple[str, ...] = ()
     joint_level: float | None = None
 
@@ -414,7 +420,7 @@ class Status:
             "failed": self.done - self.statuses.get("ok", 0),
             "statuses": dict(self.statuses),
             "engine": self.engine,
-            "engine_why": list(self.why),
+            "engine_why": list(self.reasons),
             "joint_level": self.joint_level,
             "joint": list(self.joint),
             "answers": as_json(self.answers),
@@ -429,14 +435,14 @@ def read_status(folder: Path) -> Status:
     counted, cases, complete = Counter[str](), 0, True
     for part in folders:
         manifest = read_manifest(part)
-        counted.update(_counted(part, manifest))
+        counted.update(_count_statuses(part, manifest))
         cases += int(manifest["cases"])
         complete = complete and manifest["state"] == COMPLETE
     # A killed run could not say so itself; whether somebody holds the folder tells.
     state = COMPLETE if complete else RUNNING if any(map(is_running, folders)) else INTERRUPTED
     # Answers are of a campaign as a whole.
     answers = tuple(read_answers(folder, manifest)) if folders == [folder] else ()
-    engine, why = (
+    engine, reasons = (
         manifest["campaign"]["campaign"]["engine"],
         tuple(manifest.get("engine", {}).get("why", ())),
     )
@@ -449,28 +455,28 @@ def read_status(folder: Path) -> Status:
         answers,
         manifest["command"],
         engine,
-        why,
+        reasons,
         joint,
         joint_level(manifest),
     )
 
 
-def _counted(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, int]:
+def _count_statuses(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, int]:
     if not has_digests(manifest):
-        return _counted_without_digests(folder / JOURNAL)
+        return _count_statuses_without_digests(folder / JOURNAL)
     with Store(folder, read_only=True) as store:
-        found = store.statuses()
-    if is_sealed(manifest) and found.total() != manifest["journal"]["rows"]:
+        statuses = store.statuses()
+    if is_sealed(manifest) and statuses.total() != manifest["journal"]["rows"]:
         rows = manifest["journal"]["rows"]
         raise DamageError(
             folder / JOURNAL,
-            f"{found.total()} flights are in it, the manifest lists {rows}",
+            f"{statuses.total()} flights are in it, the manifest lists {rows}",
             folder,
         )
-    return found
+    return statuses
 
 
-def _counted_without_digests(path: Path) -> Mapping[str, int]:
+def _count_statuses_without_digests(path: Path) -> Mapping[str, int]:
     """The journal of uqharness 0.1."""
     if not path.is_file():
         raise BadInputError(
@@ -480,15 +486,15 @@ def _counted_without_digests(path: Path) -> Mapping[str, int]:
         with closing(
             sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=30.0)
         ) as database:
-            found = dict(
+            statuses = dict(
                 database.execute("select status, count(*) from outcome group by status").fetchall()
             )
     except (sqlite3.Error, OverflowError, MemoryError, UnicodeError) as error:
         raise BadInputError(
             f"{path}: cannot be read: {error}; the folder was made by uqharness 0.1"
         ) from None
-    if not all(isinstance(status, str) for status in found):
+    if not all(isinstance(status, str) for status in statuses):
         raise BadInputError(
             f"{path}: damaged: a status is no text; the folder was made by uqharness 0.1"
         )
-    return found
+    return statuses

@@ -32,7 +32,7 @@ from uqharness.campaign.folder.manifest import (
     digest_of_rows,
     digest_of_text,
     row_digest,
-    summed,
+    sum_digests,
 )
 from uqharness.checksums import LOCK as LOCK
 from uqharness.errors import BadInputError
@@ -51,7 +51,7 @@ COLUMNS = "case_id, status, reason, flown_s, metrics, undefined, digest"
 # A row of some 1200 bytes has no room on a page of 4096 with others and would take a page more: 4.7
 # kB a flight instead of 1.4.
 _PAGE_BYTES = 8192
-_BESIDE = ("-journal", "-wal", "-shm")
+_SIDE_FILES = ("-journal", "-wal", "-shm")
 """Endings of the files that SQLite keeps beside a database; the first is the rollback file."""
 _ROLLBACK_MAGIC = bytes.fromhex("d9d505f920a163d7")
 """Begins a rollback file, and ends one that names a super journal (SQLite's file format, section
@@ -61,7 +61,7 @@ _ROLLBACK_MAGIC = bytes.fromhex("d9d505f920a163d7")
 LONGEST_BYTES = 16_000_000
 
 # Failures of the machine and not of the file: what was stored is still there.
-_OF_THE_MACHINE = {
+_MACHINE_ERRORS = {
     sqlite3.SQLITE_FULL,
     sqlite3.SQLITE_IOERR,
     sqlite3.SQLITE_READONLY,
@@ -83,9 +83,9 @@ class Store:
     def __init__(self, folder: Path, read_only: bool = False) -> None:
         self.folder = folder
         self._path = folder / JOURNAL
-        begun = self._begun()
+        exists = self._has_journal()
         with contextlib.ExitStack() as on_failure, self._explained("open"):
-            self._database = self._connected(read_only, begun)
+            self._database = self._connected(read_only, exists)
             on_failure.callback(self._database.close)
             self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_BYTES)
             if not read_only:
@@ -97,7 +97,7 @@ class Store:
                 create_tables(self._database)
             on_failure.pop_all()
 
-    def _begun(self) -> bool:
+    def _has_journal(self) -> bool:
         """Whether there is a file that SQLite may have written to.
 
         Raises BadInputError for what is no file of its kind.
@@ -115,8 +115,8 @@ class Store:
             ) from None
         return True
 
-    def _connected(self, read_only: bool, begun: bool) -> sqlite3.Connection:
-        if read_only and not begun:
+    def _connected(self, read_only: bool, exists: bool) -> sqlite3.Connection:
+        if read_only and not exists:
             return sqlite3.connect(":memory:")
         if read_only and not os.access(self._path, os.W_OK):
             return sqlite3.connect(
@@ -128,22 +128,22 @@ class Store:
         """Whether the tables are there; False in a file whose making was cut short, in which
         nothing was counted.
         """
-        found = [
+        statements = [
             row[0] for row in self._database.execute("select sql from sqlite_master order by name")
         ]
-        if not found:
+        if not statements:
             # Tables are made in one transaction: without them there is not one page.
             if self._database.execute("pragma page_count").fetchone() != (0,):
                 raise self._damage("its tables are gone")
             return False
-        if found != list(SCHEMA):
+        if statements != list(SCHEMA):
             raise self._damage("its tables are not those that this program makes")
         return True
 
     def _check_structure(self) -> None:
-        said = self._database.execute("pragma integrity_check(1)").fetchone()[0]
-        if said != "ok":
-            raise self._damage(" ".join(str(said).split()))
+        report = self._database.execute("pragma integrity_check(1)").fetchone()[0]
+        if report != "ok":
+            raise self._damage(" ".join(str(report).split()))
 
     def add(self, outcomes: Iterable[CaseOutcome]) -> None:
         """Store a batch; on return it is on the disk.
@@ -188,7 +188,7 @@ class Store:
                     total += int(row[-1], 16)
             finally:
                 self._database.rollback()
-            if (counted, summed(f"{total:x}", ())) != expected:
+            if (counted, sum_digests(f"{total:x}", ())) != expected:
                 raise self._damage(
                     f"{counted.total()} flights are in it, {expected[0].total()} were stored, or"
                     " they are not the same"
@@ -229,8 +229,8 @@ class Store:
         except ValueError as error:
             raise self._damage(str(error)) from None
 
-    def _damage(self, what: str) -> DamageError:
-        return DamageError(self._path, what, self.folder)
+    def _damage(self, problem: str) -> DamageError:
+        return DamageError(self._path, problem, self.folder)
 
     def close(self) -> None:
         """Close the journal's database."""
@@ -251,7 +251,7 @@ class Store:
             # UTF-8, say.
             code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
             forbidden = code == sqlite3.SQLITE_READONLY and os.access(self._path, os.W_OK)
-            if code not in _OF_THE_MACHINE or (forbidden and os.access(self.folder, os.W_OK)):
+            if code not in _MACHINE_ERRORS or (forbidden and os.access(self.folder, os.W_OK)):
                 raise self._damage(" ".join(str(error).split())) from None
             raise BadInputError(
                 f"{self._path}: cannot {verb}: {error}; everything counted so far is kept: "
@@ -268,11 +268,11 @@ def journal_trap(folder: Path) -> str:
 
     SQLite follows a link in the place of a journal or of the files beside it, and writes there. A
     rollback file may name a "super journal", which SQLite removes; this program's never does."""
-    for name in (JOURNAL, *(f"{JOURNAL}{ending}" for ending in _BESIDE)):
+    for name in (JOURNAL, *(f"{JOURNAL}{ending}" for ending in _SIDE_FILES)):
         path = folder / name
         if path.is_symlink():
             return f"{path}: is a link to {os.readlink(path)}, and SQLite would write there"
-    leftover = folder / f"{JOURNAL}{_BESIDE[0]}"
+    leftover = folder / f"{JOURNAL}{_SIDE_FILES[0]}"
     with contextlib.suppress(FileNotFoundError), open_regular(leftover) as handle:
         size = os.fstat(handle.fileno()).st_size
         handle.seek(max(size - len(_ROLLBACK_MAGIC), 0))
@@ -300,7 +300,7 @@ def create_tables(database: sqlite3.Connection) -> None:
             for statement in SCHEMA:
                 database.execute(statement)
             database.execute(
-                "insert into tally values (?,?,?)", _tally_row(Counter(), summed("0", ()))
+                "insert into tally values (?,?,?)", _tally_row(Counter(), sum_digests("0", ()))
             )
 
 
@@ -319,7 +319,7 @@ def add_rows(
         database.execute("insert or replace into outcome values (?,?,?,?,?,?,?)", row)
         statuses[row[1]] += 1
         added.append(row[-1])
-    total = summed(total, added, removed)
+    total = sum_digests(total, added, removed)
     database.execute(
         "update tally set statuses = ?, digest_sum = ?, digest = ?", _tally_row(+statuses, total)
     )
@@ -331,8 +331,8 @@ def row_of(outcome: CaseOutcome) -> tuple[Any, ...]:
     columns = (outcome.case_id, outcome.status, outcome.reason, float(outcome.flown_s) + 0.0)
     columns = (  # type: ignore[assignment]
         *columns,
-        _plain(outcome.metrics),
-        _plain(outcome.undefined),
+        _json_text(outcome.metrics),
+        _json_text(outcome.undefined),
     )
     return (*columns, row_digest(columns))
 
@@ -343,10 +343,10 @@ def outcome_of(row: Sequence[Any]) -> CaseOutcome:
     ValueError saying what is wrong where it is not the row that was written.
     """
     case_id, status, reason, flown_s, metrics, undefined, digest = row
-    whole = all(
+    has_texts = all(
         isinstance(item, str) for item in (case_id, status, reason, metrics, undefined, digest)
     )
-    if not (whole and isinstance(flown_s, float) and row_digest(row[:-1]) == digest):
+    if not (has_texts and isinstance(flown_s, float) and row_digest(row[:-1]) == digest):
         name = f"flight {case_id}" if isinstance(case_id, str) and case_id.isalnum() else "a flight"
         raise ValueError(f"the row of {name} does not fit its digest")
     values, reasons = _mapping(metrics, (int, float)), _mapping(undefined, (str,))
@@ -374,22 +374,22 @@ def read_tally(database: sqlite3.Connection) -> tuple[Counter[str], str]:
 
 
 def _tally_row(statuses: Mapping[str, int], total: str) -> tuple[str, str, str]:
-    text = _plain(statuses)
+    text = _json_text(statuses)
     return text, total, digest_of_text([text, total])
 
 
 def _mapping(text: str, kinds: tuple[type, ...]) -> dict[str, Any] | None:
     """JSON of one level, or None where it is something else."""
     try:
-        found = json.loads(text)
+        mapping = json.loads(text)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(found, dict) or not all(type(value) in kinds for value in found.values()):
+    if not isinstance(mapping, dict) or not all(type(value) in kinds for value in mapping.values()):
         return None
-    return found
+    return mapping
 
 
-def _plain(mapping: Mapping[str, object]) -> str:
+def _json_text(mapping: Mapping[str, object]) -> str:
     return json.dumps(dict(mapping), sort_keys=True)
 
 
@@ -402,7 +402,7 @@ def run_lock(folder: Path) -> Iterator[None]:
     the folder shut."""
     path = folder / LOCK
     key = str(path.resolve())
-    if key in _held:
+    if key in _locked_here:
         # Not even opened: closing a second handle would drop the lock of the first.
         raise _in_use(folder, f"process {os.getpid()}, this one")
     try:
@@ -418,7 +418,7 @@ def run_lock(folder: Path) -> Iterator[None]:
         if not _try_lock(handle.fileno(), attempts=5):
             handle.seek(0)
             raise _in_use(folder, handle.read(200).strip() or "unknown process")
-        _held.add(key)
+        _locked_here.add(key)
         try:
             handle.seek(0)
             handle.truncate()
@@ -426,7 +426,7 @@ def run_lock(folder: Path) -> Iterator[None]:
             handle.flush()
             yield
         finally:
-            _held.discard(key)
+            _locked_here.discard(key)
             # Empty between runs: what stands in it belongs to no result.
             with contextlib.suppress(OSError):
                 handle.seek(0)
@@ -436,7 +436,7 @@ def run_lock(folder: Path) -> Iterator[None]:
 def is_running(folder: Path) -> bool:
     """Whether a run holds the folder at this moment."""
     path = folder / LOCK
-    if str(path.resolve()) in _held:
+    if str(path.resolve()) in _locked_here:
         return True
     try:
         with os.fdopen(open_no_link(path, make=False), "r+b") as handle:
@@ -454,7 +454,7 @@ def _in_use(folder: Path, holder: str) -> BadInputError:
 
 
 # A record lock does not exclude its own process: a second run in another thread would pass.
-_held: set[str] = set()
+_locked_here: set[str] = set()
 
 
 def _try_lock(descriptor: int, attempts: int = 1) -> bool:
@@ -489,18 +489,18 @@ class JournalScan:
         self.unreadable = ""
         self._folder, self._scratch = folder, scratch
 
-    def rows(self, wanted: Collection[str] = ()) -> Iterator[tuple[Any, ...]]:
-        """Sound rows, each once: forwards, backwards, each of the case ids ``wanted`` by itself, as
+    def rows(self, case_ids: Collection[str] = ()) -> Iterator[tuple[Any, ...]]:
+        """Sound rows, each once: forwards, backwards, each of the case ids ``case_ids`` by itself, as
         far as that is needed.
 
         Raises BadInputError where opening the journal would touch a file elsewhere.
         """
         refuse_traps(self._folder)
-        seen = set[str]()
+        yielded = set[str]()
         for path in self._variants():
-            with closing(_opened(path)) as database:
-                for row in self._found(database, wanted, seen):
-                    seen.add(row[0])
+            with closing(_open_for_scan(path)) as database:
+                for row in self._scan_rows(database, case_ids, yielded):
+                    yielded.add(row[0])
                     yield row
             if not self.unreadable:
                 return
@@ -513,56 +513,56 @@ class JournalScan:
         if (self._folder / LEFTOVER).is_file():
             source = copy_of(self._folder, self._scratch / "as-it-is")
         yield source
-        begun = self._scratch / "first-page"
-        begun.mkdir(parents=True, exist_ok=True)
-        mended = begun / JOURNAL
-        shutil.copyfile(source, mended)
-        if _give_first_page(mended, begun / "empty.sqlite"):
-            yield mended
+        patched_folder = self._scratch / "first-page"
+        patched_folder.mkdir(parents=True, exist_ok=True)
+        patched = patched_folder / JOURNAL
+        shutil.copyfile(source, patched)
+        if _replace_first_page(patched, patched_folder / "empty.sqlite"):
+            yield patched
 
-    def _found(
-        self, database: sqlite3.Connection, wanted: Collection[str], seen: Collection[str]
+    def _scan_rows(
+        self, database: sqlite3.Connection, case_ids: Collection[str], yielded: Collection[str]
     ) -> Iterator[tuple[Any, ...]]:
-        met = set[Any]()
+        visited = set[Any]()
         for direction in ("asc", "desc"):
-            yield from self._sound(
+            yield from self._sound_rows(
                 database,
                 f"select {COLUMNS} from outcome order by case_id {direction}",
                 (),
-                seen,
-                met,
+                yielded,
+                visited,
             )
             if not self.unreadable:
                 return
-        for case_id in wanted:
-            if case_id not in seen:
-                yield from self._sound(
+        for case_id in case_ids:
+            if case_id not in yielded:
+                yield from self._sound_rows(
                     database,
                     f"select {COLUMNS} from outcome where case_id = ?",
                     (case_id,),
-                    seen,
-                    met,
+                    yielded,
+                    visited,
                 )
 
-    def _sound(
+    def _sound_rows(
         self,
         database: sqlite3.Connection,
         query: str,
         values: tuple[str, ...],
-        seen: Collection[str],
-        met: set[Any],
+        yielded: Collection[str],
+        visited: set[Any],
     ) -> Iterator[tuple[Any, ...]]:
         try:
             for row in database.execute(query, values):
-                if row[0] in met:
+                if row[0] in visited:
                     continue
-                met.add(row[0])
+                visited.add(row[0])
                 try:
                     outcome_of(row)
                 except ValueError:
-                    self.damaged += row[0] not in seen
+                    self.damaged += row[0] not in yielded
                 else:
-                    if row[0] not in seen:
+                    if row[0] not in yielded:
                         yield row
         except _UNREADABLE as error:
             self.unreadable = self.unreadable or " ".join(str(error).split())
@@ -580,7 +580,7 @@ def copy_of(folder: Path, target: Path) -> Path:
     return target / JOURNAL
 
 
-def _opened(path: Path) -> sqlite3.Connection:
+def _open_for_scan(path: Path) -> sqlite3.Connection:
     database = sqlite3.connect(path, timeout=30.0)
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_BYTES)
     # Bytes that are no text make a row that does not fit its digest, and do not end the search.
@@ -588,7 +588,7 @@ def _opened(path: Path) -> sqlite3.Connection:
     return database
 
 
-def _give_first_page(path: Path, empty: Path) -> bool:
+def _replace_first_page(path: Path, empty: Path) -> bool:
     """Put the first page of an empty journal over that of ``path``, for all begin alike.
 
     False for a file of no whole pages.
@@ -598,8 +598,8 @@ def _give_first_page(path: Path, empty: Path) -> bool:
         database.execute("pragma page_size = 8192")
         create_tables(database)
     page = bytearray(empty.read_bytes()[:8192])
-    pages, rest = divmod(path.stat().st_size, len(page))
-    if rest or not pages:
+    pages, remainder = divmod(path.stat().st_size, len(page))
+    if remainder or not pages:
         return False
     # Pages of the file; no free ones, which reading does not need.
     page[28:32], page[32:40] = pages.to_bytes(4, "big"), bytes(8)

@@ -37,7 +37,13 @@ from uqharness.campaign.folder.manifest import (
 )
 from uqharness.campaign.rounds import DECISIONS, band_confidence, decision_rows
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.statements import STATEMENTS, Statement, number, statements, statements_csv
+from uqharness.campaign.statements import (
+    STATEMENTS,
+    Statement,
+    format_number,
+    statements,
+    statements_csv,
+)
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.flight import COEFFICIENTS, STATUSES, TURBULENCE_W20_KT
@@ -69,15 +75,15 @@ def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Ta
     error statistics (they would be those of a shorter flight), but keeps its counts so far."""
     by_id = {outcome.case_id: outcome for outcome in outcomes}
     radii = cases[0].flight.excursion_radius_m if cases else ()
-    found = {name for outcome in by_id.values() for name in outcome.metrics}
-    more = tuple(name for name in UNCOMMANDED_METRICS if name in found)
-    schema = _schema(radii, more, tuple(cases[0].inputs) if cases else ())
+    metric_names = {name for outcome in by_id.values() for name in outcome.metrics}
+    uncommanded = tuple(name for name in UNCOMMANDED_METRICS if name in metric_names)
+    schema = _schema(radii, uncommanded, tuple(cases[0].inputs) if cases else ())
     columns: dict[str, list[Any]] = {name: [] for name in schema.names}
     for case in cases:
         outcome = by_id.get(case.case_id)
         if outcome is None:
             continue
-        for name, value in _row(case, outcome, radii, more).items():
+        for name, value in _row(case, outcome, radii, uncommanded).items():
             columns[name].append(value)
     return pa.table([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
 
@@ -92,51 +98,53 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
     means = tuple(
         f"level_{name}" for name, item in variables.items() if isinstance(item.get("mean"), list)
     )
-    found = {field.name: field.type for field in table.schema}
+    types = {field.name: field.type for field in table.schema}
     for field in _schema(counted_radii(campaign["metrics"]), (), means):
-        if field.name == _ENGINE and field.name not in found:
+        if field.name == _ENGINE and field.name not in types:
             continue  # a table from before there was another engine than JSBSim
-        if field.name not in found or len(table.schema.get_all_field_indices(field.name)) != 1:
+        if field.name not in types or len(table.schema.get_all_field_indices(field.name)) != 1:
             raise BadInputError(f"{path}: has no column {field.name}; run the campaign again")
-        if found[field.name] != field.type:
+        if types[field.name] != field.type:
             raise BadInputError(
-                f"{path}: column {field.name} is of type {found[field.name]}, not {field.type}; run"
+                f"{path}: column {field.name} is of type {types[field.name]}, not {field.type}; run"
                 " the campaign again"
             )
-    wrong = [name for name in _ALWAYS if table[name].null_count]
+    bad_columns = [name for name in _ALWAYS if table[name].null_count]
     allowed: dict[str, tuple[str, ...]] = {
         "status": STATUSES,
         "turbulence": tuple(TURBULENCE_W20_KT),
     }
-    for name, known in (allowed | ({_ENGINE: (BATCH, JSBSIM)} if _ENGINE in found else {})).items():
-        wrong += [name] if set(table[name].unique().to_pylist()) - set(known) else []
-    if wrong or not table.num_rows:
+    for name, allowed_values in (
+        allowed | ({_ENGINE: (BATCH, JSBSIM)} if _ENGINE in types else {})
+    ).items():
+        bad_columns += [name] if set(table[name].unique().to_pylist()) - set(allowed_values) else []
+    if bad_columns or not table.num_rows:
         raise BadInputError(
-            f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the"
+            f"{path}: column {(bad_columns or ['case_id'])[0]} holds what no flight leaves; run the"
             " campaign again"
         )
     return table
 
 
 def _schema(radii_m: Sequence[float], more: Sequence[str], inputs: Sequence[str]) -> pa.Schema:
-    text, real, whole = pa.string(), pa.float64(), pa.int64()
+    text, real, integer = pa.string(), pa.float64(), pa.int64()
     fields = [
         ("case_id", text),
         ("epistemic_id", text),
         *((f"level_{name}", real) for name in COEFFICIENTS),
     ]
     fields += [
-        ("aleatory_id", whole),
+        ("aleatory_id", integer),
         ("wind_mps", real),
         ("turbulence", text),
-        ("seed", whole),
+        ("seed", integer),
         (_ENGINE, text),
         ("duration_s", real),
     ]
     fields += [("status", text), ("reason", text), *((name, real) for name in ERROR_METRICS)]
-    fields += [(name, whole) for name in excursion_columns(radii_m)]
+    fields += [(name, integer) for name in excursion_columns(radii_m)]
     fields += [
-        ("loss_of_control", whole),
+        ("loss_of_control", integer),
         ("extrapolated_share", real),
         *((name, real) for name in (*more, *inputs)),
     ]
@@ -165,7 +173,7 @@ def _row(
         "status": outcome.status,
         "reason": (
             outcome.reason
-            or "; ".join(f"{name}: {why}" for name, why in sorted(outcome.undefined.items()))
+            or "; ".join(f"{name}: {reason}" for name, reason in sorted(outcome.undefined.items()))
         ),
     }
     row |= {f"level_{name}": case.levels.get(name) for name in COEFFICIENTS} | dict(case.inputs)
@@ -226,16 +234,16 @@ def make_tables(
     """
     table = build_table(cases, outcomes)
     frame, campaign = table.to_pandas(), spec.as_dict()
-    found = statements(
+    claims = statements(
         frame, campaign, [] if decisions is None else decision_rows(decisions, Path(DECISIONS))
     )
-    made = {
+    tables = {
         CASES: table_bytes(table),
         PBOXES: table_bytes(_pbox_table(frame, band_confidence(campaign, CONFIDENCE))),
-        EXCURSIONS: _excursions_csv(frame, found),
-        STATEMENTS: statements_csv(found),
+        EXCURSIONS: _excursions_csv(frame, claims),
+        STATEMENTS: statements_csv(claims),
     }
-    return made if decisions is None else made | {DECISIONS: decisions}
+    return tables if decisions is None else tables | {DECISIONS: decisions}
 
 
 def write_tables(folder: Path, tables: Mapping[str, bytes]) -> None:
@@ -268,11 +276,11 @@ def _pbox_table(frame: pd.DataFrame, confidence: float) -> pa.Table:
     return pa.concat_tables(parts).combine_chunks() if parts else schema.empty_table()
 
 
-def _excursions_csv(frame: pd.DataFrame, found: Sequence[Statement]) -> bytes:
+def _excursions_csv(frame: pd.DataFrame, claims: Sequence[Statement]) -> bytes:
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_EXCURSION_COLUMNS)
-    for statement in found:
+    for statement in claims:
         cell = statement.cell
         best, worst = best_and_worst(cell.rates)
         shares = (
@@ -309,7 +317,7 @@ def _excursions_csv(frame: pd.DataFrame, found: Sequence[Statement]) -> bytes:
                     f"{limit:.6g}"
                     for limit in (*item.limits, *item.simultaneous, *limits, dispersion)
                 ]
-                + [number(shares[item.epistemic_id])]
+                + [format_number(shares[item.epistemic_id])]
             )
     return buffer.getvalue().encode()
 
@@ -320,7 +328,7 @@ def _excursions_csv(frame: pd.DataFrame, found: Sequence[Statement]) -> bytes:
 # depends on the run.
 
 ENGINE_CHECK = "engine-check.csv"
-START, WHOLE = "start", "whole"
+START, FULL_FLIGHT = "start", "whole"
 STATUS = "status"
 """Stands in the place of a metric in the row that compares how a flight ended."""
 MOST_CHECK_BYTES = 64_000_000
@@ -375,12 +383,12 @@ def read_check(folder: Path) -> list[CheckRow]:
     path = folder / ENGINE_CHECK
     try:
         rows = csv_rows(read_regular(path, MOST_CHECK_BYTES), path, (), _COLUMNS)
-        found = [CheckRow(*(row[name] for name in _COLUMNS)) for row in rows]
-        for row in found:
+        checks = [CheckRow(*(row[name] for name in _COLUMNS)) for row in rows]
+        for row in checks:
             _ = [as_number(text) for text in (row.batch, row.jsbsim) if row.metric != STATUS]
     except (OSError, BadInputError, ValueError):
         return []
-    return found
+    return checks
 
 
 def merge_checks(folder: Path, parts: Sequence[Path]) -> None:
@@ -423,17 +431,17 @@ def table_digests(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str | 
 
     Raises BadInputError for one that cannot be read.
     """
-    found: dict[str, str | None] = {}
+    digests: dict[str, str | None] = {}
     for name in manifest.get("tables", {}):
         try:
-            found[name] = sha256_hex(read_regular(folder / name, MOST_BYTES))
+            digests[name] = sha256_hex(read_regular(folder / name, MOST_BYTES))
         except FileNotFoundError:
-            found[name] = None
+            digests[name] = None
         except OSError as error:
             raise BadInputError(
                 f"{folder / name}: cannot be read: {error.strerror or error}"
             ) from None
-    return found
+    return digests
 
 
 def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
@@ -478,8 +486,8 @@ def read_decisions(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, 
 
     Raises BadInputError.
     """
-    known = is_sealed(manifest)
-    if DECISIONS not in manifest.get("tables", {}) if known else not (folder / DECISIONS).exists():
+    sealed = is_sealed(manifest)
+    if DECISIONS not in manifest.get("tables", {}) if sealed else not (folder / DECISIONS).exists():
         return []
     return decision_rows(read_checked(folder, manifest, DECISIONS), folder / DECISIONS)
 

@@ -56,7 +56,7 @@ def ordered(value: tuple[str, ...]) -> tuple[str, ...]:
 SAMPLED = ("lhs", "white", "walk")
 """Methods that draw ``samples`` epistemic samples; the others list theirs."""
 
-MOST_SAMPLES = 1_000_000
+MAX_SAMPLES = 1_000_000
 
 INTERIOR = 16
 """Most interior points by default: so many with a model form, at most one per corner with constant
@@ -112,11 +112,11 @@ class EpistemicSection(Section):
     coefficients: Annotated[tuple[Coefficient, ...], BeforeValidator(tupled)] = COEFFICIENTS  # type: ignore[assignment]
     bounds: dict[Coefficient, tuple[Number, Number]] | str | None = None
     levels: tuple[Number, ...] | None = None
-    samples: int | None = Field(default=None, ge=1, le=MOST_SAMPLES)
+    samples: int | None = Field(default=None, ge=1, le=MAX_SAMPLES)
     walk_rate_per_sqrt_s: dict[Coefficient, Number] | None = None
     transient: bool | None = None
     set: Literal["box", "ellipsoid"] = "box"
-    interior: int | None = Field(default=None, ge=0, le=MOST_SAMPLES)
+    interior: int | None = Field(default=None, ge=0, le=MAX_SAMPLES)
     nominal: bool | None = None
     parameters: ParametersSection | None = None
 
@@ -202,13 +202,13 @@ class EpistemicSection(Section):
             )
 
     def _check_samples(self) -> None:
-        wanted = self.method in SAMPLED or self.parameters is not None
-        if wanted and self.samples is None:
-            what = (
+        draws_samples = self.method in SAMPLED or self.parameters is not None
+        if draws_samples and self.samples is None:
+            key = (
                 f'method = "{self.method}"' if self.method in SAMPLED else "[epistemic.parameters]"
             )
-            raise ValueError(f"{what} needs samples, the number of draws: samples = 2000")
-        if not wanted and self.samples is not None:
+            raise ValueError(f"{key} needs samples, the number of draws: samples = 2000")
+        if not draws_samples and self.samples is not None:
             raise ValueError(
                 f"samples belongs to the methods {', '.join(SAMPLED)} and to"
                 f' [epistemic.parameters]; method = "{self.method}" flies every combination'
@@ -268,7 +268,7 @@ def _interval(name: str, item: Any) -> Any:
 
 # [stop] of campaign.toml: when the flying ends.
 
-_OF_RULE: Mapping[str, tuple[str, ...]] = {
+_KEYS_OF_RULE: Mapping[str, tuple[str, ...]] = {
     "flights": (),
     "hours": ("hours",),
     "band-width": ("band_width",),
@@ -311,7 +311,7 @@ class StopSection(Section):
 
     @model_validator(mode="after")
     def _of_its_rule(self) -> StopSection:
-        for rule, keys in _OF_RULE.items():
+        for rule, keys in _KEYS_OF_RULE.items():
             strange = [key for key in keys if getattr(self, key) is not None and rule != self.rule]
             if strange:
                 raise ValueError(f'{strange[0]} belongs to rule = "{rule}", not to "{self.rule}"')
@@ -358,7 +358,7 @@ class VariableSection(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> VariableSection:
-        given = {
+        present = {
             name
             for name in ("mean", "std", "low", "high", "half_width")
             if getattr(self, name) is not None
@@ -368,9 +368,9 @@ class VariableSection(Section):
             if self.distribution == "normal"
             else [{"low", "high"}, {"mean", "half_width"}]
         )
-        if given not in allowed:
+        if present not in allowed:
             needs = " or ".join(" and ".join(sorted(names, key=_ORDER.index)) for names in allowed)
-            got = ", ".join(sorted(given, key=_ORDER.index)) or "none"
+            got = ", ".join(sorted(present, key=_ORDER.index)) or "none"
             raise ValueError(
                 f'distribution = "{self.distribution}" needs {needs}, and no more; received {got}'
             )
@@ -398,9 +398,9 @@ class VariableSection(Section):
             return 0.5 * (self.low + self.high) + 0.5 * (self.high - self.low) * unit_draw
         mean = self.mean
         centre = mean[0] + mean_level * (mean[1] - mean[0]) if isinstance(mean, tuple) else mean
-        spread = self.std if self.std is not None else self.half_width
-        assert spread is not None
-        return centre + spread * unit_draw
+        scale = self.std if self.std is not None else self.half_width
+        assert scale is not None
+        return centre + scale * unit_draw
 
 
 _ORDER = ("mean", "std", "low", "high", "half_width")
@@ -450,8 +450,8 @@ class CampaignInputs:
     hashes: Mapping[str, str] = field(default_factory=dict)
 
 
-def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
-    """Read the files that ``section`` names, relative to the folder ``beside`` first.
+def read_inputs(section: EpistemicSection, folder: Path) -> CampaignInputs:
+    """Read the files that ``section`` names, relative to the folder ``folder`` first.
 
     Raises BadInputError.
     """
@@ -465,7 +465,7 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
         rates = dict.fromkeys(coefficients, PUBLISHED_WALK_RATE_PER_SQRT_S)
     form: ModelForm | None = None
     if isinstance(section.bounds, str):
-        model_form = _find(section.bounds, beside, "bounds", hashes)
+        model_form = _find(section.bounds, folder, "bounds", hashes)
         form = read_bounds(model_form)
         coefficients = _coefficients(section, model_form, form)
         if section.method == "walk":
@@ -480,22 +480,22 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
                 )
     estimates = None
     if section.parameters is not None:
-        path = _find(section.parameters.fit, beside, "fit", hashes)
+        path = _find(section.parameters.fit, folder, "fit", hashes)
         estimates = _estimates(path, section.parameters.parameters)
-    found = CampaignInputs(model_form, coefficients, rates, estimates, hashes=hashes)
-    return found if form is None else replace(found, **_of_form(section, form, coefficients))
+    inputs = CampaignInputs(model_form, coefficients, rates, estimates, hashes=hashes)
+    return inputs if form is None else replace(inputs, **_form_fields(section, form, coefficients))
 
 
-def _of_form(
+def _form_fields(
     section: EpistemicSection, form: ModelForm, coefficients: tuple[str, ...]
 ) -> dict[str, Any]:
     """What a model form says beside its bounds."""
     parts = {name: form.coefficients[name].parts for name in coefficients}
-    flown = section.transient is not False and section.method != "none"
+    has_transient = section.transient is not False and section.method != "none"
     rates = {
         name: part.transient_rate_per_sqrt_s
         for name, part in parts.items()
-        if flown and part is not None and part.transient_half_width > 0.0
+        if has_transient and part is not None and part.transient_half_width > 0.0
     }
     return {
         "confidence": form.confidence,
@@ -517,12 +517,12 @@ def read_bounds(path: Path) -> ModelForm:
         ) from None
 
 
-def _find(name: str, beside: Path, role: str, hashes: dict[str, str]) -> Path:
-    given = Path(name)
-    path = next((p for p in (beside / given, given) if p.is_file()), None)
+def _find(name: str, folder: Path, role: str, hashes: dict[str, str]) -> Path:
+    named_path = Path(name)
+    path = next((p for p in (folder / named_path, named_path) if p.is_file()), None)
     if path is None:
         raise BadInputError(
-            f"{beside / given}: named as {role} and not there, nor is {given} in this folder"
+            f"{folder / named_path}: named as {role} and not there, nor is {named_path} in this folder"
         )
     try:
         hashes[role] = sha256_hex(read_regular(path))
@@ -532,18 +532,18 @@ def _find(name: str, beside: Path, role: str, hashes: dict[str, str]) -> Path:
 
 
 def _coefficients(section: EpistemicSection, path: Path, form: ModelForm) -> tuple[str, ...]:
-    asked = section.coefficients
+    requested = section.coefficients
     if "coefficients" not in section.model_fields_set:
-        return tuple(name for name in asked if name in form.coefficients)
-    missing = [name for name in asked if name not in form.coefficients]
+        return tuple(name for name in requested if name in form.coefficients)
+    missing = [name for name in requested if name not in form.coefficients]
     if missing:
         raise BadInputError(
             f"{path}: has no bounds for {', '.join(missing)}, which [epistemic] coefficients names"
         )
-    return asked
+    return requested
 
 
-def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
+def _estimates(path: Path, requested: tuple[str, ...] | None) -> Estimates:
     try:
         document = parse_json(read_regular(path))
     except OSError as error:
@@ -575,25 +575,25 @@ def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
         )
     if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
         raise BadInputError(f"{path}: cov is not symmetric")
-    found = Estimates(tuple(names), values, 0.5 * (covariance + covariance.T))
-    if asked is not None:
-        unknown = [name for name in asked if name not in names]
+    estimates = Estimates(tuple(names), values, 0.5 * (covariance + covariance.T))
+    if requested is not None:
+        unknown = [name for name in requested if name not in names]
         if unknown:
             raise BadInputError(
                 f"{path}: {', '.join(unknown)} is not among the identified parameters"
                 f" ({', '.join(names)})"
             )
-        rows = [names.index(name) for name in asked]
-        found = Estimates(asked, values[rows], found.covariance[np.ix_(rows, rows)])
+        rows = [names.index(name) for name in requested]
+        estimates = Estimates(requested, values[rows], estimates.covariance[np.ix_(rows, rows)])
     try:
-        if not (np.diag(found.covariance) > 0).all():
+        if not (np.diag(estimates.covariance) > 0).all():
             raise ValueError("a variance is not positive")
-        found.factor()
+        estimates.factor()
     except ValueError:
         raise BadInputError(
             f"{path}: cov is not positive definite, so nothing can be drawn from it"
         ) from None
-    return found
+    return estimates
 
 
 class CampaignSection(Section):
@@ -658,11 +658,13 @@ class MetricsSection(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> MetricsSection:
-        asked, further = self.excursion_radius_m, self.dispersion_radius_m or ()
-        radii = (*asked, *further)
-        if not asked or len(set(asked)) != len(asked):
+        excursion_radii, dispersion_radii = self.excursion_radius_m, self.dispersion_radius_m or ()
+        radii = (*excursion_radii, *dispersion_radii)
+        if not excursion_radii or len(set(excursion_radii)) != len(excursion_radii):
             raise ValueError("excursion_radius_m must name at least one radius, and none twice")
-        if len(set(radii)) != len(radii) or max(further, default=0.0) > max(asked):
+        if len(set(radii)) != len(radii) or max(dispersion_radii, default=0.0) > max(
+            excursion_radii
+        ):
             raise ValueError(
                 "dispersion_radius_m must name radii below the largest of excursion_radius_m, none"
                 " twice and none of those again"
@@ -716,13 +718,13 @@ class CampaignSpec:
         the same.
         """
         sections = {name: getattr(self, name) for name in Document.model_fields}
-        found = {
+        settings = {
             name: section.model_dump(mode="json", exclude_none=True)
             for name, section in sections.items()
             if section is not None
         }
-        found["aleatory"].setdefault("sensor_noise", True)
-        epistemic = found["epistemic"]
+        settings["aleatory"].setdefault("sensor_noise", True)
+        epistemic = settings["epistemic"]
         epistemic["coefficients"] = list(self.inputs.coefficients)
         for name in ("interior", "nominal", "transient"):
             epistemic.pop(name, None)
@@ -735,7 +737,7 @@ class CampaignSpec:
             epistemic["walk_rate_per_sqrt_s"] = {
                 name: self.inputs.walk_rates[name] for name in self.inputs.coefficients
             }
-        return found
+        return settings
 
     @property
     def corner_count(self) -> int:
@@ -744,11 +746,11 @@ class CampaignSpec:
         """
         section = self.epistemic
         means = sum(item.mean_interval is not None for item in self.aleatory.variables.values())
-        moved = 0 if section.method == "none" else len(self.inputs.coefficients)
+        coefficients = 0 if section.method == "none" else len(self.inputs.coefficients)
         values = len(section.levels) if section.method == "levels" and section.levels else 2
-        points: int = values**moved
-        if section.set == "ellipsoid" and moved > 1:
-            points += 2 * moved
+        points: int = values**coefficients
+        if section.set == "ellipsoid" and coefficients > 1:
+            points += 2 * coefficients
         return int(points * values**means)
 
     @property
@@ -770,12 +772,12 @@ class CampaignSpec:
                 " one of them"
             )
         flights = math.ceil(hours * 3600.0 / self.aleatory.duration_s - 1e-9)
-        given = (
+        stop = (
             self.stop.model_copy(update={"hours": float(hours)})
             if self.stop.rule == "hours"
             else self.stop
         )
-        return dataclasses.replace(self.with_flights(max(1, flights)), stop=given)
+        return dataclasses.replace(self.with_flights(max(1, flights)), stop=stop)
 
     def with_engine(self, engine: str) -> CampaignSpec:
         """The same campaign flown in the engine of that name."""

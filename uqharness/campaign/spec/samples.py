@@ -20,7 +20,7 @@ from pydantic import ValidationError
 
 from sysid.arrays import FloatArray
 from uqharness.campaign.spec.campaign import (
-    MOST_SAMPLES,
+    MAX_SAMPLES,
     SAMPLED,
     AleatorySection,
     CampaignSpec,
@@ -49,7 +49,7 @@ from uqharness.toml import as_toml, explain, line_of, read_toml
 # its quantile: the joint set is then a ball in the intervals' half-widths, of the chi
 # distribution's quantile over the normal one. Its ends may lie outside 0..1.
 
-_MOST_SIGMA = 40.0
+_MAX_SIGMA = 40.0
 _TERMS = 2000
 
 
@@ -64,7 +64,7 @@ def joint_radius(dof: int, confidence: float) -> float:
             f"dof = {dof}, confidence = {confidence}: at least 1, and a number above 0 and below 1"
             " are needed"
         )
-    low, high = 0.0, _MOST_SIGMA
+    low, high = 0.0, _MAX_SIGMA
     while True:
         middle = 0.5 * (low + high)
         if middle in (low, high):
@@ -78,19 +78,19 @@ def marginal_radius(confidence: float) -> float:
 
 
 @lru_cache(maxsize=16)
-def reach(dof: int, confidence: float) -> float:
+def joint_reach(dof: int, confidence: float) -> float:
     """Radius of the ball in half-widths of the intervals; 1 for one coefficient."""
     return 1.0 if dof == 1 else joint_radius(dof, confidence) / marginal_radius(confidence)
 
 
-def at(direction: Sequence[float], radius: float) -> tuple[float, ...]:
+def levels_at(direction: Sequence[float], radius: float) -> tuple[float, ...]:
     """Levels ``radius`` half-widths from the intervals' middles, component by component of
     ``direction``.
     """
     return tuple(0.5 + 0.5 * component * radius for component in direction)
 
 
-def in_ball(levels: Sequence[float]) -> tuple[float, ...]:
+def box_to_ball(levels: Sequence[float]) -> tuple[float, ...]:
     """A point of the box of levels 0..1 as a point of the unit ball: the box's shells become the
     ball's, directions stay.
     """
@@ -151,7 +151,7 @@ def epistemic_samples(spec: CampaignSpec) -> tuple[Epistemic, ...]:
     ]
     draws = _parameter_draws(spec)
     if spec.epistemic.method in SAMPLED:
-        return tuple(_drawn(spec, means, draws))
+        return tuple(_drawn_samples(spec, means, draws))
     points = [*_combined(spec, means), *_interior(spec, means)]
     if spec.epistemic.flies_nominal:
         points.append(Epistemic(NOMINAL, {}, None, dict.fromkeys(means, 0.5)))
@@ -210,7 +210,7 @@ def _on_ellipsoid(spec: CampaignSpec) -> Iterator[tuple[str, dict[str, float]]]:
     moved = spec.inputs.coefficients
     radius, share = _reach(spec), 1.0 / math.sqrt(len(moved))
     for corner in _product((0.0, 1.0), len(moved)):
-        levels = at([share * (2.0 * end - 1.0) for end in corner], radius)
+        levels = levels_at([share * (2.0 * end - 1.0) for end in corner], radius)
         yield (
             f"e{_marked(dict(zip(moved, corner, strict=True)))}",
             dict(zip(moved, levels, strict=True)),
@@ -221,13 +221,13 @@ def _on_ellipsoid(spec: CampaignSpec) -> Iterator[tuple[str, dict[str, float]]]:
         marks = "".join(
             str(end) if name == axis else "." if name in moved else "-" for name in COEFFICIENTS
         )
-        levels = at([(2.0 * end - 1.0) if name == axis else 0.0 for name in moved], radius)
+        levels = levels_at([(2.0 * end - 1.0) if name == axis else 0.0 for name in moved], radius)
         yield f"a{marks}", dict(zip(moved, levels, strict=True))
 
 
 def _reach(spec: CampaignSpec) -> float:
     assert spec.inputs.confidence is not None
-    return reach(len(spec.inputs.coefficients), spec.inputs.confidence)
+    return joint_reach(len(spec.inputs.coefficients), spec.inputs.confidence)
 
 
 def _interior(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
@@ -252,11 +252,11 @@ def _inside(spec: CampaignSpec, columns: Mapping[str, FloatArray], number: int) 
     """
     levels = [float(columns[name][number]) for name in spec.inputs.coefficients]
     if spec.epistemic.set == "ellipsoid":
-        levels = list(at(in_ball(levels), _reach(spec)))
+        levels = list(levels_at(box_to_ball(levels), _reach(spec)))
     return dict(zip(spec.inputs.coefficients, levels, strict=True))
 
 
-def _drawn(
+def _drawn_samples(
     spec: CampaignSpec, means: Sequence[str], draws: Sequence[Mapping[str, float]]
 ) -> Iterator[Epistemic]:
     section, root_seed = spec.epistemic, spec.campaign.seed
@@ -309,12 +309,12 @@ def parameter_draws(
             random_numbers.drawn(numbered_stream(root_seed, "parameters", n), len(estimates.names))
             for n in range(samples)
         ]
-        found = np.tile(estimates.values, (samples, 1))
+        draws = np.tile(estimates.values, (samples, 1))
         # Column by column: a matrix product's order, and so its last bits, is the library's and the
         # processor's.
         for column, weights in zip(np.vstack(rows).T, estimates.factor().T, strict=True):
-            found += column[:, None] * weights
-        return found
+            draws += column[:, None] * weights
+        return draws
     # Bonferroni: each interval at 1 - (1 - confidence)/n, so that all n hold at once with at least
     # ``confidence``.
     reach = random_numbers.normal_quantile(
@@ -362,42 +362,42 @@ def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignS
     sections = {name: getattr(document, name) for name in Document.model_fields}
     inputs = read_inputs(document.epistemic, path.resolve().parent)
     spec = CampaignSpec(path, text, **sections, inputs=inputs)
-    return settled(spec, stated="flights" in data["aleatory"])
+    return with_planned_flights(spec, has_flights="flights" in data["aleatory"])
 
 
-def settled(spec: CampaignSpec, stated: bool) -> CampaignSpec:
-    """The campaign with the number of flights its rule asks for; ``stated``: the file gives a
+def with_planned_flights(spec: CampaignSpec, has_flights: bool) -> CampaignSpec:
+    """The campaign with the number of flights its rule asks for; ``has_flights``: the file gives a
     number as well.
 
     Raises BadInputError, with the line, where the two differ, where [stop] and [metrics] do not
     belong together, and where [epistemic] asks for what its bounds do not hold."""
-    _agree_with_turbulence_model(spec)
-    _agree_with_metrics(spec)
-    _agree_with_form(spec)
-    found, said = _planned(spec)
-    if stated and found.aleatory.flights != spec.aleatory.flights:
+    _check_turbulence_model(spec)
+    _check_metrics(spec)
+    _check_model_form(spec)
+    planned_spec, reason = _plan_flights(spec)
+    if has_flights and planned_spec.aleatory.flights != spec.aleatory.flights:
         raise BadInputError(
             f"{spec.path}:{line_of(spec.source, ('aleatory', 'flights'))}: [aleatory] flights ="
-            f" {spec.aleatory.flights}, but [stop] {said} asks for {found.aleatory.flights}; leave"
+            f" {spec.aleatory.flights}, but [stop] {reason} asks for {planned_spec.aleatory.flights}; leave"
             " [aleatory] flights out"
         )
-    return found
+    return planned_spec
 
 
-def planned(spec: CampaignSpec) -> CampaignSpec:
+def replan_flights(spec: CampaignSpec) -> CampaignSpec:
     """The campaign with the number of flights its rule asks for, after something that bears on it
     has been changed.
     """
-    return _planned(spec)[0]
+    return _plan_flights(spec)[0]
 
 
-def _agree_with_metrics(spec: CampaignSpec) -> None:
+def _check_metrics(spec: CampaignSpec) -> None:
     stop, metrics = spec.stop, spec.metrics
     if stop.radius_m is not None and stop.radius_m not in metrics.excursion_radius_m:
-        known = ", ".join(f"{radius:g}" for radius in metrics.excursion_radius_m)
+        radii = ", ".join(f"{radius:g}" for radius in metrics.excursion_radius_m)
         raise BadInputError(
             f"{spec.path}:{line_of(spec.source, ('stop', 'radius_m'))}: [stop] radius_m ="
-            f" {stop.radius_m:g}: must be among [metrics] excursion_radius_m ({known})"
+            f" {stop.radius_m:g}: must be among [metrics] excursion_radius_m ({radii})"
         )
     zone = stop.indifference_per_h
     if zone is not None and not zone[0] <= metrics.acceptable_per_h <= zone[1]:
@@ -408,7 +408,7 @@ def _agree_with_metrics(spec: CampaignSpec) -> None:
         )
 
 
-def _agree_with_turbulence_model(spec: CampaignSpec) -> None:
+def _check_turbulence_model(spec: CampaignSpec) -> None:
     """Refuse a [start] above the turbulence model; the height of a script's start is found out by
     flying it.
     """
@@ -441,7 +441,7 @@ def naming_keys(spec: CampaignSpec) -> Iterator[None]:
         raise BadInputError(f"{place}[aleatory] {error}") from None
 
 
-def _agree_with_form(spec: CampaignSpec) -> None:
+def _check_model_form(spec: CampaignSpec) -> None:
     section, form = spec.epistemic, spec.inputs.model_form
     if section.transient and not spec.inputs.has_parts:
         lacks = "bounds are no model-form.json" if form is None else f"{form} has no transient part"
@@ -458,12 +458,12 @@ def _agree_with_form(spec: CampaignSpec) -> None:
         )
 
 
-def _planned(spec: CampaignSpec) -> tuple[CampaignSpec, str]:
+def _plan_flights(spec: CampaignSpec) -> tuple[CampaignSpec, str]:
     """The campaign with the flights its rule asks for, and what asks for them."""
     stop = spec.stop
     if stop.rule == "hours" and stop.hours is not None:
-        said = f"hours = {stop.hours:g} of flights of {spec.aleatory.duration_s:g} s"
-        return spec.with_hours(stop.hours), said
+        reason = f"hours = {stop.hours:g} of flights of {spec.aleatory.duration_s:g} s"
+        return spec.with_hours(stop.hours), reason
     if stop.rule == "band-width":
         # Imported here: pandas and scipy are for this rule alone.
         from uqharness.campaign.conditions import CONFIDENCE
@@ -471,9 +471,9 @@ def _planned(spec: CampaignSpec) -> tuple[CampaignSpec, str]:
 
         assert stop.band_width is not None
         samples = len(epistemic_samples(spec))
-        wanted = flights_for_band(stop.band_width, samples, CONFIDENCE)
-        said = f"band_width = {stop.band_width:g} over {samples} epistemic samples"
-        return spec.with_flights(wanted), said
+        flights = flights_for_band(stop.band_width, samples, CONFIDENCE)
+        reason = f"band_width = {stop.band_width:g} over {samples} epistemic samples"
+        return spec.with_flights(flights), reason
     return spec, ""
 
 
@@ -487,8 +487,8 @@ def with_samples(spec: CampaignSpec, samples: int) -> CampaignSpec:
             f"--samples {samples}: {spec.path} draws no epistemic samples (method ="
             f' "{spec.epistemic.method}"), so their number cannot be changed'
         )
-    if not 1 <= samples <= MOST_SAMPLES:
-        raise BadInputError(f"--samples {samples}: must be from 1 to {MOST_SAMPLES}")
-    return planned(
+    if not 1 <= samples <= MAX_SAMPLES:
+        raise BadInputError(f"--samples {samples}: must be from 1 to {MAX_SAMPLES}")
+    return replan_flights(
         dataclasses.replace(spec, epistemic=spec.epistemic.model_copy(update={"samples": samples}))
     )

@@ -10,7 +10,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign import CONFIDENCE, Condition, Statement, hardest_of
+from uqharness.campaign import CONFIDENCE, Condition, Statement, hardest_condition
 from uqharness.campaign.conditions import conditions
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
@@ -113,7 +113,7 @@ def _pbox(sides: Sides) -> Figure | None:
     if not sides:
         return None
     *_, last = sides.values()
-    condition = hardest_of(conditions(last.frame))
+    condition = hardest_condition(conditions(last.frame))
     for metric in _FIRST:
         items = {
             w: next((f for f in s.findings if (f.metric, f.condition) == (metric, condition)), None)

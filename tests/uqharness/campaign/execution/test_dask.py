@@ -224,7 +224,7 @@ def test_a_worker_without_the_batch_engine_refuses_its_cases(monkeypatch):
     )
     group = Group("batch", (("0001", FlightSpec(Path("nowhere"), Path("nothing"), 1.0)),))
     content = (dask_task.ABSENT, dask_task.ABSENT)
-    monkeypatch.setattr(dask_task, "_refuse_unlike", lambda *given: None)
+    monkeypatch.setattr(dask_task, "_refuse_other_versions", lambda *given: None)
     said = dask_task.fly_order(order_text(Order(OWN_FLIGHT, False, group, content, ())))
     assert "the campaign flies in the batch engine, and llvmlite is not installed for batch" in said
 
