@@ -1,4 +1,9 @@
-"""From the table of flights to p-boxes and excursion rates by condition. Writes nothing."""
+"""Turn the table of flights into samples, p-boxes and excursion rates per condition.
+
+A condition is one cell of the grid wind x turbulence. Within it each epistemic sample (corner)
+gives one empirical distribution of a metric; the p-box is their envelope. Nothing here writes a
+file. The column names of the metrics are defined here as well.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +20,7 @@ from uqharness.flight import TURBULENCE_W20_KT
 from uqharness.statistics import ExcursionRate, PBox, Sample, excursion_rate
 from uqharness.statistics.pbox import pbox
 
-# Names of the columns that a campaign's flights are scored by.
+# Column names of the metrics.
 
 ERROR_METRICS = tuple(
     f"{quantity}_{statistic}_{unit}{suffix}"
@@ -23,8 +28,8 @@ ERROR_METRICS = tuple(
     for quantity, unit in (("cross_track", "m"), ("altitude", "m"), ("speed", "mps"))
     for statistic in ("median", "mean", "max")
 )
-"""Statistics of |error| over a flight, true and (``_measured``) as the noise-laden sensors
-saw it.
+"""Statistics of the absolute error over a flight, of the true error and (``_measured``) of the
+error as the noisy sensors report it.
 """
 
 UNCOMMANDED_METRICS = (
@@ -33,13 +38,13 @@ UNCOMMANDED_METRICS = (
     "heading_max_deg",
     "load_factor_max",
 )
-"""What a flight without a commanded path is scored by besides; columns only of a campaign that has
-them.
+"""Metrics of a flight without a commanded path. Only campaigns that fly such missions have the
+columns.
 """
 
 
 def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
-    """Names of the excursion counts: horizontal distance first, then the 3-D ones."""
+    """Return the column names of the excursion counts: horizontal distance first, then 3-D."""
     radii = tuple(radii_m)
     return tuple(
         excursion_column(radius, distance) for distance in ("horizontal", "3d") for radius in radii
@@ -47,13 +52,17 @@ def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
 
 
 def excursion_column(radius_m: float, distance: str) -> str:
-    """Name of the excursion counts beyond one radius; ``distance``: horizontal or 3d."""
+    """Return the column name of the excursions beyond one radius [m]; ``distance`` is horizontal or
+    3d.
+    """
     return f"excursions_{radius_m:g}m" + ("_3d" if distance == "3d" else "")
 
 
 def counted_radii(metrics: Mapping[str, Any]) -> tuple[float, ...]:
-    """Radii [m] at which a campaign counts excursions, from its section [metrics] as plain types:
-    asked about, then the others.
+    """Return the radii [m] at which a campaign counts excursions.
+
+    ``metrics`` is the section [metrics] as plain types. Radii with an acceptable rate come first,
+    then those that only measure dispersion.
     """
     return (
         *map(float, metrics["excursion_radius_m"]),
@@ -62,30 +71,48 @@ def counted_radii(metrics: Mapping[str, Any]) -> tuple[float, ...]:
 
 
 CONFIDENCE = 0.95
+"""Confidence of all limits and bands of a campaign's tables."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One cell of the wind x turbulence grid."""
+    """Name one cell of the wind x turbulence grid.
+
+    Attributes
+    ----------
+    wind_mps : float
+        Mean wind [m/s].
+    turbulence : str
+        Intensity: none, light, moderate or severe.
+
+    Examples
+    --------
+    >>> Condition(3.0, "moderate").label
+    '3 m/s moderate'
+    """
 
     wind_mps: float
     turbulence: str
 
     @property
     def label(self) -> str:
-        """The condition as tables name it: ``3 m/s moderate``."""
+        """The condition as tables write it: ``3 m/s moderate``."""
         return f"{self.wind_mps:g} m/s {self.turbulence}"
 
     @property
     def words(self) -> str:
-        """The condition as a sentence names it."""
+        """The condition as sentences write it: ``3 m/s wind and moderate turbulence``."""
         air = "no" if self.turbulence == "none" else self.turbulence
         return f"{self.wind_mps:g} m/s wind and {air} turbulence"
 
 
 @dataclass(frozen=True)
 class ExcursionCell:
-    """Rates of all corners in one condition, for one radius and one way of measuring distance."""
+    """Hold the excursion rates of all corners in one condition, for one radius [m] and one
+    distance.
+
+    ``distance`` is horizontal or 3d.
+    """
 
     condition: Condition
     radius_m: float
@@ -94,13 +121,13 @@ class ExcursionCell:
 
 
 def hardest_condition(candidates: Iterable[Condition]) -> Condition:
-    """The strongest turbulence, in it the strongest wind."""
+    """Return the condition with the strongest turbulence and, within it, the strongest wind."""
     order = tuple(TURBULENCE_W20_KT)
     return max(candidates, key=lambda item: (order.index(item.turbulence), item.wind_mps))
 
 
 def conditions(frame: pd.DataFrame) -> list[Condition]:
-    """Conditions of a case table, in its order."""
+    """Return the conditions of a case table in the order of the table."""
     pairs = frame[["wind_mps", "turbulence"]].drop_duplicates()
     return [
         Condition(float(wind), str(air))
@@ -109,19 +136,34 @@ def conditions(frame: pd.DataFrame) -> list[Condition]:
 
 
 def in_condition(frame: pd.DataFrame, condition: Condition) -> pd.DataFrame:
-    """The rows of one condition."""
+    """Return the rows of one condition."""
     return frame[
         (frame["wind_mps"] == condition.wind_mps) & (frame["turbulence"] == condition.turbulence)
     ]
 
 
 def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
-    """One sample per epistemic id from the rows of one condition; an unknown value of a flight is
-    counted, not dropped.
+    """Return one sample of a metric per epistemic id, from the rows of one condition.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of cases.parquet of one condition.
+    metric : str
+        Column name.
+
+    Returns
+    -------
+    list of Sample
+        Known values first. A flight that failed, or has no value, is counted as unknown: dropping
+        it
+        would make the distribution look better than it is.
     """
     values = frame[metric].to_numpy(dtype=float)
     is_valid = np.isfinite(values) & (frame["status"] == "ok").to_numpy()
     corner_index, names = pd.factorize(frame["epistemic_id"])
+    # One stable sort replaces a groupby per metric: rows of each corner stay in the order of the
+    # table.
     order = np.argsort(corner_index, kind="stable")
     edges = np.searchsorted(corner_index[order], np.arange(len(names) + 1))
     corner_rows = [order[begin:end] for begin, end in pairwise(edges)]
@@ -141,9 +183,19 @@ def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
 def pboxes(
     frame: pd.DataFrame, confidence: float = CONFIDENCE
 ) -> Iterator[tuple[str, Condition, PBox]]:
-    """Every p-box of a case table: metric by metric, condition by condition.
+    """Yield the p-boxes of a case table, metric by metric and condition by condition.
 
-    A metric that no flight has is left out.
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of cases.parquet.
+    confidence : float
+        Confidence of the band that accounts for the finite number of flights.
+
+    Yields
+    ------
+    tuple of (str, Condition, PBox)
+        A metric without a value in any flight is left out.
     """
     for metric in (*ERROR_METRICS, *(name for name in UNCOMMANDED_METRICS if name in frame)):
         for condition in conditions(frame):
@@ -153,7 +205,10 @@ def pboxes(
 
 
 def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[ExcursionCell]:
-    """Excursion rates of all corners by condition, distance and radius."""
+    """Return the excursion rates of all corners by condition, distance and radius [m].
+
+    A radius that the flights did not count (no 3-D distance, no commanded path) is left out.
+    """
     cells = []
     for condition in conditions(frame):
         rows = in_condition(frame, condition)
@@ -180,9 +235,10 @@ def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[Excur
 
 
 def _not_measured(rows: pd.DataFrame, column: str, distance: str) -> bool:
-    """Whether no flight of this aircraft has that count: one that ended well lacks it.
+    """Return whether the aircraft does not report this count at all.
 
-    Failed flights alone tell nothing.
+    A flight that ended well always has the counts of its aircraft, so an empty column with good
+    flights means that the aircraft lacks the channel. Failed flights alone do not show it.
     """
     ended_well = rows[rows["status"] == "ok"]
     unknown = bool(rows[column].isna().all())
@@ -191,9 +247,7 @@ def _not_measured(rows: pd.DataFrame, column: str, distance: str) -> bool:
 
 @dataclass(frozen=True)
 class _Corner:
-    """A corner's flights among a condition's rows, how many of them failed and how long they were
-    to last.
-    """
+    """Hold one corner's rows of a condition, its failed flights and its scored time [h]."""
 
     name: str
     places: NDArray[np.intp]
@@ -201,5 +255,6 @@ class _Corner:
     hours: float
 
     def rate(self, counts: NDArray[np.float64], corners: int) -> ExcursionRate:
+        """Return the excursion rate of the corner from the counts (n,) of the condition's rows."""
         known_counts = [None if np.isnan(count) else int(count) for count in counts[self.places]]
         return excursion_rate(self.name, known_counts, self.failed, self.hours, corners, CONFIDENCE)

@@ -1,4 +1,10 @@
-"""Convergence of a flown campaign: its table in, convergence.csv and the curves to draw out."""
+"""Show whether a campaign flew enough, and compare its p-boxes with real flights.
+
+Convergence: the flights of one epistemic sample are divided into repeats, whose distance is
+compared with what chance alone gives; the area of the p-box is followed as epistemic samples are
+added. Comparison: the area metric between the p-box of each metric and a table of real flights. The
+results are convergence.csv and area.csv in the campaign's folder, and JSON documents.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +39,12 @@ from uqharness.statistics import AreaMetric, Growth, Repeats, area_metric, growt
 
 CONVERGENCE = "convergence.csv"
 METRICS = ("cross_track_median_m", "altitude_median_m", "speed_median_mps")
+"""Metrics studied by default."""
 REPEATS = 10
+"""Number of repeats by default."""
 
 _RANDOM_METHODS = ("white", "walk")
+"""Methods whose epistemic samples are independent draws, so that their number can be compared."""
 
 _COLUMNS = (
     "kind",
@@ -58,11 +67,23 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class MetricConvergence:
-    """One metric in one condition. ``repeats`` are of ``epistemic_id``, the sample whose repeats
-    lie farthest apart.
+    """Hold the convergence of one metric in one condition.
 
-    Either part may be missing: too few flights, or epistemic samples that are too few or were not
-    drawn."""
+    Attributes
+    ----------
+    metric : str
+        Column name.
+    condition : Condition
+        Wind and turbulence.
+    epistemic_id : str
+        Epistemic sample whose repeats lie farthest apart.
+    repeats : Repeats or None
+        Distance of its repeats; None with too few flights.
+    growth : tuple of Growth
+        Area of the p-box over the number of epistemic samples; empty unless they are random draws
+        and
+        at least four.
+    """
 
     metric: str
     condition: Condition
@@ -74,7 +95,27 @@ class MetricConvergence:
 def study_convergence(
     folder: Path, metrics: Sequence[str] = (), number: int = REPEATS
 ) -> list[MetricConvergence]:
-    """Convergence of a complete campaign. Raises BadInputError."""
+    """Study the convergence of a complete campaign.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    metrics : sequence of str
+        Column names; default: the medians of `METRICS` that the campaign has.
+    number : int
+        Number of repeats, at least 2.
+
+    Returns
+    -------
+    list of MetricConvergence
+        Metric by metric, condition by condition.
+
+    Raises
+    ------
+    BadInputError
+        If the campaign is not complete, a metric is unknown, or too few flights or samples exist.
+    """
     manifest = read_complete(folder)
     if number < 2:
         raise BadInputError(f"--repeats {number}: must be at least 2")
@@ -105,8 +146,21 @@ def study_convergence(
 def metric_convergence(
     frame: pd.DataFrame, metric: str, repeat_count: int, is_random: bool, seed: int
 ) -> Iterator[MetricConvergence]:
-    """Convergence of one metric of a case table, condition by condition: ``repeat_count`` repeats; growth
-    where samples are ``is_random``.
+    """Yield the convergence of one metric of a case table, condition by condition.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of cases.parquet.
+    metric : str
+        Column name.
+    repeat_count : int
+        Number of repeats.
+    is_random : bool
+        Whether the epistemic samples are independent draws; only then the growth of the p-box is
+        studied.
+    seed : int
+        Seed of the random orders in which samples are added.
     """
     for condition in conditions(frame):
         groups = {
@@ -133,14 +187,14 @@ def metric_convergence(
 
 
 def _values(rows: pd.DataFrame, metric: str) -> Any:
-    """Values in the order of the aleatory ids; a failed flight is infinitely bad."""
+    """Return the values in the order of the aleatory ids; a failed flight counts as infinite error."""
     rows = rows.sort_values("aleatory_id")
     values = rows[metric].to_numpy(dtype=float)
     return np.where(np.isfinite(values) & (rows["status"] == "ok").to_numpy(), values, np.inf)
 
 
 def as_rows(results: Sequence[MetricConvergence]) -> list[dict[str, Any]]:
-    """One row per set of repeats and per size of p-box; what does not apply is empty."""
+    """Return one row per set of repeats and per size of p-box; cells that do not apply are absent."""
     rows: list[dict[str, Any]] = []
     for item in results:
         common = {"metric": item.metric, "condition": item.condition.label}
@@ -175,7 +229,7 @@ def as_rows(results: Sequence[MetricConvergence]) -> list[dict[str, Any]]:
 
 
 def convergence_table(results: Sequence[MetricConvergence]) -> bytes:
-    """convergence.csv."""
+    """Return the content of convergence.csv."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, _COLUMNS, restval="", lineterminator="\n")
     writer.writeheader()
@@ -190,7 +244,7 @@ def convergence_table(results: Sequence[MetricConvergence]) -> bytes:
 
 
 def sentences(results: Sequence[MetricConvergence]) -> list[str]:
-    """What came out, in words."""
+    """Return the results as sentences for the terminal."""
     lines = []
     for item in results:
         label = f"{item.metric}, {item.condition.label}"
@@ -213,7 +267,10 @@ def sentences(results: Sequence[MetricConvergence]) -> list[str]:
 
 
 def write_convergence(folder: Path, metrics: Sequence[str], number: int) -> list[MetricConvergence]:
-    """Study convergence as `study` does and write convergence.csv. Raises BadInputError."""
+    """Study convergence as `study_convergence` does and write convergence.csv into the folder.
+
+    The digest of the table enters the manifest. Raises BadInputError.
+    """
     result = study_convergence(folder, metrics, number)
     record_table(folder, CONVERGENCE, convergence_table(result))
     return result
@@ -222,7 +279,7 @@ def write_convergence(folder: Path, metrics: Sequence[str], number: int) -> list
 def convergence_document(
     folder: Path, result: Sequence[MetricConvergence], figures: Sequence[Path]
 ) -> dict[str, Any]:
-    """The document of ``campaign convergence --json``."""
+    """Return the document of ``campaign convergence --json``."""
     return {
         "table": str(folder / CONVERGENCE),
         "figures": list(map(str, figures)),
@@ -230,8 +287,7 @@ def convergence_document(
     }
 
 
-# A campaign's p-boxes against flights that were really flown: area metric per metric and
-# condition.
+# Area metric between a campaign's p-boxes and real flights.
 
 AREAS = "area.csv"
 _CONDITION_COLUMNS = ("wind_mps", "turbulence")
@@ -256,7 +312,7 @@ _AREA_COLUMNS = (
 
 @dataclass(frozen=True)
 class AreaComparison:
-    """Flights against the p-box of one metric in one condition."""
+    """Hold the comparison of real flights with the p-box of one metric in one condition."""
 
     metric: str
     condition: Condition
@@ -264,15 +320,30 @@ class AreaComparison:
 
     @property
     def verdict(self) -> str:
-        """Outside where the flights contradict the p-box beyond chance, else no contradiction."""
+        """ "outside" if the flights contradict the p-box beyond chance, else "no contradiction"."""
         return "outside" if self.area_metric.beyond_chance > 0.0 else "no contradiction"
 
 
 def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame:
-    """Table of flights, one row each: columns named as in cases.parquet, wind_mps and turbulence if
-    they are known.
+    """Read a table of real flights.
 
-    ``values`` make one flight more. Raises BadInputError.
+    Parameters
+    ----------
+    path : Path or None
+        CSV or Parquet, one row per flight. Columns are named as in cases.parquet; wind_mps and
+        turbulence are optional.
+    values : mapping of str to float
+        Values of one more flight, by column name.
+
+    Returns
+    -------
+    DataFrame
+        All flights.
+
+    Raises
+    ------
+    BadInputError
+        If there is no flight or a column is neither numeric nor text.
     """
     frames = [pd.DataFrame([values])] if values else []
     if path is not None:
@@ -287,6 +358,7 @@ def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame
 
 
 def _read_table(path: Path) -> pd.DataFrame:
+    """Read a table file; columns of a Parquet file must be numbers or text, each once."""
     if path.suffix == ".parquet":
         table = read_table(path)
         for field in table.schema:
@@ -306,8 +378,27 @@ def _read_table(path: Path) -> pd.DataFrame:
 
 
 def compare_flights(folder: Path, flights: pd.DataFrame) -> list[AreaComparison]:
-    """Compare every metric that both have, in every condition; a flight with a condition of its own
-    in that one. BadInputError.
+    """Compare real flights with every p-box that has their metric.
+
+    Flights with wind_mps and turbulence are compared in their own condition, others in all
+    conditions.
+
+    Parameters
+    ----------
+    folder : Path
+        Complete campaign.
+    flights : DataFrame
+        See `read_flights`.
+
+    Returns
+    -------
+    list of AreaComparison
+        At least one entry.
+
+    Raises
+    ------
+    BadInputError
+        If the campaign is not complete or no metric and condition are shared.
     """
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
@@ -333,6 +424,7 @@ def compare_flights(folder: Path, flights: pd.DataFrame) -> list[AreaComparison]
 
 
 def _flights_in(flights: pd.DataFrame, condition: Condition) -> pd.DataFrame:
+    """Return the flights of one condition; all of them if the table has no conditions."""
     return (
         in_condition(flights, condition)
         if all(name in flights for name in _CONDITION_COLUMNS)
@@ -341,7 +433,7 @@ def _flights_in(flights: pd.DataFrame, condition: Condition) -> pd.DataFrame:
 
 
 def area_table(comparisons: Sequence[AreaComparison]) -> bytes:
-    """area.csv."""
+    """Return the content of area.csv."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_AREA_COLUMNS)
@@ -356,14 +448,14 @@ def area_table(comparisons: Sequence[AreaComparison]) -> bytes:
 
 
 def write_area(folder: Path, flights: pd.DataFrame) -> list[AreaComparison]:
-    """Compare flights as `compare` does and write area.csv. Raises BadInputError."""
+    """Compare flights as `compare_flights` does and write area.csv into the folder."""
     comparisons = compare_flights(folder, flights)
     record_table(folder, AREAS, area_table(comparisons))
     return comparisons
 
 
 def area_document(folder: Path, comparisons: Sequence[AreaComparison]) -> dict[str, Any]:
-    """The document of ``campaign area --json``."""
+    """Return the document of ``campaign area --json``."""
     rows = [
         {"metric": item.metric, "condition": item.condition.label, "verdict": item.verdict}
         | asdict(item.area_metric)

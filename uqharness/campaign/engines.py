@@ -1,4 +1,10 @@
-"""Which engine flies a campaign, settled once for all its flights, and why."""
+"""Choose the engine of a campaign, prepare its aircraft, and compare the batch engine with JSBSim.
+
+Three parts. First, the copy of the aircraft that campaigns with bounds from a model form or with a
+trimmed start fly. Second, the choice of the engine: once per campaign, batch where it understands
+aircraft and mission completely, else JSBSim. Third, the comparison: every campaign in the batch
+engine flies some of its cases in JSBSim as well, and no campaign completes if they differ.
+"""
 
 from __future__ import annotations
 
@@ -70,44 +76,42 @@ from uqharness.simulator import (
     write_steady_start,
 )
 
-# The aircraft of a campaign where it is not the author's own files: with bounds from a model
-# form, with a trimmed start, or both.
-#
-# Such an aircraft is a copy in the campaign's folder, so that what was flown stays with what
-# came out.
+# Copy of the aircraft, for campaigns with bounds from a model form or with a trimmed start. It
+# stays in the campaign's folder, so that what was flown is kept with the results.
 
 SYSTEM = "model-form"
+"""Name of the plugin's system in an aircraft file."""
 _COPIED = "aircraft"
 _UNFINISHED = ".aircraft-"
 _SENSOR = b"sensor/V-mps"
-"""Property by which a sensors system is recognised."""
+"""Property that identifies a sensors system."""
 _ACTIVE = b"uq/active"  # the switch of the plugin's deltas
 
 
 def needs_copy(spec: CampaignSpec) -> bool:
-    """Whether the campaign flies a copy of the aircraft."""
+    """Return whether the campaign flies a copy of the aircraft."""
     return spec.inputs.model_form is not None or spec.start is not None
 
 
 def named_aircraft(spec: CampaignSpec) -> Aircraft:
-    """The aircraft that the campaign names: beside its own file, else as ``uqharness fly`` finds
-    it. Raises BadInputError.
+    """Return the aircraft that a campaign names.
+
+    It is looked up relative to the campaign file first, then as ``uqharness fly`` does. Raises
+    BadInputError.
     """
     relative_path = spec.path.resolve().parent / spec.campaign.aircraft
     return find_aircraft(relative_path if relative_path.is_dir() else spec.campaign.aircraft)
 
 
 def has_sensors(aircraft: Aircraft) -> bool:
-    """Whether the aircraft's files have a sensors system, whose output the noise of the sensors is
-    added to.
-    """
+    """Return whether the aircraft has a sensors system, to whose output sensor noise is added."""
     paths = (path for _, path in walk(aircraft.folder) if path.suffix.lower() == ".xml")
     return any(_SENSOR in path.read_bytes() for path in paths)
 
 
 def require_plugin(spec: CampaignSpec, aircraft: Aircraft) -> None:
-    """Raise BadInputError where the campaign moves coefficients and nothing in the aircraft's files
-    adds their deltas.
+    """Raise BadInputError if a campaign varies coefficients and no file of the aircraft adds their
+    deltas.
     """
     if spec.epistemic.method == "none" or not spec.epistemic.coefficients:
         return
@@ -117,23 +121,21 @@ def require_plugin(spec: CampaignSpec, aircraft: Aircraft) -> None:
 
 
 def with_noise_of(spec: CampaignSpec, aircraft: Aircraft) -> CampaignSpec:
-    """The campaign with ``sensor_noise`` settled: where the file does not say, on if the aircraft
-    has a sensors system.
-    """
+    """Return the campaign with ``sensor_noise`` filled in: on if the aircraft has a sensors system."""
     if spec.aleatory.sensor_noise is not None:
         return spec
     return spec.with_sensor_noise(has_sensors(aircraft))
 
 
 def with_default_noise(spec: CampaignSpec, mission: Mission) -> CampaignSpec:
-    """Return the campaign with ``sensor_noise`` settled by the aircraft that the mission flies."""
-    # A copy of the aircraft may not have been made yet; its sensors are those of its source.
+    """Return the campaign with ``sensor_noise`` filled in from the aircraft of its mission."""
+    # The copy may not exist yet; it has the sensors of its source.
     source = mission.source if mission.source != Path() else mission.aircraft
     return with_noise_of(spec, find_aircraft(source))
 
 
 def noise_notes(spec: CampaignSpec) -> list[str]:
-    """That a campaign which says nothing of sensor noise flies without. Raises BadInputError."""
+    """Return a note if the campaign flies without sensor noise by default. Raises BadInputError."""
     aircraft = named_aircraft(spec)
     if spec.aleatory.sensor_noise is not None or has_sensors(aircraft):
         return []
@@ -146,10 +148,7 @@ def noise_notes(spec: CampaignSpec) -> list[str]:
 
 
 def bounds_notes(spec: CampaignSpec) -> list[str]:
-    """What to know before flying: bounds that were made for other files than the aircraft's.
-
-    Raises BadInputError.
-    """
+    """Return a note if the bounds were made for other aircraft files. Raises BadInputError."""
     if spec.inputs.model_form is None:
         return []
     made_for, aircraft = read_bounds(spec.inputs.model_form).aircraft, named_aircraft(spec)
@@ -171,10 +170,10 @@ def bounds_notes(spec: CampaignSpec) -> list[str]:
 def find_copied_mission(
     spec: CampaignSpec, aircraft: Aircraft, script: Path | None, folder: Path
 ) -> Mission:
-    """The mission that a copy in ``folder`` is going to fly, with the hashes of what it will hold;
-    nothing is left behind.
+    """Return the mission that a copy of the aircraft in ``folder`` will fly, with its hashes.
 
-    ``script`` None: the steady flight of [start]. Raises BadInputError as :func:`make_copy` does.
+    The copy is made in a temporary folder to compute the hashes. ``script`` None means the steady
+    flight of [start]. Raises BadInputError as `make_copy` does.
     """
     with scratch_folder("copy") as scratch:
         copy = _copy_aircraft(spec, aircraft, scratch.path)
@@ -191,10 +190,11 @@ def find_copied_mission(
 
 
 def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
-    """Make the copy that ``mission`` flies in ``folder``, unless it is there already.
+    """Make the copy that ``mission`` flies in ``folder``, unless it is there.
 
-    Raises BadInputError if the aircraft does not carry the plugin, cannot have these bounds, or has
-    no trim."""
+    Raises BadInputError if the aircraft lacks the plugin, cannot have these bounds, or cannot be
+    trimmed.
+    """
     for unfinished in folder.glob(f"{_UNFINISHED}*"):
         shutil.rmtree(unfinished, ignore_errors=True)
     target = mission.aircraft
@@ -202,8 +202,8 @@ def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
         return
     with tempfile.TemporaryDirectory(prefix=_UNFINISHED, dir=folder) as name:
         copy = _copy_aircraft(spec, find_aircraft(mission.source), Path(name))
-        # A folder with flights of another aircraft is refused before; what is left to find here is
-        # half a copy.
+        # A folder with flights of another aircraft was refused earlier, so what is here is an
+        # incomplete copy.
         shutil.rmtree(target, ignore_errors=True)
         for entry in ("engine", "systems", SCRIPT):
             if (Path(name) / entry).exists():
@@ -213,6 +213,7 @@ def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
 
 
 def _copy_aircraft(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
+    """Copy the aircraft below ``root`` and apply bounds and start; return the copied folder."""
     copy = root / _COPIED / aircraft.folder.name
     copy_folder(aircraft.folder, copy)
     copy_beside(aircraft, root, engine.default_root())
@@ -224,9 +225,9 @@ def _copy_aircraft(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
 
 
 def put_bounds(copy: Path, aircraft: Aircraft, model_form: Path) -> None:
-    """Give the copy ``copy`` of an aircraft the bounds of a model-form.json.
+    """Write the bounds of a model-form.json into the copy of an aircraft.
 
-    Raises BadInputError as :func:`make_copy` does.
+    Raises BadInputError as `make_copy` does.
     """
     text = model_form_xml(read_bounds(model_form), aircraft)
     destination = copy / system_file(aircraft).relative_to(aircraft.folder)
@@ -235,7 +236,7 @@ def put_bounds(copy: Path, aircraft: Aircraft, model_form: Path) -> None:
 
 
 def system_file(aircraft: Aircraft) -> Path:
-    """The file of the aircraft's model-form system."""
+    """Return the file of the aircraft's model-form system. Raises BadInputError if there is none."""
     for system in parse_xml(aircraft.xml).getroot().iter("system"):
         system_name = system.get("file", "").removesuffix(".xml")
         if system_name == SYSTEM:
@@ -257,10 +258,18 @@ _MAX_REASONS = 8
 
 @dataclass(frozen=True)
 class Engines:
-    """What there is to fly with: ``fly`` is JSBSim's, ``fly_group`` flies in any engine, ``batch``
-    says what it understands.
+    """Hold the functions to fly with.
 
-    ``no_batch`` is why there is no ``batch``.
+    Attributes
+    ----------
+    fly : callable
+        Flies one flight in JSBSim.
+    fly_group : callable
+        Flies a group in the engine of a given name.
+    batch : Batch or None
+        Reports what the batch engine understands.
+    no_batch : str
+        Why ``batch`` is None.
     """
 
     fly: FlightFunction
@@ -270,8 +279,8 @@ class Engines:
 
     @staticmethod
     def of(fly: FlightFunction | Engines | None) -> Engines:
-        """This program's own where nothing is given; a flight function by itself flies one flight
-        after the other.
+        """Return the engines of this program, or those around a flight function given by the
+        caller.
         """
         if isinstance(fly, Engines):
             return fly
@@ -284,14 +293,22 @@ class Engines:
         return Engines(own, fly_group, LocalBatch())
 
     def unavailable(self) -> str | None:
-        """Why the batch engine cannot fly on this machine; None if it can."""
+        """Return why the batch engine cannot fly on this machine; None if it can."""
         return self.no_batch if self.batch is None else self.batch.available()
 
 
 @dataclass(frozen=True)
 class EngineChoice:
-    """A campaign whose engine is settled: ``spec`` has its name, ``asked`` what was asked for,
-    ``why`` the reasons.
+    """Hold a campaign whose engine is chosen.
+
+    Attributes
+    ----------
+    spec : CampaignSpec
+        Campaign with the name of its engine.
+    requested : str
+        Engine that the campaign file requests: auto, batch or jsbsim.
+    reasons : tuple of str
+        Reasons of the choice.
     """
 
     spec: CampaignSpec
@@ -305,23 +322,23 @@ class EngineChoice:
 
     @property
     def words(self) -> str:
-        """The engine and why, in one line."""
+        """The engine and the reasons in one line."""
         return engine_words(self.engine, self.reasons)
 
     def as_dict(self) -> dict[str, Any]:
-        """What a manifest keeps beside the engine's name."""
+        """Return the request and the reasons as the manifest stores them."""
         return {"asked": self.requested, "why": list(self.reasons)}
 
 
 def engine_words(engine: str, reasons: tuple[str, ...]) -> str:
-    """``jsbsim, because ...``: the first reasons."""
+    """Return ``jsbsim, because ...`` with the first reasons."""
     more = f"; and {len(reasons) - _MAX_REASONS} more" if len(reasons) > _MAX_REASONS else ""
     return f"{engine}, because {'; '.join(reasons[:_MAX_REASONS])}{more}" if reasons else engine
 
 
 @dataclass(frozen=True)
 class PreviousEngine:
-    """The engine of a campaign that has begun, and why it was taken."""
+    """Hold the engine of a campaign that has begun, and the reasons of its choice."""
 
     engine: str
     reasons: tuple[str, ...] = ()
@@ -330,11 +347,27 @@ class PreviousEngine:
 def choose_engine(
     spec: CampaignSpec, mission: Mission, engines: Engines, previous: PreviousEngine | None = None
 ) -> EngineChoice:
-    """Settle the engine of a campaign: what is asked for, else that of its ``previous`` flights,
-    else batch where it can fly it.
+    """Choose the engine of a campaign from the campaign file, earlier flights and what batch
+    understands.
 
-    Raises BadInputError where the batch engine is asked for, or flew before, and cannot fly it
-    here."""
+    A campaign that has begun keeps its engine. Otherwise batch is taken if it can fly the campaign.
+
+    Parameters
+    ----------
+    spec : CampaignSpec
+        Validated campaign.
+    mission : Mission
+        Files to fly.
+    engines : Engines
+        Functions to fly with.
+    previous : PreviousEngine, optional
+        Engine of flights that are stored already.
+
+    Raises
+    ------
+    BadInputError
+        If the batch engine is requested, or flew before, and cannot fly the campaign here.
+    """
     requested = spec.campaign.engine
     continues = previous is not None and requested in ("auto", previous.engine)
     engine_name, given_reasons = (
@@ -345,7 +378,7 @@ def choose_engine(
     if engine_name == JSBSIM:
         return EngineChoice(spec.with_engine(JSBSIM), requested, given_reasons)
     if continues and engine_name == BATCH:
-        # What it understands was asked at the first run, of the same aircraft and version.
+        # The first run checked what batch understands, for the same aircraft and version.
         reason = engines.unavailable()
         if reason is not None:
             raise BadInputError(
@@ -369,7 +402,7 @@ def choose_engine(
 
 
 def reasons_against(spec: CampaignSpec, mission: Mission, engines: Engines) -> tuple[str, ...]:
-    """Why the batch engine cannot fly this campaign, a sentence each; empty if it can."""
+    """Return why the batch engine cannot fly a campaign, one sentence each; empty if it can."""
     reason = engines.unavailable()
     if reason is not None or engines.batch is None:
         return (reason or engines.no_batch,)
@@ -388,10 +421,11 @@ def reasons_against(spec: CampaignSpec, mission: Mission, engines: Engines) -> t
 
 
 def _refusals(batch: Batch, flight: FlightSpec, varying: tuple[str, ...]) -> tuple[str, ...]:
+    """Return what the batch engine does not understand; an exception in it is a reason as well."""
     try:
         return batch.refusals(flight, varying)
     except Exception as error:
-        # A defect of one engine is no reason to fly in none.
+        # A defect of the batch engine must not prevent a campaign in JSBSim.
         return (
             (
                 f"the batch engine failed at reading {flight.aircraft.name}:"
@@ -401,7 +435,7 @@ def _refusals(batch: Batch, flight: FlightSpec, varying: tuple[str, ...]) -> tup
 
 
 def varying_properties(spec: CampaignSpec) -> tuple[str, ...]:
-    """Properties whose values differ between the cases of a campaign."""
+    """Return the properties whose values differ between the cases of a campaign."""
     coefficients = () if spec.epistemic.method == "none" else spec.inputs.coefficients
     names = [f"uq/{name}/level" for name in coefficients]
     if spec.epistemic.parameters is not None and spec.inputs.estimates is not None:
@@ -410,13 +444,13 @@ def varying_properties(spec: CampaignSpec) -> tuple[str, ...]:
 
 
 def previous_engine(folder: Path) -> PreviousEngine | None:
-    """Engine of the campaign whose flights ``folder`` holds, or those of the shards beside it; None
-    where there are none.
+    """Return the engine of the flights in ``folder`` or in the shards next to it; None without
+    flights.
     """
     sibling_shards = shard_folders(folder.parent.parent) if folder.parent.name == SHARDS else []
     for place in (folder, *sibling_shards):
         if (place / MANIFEST).exists():
-            # What is wrong with it is said by whoever goes on with the campaign.
+            # A damaged manifest is reported by the command that continues the campaign.
             with contextlib.suppress(BadInputError):
                 manifest = read_manifest(place)
                 engine = str(manifest["campaign"]["campaign"]["engine"])
@@ -427,9 +461,7 @@ def previous_engine(folder: Path) -> PreviousEngine | None:
 
 @contextlib.contextmanager
 def staged_mission_of(spec: CampaignSpec, mission: Mission) -> Iterator[Mission]:
-    """The mission with an aircraft to look at, where the copy that is going to fly has not been
-    made yet.
-    """
+    """Yield the mission with an aircraft that can be read, making a temporary copy if necessary."""
     if not needs_copy(spec) or mission.aircraft.exists():
         yield mission
         return
@@ -441,28 +473,25 @@ def staged_mission_of(spec: CampaignSpec, mission: Mission) -> Iterator[Mission]
         yield staged
 
 
-# JSBSim as the judge of the batch engine in every campaign: some flights in both, and no
-# campaign where they differ.
-#
-# A metric may differ by a millionth of its spread over the condition's flights. Beyond lost
-# control, and in how a flight ends, what JSBSim itself makes of a start that is moved by one
-# unit in the last place tells how much rounding alone may do.
+# Comparison of the batch engine with JSBSim.
 
 TOLERANCE = 1e-6
-"""Largest difference of a metric over its spread."""
+"""Largest difference of a metric relative to its scale."""
 MIN_SHARE_OF_MEDIAN, MIN_SCALE = 1e-3, 1e-2
-"""A spread is the interquartile range of the condition's flights, at least that share of the
-median, and that in the metric's unit: positions are rounded to some 1e-9 m, so a condition without
-any chance would otherwise be judged by rounding."""
+"""Lower limits of the scale of a metric: as a share of the median, and in the metric's unit.
+
+Positions are rounded to about 1e-9 m, so without a lower limit a condition without scatter would be
+compared by its rounding.
+"""
 RADIUS_MARGIN_M = 1e-6
-"""A count may differ where the flight came so near to a radius."""
+"""A count may differ if the flight came this close to a radius."""
 ONE_IN = 1000
-"""Share of the cases that are flown in JSBSim as well, beside the first of each condition."""
+"""One in so many cases is flown in JSBSim as well, in addition to the first of each condition."""
 
 _JSBSIM_PREFIX = "jsbsim:"
 _FLIGHTS_FOR_SCALE = 64
-# Other sums in another order are worth some 1e-10 of a signal, where one unit in the last place is
-# 1e-16, and damped flight hides most of either: from there on both grow alike.
+# Another order of summation changes a signal by about 1e-10, one unit in the last place by 1e-16,
+# and damped flight hides both. After loss of control both grow alike, which gives this factor.
 _TIMES_ROUNDING = 1e5
 _LOSS_OF_CONTROL = "loss_of_control"
 _TIMEOUT, _NOT_COMPARED = (
@@ -476,11 +505,23 @@ Refly = Callable[[Case], CaseOutcome]
 
 
 class EngineComparison:
-    """Compares a campaign's flights in the batch engine with JSBSim's as they come in, and keeps
-    engine-check.csv.
+    """Compare flights of the batch engine with JSBSim's as they come in and keep engine-check.csv.
 
-    ``refly`` flies a case in JSBSim from a start that is one unit in the last place off;
-    ``finished`` are flights of earlier runs."""
+    A metric may differ by `TOLERANCE` times its interquartile range over the condition. After loss
+    of control, and for the way a flight ends, the reference is JSBSim itself from a start that is
+    moved by one unit in the last place: it shows how much rounding alone can change.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    cases : sequence of Case
+        Cases of the run.
+    refly : callable
+        Flies a case in JSBSim from a start that is one unit in the last place off.
+    finished : iterable of CaseOutcome
+        Flights of earlier runs.
+    """
 
     def __init__(
         self,
@@ -507,7 +548,7 @@ class EngineComparison:
             self._learn(outcome)
 
     def groups(self, cases: Iterable[Case]) -> list[Group]:
-        """JSBSim's flights that are still wanted of these cases."""
+        """Return JSBSim flights of these cases that are needed and not there yet, one per group."""
         uncompared = [
             case
             for case in cases
@@ -518,9 +559,9 @@ class EngineComparison:
         ]
 
     def take(self, outcomes: Iterable[CaseOutcome]) -> list[CaseOutcome]:
-        """Learn what was flown; the flights that are the campaign's own.
+        """Record outcomes and return those of the campaign itself.
 
-        Raises EnginesDifferError once that is certain.
+        JSBSim flights carry a prefix in their id and are kept here.
         """
         campaign_outcomes: list[CaseOutcome] = []
         for outcome in outcomes:
@@ -533,7 +574,7 @@ class EngineComparison:
         return campaign_outcomes
 
     def compare(self, final: bool) -> None:
-        """Compare what is new, or (``final``) everything by the spreads of all flights.
+        """Compare new pairs; with ``final`` all pairs, by the scales of all flights.
 
         Raises EnginesDifferError.
         """
@@ -562,7 +603,7 @@ class EngineComparison:
             self._write()
 
     def begin(self, rows: Sequence[CheckRow]) -> None:
-        """Keep the comparison of the flights' first seconds. Raises EnginesDifferError."""
+        """Store the comparison of the first seconds. Raises EnginesDifferError."""
         self._rows = {
             key: rows_of_case for key, rows_of_case in self._rows.items() if key[0] != START
         }
@@ -571,11 +612,13 @@ class EngineComparison:
         self._write()
 
     def _write(self) -> None:
+        """Write engine-check.csv and raise EnginesDifferError if a row differs."""
         rows = [row for flight_rows in self._rows.values() for row in flight_rows]
         write_check(self._folder, rows)
         refuse_difference(self._folder, rows)
 
     def _learn(self, outcome: CaseOutcome) -> None:
+        """Record a batch flight for the comparison and for the scales of its condition."""
         condition = self._condition.get(outcome.case_id)
         if condition is None:
             return
@@ -587,9 +630,7 @@ class EngineComparison:
                 self._values[condition].setdefault(name, array("d")).append(value)
 
     def _remember(self, rows: Sequence[CheckRow]) -> None:
-        """JSBSim's flights of an earlier run; those that differed, or had no result in time, are
-        flown again.
-        """
+        """Reuse JSBSim flights of an earlier run, except those that differed or timed out."""
         by_flight: dict[tuple[str, str], list[CheckRow]] = {}
         for row in rows:
             by_flight.setdefault((row.part, row.case_id), []).append(row)
@@ -609,7 +650,7 @@ class EngineComparison:
 
 
 def _cases_to_compare(cases: Sequence[Case]) -> Iterator[Case]:
-    """The first case of each condition, and those whose hash says so."""
+    """Yield the first case of each condition and one in `ONE_IN` by its hash."""
     visited: set[Condition] = set()
     for case in cases:
         condition = condition_of(case)
@@ -619,12 +660,12 @@ def _cases_to_compare(cases: Sequence[Case]) -> Iterator[Case]:
 
 
 def condition_of(case: Case) -> Condition:
-    """Wind and turbulence of a case."""
+    """Return the condition of a case."""
     return Condition(case.wind_mps, case.turbulence)
 
 
 def difference_scale(values: Sequence[float]) -> float:
-    """What a difference is measured by: the interquartile range, bounded from below."""
+    """Return the scale for differences of a metric: its interquartile range, with lower limits."""
     finite = np.asarray(values, dtype=float)
     finite = finite[np.isfinite(finite)]
     if finite.size == 0:
@@ -636,13 +677,28 @@ def difference_scale(values: Sequence[float]) -> float:
 def compare_outcomes(
     part: str, case: Case, pair: tuple[CaseOutcome, CaseOutcome], scales: Scales, refly: Refly
 ) -> list[CheckRow]:
-    """Rows of one case flown in the batch engine and in JSBSim, which are the ``pair``."""
+    """Return the rows of engine-check.csv for one case.
+
+    Parameters
+    ----------
+    part : str
+        start (first seconds) or whole.
+    case : Case
+        The case.
+    pair : tuple of CaseOutcome
+        Its outcomes in the batch engine and in JSBSim.
+    scales : mapping of str to float
+        Scale of each metric in its unit.
+    refly : callable
+        Flies the case in JSBSim with a perturbed start; called at most once.
+    """
     batch, jsbsim = pair
-    # A limit on time says how busy the machine is, and nothing of either engine.
+    # A timeout depends on the load of the machine, not on the engine.
     timed_out = _TIMEOUT in (batch.status, jsbsim.status)
     perturbed: list[CaseOutcome] = []
 
     def perturbed_outcome() -> CaseOutcome:
+        """Return JSBSim's outcome from the perturbed start, flown on first use."""
         if not perturbed:
             perturbed.append(refly(case))
         return perturbed[0]
@@ -650,6 +706,7 @@ def compare_outcomes(
     def row(
         metric: str, ours: str, theirs: str, share: tuple[str, str], verdict: tuple[str, str]
     ) -> CheckRow:
+        """Return one row."""
         return CheckRow(
             part, condition_of(case).label, case.case_id, metric, ours, theirs, *share, *verdict
         )
@@ -680,7 +737,7 @@ def compare_outcomes(
             else _excuse(name, pair, perturbed_outcome)
         )
         if batch.status != jsbsim.status and not excuse:
-            # What is left of a flight that ended otherwise is judged by how it ended.
+            # Metrics of a flight that ended differently are covered by the row on its status.
             excuse = "the flight ended otherwise" if rows[0].verdict == _EXCUSED else ""
         rows.append(
             row(
@@ -695,13 +752,14 @@ def compare_outcomes(
 
 
 def _verdict(is_equal: bool, is_excused: bool, reason: str) -> tuple[str, str]:
+    """Return the verdict and the remark of a row."""
     return (_EQUAL, "") if is_equal else (_EXCUSED, reason) if is_excused else (_DIFFERS, "")
 
 
 def _excuse(
     name: str, pair: tuple[CaseOutcome, CaseOutcome], perturbed_outcome: Callable[[], CaseOutcome]
 ) -> str:
-    """Why a difference is no fault of the engine; empty where it is."""
+    """Return why a difference is not the fault of the batch engine; empty if it is."""
     batch, jsbsim = pair
     if is_count(name) and jsbsim.metrics.get(NEAREST + name, math.inf) <= RADIUS_MARGIN_M:
         return f"the flight came within {RADIUS_MARGIN_M:g} m of the radius"
@@ -717,12 +775,12 @@ def _excuse(
 
 
 def is_count(name: str) -> bool:
-    """Whether a metric is a whole number that is alike or not."""
+    """Return whether a metric is an integer, which must agree exactly."""
     return name.startswith("excursions_") or name == _LOSS_OF_CONTROL
 
 
 def refuse_difference(folder: Path, rows: Sequence[CheckRow]) -> None:
-    """EnginesDifferError that names the worst of what differs."""
+    """Raise EnginesDifferError that names the largest difference, if a row differs."""
     differing = [row for row in rows if row.verdict == _DIFFERS]
     if not differing:
         return
@@ -745,17 +803,14 @@ def refuse_difference(folder: Path, rows: Sequence[CheckRow]) -> None:
     )
 
 
-# Before a campaign in the batch engine: the first seconds of each condition in both engines,
-# and how fast this machine flies.
+# Comparison of the first seconds, and the pace of this machine.
 
 START_S = 10.0
-"""Flight time of the comparison before any case."""
+"""Simulated time [s] of the comparison before any case."""
 CASES_EACH = 8
-"""Cases of each condition that are flown for it: their spread is what differences are
-measured by.
-"""
+"""Cases of each condition flown for it; their scatter is the scale of differences."""
 STORING_S = 2e-3
-"""Scoring and storing a flight, measured."""
+"""Run time [s] of scoring and storing a flight, measured."""
 
 _LIMIT_S = 120.0
 _FIRST_SECONDS_ALIKE = 1e-6
@@ -763,8 +818,8 @@ _PACE_LANES, _PACE_S = 64, 60.0
 
 
 def throwaway_process() -> ProcessExecutor:
-    """A process of its own, so that a flight that ends the interpreter ends only that; kept for
-    several calls.
+    """Return a worker process for flights that may end the interpreter; it is kept for several
+    calls.
     """
     return ProcessExecutor(1, timeout_s=lambda flight: _LIMIT_S, retries=0, keep=True)
 
@@ -772,12 +827,9 @@ def throwaway_process() -> ProcessExecutor:
 def compare_start(
     engines: Engines, cases: Sequence[Case], process: ProcessExecutor
 ) -> list[CheckRow]:
-    """Fly the first seconds of some cases of some conditions in both engines; what came of it, a
-    row a metric.
+    """Fly the first seconds of some cases in both engines and return the rows of the comparison.
 
-    The conditions are those of `trial_conditions`: all of a grid that is not large.
-
-    Raises BadInputError where they cannot be flown at all.
+    The conditions are those of `trial_conditions`. Raises BadInputError if they cannot be flown.
     """
     rows: list[CheckRow] = []
     by_condition: dict[Condition, list[Case]] = {}
@@ -787,7 +839,7 @@ def compare_start(
         list(dict.fromkeys(values))
         for values in zip(*((air.wind_mps, air.turbulence) for air in by_condition), strict=True)
     )
-    # A shard need not hold a case of each condition.
+    # A shard may lack a condition.
     trial = {
         Condition(*pair) for pair in trial_conditions(winds, turbulences)
     } & by_condition.keys()
@@ -817,10 +869,11 @@ def compare_start(
 def choose_engine_by_flight(
     spec: CampaignSpec, mission: Mission, engines: Engines, previous: PreviousEngine | None
 ) -> EngineChoice:
-    """``settle``; where the batch engine would be taken by itself, both fly a few seconds, and
-    JSBSim is taken if they differ.
+    """Choose the engine as `choose_engine` does, and verify an automatic choice of batch by a
+    flight.
 
-    Raises BadInputError as ``settle`` does.
+    If the first seconds differ between the engines, JSBSim is taken and the difference is the
+    reason.
     """
     choice = choose_engine(spec, mission, engines, previous)
     if choice.requested != "auto" or choice.engine != BATCH or previous is not None:
@@ -843,8 +896,9 @@ def choose_engine_by_flight(
 
 
 def _first_difference(ours: CaseOutcome, theirs: CaseOutcome) -> str | None:
-    """A sentence if two short flights differ; what cannot be flown by either is told by whoever
-    flies first.
+    """Return a sentence on the first difference of two short flights; None if there is none.
+
+    If JSBSim cannot fly the case, the check flight of the run reports it.
     """
     if theirs.bad_input or theirs.status != "ok":
         return None
@@ -861,22 +915,20 @@ def _first_difference(ours: CaseOutcome, theirs: CaseOutcome) -> str | None:
 
 
 def one_ulp_off(engines: Engines, case: Case, process: ProcessExecutor) -> CaseOutcome:
-    """JSBSim's flight of the case from a start that is one unit in the last place off."""
+    """Fly a case in JSBSim from a start that is one unit in the last place off."""
     return _fly_by_case(engines, process, [Group(ONE_ULP_OFF, ((case.case_id, case.flight),))])[
         case.case_id
     ]
 
 
 def one_ulp_off_alone(engines: Engines, case: Case) -> CaseOutcome:
-    """The same in a process that it has for itself."""
+    """Fly as `one_ulp_off` does, in a process of its own."""
     with contextlib.closing(throwaway_process()) as process:
         return one_ulp_off(engines, case, process)
 
 
 def batch_pace(engines: Engines, cases: Sequence[Case], process: ProcessExecutor) -> Pace | None:
-    """How fast one process flies in the batch engine; None where the flights that tell do not end
-    well.
-    """
+    """Measure the pace of one process in the batch engine; None if a flight does not end well."""
     full = cases[0].flight
     length = min(_PACE_S, full.duration_s + full.burn_in_s)
     lanes = tuple(
@@ -890,12 +942,13 @@ def batch_pace(engines: Engines, cases: Sequence[Case], process: ProcessExecutor
             outcome.status != "ok" for outcome in _outcomes(engines, process, [Group(BATCH, lanes)])
         ):
             return None
-        # Other work on the machine only ever adds.
+        # Other work on the machine can only add time.
         shortest_s = min(shortest_s, time.monotonic() - start_s)
     return Pace(STORING_S, shortest_s / (len(lanes) * length))
 
 
 def _brief(case: Case) -> Case:
+    """Return the case cut to its first seconds, without burn-in."""
     flight = case.flight
     return dataclasses.replace(
         case,
@@ -908,6 +961,7 @@ def _brief(case: Case) -> Case:
 def _fly_by_case(
     engines: Engines, process: ProcessExecutor, groups: Iterable[Group]
 ) -> dict[str, CaseOutcome]:
+    """Fly groups and return outcomes by case id. Raises BadInputError for a refused flight."""
     outcomes = {outcome.case_id: outcome for outcome in _outcomes(engines, process, groups)}
     for outcome in outcomes.values():
         if outcome.bad_input:
@@ -918,4 +972,5 @@ def _fly_by_case(
 def _outcomes(
     engines: Engines, process: ProcessExecutor, groups: Iterable[Group]
 ) -> list[CaseOutcome]:
+    """Fly groups and return their outcomes."""
     return [outcome for batch in process.run_groups(engines.fly_group, groups) for outcome in batch]

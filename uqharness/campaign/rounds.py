@@ -1,9 +1,12 @@
-"""Which cases a campaign flies next: all at once, or round by round where its rule is to stop a
-cell once it is answered.
+"""Decide which cases a campaign flies next, and when a condition is answered.
 
-Decisions rest on whole rounds, in case order, so they are the same whatever the number of workers
-and however often the run was killed: a resumed run goes through the same rounds, of which the flown
-ones cost nothing."""
+With the rules flights, hours and band-width all cases are one round. With the rule decide a
+condition (cell) is flown in rounds until the sequential test of `uqharness.statistics` answers
+whether the excursion rate is acceptable at every corner; the answers go to decisions.csv.
+
+A decision rests on complete rounds in case order, so it depends neither on the number of workers
+nor on interruptions: a resumed run goes through the same rounds, and stored flights cost nothing.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +30,9 @@ from uqharness.flight import FlightSpec
 from uqharness.statistics import Evidence, Question, add, begin, close, look, upper_limits
 from uqharness.text_tables import csv_rows
 
-# Flights that were aborted: loss of control, ground contact, divergence, or a flight that ended
-# for a reason of its own.
-#
-# What such a flight would have done in the rest of its time is not known, so its rate has an
-# acceptable size of its own.
+# Aborted flights: loss of control, ground contact, divergence, or another early end. What such a
+# flight would have done in its remaining time is not known, so aborted flights have an acceptable
+# rate of their own.
 
 LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED, OTHER = (
     "loss_of_control",
@@ -40,7 +41,9 @@ LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED, OTHER = (
     "other",
 )
 KINDS = (LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED, OTHER)
-"""Each aborted flight is of one kind: how it ended, else that control was lost and it flew on."""
+"""Kinds of aborted flights. A flight has the kind of its end; one that flew on to the end without
+control counts as loss of control.
+"""
 _BY_STATUS = {
     "ground-contact": GROUND_CONTACT,
     "diverged": DIVERGED,
@@ -51,11 +54,17 @@ _BY_STATUS = {
 
 @dataclass(frozen=True)
 class AbortedFlights:
-    """Aborted flights of one condition, per corner and flight (c, n), NaN where a corner flew
-    fewer.
+    """Hold the aborted flights of one condition.
 
-    ``is_aborted``: 1 where the flight was aborted; ``missing``: the share of its time that was not flown;
-    ``kinds``: how many there are."""
+    Attributes
+    ----------
+    is_aborted : array
+        1 where a flight was aborted, else 0 (c, n); NaN where a corner flew fewer than n flights.
+    missing : array
+        Share of its scored time that a flight did not fly (c, n), NaN likewise.
+    kinds : dict of str to int
+        Number of aborted flights by kind.
+    """
 
     is_aborted: FloatArray
     missing: FloatArray
@@ -63,20 +72,28 @@ class AbortedFlights:
 
     @property
     def total(self) -> int:
-        """Aborted flights of all corners."""
+        """Number of aborted flights of all corners."""
         return int(np.nansum(self.is_aborted))
 
     @property
     def missing_shares(self) -> FloatArray:
-        """Flights' worth of time that was not flown, per corner (c,)."""
+        """Time that was not flown, in flights, per corner (c,)."""
         shares: FloatArray = np.nansum(self.missing, axis=1)
         return shares
 
     def upper(self, error: float, assumed: float | None) -> FloatArray:
-        """Upper limits (c,) of aborted flights per flight's length flown, each missed with
-        probability ``error`` at most.
+        """Return upper limits (c,) of aborted flights per flight flown.
 
-        A flight is aborted once, so its count clusters no more than independent ones do.
+        A flight is aborted at most once, so these counts are not more clustered than independent
+        events and their dispersion is 1.
+
+        Parameters
+        ----------
+        error : float
+            Probability that a limit is exceeded.
+        assumed : float or None
+            Dispersion for limits that hold at any stopping time; None for a fixed number of
+            flights.
         """
         flights, total = (
             np.isfinite(self.is_aborted).sum(axis=1).astype(float),
@@ -88,8 +105,8 @@ class AbortedFlights:
 
 
 def aborted_flight(outcome: CaseOutcome, flight: FlightSpec) -> tuple[float, float]:
-    """Whether a flight was aborted, 1 or 0, and the share of its scored time that it did
-    not fly.
+    """Return whether a flight was aborted (1 or 0) and the share of its scored time that is
+    missing.
     """
     if outcome.status == "ok":
         return float(outcome.metrics.get(LOSS_OF_CONTROL, 0.0) > 0.0), 0.0
@@ -98,7 +115,15 @@ def aborted_flight(outcome: CaseOutcome, flight: FlightSpec) -> tuple[float, flo
 
 
 def count_aborted(groups: Sequence[Any], duration_s: float) -> AbortedFlights:
-    """From a condition's rows of a case table, one group a corner."""
+    """Return the aborted flights of a condition.
+
+    Parameters
+    ----------
+    groups : sequence of DataFrame
+        Rows of cases.parquet, one frame per corner.
+    duration_s : float
+        Scored time of a complete flight [s].
+    """
     is_aborted, missing = np.full((2, len(groups), max(len(group) for group in groups)), np.nan)
     kinds = dict.fromkeys(KINDS, 0)
     for row, group in enumerate(groups):
@@ -124,13 +149,14 @@ def count_aborted(groups: Sequence[Any], duration_s: float) -> AbortedFlights:
 
 DECISIONS = "decisions.csv"
 ALL_CORNERS = "all"
-"""What stands in the column epistemic_id of a row about a whole cell."""
+"""Entry of the column epistemic_id in a row about a whole condition."""
 
 ERROR_RATE = 0.05
+"""Default probability of a wrong answer per condition."""
 ZONE = (0.8, 1.2)
-"""Indifference zone unless asked otherwise, as multiples of the acceptable rate."""
+"""Default indifference zone, as multiples of the acceptable rate."""
 LOOKS = 50
-"""Looks, evenly spread over the flights, unless asked otherwise."""
+"""Default number of looks, evenly spaced over the flights."""
 
 _COLUMNS = (
     "condition",
@@ -153,9 +179,26 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class Rule:
-    """*decide* with every default filled in.
+    """Hold the rule *decide* with all defaults filled in.
 
-    ``error_rate`` is that of one question, ``looks`` the most there may be.
+    Attributes
+    ----------
+    radius_m : float
+        Radius of an excursion [m].
+    acceptable_per_h : float
+        Acceptable excursions per flight hour.
+    zone_per_h : tuple of float
+        Indifference zone [1/h].
+    dispersion : float
+        Assumed ratio of variance to mean of the count of a flight.
+    error_rate : float
+        Probability of a wrong answer to one question.
+    every_corner : bool
+        Whether each corner is answered, or the condition as a whole.
+    look_every, looks : int
+        Flights between looks, and the maximum number of looks.
+    acceptable_loss_per_h : float
+        Acceptable aborted flights per flight hour.
     """
 
     radius_m: float
@@ -169,7 +212,7 @@ class Rule:
     acceptable_loss_per_h: float = float("inf")
 
     def question(self, duration_s: float) -> Question:
-        """The rule's question in excursions per flight of ``duration_s``."""
+        """Return the rule's question in excursions per flight of ``duration_s`` seconds."""
         hours = duration_s / 3600.0
         zone = (self.zone_per_h[0] * hours, self.zone_per_h[1] * hours)
         acceptable, losses = self.acceptable_per_h * hours, self.acceptable_loss_per_h * hours
@@ -179,8 +222,14 @@ class Rule:
 
 
 def rule_of(campaign: Mapping[str, Any], corners: int) -> Rule | None:
-    """The rule of a campaign (its settings as plain types) if it is *decide*; ``corners`` are flown
-    in each of its cells.
+    """Return the rule of a campaign if it is *decide*, else None.
+
+    Parameters
+    ----------
+    campaign : mapping
+        Settings of the campaign as plain types.
+    corners : int
+        Corners flown in each condition.
     """
     stop, metrics, air = campaign["stop"], campaign["metrics"], campaign["aleatory"]
     if stop["rule"] != "decide":
@@ -209,18 +258,34 @@ def rule_of(campaign: Mapping[str, Any], corners: int) -> Rule | None:
 
 
 def band_confidence(campaign: Mapping[str, Any], confidence: float) -> float:
-    """Confidence to draw a p-box's band at, so that it holds with ``confidence`` at whichever look
-    the flying was stopped.
+    """Return the confidence at which to draw the band of a p-box.
+
+    With *decide* the flights stop at one of several looks; by Bonferroni over the looks the band
+    then holds with ``confidence`` at whichever look they stop.
     """
     rule = rule_of(campaign, corners=1)
     return confidence if rule is None else 1.0 - (1.0 - confidence) / rule.looks
 
 
 class Rounds:
-    """Goes through a campaign's rounds. ``max_cases`` is the number of cases that will be flown at most.
+    """Iterate over the rounds of a campaign.
 
-    ``decisions`` is decisions.csv after the last look, None without one; it is written to
-    ``folder``, if that is given, after each."""
+    Parameters
+    ----------
+    spec : CampaignSpec
+        Validated campaign.
+    cases : sequence of Case
+        All cases, or those of a shard.
+    folder : Path or None
+        Folder in which decisions.csv is updated after each look.
+
+    Attributes
+    ----------
+    max_cases : int
+        Upper limit of the number of cases that will be flown.
+    decisions : bytes or None
+        Content of decisions.csv after the last look; None without a look.
+    """
 
     def __init__(self, spec: CampaignSpec, cases: Sequence[Case], folder: Path | None) -> None:
         self.max_cases = len(cases)
@@ -231,12 +296,13 @@ class Rounds:
 
     @property
     def decides(self) -> bool:
-        """Whether the campaign stops by deciding; otherwise all flights are one round."""
+        """Whether the campaign stops by *decide*; otherwise all flights are one round."""
         return self._rule is not None
 
     def __call__(self, store: Store) -> Iterator[list[Case]]:
-        """Rounds of cases; when the next one is asked for, ``store`` must hold the outcomes of the
-        last.
+        """Yield rounds of cases.
+
+        ``store`` must hold the outcomes of a round when the next one is requested.
         """
         if self._rule is None:
             yield list(self._cases)
@@ -255,6 +321,7 @@ class Rounds:
             for cell in self._cells:
                 cell.learn(ids, outcomes)
             first = ids.stop
+            # Corners that are still open may need all remaining flights.
             self.max_cases = flown_cases + sum(
                 int(cell.evidence.open.sum()) for cell in self._cells
             ) * (flights - first)
@@ -265,6 +332,7 @@ class Rounds:
         self._write()
 
     def _write(self) -> None:
+        """Update decisions.csv."""
         assert self._rule is not None
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
@@ -277,7 +345,7 @@ class Rounds:
 
 
 def decision_rows(content: bytes, path: Path) -> list[dict[str, str]]:
-    """Rows of decisions.csv, as text. Raises BadInputError."""
+    """Return the rows of decisions.csv as text. Raises BadInputError."""
     return csv_rows(
         content,
         path,
@@ -287,7 +355,7 @@ def decision_rows(content: bytes, path: Path) -> list[dict[str, str]]:
 
 
 class _Cell:
-    """One condition: its cases by corner, and what they have shown so far."""
+    """Collect the evidence of one condition."""
 
     def __init__(self, cases: Sequence[Case], rule: Rule) -> None:
         self.first = cases[0]
@@ -298,11 +366,13 @@ class _Cell:
         self.evidence: Evidence = begin(len(self._corners))
 
     def open_cases(self, ids: range) -> Iterator[Case]:
+        """Yield the cases of corners that are not answered yet."""
         for corner, is_open in zip(self._corners, self.evidence.open, strict=True):
             if is_open:
                 yield from (self._by_place[corner, number] for number in ids)
 
     def learn(self, ids: range, outcomes: Mapping[str, CaseOutcome]) -> None:
+        """Add the flights ``ids`` of the open corners to the evidence and test it."""
         low, high, is_aborted, missing = np.full((4, len(self._corners), len(ids)), np.nan)
         for row in np.flatnonzero(self.evidence.open):
             for column, number in enumerate(ids):
@@ -310,12 +380,14 @@ class _Cell:
                 outcome = outcomes[case.case_id]
                 is_aborted[row, column], missing[row, column] = aborted_flight(outcome, case.flight)
                 low[row, column], high[row, column] = _excursion_range(outcome, self._column)
+        # An aborted flight counts as at least one excursion.
         high = np.fmax(high, np.where(is_aborted > 0.0, 1.0, high))
         self.evidence = look(
             add(self.evidence, self._question, low, high, is_aborted, missing), self._question
         )
 
     def rows(self, rule: Rule) -> Iterator[list[Any]]:
+        """Yield the rows of decisions.csv: the condition first, then its corners."""
         evidence, hours = self.evidence, self.first.flight.duration_s / 3600.0
         condition = [
             f"{self.first.wind_mps:g} m/s {self.first.turbulence}",
@@ -344,7 +416,7 @@ class _Cell:
             *assumptions,
         ]
         for row, corner in enumerate(self._corners):
-            # A corner left behind when its cell was answered has no answer of its own.
+            # A corner that was still open when its condition was answered has no answer of its own.
             corner_answer = evidence.answers[row] or ("open" if evidence.cell else "flying")
             counts = [
                 int(evidence.flights[row]),
@@ -365,6 +437,7 @@ class _Cell:
 
 
 def _cells(cases: Sequence[Case], rule: Rule) -> list[_Cell]:
+    """Return a cell per condition."""
     grouped: dict[tuple[float, str], list[Case]] = {}
     for case in cases:
         grouped.setdefault((case.wind_mps, case.turbulence), []).append(case)
@@ -372,8 +445,9 @@ def _cells(cases: Sequence[Case], rule: Rule) -> list[_Cell]:
 
 
 def _excursion_range(outcome: CaseOutcome, column: str) -> tuple[float, float]:
-    """Least and most excursions of a flight: a failed one, or one without a count, may have had one
-    more than was seen.
+    """Return the smallest and largest possible number of excursions of a flight.
+
+    A flight that failed, or has no count, may have had one more than was counted.
     """
     value = outcome.metrics.get(column, float("nan"))
     has_count = bool(np.isfinite(value))
@@ -388,6 +462,7 @@ def _excursion_range(outcome: CaseOutcome, column: str) -> tuple[float, float]:
 
 
 def _outcome(store: Store, case: Case) -> CaseOutcome:
+    """Return the stored outcome of a case of the last round."""
     outcome = store.outcome(case.case_id)
     assert outcome is not None, f"round asked for before case {case.case_id} was stored"
     return outcome

@@ -1,5 +1,9 @@
-"""From a finished corner campaign to the share each uncertain coefficient has of the p-box: the
-counterpart of Table 4.7.
+"""Apportion the p-box of a finished corner campaign to the uncertain coefficients.
+
+For each metric and condition the corner pairs that differ in one coefficient give the share of the
+p-box's width that the coefficient causes (the counterpart of Table 4.7 of the dissertation). The
+results go to sensitivity.csv and JSON; `find_winner` returns the coefficient whose uncertainty
+matters most for a metric over all conditions.
 """
 
 from __future__ import annotations
@@ -38,18 +42,17 @@ from uqharness.sensitivity.result import Ranking, rank, unit_of, words
 from uqharness.text_tables import csv_rows
 
 MAX_LEFT_OUT = 0.1
-"""Largest share of aleatory samples that may be left out because a flight of theirs failed in some
-corner.
+"""Largest share of aleatory samples that may be left out because one of their flights failed at
+some corner.
 """
 
 _RANKS_BY = ("levels", "corners")
+"""Epistemic methods that fly corners."""
 
 
 @dataclass(frozen=True)
 class CornerCampaign:
-    """Flights of one campaign: its table, its manifest, and the coefficients that are uncertain in
-    it.
-    """
+    """Hold the flights of one campaign: its folder, case table and manifest."""
 
     folder: Path
     frame: pd.DataFrame
@@ -57,8 +60,8 @@ class CornerCampaign:
 
     @property
     def coefficients(self) -> tuple[str, ...]:
-        """Uncertain coefficients, then variables whose mean is uncertain: each has a column of
-        levels.
+        """Names with a column of levels: uncertain coefficients, then variables with an uncertain
+        mean.
         """
         campaign = self.manifest["campaign"]
         variables = campaign["aleatory"].get("variables", {})
@@ -67,23 +70,31 @@ class CornerCampaign:
 
     @property
     def levels(self) -> FloatArray:
-        """(flights, d) levels of the uncertain coefficients."""
+        """Levels (flights, d) of the uncertain coefficients, 0 at the lower bound, 1 at the upper."""
         return self.frame[[f"level_{name}" for name in self.coefficients]].to_numpy(dtype=float)
 
 
 @dataclass(frozen=True)
 class _LevelFlights:
-    """Flights of one condition by their levels: ``places`` (n, A) in the campaign's table, in the
-    order of the aleatory ids, and ``is_valid`` (n, A) where a flight did not fail."""
+    """Group the flights of one condition by their levels.
+
+    Attributes
+    ----------
+    keys : tuple of tuple of float
+        Levels (n, d) of the groups.
+    places : array
+        Rows of the case table (n, A), ordered by aleatory id.
+    is_valid : array
+        Whether a flight did not fail (n, A).
+    """
 
     keys: tuple[tuple[float, ...], ...]
     places: NDArray[np.intp]
     is_valid: NDArray[np.bool_]
 
     def values(self, campaign: CornerCampaign, metric: str) -> FloatArray:
-        """(n, A) of a metric; NaN where a flight failed.
-
-        Raises BadInputError for one that the table has not.
+        """Return a metric (n, A); NaN where a flight failed. Raises BadInputError for an unknown
+        metric.
         """
         if metric not in campaign.frame:
             raise BadInputError(
@@ -96,9 +107,7 @@ class _LevelFlights:
 
 @dataclass(frozen=True)
 class _ConditionFlights:
-    """One campaign in one condition: corners and levels, and the interior points flown
-    beside them.
-    """
+    """Hold one campaign in one condition: its corners and levels, and its interior points."""
 
     campaign: CornerCampaign
     levels: _LevelFlights
@@ -106,7 +115,10 @@ class _ConditionFlights:
 
     @staticmethod
     def read(campaign: CornerCampaign, condition: Condition) -> _ConditionFlights:
-        """Raises BadInputError where the combinations of levels did not fly the same air."""
+        """Group the flights of a condition.
+
+        Raises BadInputError if the combinations of levels did not fly the same aleatory samples.
+        """
         return _ConditionFlights(
             campaign,
             *(_group_by_levels(campaign, condition, interior) for interior in (False, True)),
@@ -115,8 +127,24 @@ class _ConditionFlights:
 
 @dataclass(frozen=True)
 class MetricSensitivity:
-    """One metric in one condition. ``flights`` per corner were used, ``left_out`` were not because
-    a flight with the same air failed or has no value in some corner."""
+    """Hold the sensitivity of one metric in one condition.
+
+    Attributes
+    ----------
+    condition : Condition
+        Wind and turbulence.
+    metric : str
+        Column name.
+    result : MethodResult
+        Shares of the p-box by coefficient.
+    flights, left_out : int
+        Aleatory samples used, and those left out because a flight failed or lacks a value at some
+        corner.
+    ranking : Ranking
+        Coefficients in order, and whether the first is certain.
+    words : str
+        The result as a sentence.
+    """
 
     condition: Condition
     metric: str
@@ -128,9 +156,10 @@ class MetricSensitivity:
 
 
 def read_corner_campaign(folder: Path) -> CornerCampaign:
-    """A campaign that flew all corners.
+    """Read a campaign that flew all corners.
 
-    Raises BadInputError for one that is not complete or has no corners.
+    Raises BadInputError if it is not complete, flew no corners, flew an ellipsoid, or drew
+    parameters.
     """
     campaign = _read_campaign(folder)
     epistemic = campaign.manifest["campaign"]["epistemic"]
@@ -157,7 +186,7 @@ def read_corner_campaign(folder: Path) -> CornerCampaign:
 
 
 def read_interior_campaign(folder: Path, corners: CornerCampaign) -> CornerCampaign:
-    """A campaign of levels between the bounds that meets the same air as ``corners``.
+    """Read a campaign of levels between the bounds that met the same air as ``corners``.
 
     Raises BadInputError naming what differs.
     """
@@ -196,12 +225,13 @@ def read_interior_campaign(folder: Path, corners: CornerCampaign) -> CornerCampa
 
 
 def _read_campaign(folder: Path) -> CornerCampaign:
+    """Read the manifest and case table of a complete campaign."""
     manifest = read_complete(folder)
     return CornerCampaign(folder, read_cases(folder, manifest), manifest)
 
 
 def metrics_of(campaign: CornerCampaign) -> tuple[str, ...]:
-    """Error statistics and excursion counts that the table has."""
+    """Return the error statistics and excursion counts that a case table has."""
     radii = campaign.manifest["campaign"]["metrics"]["excursion_radius_m"]
     names = (*ERROR_METRICS, *UNCOMMANDED_METRICS, *excursion_columns(radii))
     return tuple(
@@ -216,9 +246,32 @@ def analyse_campaign(
     seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> list[MetricSensitivity]:
-    """Corner pairs for every metric in every condition.
+    """Compute the sensitivity of every metric in every condition.
 
-    Raises BadInputError where the table is not what it should be.
+    Parameters
+    ----------
+    campaign : CornerCampaign
+        Flights at the corners.
+    interior : CornerCampaign, optional
+        Flights at levels between the bounds in the same air; they check the assumption that
+        extremes
+        lie at corners.
+    metrics : sequence of str, optional
+        Column names; default: all.
+    seed : int
+        Seed of the bootstrap.
+    on_progress : callable, optional
+        Called with the number of finished analyses and their total.
+
+    Returns
+    -------
+    list of MetricSensitivity
+        Condition by condition, metric by metric.
+
+    Raises
+    ------
+    BadInputError
+        If the table is not that of a corner campaign.
     """
     requested = tuple(metrics) if metrics else metrics_of(campaign)
     grid = conditions(campaign.frame)
@@ -240,6 +293,7 @@ def _analyse(
     metric: str,
     seed: int,
 ) -> MetricSensitivity:
+    """Compute the sensitivity of one metric in one condition."""
     campaign = table.campaign
     names = campaign.coefficients
     d = len(names)
@@ -261,6 +315,7 @@ def _analyse(
         )
         if added.size:
             inside = added if inside is None else np.concatenate([inside, added])
+    # An aleatory sample counts only if all corners have a value: pairs share their air.
     is_valid = np.all(np.isfinite(y), axis=0)
     if inside is not None:
         is_valid &= np.all(np.isfinite(inside), axis=0)
@@ -279,8 +334,10 @@ def _analyse(
 def _with_points(
     inside: FloatArray | None, points: list[FloatArray], is_valid: NDArray[np.bool_]
 ) -> FloatArray | None:
-    """``inside`` with a campaign's interior points: they check the corners and leave out no air;
-    one that failed is dropped.
+    """Append the interior points of a campaign to ``inside``.
+
+    They check the corners and do not remove an aleatory sample: a point with a failed flight is
+    dropped.
     """
     complete = [point for point in points if np.all(np.isfinite(point[is_valid]))]
     parts = ([] if inside is None else [inside]) + ([np.array(complete)] if complete else [])
@@ -290,13 +347,13 @@ def _with_points(
 def _group_by_levels(
     campaign: CornerCampaign, condition: Condition, interior: bool
 ) -> _LevelFlights:
-    """The corners and levels of a condition, or the ``interior`` points flown beside them.
+    """Group the corners and levels of a condition, or its ``interior`` points, by their levels.
 
-    Raises BadInputError.
+    Raises BadInputError if the groups differ in aleatory samples or duration.
     """
     rows = in_condition(campaign.frame.reset_index(drop=True), condition)
     rows = rows[rows["epistemic_id"].str.startswith(INTERIOR_MARK) == interior]
-    # The nominal model has no levels: it stands at no place of the box of bounds.
+    # The nominal model has no place in the box of levels.
     rows = rows[~rows["epistemic_id"].str.startswith(NOMINAL)]
     level_names = [f"level_{name}" for name in campaign.coefficients]
     ids = np.sort(rows["aleatory_id"].unique())
@@ -325,7 +382,7 @@ def _group_by_levels(
     )
 
 
-# sensitivity.csv and the JSON of a campaign's sensitivity.
+# Tables and JSON.
 
 SENSITIVITY = "sensitivity.csv"
 COLUMNS = (
@@ -354,9 +411,11 @@ COLUMNS = (
 
 
 def _rows(results: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
-    """Rows under COLUMNS. ``share_low`` and ``share_high`` bound ``share_min`` and ``share_max``
-    with 95 % confidence for all coefficients at once; an undefined number is empty and ``reason``
-    says why."""
+    """Yield the rows of sensitivity.csv.
+
+    ``share_low`` and ``share_high`` bound ``share_min`` and ``share_max`` with 95 % confidence for
+    all coefficients at once. An undefined number is empty and ``reason`` says why.
+    """
     for item in results:
         details = item.result.details
         for i, (name, index) in enumerate(item.result.indices.items()):
@@ -388,7 +447,7 @@ def _rows(results: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
 
 
 def as_csv(results: Sequence[MetricSensitivity]) -> bytes:
-    """The table, one row per condition, metric and coefficient."""
+    """Return the content of sensitivity.csv, one row per condition, metric and coefficient."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -397,9 +456,7 @@ def as_csv(results: Sequence[MetricSensitivity]) -> bytes:
 
 
 def as_json(results: Sequence[MetricSensitivity]) -> dict[str, dict[str, Any]]:
-    """By condition, then metric: indices, what to reduce first, whether that is certain, and the
-    words.
-    """
+    """Return the results by condition and metric, as ``uqharness sensitivity --json`` prints them."""
     by_condition: dict[str, dict[str, Any]] = {}
     for item in results:
         by_condition.setdefault(item.condition.label, {})[item.metric] = item.result.as_dict() | {
@@ -427,7 +484,9 @@ _NUMBERS = (
 
 
 def read_sensitivity(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, str]] | None:
-    """Rows of a campaign's sensitivity.csv, None where there is none. Raises BadInputError."""
+    """Return the rows of sensitivity.csv; None if the campaign has no such table. Raises
+    BadInputError.
+    """
     if SENSITIVITY not in manifest.get("tables", {}) and not (folder / SENSITIVITY).exists():
         return None
     content = read_checked(folder, manifest, SENSITIVITY)
@@ -445,19 +504,30 @@ def read_sensitivity(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str
     return rows
 
 
-# Which coefficient's model-form uncertainty drives a metric of a corner campaign, over all its
-# conditions.
+# Coefficient that matters most for a metric, over all conditions.
 
 DEFAULT_METRIC = "cross_track_median_m"
+"""Metric that `find_winner` ranks by default."""
 
 
 @dataclass(frozen=True)
 class Winner:
-    """``coefficient`` with its share of the metric's p-box [smallest, largest] in the condition
-    whose p-box is the widest.
+    """Name the coefficient whose uncertainty causes most of a metric's p-boxes.
 
-    ``certain``: first in every condition, whatever the others are and for the sampling error.
-    ``words``: of `sensitivity`."""
+    Attributes
+    ----------
+    coefficient, metric : str
+        Names.
+    share : tuple of float
+        Smallest and largest share of the p-box in the condition with the widest one.
+    condition : str
+        That condition.
+    certain : bool
+        Whether it is first in every condition, for all values of the others and beyond sampling
+        error.
+    words : tuple of str
+        Sensitivity of each condition as a sentence.
+    """
 
     coefficient: str
     metric: str
@@ -474,11 +544,28 @@ def find_winner(
     seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Winner:
-    """The coefficient with the largest part of the p-boxes' widths, summed over conditions; or
-    ``coefficient``, with its part.
+    """Find the coefficient with the largest part of the p-box widths, summed over conditions.
 
-    Raises BadInputError: no corner campaign, an unknown metric, nothing that could be compared, or
-    no coefficient that wins."""
+    Parameters
+    ----------
+    folder : Path
+        Complete corner campaign.
+    metric : str, optional
+        Column name; default: the median cross-track error, or the first metric there is.
+    coefficient : str, optional
+        Report this coefficient instead of the winner.
+    seed : int
+        Seed of the bootstrap.
+    on_progress : callable, optional
+        See `analyse_campaign`.
+
+    Raises
+    ------
+    BadInputError
+        If the folder holds no corner campaign, the metric is unknown, nothing can be compared, or
+        the
+        winner is not an aerodynamic coefficient.
+    """
     campaign = read_corner_campaign(folder)
     available = metrics_of(campaign)
     chosen = metric or (DEFAULT_METRIC if DEFAULT_METRIC in available else (available or ("",))[0])
@@ -500,6 +587,7 @@ def find_winner(
     for item in results:
         for name, index in item.result.indices.items():
             assert isinstance(index, PairRange)
+            # Weight the middle of the share by the width of the p-box of the condition.
             middle = 0.5 * (index.minimum.value + index.maximum.value)
             parts[name] = parts.get(name, 0.0) + middle * float(item.result.details["area"])
     largest = max(parts, key=lambda name: parts[name])

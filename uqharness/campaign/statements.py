@@ -1,13 +1,16 @@
-"""Claims that a campaign supports: per condition and radius the rates of the best and the worst
-corner, limits, and the answer.
+"""State what a campaign supports: rates of the best and worst corner, their limits, and an answer.
 
-"yes" needs two upper limits at every corner, each at half the error: of excursions, and of aborted
-flights, both per hour flown. An aborted flight counts as one excursion, and the time it did not fly
-at the rate in question. Limits take the flight as the unit (``rate_limits``) and hold for the
-corner that was picked. The upper limit of the worst rate is the largest of the corners' upper
-limits: it fails only if that of the corner that is truly the worst fails, so no more is paid for 64
-corners than for one. The same goes for the lower limit of the best. The other two pay for all
-corners."""
+A statement belongs to one condition and radius. "yes" needs two upper limits at every corner, each
+at half the error probability: of excursions and of aborted flights, both per hour flown. An aborted
+flight counts as at least one excursion; the time that it did not fly is charged at the rate in
+question.
+
+Limits take the flight as the independent unit (`uqharness.statistics.rates`) and hold for a corner
+that was selected after the fact. The upper limit of the worst rate is the maximum of the corners'
+upper limits. It fails only if the limit of the truly worst corner fails, so 64 corners cost no more
+confidence than one; the same holds for the lower limit of the best rate. The other two limits are
+corrected for the number of corners (Bonferroni).
+"""
 
 from __future__ import annotations
 
@@ -58,29 +61,32 @@ from uqharness.statistics import (
     upper_limits,
 )
 
-# Which clusters of excursions limits carry: measured in the same air at a smaller radius where
-# that shows enough, else assumed.
-#
-# A corner whose flights at some smaller radius had ``ENOUGH_EXCURSIONS`` or more, at less than
-# one per hour, has shown how excursions cluster when they are rare; the largest such radius is
-# taken. Nearer the path they are more frequent and say nothing of rare ones.
+# Dispersion of excursions: measured beyond a smaller radius where that shows enough, else assumed.
 
 ENOUGH_EXCURSIONS = 30
-"""Excursions of a corner at a smaller radius that measure how they cluster."""
+"""Excursions of a corner at a smaller radius from which their dispersion counts as measured."""
 MIN_EXCURSIONS = 10
-"""Excursions of a corner from which on its ratio of variance to mean is told, and may contradict
-the carried one.
+"""Excursions of a corner from which its observed dispersion is reported and may contradict the
+bound.
 """
 RARE_PER_H = 1.0
+"""Rate [1/h] below which excursions count as rare."""
 DISPERSION_EXCEEDED = "clusters beyond the carried limit"
+"""Reason of statements whose flights cluster more than the limits allow for."""
 
 
 @dataclass(frozen=True)
 class DispersionBound:
-    """Per corner (c,): the largest variance over mean that limits carry, and the radius [m] it was
-    measured at, NaN where assumed.
+    """Hold the dispersion that the limits of each corner allow for.
 
-    ``is_contradicted``: whether some corner's flights contradict it.
+    Attributes
+    ----------
+    dispersion : array
+        Largest ratio of variance to mean of a flight's count (c,).
+    radius_m : array
+        Radius [m] at which it was measured (c,); NaN where it is assumed.
+    is_contradicted : bool
+        Whether the flights of some corner show a larger dispersion.
     """
 
     dispersion: FloatArray
@@ -94,7 +100,7 @@ class DispersionBound:
 
     @property
     def nearest_m(self) -> float:
-        """The smallest radius [m] it was measured at, NaN where no corner measures it."""
+        """Smallest radius [m] at which it was measured; NaN if no corner measures it."""
         return float(np.nanmin(self.radius_m)) if self.measured else float("nan")
 
 
@@ -105,11 +111,27 @@ def bound_dispersion(
     assumed: float,
     error: float,
 ) -> DispersionBound:
-    """``counts`` (c, n) of each flight beyond each radius [m], NaN marking none; ``flown_h`` (c,)
-    hours; asked beyond ``radius_m``.
+    """Bound the dispersion of rare excursions, by measurement in the same air where possible.
 
-    A measured limit fails with about ``error`` at each corner; what contradicts the carried one
-    does so at all corners together."""
+    A corner with at least `ENOUGH_EXCURSIONS` excursions beyond a smaller radius, at less than
+    `RARE_PER_H`, has shown how rare excursions cluster; the largest such radius is used. Closer to
+    the path excursions are frequent and tell nothing about rare ones.
+
+    Parameters
+    ----------
+    counts : mapping of float to array
+        Excursions (c, n) of each flight by radius [m]; NaN marks flights that a corner did not fly.
+    radius_m : float
+        Radius of the statement [m].
+    flown_h : array
+        Hours flown (c,).
+    assumed : float
+        Dispersion for corners where it cannot be measured.
+    error : float
+        Error probability of a measured limit at each corner. Contradictions are tested at this
+        level
+        for all corners together.
+    """
     corners = flown_h.size
     bound, measured_at, lower_bound = (
         np.full(corners, float(assumed)),
@@ -120,8 +142,8 @@ def bound_dispersion(
         events = np.nansum(counts[radius], axis=1)
         rare = events < RARE_PER_H * flown_h
         low = dispersion_limits(counts[radius], error / corners)[0]
-        # A count above the limit by chance must not silence a radius: what counts there is that it
-        # is shown to be frequent.
+        # A radius is left out only if its excursions are shown to be frequent, not for a count that
+        # is above the limit by chance.
         frequent = (
             lower_limits(counts[radius], error) * np.isfinite(counts[radius]).sum(axis=1)
             >= RARE_PER_H * flown_h
@@ -136,15 +158,15 @@ def bound_dispersion(
     return DispersionBound(bound, measured_at, bool(np.any(contradicting > bound)))
 
 
-# What the intervals flown say together: the joint level of a campaign's epistemic set, and the
-# transient part.
+# Joint confidence of the uncertainty set, and transient model error.
 
 
 def joint_level(manifest: Mapping[str, Any]) -> float | None:
-    """Probability that all intervals flown hold at once, if the coefficients are independent; None
-    where no interval's is known.
+    """Return the probability that all intervals of a campaign hold at once, for independent
+    coefficients.
 
-    ``manifest``: that of a campaign; ``bounds`` in it is the confidence of its model form.
+    None if the confidence of the intervals is not known. ``manifest`` is that of the campaign; its
+    ``bounds`` hold the confidence of the model form.
     """
     epistemic, bounds = manifest["campaign"]["epistemic"], manifest.get("bounds")
     if bounds is None or epistemic["method"] == "none":
@@ -158,8 +180,9 @@ def joint_level(manifest: Mapping[str, Any]) -> float | None:
 
 
 def joint_words(manifest: Mapping[str, Any]) -> list[str]:
-    """Sentences without their stops: the set and its joint level, and whether transient model error
-    flies; none without a form.
+    """Return sentences, without full stops, on the uncertainty set and on transient model error.
+
+    The list is empty for a campaign without a model form.
     """
     level, bounds = joint_level(manifest), manifest.get("bounds")
     if level is None or bounds is None:
@@ -183,10 +206,10 @@ def joint_words(manifest: Mapping[str, Any]) -> list[str]:
 
 
 def points_flown(epistemic: Mapping[str, Any]) -> str:
-    """Return the points of the box of bounds at which the results hold, ``corners and nominal
-    model``; empty for drawn samples.
+    """Return the points of the box of bounds at which results hold, e.g. ``corners and nominal
+    model``.
 
-    ``epistemic``: that section of a campaign's settings.
+    ``epistemic`` is that section of the settings. The text is empty for drawn samples.
     """
     method, interior = epistemic.get("method"), epistemic.get("interior", 0)
     if method == "levels":
@@ -200,15 +223,13 @@ def points_flown(epistemic: Mapping[str, Any]) -> str:
 
 
 def corners_only_words(epistemic: Mapping[str, Any]) -> list[str]:
-    """Return the sentence, without its stop, that no point between the corners was flown; none
-    where interior points were.
-    """
+    """Return the warning that no interior point was flown; empty if some were."""
     points = points_flown(epistemic)
     if epistemic["method"] != "corners" or epistemic.get("interior"):
         return []
     nominal = epistemic.get("nominal")
     keys = "interior = 0" if nominal else "interior = 0, nominal = false"
-    # The nominal model is one point: it leaves the others between the corners unknown.
+    # One nominal point says nothing about the other points between the corners.
     missing = (
         "no interior point" if nominal else "neither the nominal model nor a point between them"
     )
@@ -220,6 +241,7 @@ def corners_only_words(epistemic: Mapping[str, Any]) -> list[str]:
 
 
 def _transient_words(epistemic: Mapping[str, Any], walking: list[str]) -> list[str]:
+    """Return the sentence on transient model error, if the model form separates it."""
     if walking:
         return [f"transient model error of {', '.join(walking)} walks in every flight"]
     if "transient" in epistemic:
@@ -274,7 +296,7 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class RateRange:
-    """A rate per flight hour flown with limits, and the corner it was seen at."""
+    """Hold a rate per flight hour with its limits and the corner at which it was observed."""
 
     rate: float
     lower: float
@@ -284,20 +306,50 @@ class RateRange:
 
 @dataclass(frozen=True)
 class Statement:
-    """One condition, radius and way of measuring distance.
+    """Hold the claims on one condition, radius and distance.
 
-    ``corner_limits`` (c, 2) hold for all corners at once; ``dispersions`` (c,) are the observed
-    ones, ``dispersion_observed`` the largest over corners with at least ``TOLD`` excursions, NaN
-    without one; ``extrapolated_share`` is the mean over all flights that have one, NaN without.
-    ``flight_share_upper`` bounds the share of flights with an excursion at the worst corner
-    (Clopper and Pearson 1934), which assumes nothing of how they cluster, for a number of flights
-    fixed beforehand; NaN after *decide*, which fixes none. ``dispersion`` is what the limits carry,
-    ``dispersion_allowed`` the largest of its corners; ``quiet_hours_needed`` with it are flown at a
-    corner without an excursion until it is a yes. A yes would be one up to the dispersion
-    ``yes_up_to_dispersion``, NaN for another answer. ``reason`` says why flights that would be a
-    yes are not. ``loss_upper_per_h`` bounds aborted flights per hour flown at the worst corner, at
-    half the error; ``aborted`` counts them by kind. ``points``: those of the box of bounds that
-    were flown."""
+    Attributes
+    ----------
+    cell : ExcursionCell
+        Counts behind the claims.
+    best, worst : RateRange
+        Lowest and highest rate over the corners [1/h].
+    answer : str
+        yes, no or open.
+    acceptable_per_h : float
+        Acceptable excursions per hour.
+    dispersion_allowed : float
+        Largest dispersion over the corners that the limits allow for.
+    dispersion_observed : float
+        Largest observed one over corners with at least `MIN_EXCURSIONS`; NaN without such a corner.
+    extrapolated_share : float
+        Mean share of flight time outside the range of the model form; NaN if not reported.
+    corner_limits : array
+        Limits (c, 2) [1/h] that hold for all corners at once.
+    dispersions : array
+        Observed dispersion (c,).
+    flight_share_upper : float
+        Upper limit of the share of flights with an excursion at the worst corner (Clopper and
+        Pearson
+        1934). It needs no assumption on clustering but a number of flights fixed beforehand, so it
+        is
+        NaN after *decide*.
+    acceptable_loss_per_h, loss_upper_per_h : float
+        Acceptable aborted flights per hour, and their upper limit at the worst corner at half the
+        error.
+    aborted : mapping of str to int
+        Aborted flights by kind.
+    dispersion : DispersionBound
+        Dispersion that the limits allow for.
+    quiet_hours_needed : float
+        Hours without an excursion at one corner after which the answer would be yes.
+    yes_up_to_dispersion : float
+        Dispersion up to which a yes stays a yes; NaN for another answer.
+    reason : str
+        Why flights whose limits pass are not a yes.
+    points : str
+        Points of the box of bounds that were flown.
+    """
 
     cell: ExcursionCell
     best: RateRange
@@ -321,7 +373,7 @@ class Statement:
 
     @property
     def flight_share(self) -> str:
-        """How many flights may have an excursion, in words; empty where that is not known."""
+        """Limit on the share of flights with an excursion, as a phrase; empty if it is not known."""
         if np.isnan(self.flight_share_upper):
             return ""
         return (
@@ -333,9 +385,16 @@ class Statement:
 def statements(
     frame: Any, campaign: Mapping[str, Any], decisions: Sequence[Mapping[str, str]] = ()
 ) -> list[Statement]:
-    """Statements from a case table.
+    """Return the statements of a case table.
 
-    ``campaign``: its settings as plain types; ``decisions``: rows of decisions.csv.
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of cases.parquet.
+    campaign : mapping
+        Settings of the campaign as plain types.
+    decisions : sequence of mapping
+        Rows of decisions.csv; their answers take precedence.
     """
     rule = rule_of(campaign, frame["epistemic_id"].nunique())
     answers = {
@@ -363,8 +422,21 @@ def statements(
 
 @dataclass(frozen=True)
 class _ConditionFlights:
-    """A condition's rows of a case table, each corner's places among them, which of them failed,
-    the aborted flights and the hours that each corner flew (c,)."""
+    """Hold a condition's rows of a case table.
+
+    Attributes
+    ----------
+    rows : DataFrame
+        The rows.
+    places : list of array
+        Places of each corner's flights among the rows.
+    failed : array of bool
+        Which rows failed.
+    losses : AbortedFlights
+        Aborted flights.
+    hours : array
+        Hours that each corner flew (c,).
+    """
 
     rows: Any
     places: list[Any]
@@ -374,6 +446,7 @@ class _ConditionFlights:
 
     @classmethod
     def of(cls, rows: Any, duration_s: float) -> _ConditionFlights:
+        """Group the rows of a condition by corner."""
         groups = [group for _, group in rows.groupby("epistemic_id", sort=False)]
         hours = np.array([float(group["duration_s"].sum()) for group in groups]) / 3600.0
         places = rows.groupby("epistemic_id", sort=False).indices
@@ -394,12 +467,13 @@ def _statement(
     rule: Rule | None,
     decided: str | None,
 ) -> Statement:
+    """Compute the statement of one condition, radius and distance."""
     rows, losses, flown_h = flights_flown.rows, flights_flown.losses, flights_flown.hours
     metrics, hours = campaign["metrics"], float(campaign["aleatory"]["duration_s"]) / 3600.0
     low, high = _count_ranges(flights_flown, excursion_column(cell.radius_m, cell.distance))
     flights, total = np.isfinite(high).sum(axis=1).astype(float), np.nansum(high, axis=1)
     assumed = float(metrics["dispersion"])
-    # After a rule that looked at the flights only limits that hold at any moment are limits.
+    # After sequential looks only limits that hold at any stopping time are valid.
     anytime = None if rule is None else assumed
     error, corners = 1.0 - CONFIDENCE, len(flights_flown.places)
     side = error / 2.0
@@ -416,6 +490,8 @@ def _statement(
         counts_at_smaller_radii | {cell.radius_m: high}, cell.radius_m, flown_h, assumed, error
     )
     observed = observed_dispersion(high)
+    # Limits on partly flown time need a dispersion of at least the largest count of a flight that
+    # ended early.
     ended_early = np.where(losses.missing > 0.0, high, 0.0).max(axis=1)
     allowed = np.maximum(np.maximum(observed, clusters.dispersion), ended_early)
     largest_dispersion = float(clusters.dispersion.max())
@@ -426,6 +502,7 @@ def _statement(
             / hours
         )
 
+    # Each side gets half the error; "all" limits hold for all corners at once (Bonferroni).
     lower, lower_all = lower_limits(low, side) / hours, lower_limits(low, side / corners) / hours
     upper, upper_all = upper_per_h(side), upper_per_h(side / corners)
     loss_upper = losses.upper(side, None if rule is None else 1.0) / hours
@@ -439,6 +516,7 @@ def _statement(
     names = [rate.epistemic_id for rate in cell.rates]
     acceptable = float(metrics["acceptable_per_h"])
     acceptable_loss = float(metrics.get("acceptable_loss_per_h") or acceptable)
+    # Ratios of variance to mean are noise below MIN_EXCURSIONS.
     informative = observed[total >= MIN_EXCURSIONS]
     answer, reason = OPEN, ""
     if np.all(upper <= acceptable) and np.all(loss_upper <= acceptable_loss):
@@ -450,6 +528,7 @@ def _statement(
         error,
     ):
         answer = NO
+    # How far the assumption on clustering may be wrong before the yes fails.
     yes_up_to = float("nan")
     if (decided or answer) == YES:
         yes_up_to = float(
@@ -492,7 +571,7 @@ def _statement(
 
 
 def _per_hour(counts: FloatArray, hours: FloatArray) -> FloatArray:
-    """Rates; where nothing was flown, infinite for a count and undefined without."""
+    """Return rates [1/h]; with no time flown infinite for a count and NaN without one."""
     no_time = np.where(counts > 0, np.inf, np.nan)
     rates: FloatArray = np.where(hours > 0, counts / np.where(hours > 0, hours, 1.0), no_time)
     return rates
@@ -504,12 +583,24 @@ def _is_above(
     acceptable: tuple[float, float],
     error: float,
 ) -> bool:
-    """Whether some corner has been shown to be above an acceptable mean per flight, wrongly with
-    probability ``error`` at most.
+    """Return whether some corner is shown to exceed an acceptable mean per flight.
 
-    The mean of evidence against "all are below", over corners and over what is counted, is such
-    evidence, whatever the dependence. What a flight did not fly is charged at the tested mean, so
-    that it is one per flight's length flown."""
+    Evidence against "all corners are below" is averaged over corners and over the two kinds of
+    events; the mean of e-values is an e-value whatever their dependence (Vovk and Wang 2021), so
+    the error probability is at most ``error``. Time that a flight did not fly is charged at the
+    tested mean.
+
+    Parameters
+    ----------
+    counts : pair of array
+        Excursions and aborted flights (c, n).
+    missing : array
+        Share of each flight that was not flown (c, n).
+    acceptable : pair of float
+        Acceptable means per flight of both.
+    error : float
+        Error probability.
+    """
     excursions, losses = (
         log_e_above(
             np.where(
@@ -525,10 +616,12 @@ def _is_above(
 
 
 def _count_ranges(flights: _ConditionFlights, column: str) -> tuple[FloatArray, FloatArray]:
-    """Least and most excursions of each flight, (corners, flights); NaN where a corner flew fewer.
+    """Return the smallest and largest possible excursions of each flight (c, n); NaN for flights
+    not flown.
 
-    A flight that failed may have had one more than was seen; one that lost control and flew on
-    counts as one at least."""
+    A flight that failed may have had one more than was counted; one that lost control counts as at
+    least one.
+    """
     low, high = np.full((2, *flights.losses.is_aborted.shape), np.nan)
     counts = flights.rows[column].to_numpy(dtype=float, na_value=np.nan)
     for row, places in enumerate(flights.places):
@@ -540,7 +633,7 @@ def _count_ranges(flights: _ConditionFlights, column: str) -> tuple[FloatArray, 
 
 
 def statements_csv(statements: Sequence[Statement]) -> bytes:
-    """statements.csv: one row per statement."""
+    """Return the content of statements.csv, one row per statement."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_COLUMNS)
@@ -593,5 +686,5 @@ def statements_csv(statements: Sequence[Statement]) -> bytes:
 
 
 def format_number(value: float) -> str:
-    """Empty where undefined."""
+    """Format a number with six digits; empty if it is NaN."""
     return "" if np.isnan(value) else f"{value:.6g}"

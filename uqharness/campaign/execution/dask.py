@@ -1,9 +1,8 @@
-"""Fly cases on a Dask cluster: ``campaign run --dask ADDRESS``. The journal stays with the
-campaign, on this machine.
+"""Fly cases on a Dask cluster (``campaign run --dask ADDRESS``); the journal stays on this machine.
 
-Dask is asked for one thing: to bring a case to a worker that is there and its outcome back, again
-if the worker is lost on the way. What a flight may do to its process is dealt with on the worker's
-side, in dask_task."""
+Dask has one task: to bring a group of cases to a worker and its outcomes back, and to repeat that
+if the worker is lost. `dask_task` handles what a flight may do to its process.
+"""
 
 from __future__ import annotations
 
@@ -38,22 +37,33 @@ from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec
 
 CONNECT_S = 10.0
-# Enough on its way that a worker need not wait for this process between two cases that take
-# milliseconds.
+"""Time [s] to wait for a scheduler."""
+# Enough orders in transit that no worker waits for this process between cases of some milliseconds.
 _ORDERS_PER_THREAD = 8
 _LOOK_S = 2.0
 _LOST_S = 30.0
-# Dask itself brings a case to four workers, one after the other's loss, before it gives up.
+# Dask itself tries four workers before it gives up.
 _ROUNDS = 2
 
 
 class DaskExecutor:
-    """Flies on the cluster whose scheduler answers at ``address`` (tcp://host:8786, or the path of
-    a scheduler file).
+    """Fly on the cluster of a Dask scheduler.
 
-    Raises BadInputError if dask is not installed or nobody answers. ``workers`` is the number of
-    threads that the cluster has at the time; they may come and go, and a cluster without any is
-    waited for."""
+    ``workers`` is the current number of threads of the cluster. Workers may come and go; a cluster
+    without any is waited for.
+
+    Parameters
+    ----------
+    address : str
+        Address (tcp://host:8786) or path of a scheduler file.
+    connect_s : float
+        Time [s] to wait for an answer.
+
+    Raises
+    ------
+    BadInputError
+        If dask is not installed or no scheduler answers.
+    """
 
     def __init__(self, address: str, connect_s: float = CONNECT_S) -> None:
         self.address = address
@@ -65,15 +75,16 @@ class DaskExecutor:
     def run(
         self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]
     ) -> Iterator[list[CaseOutcome]]:
-        """Outcomes as they come. Raises BadInputError if the scheduler is lost or a worker cannot
-        fly this campaign.
+        """Fly cases, see `Executor.run`.
+
+        Raises BadInputError if the scheduler is lost or a worker cannot fly this campaign.
         """
         return self.run_groups(OneByOne(fly), single_groups(flights))
 
     def run_groups(
         self, fly: GroupFunction, groups: Iterable[Group]
     ) -> Iterator[list[CaseOutcome]]:
-        """The same with cases that fly together."""
+        """Fly groups of cases, see `Executor.run_groups`."""
         orders = _make_orders(fly, groups)
         suspects: deque[Order] = deque()
         flying: dict[str, tuple[Any, Order]] = {}
@@ -87,8 +98,8 @@ class DaskExecutor:
             while True:
                 self._check_cluster()
                 while len(flying) < _ORDERS_PER_THREAD * max(self.workers, 1):
-                    # Dask suspects all that waited on a lost worker. With one suspect on its way at
-                    # a time, the guilty is alone.
+                    # Dask suspects every order that waited on a lost worker. With one suspect in
+                    # flight at a time the failing order is identified.
                     next_suspect = suspects and not any(
                         order.case_ids in rounds for _, order in flying.values()
                     )
@@ -124,7 +135,7 @@ class DaskExecutor:
                 self._client.cancel([future for future, _ in flying.values()], force=True)
 
     def close(self) -> None:
-        """Leave the cluster, which goes on without us."""
+        """Disconnect; the cluster continues."""
         with contextlib.suppress(Exception):
             self._client.close(timeout=2.0)
 
@@ -135,13 +146,13 @@ class DaskExecutor:
         self.close()
 
     def _submit(self, key: str, order: Order) -> Any:
+        """Send an order and return its future."""
         with self._explained():
-            # Text, since Dask would look into other arguments for work of its own, and its workers
-            # run what is no data.
+            # Text: Dask would search other arguments for tasks, and its workers unpickle code.
             return self._client.submit(fly_order, order_text(order), key=key, pure=False)
 
     def _check_cluster(self) -> None:
-        """Count the cluster's threads now and then, and notice that it has gone."""
+        """Count the threads of the cluster every few seconds; raise BadInputError if it is gone."""
         if time.monotonic() - self._checked_s < _LOOK_S:
             return
         with self._explained():
@@ -154,14 +165,14 @@ class DaskExecutor:
         self._checked_s = time.monotonic()
 
     def _answers(self, futures: list[Any]) -> Iterator[tuple[Any, Any]]:
-        """Each future with its answer; None where Dask gave the case up because the workers that
-        had it were lost.
+        """Yield each future with its answer; None if Dask gave up because all workers that had it
+        were lost.
         """
         from distributed import KilledWorker
 
         if futures and all(future.status == "finished" for future in futures):
-            # In one go, which a lost worker may spoil: what it had is then asked for singly, and
-            # flown again by Dask.
+            # All at once; if a worker was lost this fails, and each future is then asked
+            # separately.
             results = None
             with contextlib.suppress(Exception):
                 results = self._client.gather(futures)
@@ -178,6 +189,7 @@ class DaskExecutor:
 
     @contextlib.contextmanager
     def _explained(self) -> Iterator[None]:
+        """Turn errors of Dask into BadInputError."""
         from concurrent.futures import CancelledError
 
         try:
@@ -194,6 +206,7 @@ class DaskExecutor:
             ) from error
 
     def _lost_error(self) -> BadInputError:
+        """Return the error for a lost scheduler."""
         return BadInputError(
             f"the Dask scheduler at {self.address} was lost; everything counted so far is kept:"
             " start it again, then run the same command"
@@ -201,6 +214,7 @@ class DaskExecutor:
 
 
 def _connect(address: str, connect_s: float) -> Any:
+    """Connect to a scheduler. Raises BadInputError."""
     try:
         from distributed import Client
     except ImportError:
@@ -228,6 +242,7 @@ def _connect(address: str, connect_s: float) -> Any:
 
 
 def _make_orders(fly: GroupFunction, groups: Iterable[Group]) -> Iterator[Order]:
+    """Yield an order per group, with absolute paths and the hashes of the files."""
     content: dict[tuple[Path, Path], tuple[str, str]] = {}
     takes_groups = not isinstance(fly, OneByOne)
     versions, name = binding_versions(), flight_name(fly.fly if isinstance(fly, OneByOne) else fly)
@@ -246,6 +261,7 @@ def _make_orders(fly: GroupFunction, groups: Iterable[Group]) -> Iterator[Order]
 
 
 def _drain(finished: queue.SimpleQueue[Any]) -> list[Any]:
+    """Return the futures that have finished, after waiting at most `BATCH_S` for the first."""
     futures = []
     with contextlib.suppress(queue.Empty):
         futures.append(finished.get(timeout=BATCH_S))
@@ -255,4 +271,5 @@ def _drain(finished: queue.SimpleQueue[Any]) -> list[Any]:
 
 
 def _lost_outcome(order: Order) -> CaseOutcome:
+    """Return the outcome of a case whose workers were all lost."""
     return CaseOutcome(order.case_ids[0], "crashed", "every Dask worker that flew it was lost", 0.0)

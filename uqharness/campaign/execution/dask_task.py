@@ -1,9 +1,10 @@
-"""What a Dask worker does for a campaign: flies a group of cases in a process beside it, if it has
-what the campaign flies.
+"""Fly a group of cases on a Dask worker, in a child process of it.
 
-They never run in the Dask worker itself. A flight that ends the interpreter or hangs then costs a
-child process, is blamed for certain and counted with the words of a local run, and Dask sees
-nothing of it. Children stay for the next group."""
+Flights never run in the Dask worker itself: a flight that ends the interpreter or hangs costs a
+child process, is identified and counted as in a local run, and Dask is not affected. Children stay
+for the next group. Orders and answers are JSON, not pickled objects, and an order is refused unless
+aircraft, script and versions of this machine are those of the campaign.
+"""
 
 from __future__ import annotations
 
@@ -43,23 +44,34 @@ from uqharness.flight import STATUSES
 from uqharness.simulator import folder_hash
 from uqharness.toml import dotted
 
-# What travels between a campaign and a Dask worker: orders and answers, as JSON that is data
-# and names what it wants flown.
+# Orders and answers as JSON.
 
 T = TypeVar("T")
 OWN_FLIGHT = "uqharness.flight.fly:fly"
 OWN_GROUP = "uqharness.campaign.execution.worker:fly_group"
 MODULES_VARIABLE = "UQHARNESS_FLIGHT_MODULES"
-"""Environment variable of a worker: modules whose functions it may fly with beside this program's
-own, separated by commas.
+"""Environment variable of a worker: comma-separated modules whose functions it may fly with, in
+addition to those of this program.
 """
 
 
 @dataclass(frozen=True)
 class Order:
-    """Cases for a worker elsewhere. ``fly`` names the function that flies them, "module:function",
-    ``together`` whether it takes the group; ``content`` and ``versions`` are what aircraft, script
-    and program must be there."""
+    """Hold cases for a remote worker; fields are keys of the JSON.
+
+    Attributes
+    ----------
+    fly : str
+        Function that flies them, "module:function".
+    together : bool
+        Whether it takes groups.
+    group : Group
+        The cases.
+    content : tuple of str
+        Hashes of aircraft and script.
+    versions : tuple of (str, str)
+        Required versions of programs.
+    """
 
     fly: str
     together: bool
@@ -69,23 +81,20 @@ class Order:
 
     @property
     def case_ids(self) -> tuple[str, ...]:
-        """Ids of its cases, in order."""
+        """Ids of the cases, in order."""
         return tuple(case_id for case_id, _ in self.group.cases)
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Of a worker: the outcomes, or why it did not fly the cases, in a sentence."""
+    """Hold the outcomes of an order, or the reason why the worker refused it."""
 
     outcomes: tuple[CaseOutcome, ...] | None
     refused: str = ""
 
 
 def order_text(order: Order) -> str:
-    """The order as JSON; numbers and paths come back as they are.
-
-    Raises BadInputError for a path that is no text.
-    """
+    """Return an order as JSON. Raises BadInputError for a path that is not valid text."""
     text = json.dumps(order, default=_as_json_type, ensure_ascii=False)
     try:
         text.encode()
@@ -100,12 +109,12 @@ def order_text(order: Order) -> str:
 
 
 def order_from(text: str) -> Order:
-    """The order that `order_text` wrote. Raises BadInputError for any other text."""
+    """Return the order that `order_text` wrote. Raises BadInputError for any other text."""
     return _read(Order, text, "order")
 
 
 def answer_text(answer: Answer) -> str:
-    """The answer as JSON."""
+    """Return an answer as JSON."""
     return (
         json.dumps(answer, default=_as_json_type, ensure_ascii=False)
         .encode("utf-8", "replace")
@@ -114,9 +123,9 @@ def answer_text(answer: Answer) -> str:
 
 
 def answer_from(text: Any, case_ids: tuple[str, ...]) -> list[CaseOutcome]:
-    """Outcomes of the cases asked for.
+    """Return the outcomes of an answer.
 
-    Raises BadInputError where the worker refused them, or for any other text.
+    Raises BadInputError if the worker refused the order or the text is no answer to these cases.
     """
     answer = _read(Answer, text, "answer")
     if answer.outcomes is None:
@@ -139,9 +148,9 @@ def answer_from(text: Any, case_ids: tuple[str, ...]) -> list[CaseOutcome]:
 
 
 def flight_name(fly: FlightFunction | GroupFunction) -> str:
-    """The name by which a worker finds a flight function.
+    """Return the name by which a worker finds a flight function.
 
-    Raises BadInputError for what is not a function of a module.
+    Raises BadInputError unless it is a top-level function of a module.
     """
     name = f"{getattr(fly, '__module__', '')}:{getattr(fly, '__qualname__', '')}"
     try:
@@ -157,16 +166,18 @@ def flight_name(fly: FlightFunction | GroupFunction) -> str:
 
 
 def group_function(order: Order) -> GroupFunction:
-    """What flies an order's group. Raises BadInputError as `flight_function` does."""
+    """Return the function that flies an order's group. Raises BadInputError as `flight_function`
+    does.
+    """
     function = flight_function(order.fly)
     return function if order.together else OneByOne(function)
 
 
 def flight_function(name: str) -> Any:
-    """The function of that name, if this machine flies with it: the program's own, or one of a
-    module that its operator named.
+    """Return the function of that name if this machine allows it.
 
-    Nothing else is imported, for importing a module runs it. Raises BadInputError.
+    Allowed are the functions of this program and of modules in `MODULES_VARIABLE`. Nothing else is
+    imported, because importing a module runs it. Raises BadInputError.
     """
     allowed = {module.strip() for module in os.environ.get(MODULES_VARIABLE, "").split(",")}
     if name not in (OWN_FLIGHT, OWN_GROUP) and name.partition(":")[0] not in allowed - {""}:
@@ -179,6 +190,7 @@ def flight_function(name: str) -> Any:
 
 
 def _function(name: str) -> Any:
+    """Import a function by name. Raises BadInputError."""
     module, _, qualname = name.partition(":")
     try:
         function = vars(importlib.import_module(module)).get(qualname)
@@ -193,10 +205,12 @@ def _function(name: str) -> Any:
 
 @cache
 def _adapter(kind: Any) -> TypeAdapter[Any]:
+    """Return the pydantic adapter of a type."""
     return TypeAdapter(kind)
 
 
 def _read(kind: Callable[..., T], text: Any, kind_name: str) -> T:
+    """Parse and validate JSON of a given type. Raises BadInputError."""
     try:
         parsed: T = _adapter(kind).validate_json(text, strict=True)
         return parsed
@@ -210,7 +224,7 @@ def _read(kind: Callable[..., T], text: Any, kind_name: str) -> T:
 
 
 def _as_json_type(value: Any) -> Any:
-    """What json does not know, in what it knows."""
+    """Convert dataclasses, mappings, paths and NumPy scalars for `json.dumps`."""
     if is_dataclass(value):
         return vars(value)
     if isinstance(value, Mapping):
@@ -224,12 +238,12 @@ def _as_json_type(value: Any) -> Any:
 
 ABSENT = "not there"
 _LONGEST_S, _FASTEST_HZ = 1e7, 1e5
-"""Above what a campaign file allows; a flight without an end would hold the worker for good."""
+"""Limits above those of a campaign file; a flight without an end would block the worker."""
 
 
 def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
-    """Hashes of the aircraft's and the script's content on this machine, ``ABSENT`` where there is
-    none.
+    """Return the hashes of the aircraft's and the script's content, `ABSENT` where they do not
+    exist.
     """
     return (
         folder_hash(aircraft) if aircraft.is_dir() else ABSENT,
@@ -238,8 +252,9 @@ def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
 
 
 def fly_order(text: str) -> str:
-    """Fly an order and give the answer, both as text; refused where this machine's files or
-    versions are not the campaign's.
+    """Fly an order and return the answer, both as text.
+
+    The order is refused if files or versions of this machine are not those of the campaign.
     """
     try:
         return answer_text(Answer(tuple(_fly_group(order_from(text)))))
@@ -248,6 +263,7 @@ def fly_order(text: str) -> str:
 
 
 def _fly_group(order: Order) -> list[CaseOutcome]:
+    """Validate an order and fly its group in a child process."""
     fly = group_function(order)
     _refuse_unfit(order.group)
     _, flight = order.group.cases[0]
@@ -266,12 +282,10 @@ def _fly_group(order: Order) -> list[CaseOutcome]:
 
 
 def _refuse_unfit(group: Group) -> None:
-    """Refuse a group that no campaign sends: its files would not be compared, or its flights would
-    not end.
-    """
+    """Raise BadInputError for a group that no campaign sends, e.g. one that would never end."""
     if not group.cases:
         raise BadInputError("malformed order on the Dask cluster: no case in it")
-    # An executor that was given a function of its own names no engine.
+    # A custom flight function has no engine name.
     if group.engine not in ("", BATCH, JSBSIM, JUDGE, ONE_ULP_OFF):
         raise BadInputError(
             f"malformed order on the Dask cluster: engine {group.engine[:40]!r}; allowed are"
@@ -299,6 +313,7 @@ def _refuse_unfit(group: Group) -> None:
 
 
 def _refuse_without_engine(name: str) -> None:
+    """Raise BadInputError if this machine cannot fly in that engine."""
     reason = unavailable_reason(name)
     if reason is not None:
         raise BadInputError(f"the campaign flies in the batch engine, and {reason}")
@@ -309,6 +324,7 @@ _idle: list[tuple[str, ProcessExecutor]] = []
 
 
 def _take_executor(fly: str) -> ProcessExecutor:
+    """Return an idle executor of that flight function, or a new one."""
     while _idle:
         try:
             name, executor = _idle.pop()
@@ -317,11 +333,10 @@ def _take_executor(fly: str) -> ProcessExecutor:
         if name == fly:
             return executor
         executor.close()
-    # Dask's nannies start workers as daemons, which Python forbids children, lest they be orphaned:
-    # ours follow their parent.
+    # Dask starts workers as daemons, which Python forbids to have children; ours end with their
+    # parent.
     multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
-    # For good: the executors of several threads would otherwise restore it under one another's
-    # feet.
+    # Permanently: executors of several threads would otherwise restore it while others need it.
     os.environ.update(CHILD_ENVIRONMENT)
     # This process has threads, so that a fork of it may hang.
     return ProcessExecutor(1, "spawn", keep=True)
@@ -333,6 +348,7 @@ _versions_here = lru_cache(maxsize=1)(binding_versions)
 def _refuse_other_versions(
     versions: tuple[tuple[str, str], ...], content: tuple[str, str], aircraft: Path, script: Path
 ) -> None:
+    """Raise BadInputError if versions or files of this machine are not those of the campaign."""
     campaign_versions, local_versions = dict(versions), dict(_versions_here())
     unlike = [
         f"{name} {campaign_versions.get(name, 'unknown')} there, {local_versions.get(name, 'unknown')} here"

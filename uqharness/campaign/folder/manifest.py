@@ -1,5 +1,8 @@
-"""manifest.json: what a campaign folder belongs to, and the refusal to mix two campaigns in one
-folder.
+"""Read and write manifest.json, which says what campaign a folder belongs to.
+
+The manifest holds settings, versions, hashes of the inputs and, once the campaign is complete,
+digests of journal and tables. It is validated before use and carries a digest of itself, so damage
+is detected. `refuse_if_different` prevents flights of two campaigns in one folder.
 """
 
 from __future__ import annotations
@@ -24,11 +27,11 @@ from uqharness.campaign.spec.samples import campaign_from, checked_settings
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 
-# What may stand in manifest.json, checked before anything of it is believed.
+# Content of manifest.json, validated before use.
 
 FORMAT = 2
 FORMAT_WITHOUT_DIGESTS = 1
-"""What uqharness 0.1 wrote."""
+"""Format of uqharness 0.1."""
 RUNNING, INTERRUPTED, COMPLETE, MIXED = "running", "interrupted", "complete", "spoilt"
 """States; spoilt: aircraft or script was edited while it flew."""
 
@@ -37,25 +40,35 @@ _FileName = Annotated[str, Field(pattern="^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
 
 
 class _Part(BaseModel):
+    """Base of the parts of a manifest."""
+
     model_config = ConfigDict(strict=True, extra="ignore")
 
 
 class _Journal(_Part):
+    """Number of journal rows and a digest over them."""
+
     rows: int = Field(ge=0)
     digest: _Digest
 
 
 class _Engine(_Part):
+    """Requested engine and reasons of the choice; fields are keys of the file."""
+
     asked: Literal["auto", "batch", "jsbsim"]
     why: list[str]
 
 
 class _Bounds(_Part):
+    """Confidence of the model form and coefficients with a transient part."""
+
     confidence: float = Field(gt=0, lt=1)
     transient: list[str]
 
 
 class _Content(_Part):
+    """Content of manifest.json; fields are keys of the file."""
+
     format: Literal[1, 2]
     state: Literal["running", "interrupted", "complete", "spoilt"]
     command: str
@@ -74,6 +87,7 @@ class _Content(_Part):
 
     @model_validator(mode="after")
     def _check_complete(self) -> _Content:
+        """Require the hashes, and for a complete campaign the digest of its journal."""
         missing = [name for name in ("aircraft", "script") if name not in self.hashes]
         if missing:
             raise ValueError(f"hashes lack {missing[0]}")
@@ -83,9 +97,9 @@ class _Content(_Part):
 
 
 def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The content with every setting of the campaign filled in.
+    """Return the content with all settings of the campaign filled in.
 
-    ValueError naming the first thing that is not what it must be.
+    Raises ValueError naming the first invalid entry.
     """
     try:
         content = _Content.model_validate(data)
@@ -103,8 +117,8 @@ def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _fill_old_defaults(campaign: dict[str, Any]) -> dict[str, Any]:
-    """Fill in what older versions flew: JSBSim as the engine, and corners without interior points
-    or the nominal model.
+    """Fill in what older versions flew: JSBSim, and corners without interior points or nominal
+    model.
     """
     filled = dict(campaign)
     if isinstance(section := campaign.get("campaign"), dict):
@@ -118,6 +132,7 @@ def _fill_old_defaults(campaign: dict[str, Any]) -> dict[str, Any]:
 
 
 def _error_text(error: ValidationError, *section: str) -> str:
+    """Return the first validation error with its place in the file."""
     first = error.errors()[0]
     place = ".".join(map(str, (*section, *first["loc"])))
     if first["type"] == "missing":
@@ -126,18 +141,22 @@ def _error_text(error: ValidationError, *section: str) -> str:
     return f"{place}: {message}" if place else message
 
 
-# Digests by which a campaign's folder shows damage, and the one sentence that tells of it.
+# Digests that reveal damage.
 
 _MODULUS = 2**256
 
 
 class DamageError(BadInputError):
-    """Something in a campaign's folder is not as it was written.
+    """Report that a file of a campaign folder is not as it was written.
 
-    ``what`` is the short reason, without path and advice.
+    Attributes
+    ----------
+    what : str
+        The reason without path and advice.
     """
 
     def __init__(self, path: Path, problem: str, folder: Path) -> None:
+        """Compose the message with the commands that help."""
         self.what = problem
         place = shlex.quote(str(folder))
         super().__init__(
@@ -148,26 +167,34 @@ class DamageError(BadInputError):
 
 
 def digest_of_text(values: Any) -> str:
-    """SHA-256 over the canonical JSON of plain values.
+    """Return a SHA-256 over the canonical JSON of plain values.
 
-    TypeError or ValueError for what JSON does not hold.
+    Raises TypeError or ValueError for values that JSON cannot hold.
     """
     return sha256_hex(json.dumps(values, sort_keys=True, separators=(",", ":")).encode())
 
 
 def row_digest(columns: Sequence[Any]) -> str:
-    """Digest of one journal row: over all its columns but the digest itself."""
+    """Return the digest of a journal row, over all columns but the digest itself."""
     return digest_of_text(list(columns))
 
 
 def digest_of_rows(digests: Iterable[str]) -> str:
-    """One digest over those of all rows, in the order given."""
+    """Return one digest over those of all rows, in the order given."""
     return sha256_of_parts(digest.encode() for digest in digests)
 
 
 def sum_digests(total: str, added: Iterable[str], removed: Iterable[str] = ()) -> str:
-    """Sum of digests as numbers: tells whether a set of rows is complete, and may be kept up to
-    date row by row.
+    """Return a sum of digests modulo 2**256, after rows were added and removed.
+
+    The sum shows whether a set of rows is complete and can be updated row by row.
+
+    Parameters
+    ----------
+    total : str
+        Sum so far, hexadecimal.
+    added, removed : iterable of str
+        Digests of rows.
     """
     number = (
         int(total, 16)
@@ -180,13 +207,13 @@ def sum_digests(total: str, added: Iterable[str], removed: Iterable[str] = ()) -
 MANIFEST = "manifest.json"
 _MOST_BYTES = 16_000_000
 
-# A change in one of these may change a flight; the others are recorded for the reader.
+# Only these versions can change a flight; the others are recorded for information.
 _BINDING_VERSIONS = ("uqharness", "jsbsim", "numpy")
 _RECORDED_VERSIONS = ("scipy", "pyarrow", "pandas", "llvmlite")
 
 
 def versions() -> dict[str, str]:
-    """Versions of this program, of what it flies with and of what writes its tables."""
+    """Return the versions of this program and of the libraries that fly and write tables."""
     result = {"uqharness": uqharness.__version__, "python": platform.python_version()}
     for name in (*_BINDING_VERSIONS[1:], *_RECORDED_VERSIONS):
         # llvmlite may be left out.
@@ -196,13 +223,13 @@ def versions() -> dict[str, str]:
 
 
 def binding_versions() -> tuple[tuple[str, str], ...]:
-    """Names and versions of what must be alike wherever flights of one campaign are flown."""
+    """Return names and versions that must agree for all flights of a campaign."""
     installed = versions()
     return tuple((name, installed[name]) for name in _BINDING_VERSIONS)
 
 
 def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> dict[str, Any]:
-    """Manifest of a campaign that is about to run."""
+    """Return the manifest of a campaign that is about to run."""
     inputs = spec.inputs
     bounds = {"confidence": inputs.confidence, "transient": list(inputs.transient_rates)}
     return {
@@ -224,18 +251,23 @@ def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> 
 
 
 def spec_of(manifest: Mapping[str, Any]) -> CampaignSpec:
-    """The campaign that a manifest describes.
+    """Return the campaign that a manifest describes.
 
-    Raises BadInputError, if a file it names has gone for one.
+    Raises BadInputError, e.g. if a file that it names is gone.
     """
     return campaign_from(manifest["campaign"], Path(manifest.get("campaign_file", "campaign.toml")))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Manifest of a campaign folder, every part of it checked.
+    """Read and validate the manifest of a campaign folder.
 
-    Raises BadInputError if there is none or it is another program's; DamageError, which is one, if
-    it is not as it was written."""
+    Raises
+    ------
+    BadInputError
+        If there is no manifest or another program wrote it.
+    DamageError
+        If it is not as it was written.
+    """
     path = folder / MANIFEST
     try:
         content = read_regular(path, _MOST_BYTES)
@@ -254,7 +286,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def _parsed(content: bytes, path: Path) -> dict[str, Any]:
-    """ValueError for damage, BadInputError for what this program did not write."""
+    """Parse a manifest. ValueError means damage, BadInputError a file of another program."""
     try:
         manifest = json.loads(content.decode("utf-8"))
     except UnicodeDecodeError:
@@ -275,16 +307,12 @@ def _parsed(content: bytes, path: Path) -> dict[str, Any]:
 
 
 def has_digests(manifest: Mapping[str, Any]) -> bool:
-    """Whether the folder's journal and tables can be held against digests; not those of uqharness
-    0.1.
-    """
+    """Return whether journal and tables have digests; those of uqharness 0.1 do not."""
     return bool(manifest["format"] != FORMAT_WITHOUT_DIGESTS)
 
 
 def refuse_without_digests(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """BadInputError for a folder of uqharness 0.1: it may be read, but nothing may be flown into
-    it.
-    """
+    """Raise BadInputError for a folder of uqharness 0.1, which can be read but not continued."""
     if not has_digests(manifest):
         raise BadInputError(
             f"{folder}: made by uqharness 0.1, whose flights carry no digests: finish it there, or"
@@ -293,10 +321,7 @@ def refuse_without_digests(folder: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def read_complete(folder: Path) -> dict[str, Any]:
-    """Manifest of a campaign folder whose flights are all done.
-
-    Raises BadInputError, also where some are missing.
-    """
+    """Read the manifest of a complete campaign. Raises BadInputError if flights are missing."""
     manifest = read_manifest(folder)
     if manifest["state"] != COMPLETE:
         command = manifest["command"] or "the command that began it"
@@ -307,7 +332,7 @@ def read_complete(folder: Path) -> dict[str, Any]:
 
 
 def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Write it, with a digest over its content, whole or not at all."""
+    """Write the manifest with its digest in one atomic step."""
     content = {**manifest, "digest": digest_of_text(dict(manifest))}
     write_bytes(folder / MANIFEST, (json.dumps(content, indent=2) + "\n").encode())
 
@@ -315,10 +340,9 @@ def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
 def refuse_if_different(
     folder: Path, old: Mapping[str, Any], new: Mapping[str, Any], ignore: tuple[str, ...] = ()
 ) -> None:
-    """BadInputError naming every difference that makes the folder's flights no part of the campaign
-    now asked for.
+    """Raise BadInputError if the flights of a folder do not belong to the requested campaign.
 
-    Versions and hashes named in ``ignore`` may differ.
+    The message names every difference. Versions and hashes listed in ``ignore`` may differ.
     """
     differences = [
         f"{name} {old['versions'].get(name)} then, {new['versions'].get(name)} now"
@@ -360,6 +384,7 @@ def refuse_if_different(
 
 
 def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return a nested mapping with dotted keys."""
     flat: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, Mapping):

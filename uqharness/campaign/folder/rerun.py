@@ -1,5 +1,8 @@
-"""Fly one case of a campaign again, with everything recorded and a plot, and say whether it came
-out as it did then.
+"""Fly one case of a campaign again with all signals recorded, and compare it with the stored
+outcome.
+
+The flight runs in a process of its own. Record and result go to ``rerun/<case id>`` in the
+campaign's folder.
 """
 
 from __future__ import annotations
@@ -39,13 +42,29 @@ from uqharness.simulator import Source
 from uqharness.simulator import aircraft as properties
 
 RERUN = "rerun"
+"""Folder of repeated flights within a campaign folder."""
 RECORD_HZ = 50.0
+"""Highest record rate [Hz]."""
 
 
 @dataclass(frozen=True)
 class RerunResult:
-    """What came of it. ``same``: status and every metric equal the stored ones; None where the case
-    had not been flown yet.
+    """Report a repeated flight.
+
+    Attributes
+    ----------
+    case : Case
+        The case.
+    outcome : CaseOutcome
+        New outcome.
+    same : bool or None
+        Whether status and all metrics equal the stored ones; None if the case had not been flown.
+    differences : tuple of str
+        What differs.
+    folder : Path
+        Folder of the files.
+    files : tuple of Path
+        result.json and the record.
     """
 
     case: Case
@@ -58,16 +77,17 @@ class RerunResult:
 
 @dataclass(frozen=True)
 class RecordedFlight:
-    """A flight function for a worker: flies and scores as the campaign does, then once more with
-    all signals to ``path``.
+    """Fly and score a case as the campaign does, then once more in JSBSim with all signals to
+    ``path``.
 
-    The signals are JSBSim's, also of a flight in the batch ``engine``.
+    The record is JSBSim's even if the campaign flies in the batch ``engine``.
     """
 
     path: Path
     engine: str = JSBSIM
 
     def __call__(self, spec: FlightSpec) -> FlightResult:
+        """Fly, write the record and return the scored result."""
         import pandas as pd
 
         (result,) = fly_group(self.engine, [spec])
@@ -92,11 +112,20 @@ class RecordedFlight:
 
 
 def rerun_case(folder: Path, case_id: str) -> RerunResult:
-    """Fly the case (its id, or the unique beginning of one) in a process of its own, into
-    ``folder``/rerun/<case id>.
+    """Fly a case again into ``folder``/rerun/<case id>.
 
-    Raises BadInputError for a folder without a campaign, an unknown id, and an aircraft, script or
-    version that is not as it was."""
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    case_id : str
+        Id of the case, or its unique beginning.
+
+    Raises
+    ------
+    BadInputError
+        If there is no campaign, the id is unknown, or aircraft, script or versions have changed.
+    """
     manifest = read_manifest(folder)
     refuse_without_digests(folder, manifest)
     spec = spec_of(manifest)
@@ -115,7 +144,7 @@ def rerun_case(folder: Path, case_id: str) -> RerunResult:
     target = inner_folder(folder, RERUN, case.case_id)
     record = target / "record.parquet"
     remove(record)
-    # A case that ends the interpreter must end another one than ours.
+    # The flight may end its interpreter, so it needs another one than this.
     executor = ProcessExecutor(
         1, timeout_s=lambda flight: 120.0 + 0.5 * (flight.duration_s + flight.burn_in_s), retries=0
     )
@@ -135,14 +164,16 @@ def rerun_case(folder: Path, case_id: str) -> RerunResult:
 
 
 def _at_rate(spec: FlightSpec, rate_hz: float) -> FlightSpec:
+    """Return the flight with another record rate [Hz]."""
     from dataclasses import replace
 
     return replace(spec, record_rate_hz=rate_hz)
 
 
 def _extra_signals(metrics: Mapping[str, Any]) -> dict[str, Source]:
-    """What stands beside a flight record: errors as scored, position, levels, bounds and deltas,
-    air.
+    """Return the signals recorded in addition to those of a flight record.
+
+    These are errors as scored, position, levels, bounds and deltas of the coefficients, and wind.
     """
     table = {f"error_{key}": Source(card.true) for key, card in metrics.items()}
     table |= {
@@ -166,6 +197,7 @@ def _extra_signals(metrics: Mapping[str, Any]) -> dict[str, Source]:
 
 
 def _find_case(cases: tuple[Case, ...], case_id: str, folder: Path) -> Case:
+    """Return the case with that id. Raises BadInputError if there is none or more than one."""
     matches = [case for case in cases if case_id and case.case_id.startswith(case_id)]
     if len(matches) == 1:
         return matches[0]
@@ -180,6 +212,7 @@ def _find_case(cases: tuple[Case, ...], case_id: str, folder: Path) -> Case:
 
 
 def _stored(folder: Path, case_id: str) -> CaseOutcome | None:
+    """Return the stored outcome; None if the case was not flown. Raises DamageError."""
     with Store(folder, read_only=True) as store:
         outcome = store.outcome(case_id)
         if outcome is None:
@@ -189,6 +222,7 @@ def _stored(folder: Path, case_id: str) -> CaseOutcome | None:
 
 
 def _differences(stored: CaseOutcome, outcome: CaseOutcome) -> list[str]:
+    """Return what differs between two outcomes, NaN counting as equal to NaN."""
     differences = (
         []
         if stored.status == outcome.status
@@ -209,6 +243,7 @@ def _write(
     differences: tuple[str, ...],
     record: Path,
 ) -> tuple[Path, ...]:
+    """Write result.json and return the files."""
     document = {
         "case_id": case.case_id,
         "epistemic_id": case.epistemic_id,

@@ -1,9 +1,9 @@
-"""A campaign in parts: each shard flies its share into a folder of its own, and merging makes one
-campaign folder of them.
+"""Report, seal and merge campaign folders: answers, status, digests, shards.
 
-For schedulers without a process pool across machines: n jobs with --shard 1/n ... n/n, on a shared
-folder or on folders that are copied together afterwards. A case belongs to a shard by its place in
-the campaign, so the merged tables are those of one run."""
+A campaign can be flown in shards by a scheduler without a process pool across machines: n jobs with
+--shard 1/n ... n/n, each into a folder of its own. A case belongs to a shard by its place in the
+campaign, so the tables after `merge` are those of a single run.
+"""
 
 from __future__ import annotations
 
@@ -57,8 +57,7 @@ from uqharness.campaign.statements import STATEMENTS, joint_level, joint_words
 from uqharness.errors import BadInputError
 from uqharness.text_tables import csv_rows
 
-# How far a campaign's question is answered, cell by cell, from what its folder holds: while it
-# flies, and after.
+# Answers per condition, during a run and after it.
 
 _ORDER = ("yes", "no", "open", "flying")
 _WORDS = {"open": "inconclusive"}
@@ -66,8 +65,19 @@ _WORDS = {"open": "inconclusive"}
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer of one condition to "at most ``acceptable_per_h`` excursions beyond ``radius_m`` at
-    every corner?".
+    """Answer for one condition whether excursions beyond ``radius_m`` are acceptable at every
+    corner.
+
+    Attributes
+    ----------
+    condition : str
+        Label of the condition.
+    radius_m, acceptable_per_h : float
+        Radius [m] and acceptable rate [1/h].
+    answer, reason : str
+        yes, no, open or flying, and why a condition is open.
+    hours : float
+        Hours flown.
     """
 
     condition: str
@@ -77,16 +87,16 @@ class Answer:
     reason: str
     hours: float
     flight_share_upper: float | None = None
-    """Upper limit of the share of flights with an excursion at the worst corner, where the number
-    of flights was fixed.
+    """Upper limit of the share of flights with an excursion at the worst corner, if the number of
+    flights was fixed.
     """
 
 
 def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
-    """From decisions.csv, which a run that decides keeps up to date; else from the statements of a
-    complete campaign; else none.
+    """Return the answers of a campaign, per condition, for the smallest radius.
 
-    Raises BadInputError where the table is not as it was written.
+    They come from decisions.csv, which a run with *decide* updates, or from the statements of a
+    complete campaign; otherwise the list is empty. Raises BadInputError if a table is damaged.
     """
     rows = [row for row in read_decisions(folder, manifest) if row["epistemic_id"] == ALL_CORNERS]
     if not rows and (
@@ -107,6 +117,7 @@ def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
 
 
 def _answer(row: dict[str, str]) -> Answer:
+    """Return the answer of a row."""
     return Answer(
         row["condition"],
         float(row["radius_m"]),
@@ -119,12 +130,12 @@ def _answer(row: dict[str, str]) -> Answer:
 
 
 def as_json(answers: Sequence[Answer]) -> list[dict[str, object]]:
-    """The same as plain types."""
+    """Return the answers as plain types."""
     return [asdict(answer) for answer in answers]
 
 
 def lines(answers: Sequence[Answer]) -> list[str]:
-    """A summary, then one line per condition."""
+    """Return a summary line, then one line per condition."""
     if not answers:
         return []
     first, count = answers[0], Counter(answer.answer for answer in answers)
@@ -153,16 +164,13 @@ def lines(answers: Sequence[Answer]) -> list[str]:
     return result
 
 
-# The end of a campaign: digests of its journal and tables in the manifest, and whether they
-# still fit.
+# Completion of a campaign: digests of journal and tables, and whether they still fit.
 
 
 def sealed(
     manifest: Mapping[str, Any], store: Store, tables: Mapping[str, bytes]
 ) -> dict[str, Any]:
-    """The manifest of a campaign that is complete now: with digests of the journal's flights and of
-    the tables.
-    """
+    """Return the manifest of a campaign that is now complete, with digests of journal and tables."""
     digests = dict(manifest.get("tables", {})) | {
         name: sha256_hex(content) for name, content in tables.items()
     }
@@ -174,10 +182,7 @@ def sealed(
 
 
 def seal_files(folder: Path, previous: checksums.Earlier | None = None) -> None:
-    """Write SHA256SUMS of a complete campaign's folder, the last file that a run writes.
-
-    Raises BadInputError.
-    """
+    """Write SHA256SUMS of a complete campaign, the last file of a run. Raises BadInputError."""
     damaged = {} if previous is None else dict(previous.damaged)
     for name in (MANIFEST, JOURNAL, *TABLE_NAMES):
         damaged.pop(name, None)  # they have just been held against digests of their own, or written
@@ -185,7 +190,7 @@ def seal_files(folder: Path, previous: checksums.Earlier | None = None) -> None:
 
 
 def refuse_if_changed(folder: Path, store: Store, manifest: Mapping[str, Any]) -> None:
-    """DamageError where the journal of a complete campaign is not the one that the manifest
+    """Raise DamageError if the journal of a complete campaign is not the one that the manifest
     lists.
     """
     store.finished()
@@ -202,10 +207,10 @@ def rewrite_damaged_tables(
     cases: Sequence[Case],
     store: Store,
 ) -> tuple[str, ...]:
-    """Write the tables of a complete campaign again if one is not as it was written; names of those
-    that were not.
+    """Write the tables of a complete campaign again if one is damaged; return the names of the
+    damaged.
 
-    The journal must be whole. A table of another command (sensitivity.csv) is left as it is.
+    The journal must be intact. Tables of other commands (sensitivity.csv) are left as they are.
     """
     digests = manifest.get("tables", {})
     damaged = {
@@ -219,8 +224,8 @@ def rewrite_damaged_tables(
     tables = make_tables(spec, cases, store.outcomes(), rounds.decisions)
     if not damaged & set(tables):
         return ()
-    # Another version of a library may write other bytes of the same content: then all of them
-    # belong together.
+    # Another library version may write other bytes for the same content, so all tables are
+    # replaced.
     write_tables(folder, tables)
     write_manifest(folder, sealed(manifest, store, tables))
     return tuple(name for name in tables if name in damaged)
@@ -231,7 +236,7 @@ SHARDS = "shards"
 
 @dataclass(frozen=True)
 class Shard:
-    """Part ``number`` of ``count``, counted from 1."""
+    """Identify part ``number`` of ``count``, counted from 1."""
 
     number: int
     count: int
@@ -247,8 +252,20 @@ class Shard:
 
 @dataclass(frozen=True)
 class MergeResult:
-    """What a merge found: cases of the campaign, those that no shard has flown, failures; damaged
-    tables that are whole again.
+    """Report a merge.
+
+    Attributes
+    ----------
+    folder : Path
+        Campaign folder.
+    cases, missing : int
+        Cases of the campaign and those that no shard has flown.
+    statuses : dict of str to int
+        Number of flights by status.
+    shards : tuple of str
+        Names of the shard folders.
+    rewritten : tuple of str
+        Damaged tables that were written again.
     """
 
     folder: Path
@@ -259,7 +276,7 @@ class MergeResult:
     rewritten: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """The document of ``campaign merge --json``."""
+        """Return the document of ``campaign merge --json``."""
         return {
             "cases": self.cases,
             "done": self.cases - self.missing,
@@ -270,7 +287,13 @@ class MergeResult:
 
 
 def parse_shard(text: str) -> Shard:
-    """``2/8`` as a shard. Raises BadInputError."""
+    """Parse ``2/8``. Raises BadInputError.
+
+    Examples
+    --------
+    >>> parse_shard("2/8").folder
+    '2-of-8'
+    """
     match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip())
     if not match or not 1 <= int(match.group(1)) <= int(match.group(2)):
         raise BadInputError(f"--shard {text}: must be i/n with 1 <= i <= n, such as 2/8")
@@ -278,16 +301,22 @@ def parse_shard(text: str) -> Shard:
 
 
 def shard_folders(folder: Path) -> list[Path]:
-    """Folders of the shards that lie in a campaign's folder."""
+    """Return the folders of the shards in a campaign folder."""
     return sorted(path.parent for path in (folder / SHARDS).glob(f"*/{MANIFEST}"))
 
 
 def merge(folder: Path) -> MergeResult:
-    """Bring the flights of all shards in ``folder`` together; with the last one in, write the
-    tables.
+    """Collect the flights of all shards in ``folder``; with the last one, write the tables.
 
-    May be repeated: what is already there is kept. Raises BadInputError for shards of different
-    campaigns and while one of them is being flown."""
+    The call may be repeated and keeps what is there.
+
+    Raises
+    ------
+    BadInputError
+        For shards of different campaigns, and while a shard is being flown.
+    DamageError
+        If a journal is damaged; nothing is written then.
+    """
     folders = shard_folders(folder)
     if not folders:
         raise BadInputError(
@@ -297,8 +326,8 @@ def merge(folder: Path) -> MergeResult:
     first = read_manifest(folders[0])
     refuse_without_digests(folders[0], first)
     spec = spec_of(first)
-    # Identity comes from the flights' own record: the files may lie elsewhere, or be gone, on the
-    # machine that merges.
+    # The identity comes from the manifests: the files may lie elsewhere, or be gone, on this
+    # machine.
     hashes = first["hashes"]
     mission = Mission(Path(), hashes["aircraft"], Path(), hashes["script"])
     cases = build_cases(spec, mission)
@@ -347,7 +376,7 @@ def merge(folder: Path) -> MergeResult:
 
 
 def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Before anything is written: DamageError where the journal is not as it was written."""
+    """Raise DamageError if a journal is not as it was written, before anything is changed."""
     with Store(folder, read_only=True) as store:
         if manifest["state"] == COMPLETE:
             refuse_if_changed(folder, store, manifest)
@@ -356,9 +385,9 @@ def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def _previous_merge(folder: Path, manifest: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Manifest of the folder where an earlier merge left one with a journal.
+    """Return the manifest of an earlier merge; None without one.
 
-    Raises BadInputError for that of another campaign.
+    Raises BadInputError if it belongs to another campaign.
     """
     if not (folder / MANIFEST).exists():
         return None
@@ -378,23 +407,41 @@ def _merged(
     folders: Sequence[Path],
     rewritten: tuple[str, ...],
 ) -> MergeResult:
+    """Return the report of a merge."""
     names = tuple(path.name for path in folders)
     return MergeResult(
         folder, len(cases), missing, dict(sorted(statuses.items())), names, rewritten
     )
 
 
-# How far a campaign is: its own folder, or the shards below it.
+# Status of a campaign folder, or of its shards.
 
 
 @dataclass(frozen=True)
 class Status:
-    """``state``: complete, running or interrupted; ``statuses``: number of finished flights by
-    status.
+    """Report how far a campaign is.
 
-    ``engine`` flies the campaign, ``reasons`` says for what reasons. ``joint`` says what its intervals
-    hold together, ``joint_level`` at which confidence; None where that of the intervals is not
-    known."""
+    Attributes
+    ----------
+    state : str
+        complete, running or interrupted.
+    cases : int
+        Cases of the campaign.
+    statuses : mapping of str to int
+        Finished flights by status.
+    answers : tuple of Answer
+        Answers per condition.
+    command : str
+        Command that continues it.
+    engine : str
+        Engine that flies it.
+    reasons : tuple of str
+        Reasons of the choice of the engine.
+    joint : tuple of str
+        Sentences on the uncertainty set.
+    joint_level : float or None
+        Joint confidence of the intervals; None if not known.
+    """
 
     state: str
     cases: int
@@ -412,7 +459,7 @@ class Status:
         return sum(self.statuses.values())
 
     def as_dict(self) -> dict[str, Any]:
-        """The document of ``campaign status --json``."""
+        """Return the document of ``campaign status --json``."""
         return {
             "state": self.state,
             "cases": self.cases,
@@ -428,7 +475,7 @@ class Status:
 
 
 def read_status(folder: Path) -> Status:
-    """Status of a campaign, running or not. Raises BadInputError."""
+    """Return the status of a campaign, running or not. Raises BadInputError."""
     folders = [folder]
     if not (folder / MANIFEST).exists() and shard_folders(folder):
         folders = shard_folders(folder)
@@ -438,9 +485,9 @@ def read_status(folder: Path) -> Status:
         counted.update(_count_statuses(part, manifest))
         cases += int(manifest["cases"])
         complete = complete and manifest["state"] == COMPLETE
-    # A killed run could not say so itself; whether somebody holds the folder tells.
+    # A killed run leaves the state "running"; the lock shows whether a process holds the folder.
     state = COMPLETE if complete else RUNNING if any(map(is_running, folders)) else INTERRUPTED
-    # Answers are of a campaign as a whole.
+    # Only a merged campaign has answers.
     answers = tuple(read_answers(folder, manifest)) if folders == [folder] else ()
     engine, reasons = (
         manifest["campaign"]["campaign"]["engine"],
@@ -462,6 +509,7 @@ def read_status(folder: Path) -> Status:
 
 
 def _count_statuses(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, int]:
+    """Return the number of flights by status, from the tally of the journal. Raises DamageError."""
     if not has_digests(manifest):
         return _count_statuses_without_digests(folder / JOURNAL)
     with Store(folder, read_only=True) as store:
@@ -477,7 +525,7 @@ def _count_statuses(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, i
 
 
 def _count_statuses_without_digests(path: Path) -> Mapping[str, int]:
-    """The journal of uqharness 0.1."""
+    """Return the number of flights by status in a journal of uqharness 0.1."""
     if not path.is_file():
         raise BadInputError(
             f"{path}: not there; the folder was made by uqharness 0.1 and is no longer whole"

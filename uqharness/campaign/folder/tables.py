@@ -1,5 +1,9 @@
-"""The tables a campaign leaves behind, each whole or not at all: cases, p-boxes, excursions,
-statements.
+"""Build, write and read the tables of a campaign.
+
+A complete campaign has cases.parquet (a row per flight), pbox.parquet, excursions.csv and
+statements.csv, and with *decide* decisions.csv. Tables are written atomically, in case order, so
+the same results give the same bytes. They are read only if their digest is the one in the manifest.
+engine-check.csv holds the comparison of the engines.
 """
 
 from __future__ import annotations
@@ -51,7 +55,7 @@ from uqharness.parquet_files import parse_table, table_bytes
 from uqharness.statistics import best_and_worst
 from uqharness.text_tables import csv_rows
 
-# cases.parquet: one row per flight, in case order, the same bytes for the same results.
+# cases.parquet: one row per flight, in case order.
 
 CASES = "cases.parquet"
 _ENGINE = "engine"
@@ -69,10 +73,12 @@ _ALWAYS = (
 
 
 def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Table:
-    """Table of the cases that have an outcome.
+    """Return cases.parquet for the cases that have an outcome.
 
-    ``duration_s`` is scored time: of a flight that failed, what it flew of it. Such a flight has no
-    error statistics (they would be those of a shorter flight), but keeps its counts so far."""
+    ``duration_s`` is the scored time [s]; of a failed flight it is the part that was flown. Failed
+    flights have no error statistics, which would describe a shorter flight, but keep their counts
+    so far.
+    """
     by_id = {outcome.case_id: outcome for outcome in outcomes}
     radii = cases[0].flight.excursion_radius_m if cases else ()
     metric_names = {name for outcome in by_id.values() for name in outcome.metrics}
@@ -89,10 +95,10 @@ def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Ta
 
 
 def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> pa.Table:
-    """The table, if it has every column of ``campaign`` (its settings as plain types) with values
-    such as flights leave.
+    """Return the table if it has the columns and values of this campaign's flights.
 
-    Raises BadInputError naming the first column that is missing or of another type.
+    ``campaign`` holds the settings as plain types. Raises BadInputError naming the first column
+    that is missing, of another type, or has invalid values.
     """
     variables = campaign["aleatory"]["variables"]
     means = tuple(
@@ -127,6 +133,7 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
 
 
 def _schema(radii_m: Sequence[float], more: Sequence[str], inputs: Sequence[str]) -> pa.Schema:
+    """Return the schema of cases.parquet."""
     text, real, integer = pa.string(), pa.float64(), pa.int64()
     fields = [
         ("case_id", text),
@@ -154,6 +161,7 @@ def _schema(radii_m: Sequence[float], more: Sequence[str], inputs: Sequence[str]
 def _row(
     case: Case, outcome: CaseOutcome, radii_m: Sequence[float], more: Sequence[str]
 ) -> dict[str, Any]:
+    """Return the row of a case."""
     ok = outcome.status == "ok"
     flight = case.flight
     scored_s = (
@@ -188,7 +196,7 @@ def _row(
 
 
 def _finite(outcome: CaseOutcome, name: str) -> float | None:
-    """A metric, or None (null in the table) where it is undefined."""
+    """Return a metric, or None (null in the table) if it is undefined."""
     value = outcome.metrics.get(name, math.nan)
     return value if math.isfinite(value) else None
 
@@ -229,9 +237,7 @@ def make_tables(
     outcomes: Iterable[CaseOutcome],
     decisions: bytes | None = None,
 ) -> dict[str, bytes]:
-    """cases.parquet, pbox.parquet, excursions.csv and statements.csv of what was flown, and
-    ``decisions``, by name.
-    """
+    """Return the content of all tables by name, decisions.csv included if given."""
     table = build_table(cases, outcomes)
     frame, campaign = table.to_pandas(), spec.as_dict()
     claims = statements(
@@ -247,12 +253,13 @@ def make_tables(
 
 
 def write_tables(folder: Path, tables: Mapping[str, bytes]) -> None:
-    """Write tables, each whole or not at all. Raises BadInputError."""
+    """Write tables, each in one atomic step. Raises BadInputError."""
     for name, content in tables.items():
         write_bytes(folder / name, content)
 
 
 def _pbox_table(frame: pd.DataFrame, confidence: float) -> pa.Table:
+    """Return pbox.parquet: envelopes and bands of every metric and condition."""
     text, real = pa.string(), pa.float64()
     names = ("value", "lower", "upper", "band_lower", "band_upper")
     fields = [("metric", text), ("condition", text), *((name, real) for name in names)]
@@ -277,6 +284,7 @@ def _pbox_table(frame: pd.DataFrame, confidence: float) -> pa.Table:
 
 
 def _excursions_csv(frame: pd.DataFrame, claims: Sequence[Statement]) -> bytes:
+    """Return excursions.csv: a row per condition, radius, distance and corner."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_EXCURSION_COLUMNS)
@@ -322,24 +330,32 @@ def _excursions_csv(frame: pd.DataFrame, claims: Sequence[Statement]) -> bytes:
     return buffer.getvalue().encode()
 
 
-# engine-check.csv: flights that were flown in the batch engine and in JSBSim, a row a metric.
-#
-# It is outside the promise of the same bytes: which flights had been compared when a run ended
-# depends on the run.
+# engine-check.csv is not bit-identical between runs: which flights had been compared when a run
+# ended depends on the run.
 
 ENGINE_CHECK = "engine-check.csv"
 START, FULL_FLIGHT = "start", "whole"
 STATUS = "status"
-"""Stands in the place of a metric in the row that compares how a flight ended."""
+"""Entry of the column metric in the row that compares how a flight ended."""
 MOST_CHECK_BYTES = 64_000_000
 
 
 @dataclass(frozen=True)
 class CheckRow:
-    """One metric of one flight in both engines, as text. ``part``: start (its first seconds) or
-    whole.
+    """Hold one row of engine-check.csv: a metric of a flight in both engines, as text.
 
-    ``difference`` is over ``spread``; ``verdict`` is alike, excused (with ``remark``) or differs.
+    Attributes
+    ----------
+    part : str
+        start (first seconds) or whole.
+    condition, case_id, metric : str
+        Flight and metric.
+    batch, jsbsim : str
+        Values in the two engines.
+    spread, difference : str
+        Scale of the metric, and difference relative to it.
+    verdict, remark : str
+        alike, excused (with a remark) or differs.
     """
 
     part: str
@@ -358,17 +374,17 @@ _COLUMNS = tuple(field.name for field in fields(CheckRow))
 
 
 def as_text(value: float) -> str:
-    """A number that comes back bit for bit; empty where it is not defined."""
+    """Return a number as text that is read back exactly; empty if undefined."""
     return "" if math.isnan(value) else repr(float(value))
 
 
 def as_number(text: str) -> float:
-    """What `as_text` wrote. ValueError for what is no number."""
+    """Return what `as_text` wrote. Raises ValueError for other text."""
     return float(text) if text else math.nan
 
 
 def write_check(folder: Path, rows: Iterable[CheckRow]) -> None:
-    """Write it whole. Raises BadInputError."""
+    """Write engine-check.csv. Raises BadInputError."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_COLUMNS)
@@ -377,8 +393,9 @@ def write_check(folder: Path, rows: Iterable[CheckRow]) -> None:
 
 
 def read_check(folder: Path) -> list[CheckRow]:
-    """Its rows; none where it is not there or is not what this program wrote: then the flights are
-    flown again.
+    """Return the rows of engine-check.csv.
+
+    None if it is missing or invalid: the comparison flights are then flown again.
     """
     path = folder / ENGINE_CHECK
     try:
@@ -392,14 +409,13 @@ def read_check(folder: Path) -> list[CheckRow]:
 
 
 def merge_checks(folder: Path, parts: Sequence[Path]) -> None:
-    """That of a campaign from those of its shards, if they have any."""
+    """Write engine-check.csv of a campaign from those of its shards."""
     rows = [row for part in parts for row in read_check(part)]
     if rows:
         write_check(folder, dict.fromkeys(rows))
 
 
-# The tables of a campaign's folder: no byte of one is believed before its digest is what the
-# manifest says.
+# Reading of tables, with their digests.
 
 TABLE_NAMES = (
     CASES,
@@ -412,24 +428,23 @@ TABLE_NAMES = (
     "area.csv",
     ENGINE_CHECK,
 )
-"""Names of the tables that a campaign's folder may have."""
+"""Names of the tables that a campaign folder may have."""
 MOST_BYTES = 1_000_000_000
-"""A table of a million flights has a third of it."""
+"""Maximum size of a table; one of a million flights has a third of it."""
 _MOST_TEXT_BYTES = 64_000_000
 
 
 def is_sealed(manifest: Mapping[str, Any]) -> bool:
-    """Whether the manifest holds the digests of all tables there are: of a complete campaign, not
-    of uqharness 0.1.
+    """Return whether the manifest holds digests of all tables: a complete campaign, not of
+    uqharness 0.1.
     """
     return has_digests(manifest) and manifest["state"] == COMPLETE
 
 
 def table_digests(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str | None]:
-    """Digest of each table that the manifest names as it is on the disk now; None for one that is
-    not there.
+    """Return the digest of each listed table as it is on the disk; None for a missing one.
 
-    Raises BadInputError for one that cannot be read.
+    Raises BadInputError if a table cannot be read.
     """
     digests: dict[str, str | None] = {}
     for name in manifest.get("tables", {}):
@@ -445,9 +460,9 @@ def table_digests(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str | 
 
 
 def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
-    """Bytes of a table of a campaign.
+    """Return the bytes of a table after checking its digest.
 
-    Raises BadInputError where it is not there, DamageError where it is not as it was written.
+    Raises BadInputError if it is missing, DamageError if it is not as it was written.
     """
     path = folder / name
     try:
@@ -472,9 +487,24 @@ def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
 
 
 def read_cases(folder: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
-    """Flights of a complete campaign, with every column that such a table has.
+    """Return the flights of a complete campaign.
 
-    Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    manifest : mapping
+        Its manifest.
+
+    Returns
+    -------
+    DataFrame
+        A row per flight with all columns of cases.parquet.
+
+    Raises
+    ------
+    BadInputError
+        If the table is missing, damaged, or lacks a column.
     """
     path = folder / CASES
     table = parse_table(read_checked(folder, manifest, CASES), path, int(manifest["cases"]))
@@ -482,9 +512,8 @@ def read_cases(folder: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def read_decisions(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Rows of decisions.csv, as text; none where the campaign has no such table.
-
-    Raises BadInputError.
+    """Return the rows of decisions.csv as text; empty if there is no such table. Raises
+    BadInputError.
     """
     sealed = is_sealed(manifest)
     if DECISIONS not in manifest.get("tables", {}) if sealed else not (folder / DECISIONS).exists():
@@ -493,9 +522,9 @@ def read_decisions(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, 
 
 
 def read_engine_check(folder: Path, manifest: Mapping[str, Any]) -> list[CheckRow]:
-    """Rows of engine-check.csv; none where the campaign has no such file.
+    """Return the rows of engine-check.csv; empty if there is none.
 
-    Raises BadInputError where it is lost or damaged.
+    Raises BadInputError if it is listed and missing or damaged.
     """
     if ENGINE_CHECK in manifest.get("tables", {}):
         read_checked(folder, manifest, ENGINE_CHECK)
@@ -503,9 +532,7 @@ def read_engine_check(folder: Path, manifest: Mapping[str, Any]) -> list[CheckRo
 
 
 def record_table(folder: Path, name: str, content: bytes) -> None:
-    """Write a table that a command adds to a complete campaign's folder, and its digest into the
-    manifest. Raises BadInputError.
-    """
+    """Write a table that a command adds to a complete campaign, and its digest into the manifest."""
     write_bytes(folder / name, content)
     manifest = read_manifest(folder)
     if has_digests(manifest):

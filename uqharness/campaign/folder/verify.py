@@ -1,7 +1,9 @@
-"""Is a folder of results as it was written? Changes nothing.
+"""Verify a folder of results, and salvage a damaged campaign.
 
-Manifest, journal, tables and shards of a campaign are each looked at for themselves; every other
-file of a campaign, and those of a study or a refinement, by the digest in SHA256SUMS."""
+`verify` changes nothing. It checks manifest, journal, tables and shards of a campaign separately,
+and all other files of a campaign, a study or a refinement by SHA256SUMS. `salvage` keeps the intact
+flights, gives damaged files another name and flies the missing flights again.
+"""
 
 from __future__ import annotations
 
@@ -63,8 +65,9 @@ INTACT, DAMAGED, MISSING, NO_DIGEST = "whole", "damaged", "missing", "no digests
 
 @dataclass(frozen=True)
 class Item:
-    """Manifest, journal or table: its state, a remark, and of a table the digest of its bytes as
-    they are now.
+    """Hold the state of a manifest, journal or table.
+
+    ``digest`` is that of a table's current bytes.
     """
 
     name: str
@@ -75,9 +78,9 @@ class Item:
 
 @dataclass(frozen=True)
 class FolderCheck:
-    """What was found of one folder, and of the shards below it.
+    """Report the check of a folder and of its shards.
 
-    ``complete`` None where the manifest cannot be read.
+    ``complete`` is None if the manifest cannot be read.
     """
 
     folder: Path
@@ -95,8 +98,9 @@ class FolderCheck:
 
 @dataclass(frozen=True)
 class JournalScanResult:
-    """Rows of a journal that fit their digests, that do not, and that are missing (None: not known
-    how many there were).
+    """Count the rows of a journal that are intact, damaged and missing.
+
+    ``missing`` is None if the original number is not known; ``problem`` says what is wrong.
     """
 
     sound: int
@@ -106,16 +110,29 @@ class JournalScanResult:
 
     @property
     def words(self) -> str:
-        """The numbers, and what is wrong."""
+        """The counts and the problem as a phrase."""
         missing = "an unknown number" if self.missing is None else str(self.missing)
         counts = f"flights: {self.sound} sound, {self.damaged} damaged, {missing} missing"
         return f"{counts}; {self.problem}" if self.problem else counts
 
 
 def verify(folder: Path) -> FolderCheck:
-    """Look at a folder of a campaign, study or refinement and those within.
+    """Check a folder of a campaign, study or refinement, and the folders within.
 
-    Raises BadInputError for any other folder.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+
+    Returns
+    -------
+    FolderCheck
+        State of each item.
+
+    Raises
+    ------
+    BadInputError
+        For any other folder.
     """
     is_campaign = (folder / MANIFEST).exists() or (folder / JOURNAL).exists()
     parts = [*part_folders(folder), *_sealed_within(folder)]
@@ -126,7 +143,7 @@ def verify(folder: Path) -> FolderCheck:
             f"{JOURNAL}, no {SHARDS}/, no {SUMS})"
         )
     complete, items = _verify_campaign(folder) if is_campaign else (None, ())
-    # A campaign that is not complete has none yet, or those of an earlier end.
+    # An incomplete campaign has no SHA256SUMS, or those of an earlier completion.
     files = _file_items(folder, items) if sealed and complete is not False else ()
     return FolderCheck(
         folder, complete, (*items, *files), tuple(verify(part) for part in dict.fromkeys(parts))
@@ -134,7 +151,7 @@ def verify(folder: Path) -> FolderCheck:
 
 
 def _sealed_within(folder: Path) -> list[Path]:
-    """Folders within a study or refinement that have sums of their own."""
+    """Return the folders within a study or refinement that have their own SHA256SUMS."""
     with contextlib.suppress(SumsError, OSError):
         sums = read_sums(folder)
         names = () if sums is None else sums.folders
@@ -143,7 +160,7 @@ def _sealed_within(folder: Path) -> list[Path]:
 
 
 def _file_items(folder: Path, items: Sequence[Item]) -> Iterator[Item]:
-    """Files that are not as SHA256SUMS lists them, then the others, counted in one item."""
+    """Yield files that differ from SHA256SUMS, then one item that counts the others."""
     items_by_name = {item.name: item for item in items}
     file_faults = faults(folder, within=False)
     for fault in file_faults:
@@ -158,7 +175,7 @@ def _file_items(folder: Path, items: Sequence[Item]) -> Iterator[Item]:
 
 
 def part_folders(folder: Path) -> list[Path]:
-    """Folders of shards, also of those that have lost their manifest."""
+    """Return the folders of shards, including those without a manifest."""
     folders = {
         path.parent for name in (MANIFEST, JOURNAL) for path in (folder / SHARDS).glob(f"*/{name}")
     }
@@ -166,6 +183,7 @@ def part_folders(folder: Path) -> list[Path]:
 
 
 def _verify_campaign(folder: Path) -> tuple[bool | None, tuple[Item, ...]]:
+    """Check manifest, journal and tables; return whether the campaign is complete, and the items."""
     manifest: dict[str, Any] | None = None
     try:
         manifest = read_manifest(folder)
@@ -187,6 +205,7 @@ def _verify_campaign(folder: Path) -> tuple[bool | None, tuple[Item, ...]]:
 
 
 def _journal_item(folder: Path, manifest: Mapping[str, Any] | None) -> Item:
+    """Check the journal."""
     sealed = manifest is not None and is_sealed(manifest)
     try:
         if trap := journal_trap(folder):
@@ -203,14 +222,12 @@ def _journal_item(folder: Path, manifest: Mapping[str, Any] | None) -> Item:
 
 
 def scan_journal(folder: Path, manifest: Mapping[str, Any] | None) -> JournalScanResult:
-    """Every row of a journal, damaged or not, and whether it is what the manifest of a complete
-    campaign lists.
-    """
+    """Read every row of a journal and compare it with the manifest of a complete campaign."""
     with scratch_folder("verify") as scratch:
         try:
             if (folder / LEFTOVER).is_file() and not is_running(folder):
-                # Opening the journal itself would take back what was half written, which is for the
-                # next run to do.
+                # Opening the journal itself would undo an incomplete write; that is left to the
+                # next run.
                 copy_of(folder, scratch.path / "opened")
                 problem, expected = _opened(scratch.path / "opened", folder)
             else:
@@ -231,8 +248,8 @@ def scan_journal(folder: Path, manifest: Mapping[str, Any] | None) -> JournalSca
 
 
 def _opened(place: Path, folder: Path) -> tuple[str, int | None]:
-    """What is wrong with a journal as every command opens it, and how many flights its tally
-    counts.
+    """Open a journal as every command does; return the problem and the number of flights in its
+    tally.
     """
     expected = None
     try:
@@ -247,10 +264,12 @@ def _opened(place: Path, folder: Path) -> tuple[str, int | None]:
 
 
 def _existing_tables(folder: Path) -> list[str]:
+    """Return the names of the tables that exist."""
     return [name for name in TABLE_NAMES if (folder / name).exists()]
 
 
 def _table_items(folder: Path, manifest: Mapping[str, Any]) -> Iterator[Item]:
+    """Yield the state of each table."""
     if not is_sealed(manifest):
         return
     digests = manifest.get("tables", {})
@@ -266,11 +285,8 @@ def _table_items(folder: Path, manifest: Mapping[str, Any]) -> Iterator[Item]:
             yield Item(name, DAMAGED, "the manifest knows of no such table")
 
 
-# Make a damaged campaign folder whole: keep the sound flights, put what is damaged aside, fly
-# the rest again.
-#
-# At every moment the folder is one that ``salvage`` can be called on again: the new journal is
-# made in a folder of its own and put in place at once, after the old one has been given another
+# Salvage. At every moment the folder is one that `salvage` can be called on again: the new journal
+# is made in a folder of its own and moved into place at once, after the old one has got another
 # name and the manifest says that the campaign is not complete.
 
 _WORK = ".salvage"
@@ -280,11 +296,25 @@ _OWN_TABLES = ("sensitivity.csv", "convergence.csv", "area.csv", ENGINE_CHECK)
 
 @dataclass(frozen=True)
 class SalvageResult:
-    """What was done in one folder: flights kept and flown again, tables written again, files put
-    aside by their new names.
+    """Report what salvage did in a folder.
 
-    ``missing``: flights that no shard has flown yet; ``parts``: the same for the shards that were
-    not whole."""
+    Attributes
+    ----------
+    folder : Path
+        Campaign folder.
+    retained, flights : int
+        Flights kept, and flights flown again.
+    missing : int
+        Flights that no shard has flown yet.
+    statuses : mapping of str to int
+        Number of flights by status.
+    rewritten : tuple of str
+        Tables written again.
+    renamed : tuple of str
+        New names of the damaged files.
+    parts : tuple of SalvageResult
+        The same for damaged shards.
+    """
 
     folder: Path
     retained: int
@@ -298,7 +328,7 @@ class SalvageResult:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How the missing flights are flown: see :func:`uqharness.campaign.run.run_campaign`."""
+    """Hold the options with which missing flights are flown, see `run_campaign`."""
 
     executor: Executor
     before_flying: Callable[[Cost], None] = lambda _: None
@@ -309,11 +339,24 @@ class RunOptions:
 def salvage(
     folder: Path, flying: RunOptions, campaign: CampaignSpec | None = None, command: str = ""
 ) -> SalvageResult:
-    """Make the campaign in ``folder`` whole. ``campaign`` takes the place of a manifest that is
-    damaged or gone, and ``command`` that of the command in it.
+    """Make a damaged campaign intact again.
 
-    Shards are made whole and merged again. Raises BadInputError where that cannot be done: nothing
-    is lost then."""
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    flying : RunOptions
+        How to fly missing flights.
+    campaign : CampaignSpec, optional
+        Campaign to use if the manifest is damaged or gone.
+    command : str
+        Command line for a new manifest.
+
+    Raises
+    ------
+    BadInputError
+        If the campaign cannot be restored; nothing is lost then.
+    """
     parts = part_folders(folder)
     if not parts:
         return _salvage_campaign(folder, flying, campaign, command)
@@ -332,6 +375,7 @@ def salvage(
 
 
 def _is_whole(folder: Path) -> bool:
+    """Return whether manifest and journal of a shard are intact."""
     if not (folder / MANIFEST).exists():
         return False
     try:
@@ -344,13 +388,11 @@ def _is_whole(folder: Path) -> bool:
 
 
 def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """DamageError where the journal is not whole; a file whose writer was killed is looked at in a
-    copy.
-    """
+    """Raise DamageError if the journal is not intact; one with a rollback file is read in a copy."""
     if is_sealed(manifest) and not (folder / JOURNAL).exists():
         raise DamageError(folder / JOURNAL, "it is gone", folder)
     if is_sealed(manifest):
-        # Its flights may be sound where its free pages are not.
+        # Intact flights do not exclude damage in unused pages.
         for fault in faults(folder, within=False):
             if fault.name == JOURNAL:
                 raise DamageError(folder / JOURNAL, fault.problem, folder)
@@ -367,9 +409,7 @@ def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def _mend_merged(folder: Path) -> list[str]:
-    """Put aside what is damaged in a folder of merged shards: merging makes it again, with the
-    flights it has itself.
-    """
+    """Rename damaged files of a folder of merged shards; merging writes them again."""
     renamed: list[str] = []
     try:
         manifest = read_manifest(folder)
@@ -395,6 +435,7 @@ def _mend_merged(folder: Path) -> list[str]:
 def _salvage_campaign(
     folder: Path, flying: RunOptions, campaign: CampaignSpec | None, command: str
 ) -> SalvageResult:
+    """Salvage one campaign folder without shards."""
     if not (folder / MANIFEST).exists() and not (folder / JOURNAL).exists():
         raise BadInputError(
             f"{folder}: not a campaign folder (no {MANIFEST}, no {JOURNAL}); nothing to salvage"
@@ -437,8 +478,9 @@ def _salvage_campaign(
 def _identify_campaign(
     folder: Path, campaign: CampaignSpec | None, command: str
 ) -> tuple[CampaignSpec, dict[str, Any], list[str]]:
-    """The campaign of the folder and its manifest, rebuilt from ``campaign`` where it is damaged;
-    what was put aside.
+    """Return the campaign of a folder, its manifest and the names of renamed files.
+
+    A damaged manifest is rebuilt from ``campaign``.
     """
     try:
         manifest = read_manifest(folder)
@@ -469,9 +511,7 @@ def _identify_campaign(
 
 
 def _refuse_other_versions(folder: Path) -> None:
-    """A damaged manifest can often still be read for the versions that flew; flights of two are not
-    mixed.
-    """
+    """Raise BadInputError if a damaged manifest still shows that other versions flew."""
     with contextlib.suppress(OSError, ValueError, RecursionError, AttributeError):
         old_versions = json.loads(read_regular(folder / MANIFEST)).get("versions")
         differences = [
@@ -488,6 +528,7 @@ def _refuse_other_versions(folder: Path) -> None:
 def _refuse_foreign_flights(
     folder: Path, campaign: CampaignSpec, manifest: Mapping[str, Any]
 ) -> None:
+    """Raise BadInputError if the journal holds flights of another campaign."""
     case_ids = _case_ids(folder, campaign, manifest)
     sound_ids = _sound_ids(folder, case_ids)
     foreign = len(sound_ids - case_ids)
@@ -500,6 +541,7 @@ def _refuse_foreign_flights(
 
 
 def _sound_ids(folder: Path, case_ids: Collection[str]) -> set[str]:
+    """Return the case ids of all intact rows."""
     with _work_folder(folder) as work:
         return {
             row[0]
@@ -509,9 +551,7 @@ def _sound_ids(folder: Path, case_ids: Collection[str]) -> set[str]:
 
 
 def _with_engine_of_journal(folder: Path, campaign: CampaignSpec, mission: Mission) -> CampaignSpec:
-    """The campaign in the engine whose flights the journal holds: ids tell, where the file leaves
-    it to the first run.
-    """
+    """Return the campaign in the engine whose case ids the journal holds."""
     if campaign.campaign.engine != "auto":
         return campaign
     ids_by_engine = {
@@ -528,9 +568,9 @@ def _with_engine_of_journal(folder: Path, campaign: CampaignSpec, mission: Missi
 
 
 def _case_ids(folder: Path, spec: CampaignSpec, manifest: Mapping[str, Any]) -> set[str]:
-    """Ids of the campaign's flights.
+    """Return the ids of a campaign's cases.
 
-    Raises BadInputError where aircraft, script or versions are not what they were.
+    Raises BadInputError if aircraft, script or versions have changed.
     """
     mission = find_mission(spec, folder)
     refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""))
@@ -538,14 +578,15 @@ def _case_ids(folder: Path, spec: CampaignSpec, manifest: Mapping[str, Any]) -> 
 
 
 def _not_complete(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the manifest in the state interrupted."""
     return {name: value for name, value in manifest.items() if name != "journal"} | {
         "state": INTERRUPTED
     }
 
 
 def _replace_journal(folder: Path, case_ids: Collection[str] | None) -> list[str]:
-    """A new journal with every sound flight that can be found, in the place of the damaged one; the
-    name that this has now.
+    """Replace the journal by a new one with all intact rows; return the new name of the damaged
+    one.
     """
     with _work_folder(folder) as work:
         with Store(work) as store:
@@ -556,16 +597,14 @@ def _replace_journal(folder: Path, case_ids: Collection[str] | None) -> list[str
                 ):
                     store.add(batch)
         renamed = _rename_journal(folder)
-        # Beside a new journal it would be taken for what is to be taken back of that one.
+        # Next to a new journal the rollback file would be applied to it.
         (folder / LEFTOVER).unlink(missing_ok=True)
         os.replace(work / JOURNAL, folder / JOURNAL)
     return renamed
 
 
 def _sources(folder: Path) -> Iterator[Path]:
-    """Folders to read a ``journal.sqlite`` from: those put aside by an earlier salvage first, for
-    the last one counts.
-    """
+    """Yield folders with a journal to read, those of an earlier salvage first: the last one counts."""
     for number in itertools.count(1):
         damaged = folder / f"journal.damaged-{number}.sqlite"
         if not damaged.exists():
@@ -580,12 +619,13 @@ def _sources(folder: Path) -> Iterator[Path]:
 
 
 def _batches(outcomes: Iterator[CaseOutcome]) -> Iterator[list[CaseOutcome]]:
+    """Yield outcomes in batches."""
     while batch := list(itertools.islice(outcomes, _BATCH)):
         yield batch
 
 
 def _rename_journal(folder: Path) -> list[str]:
-    """Give the damaged journal, and what lies beside it, a second name."""
+    """Give the damaged journal, and its rollback file, a second name."""
     if not (folder / JOURNAL).exists():
         return []
     new_path = _free_name(folder / JOURNAL)
@@ -605,9 +645,7 @@ def _rename_journal(folder: Path) -> list[str]:
 
 
 def _rename_damaged_tables(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
-    """Tables of other commands that are not as written cannot be made again here, and must not be
-    taken for whole.
-    """
+    """Rename damaged tables of other commands, which cannot be computed again here."""
     expected = manifest.get("tables", {})
     digests = table_digests(folder, manifest)
     damaged = [name for name in _OWN_TABLES if name in digests and digests[name] != expected[name]]
@@ -625,6 +663,7 @@ def _rename_damaged_tables(folder: Path, manifest: Mapping[str, Any]) -> list[st
 
 
 def _rename_damaged(path: Path) -> str:
+    """Rename a damaged file and return the new name."""
     new_path = _free_name(path)
     os.replace(path, new_path)
     enter(path)
@@ -632,6 +671,7 @@ def _rename_damaged(path: Path) -> str:
 
 
 def _free_name(path: Path) -> Path:
+    """Return an unused name for a damaged file."""
     names = (
         path.with_name(f"{path.stem}.damaged-{number}{path.suffix}")
         for number in itertools.count(1)
@@ -641,7 +681,7 @@ def _free_name(path: Path) -> Path:
 
 @contextlib.contextmanager
 def _work_folder(folder: Path, name: str = _WORK) -> Iterator[Path]:
-    """An empty folder within ``folder``; what a killed salvage left there goes."""
+    """Yield an empty folder within ``folder``, removed afterwards."""
     work = folder / name
     _remove(work)
     try:
@@ -655,20 +695,21 @@ def _work_folder(folder: Path, name: str = _WORK) -> Iterator[Path]:
 
 
 def _remove(work: Path) -> None:
+    """Remove a file, link or folder."""
     if work.is_symlink() or work.is_file():
         work.unlink()
     shutil.rmtree(work, ignore_errors=True)
 
 
 def _shard_of(folder: Path) -> Shard | None:
-    """What a folder's place says of the shard in it."""
+    """Return the shard that a folder's name indicates."""
     if folder.resolve().parent.name != SHARDS:
         return None
     return parse_shard(folder.resolve().name.replace("-of-", "/"))
 
 
 def _out_of(folder: Path, shard: Shard | None) -> Path:
-    """The folder to give to a run so that it flies into ``folder``."""
+    """Return the output folder with which a run flies into ``folder``."""
     if shard is None:
         return folder
     place = folder.resolve()

@@ -1,6 +1,8 @@
-"""campaign.toml: what a campaign flies, strictly validated.
+"""Validate campaign.toml and the files that it names.
 
-Errors name file, line, what was received and what is allowed.
+Each section of the file is a strict pydantic model; `CampaignSpec` is the validated campaign with
+its inputs. Error messages name file and line, what was received and what is allowed.
+`uqharness.campaign.spec.samples` builds the epistemic samples from it.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     from sysid.model_form import ModelForm
 
 
-# Names that sections of campaign.toml share: turbulence, coefficients.
+# Names shared by the sections.
 
 Turbulence = Literal["none", "light", "moderate", "severe"]
 Coefficient = Literal["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -42,16 +44,16 @@ assert Coefficient.__args__ == COEFFICIENTS  # type: ignore[attr-defined]
 
 
 def ordered(value: tuple[str, ...]) -> tuple[str, ...]:
-    """Coefficients in the order in which they are always listed.
+    """Return coefficients in the order CX, CY, CZ, Cl, Cm, Cn.
 
-    ValueError for none or one twice.
+    Raises ValueError for an empty or repeated list.
     """
     if not value or len(set(value)) != len(value):
         raise ValueError("must name at least one coefficient, and none twice")
     return tuple(name for name in COEFFICIENTS if name in value)
 
 
-# [epistemic] of campaign.toml: uncertainty of the model, and how it is sampled.
+# Section [epistemic].
 
 SAMPLED = ("lhs", "white", "walk")
 """Methods that draw ``samples`` epistemic samples; the others list theirs."""
@@ -59,23 +61,20 @@ SAMPLED = ("lhs", "white", "walk")
 MAX_SAMPLES = 1_000_000
 
 INTERIOR = 16
-"""Most interior points by default: so many with a model form, at most one per corner with constant
-bounds.
-"""
+"""Default number of interior points with a model form, and their maximum with constant bounds."""
 
 PUBLISHED_WALK_RATE_PER_SQRT_S = 0.0017 * 50.0**0.5
-"""0.17 % of the interval a sample (Hale 2016, Fig 3.3, CZ), the record taken as 50 Hz: what a walk
-moves at unless told.
-"""
+"""Default rate of a walk: 0.17 % of the interval per sample (Hale 2016, Fig 3.3, CZ), at 50 Hz."""
 
 
 class ParametersSection(Section):
-    """Uncertainty of the identified parameters, from a fit: one draw of all of them belongs to an
-    epistemic sample.
+    """Section [epistemic.parameters]: uncertainty of identified parameters, from a fit.
 
-    ``distribution`` normal draws from the fit's covariance; box fills, by a Latin hypercube, the
-    box of ``confidence`` (all parameters at once, Bonferroni) about the estimates. ``parameters``
-    picks some of the fit's; absent = all identified ones."""
+    One draw of all parameters belongs to an epistemic sample. ``distribution`` normal draws from
+    the covariance of the fit; box fills, by a Latin hypercube, the box of ``confidence`` (all
+    parameters at once, Bonferroni) around the estimates. ``parameters`` selects some; default: all
+    identified ones.
+    """
 
     fit: str = Field(min_length=1)
     parameters: Annotated[tuple[str, ...] | None, BeforeValidator(tupled)] = None
@@ -84,6 +83,7 @@ class ParametersSection(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> ParametersSection:
+        """Refuse a confidence without a box, and empty or repeated parameters."""
         if self.confidence is not None and self.distribution != "box":
             raise ValueError(
                 'confidence belongs to distribution = "box"; a normal distribution has no edge'
@@ -95,18 +95,19 @@ class ParametersSection(Section):
 
     @property
     def box_confidence(self) -> float:
-        """Confidence of the box over all parameters at once, 0.95 where none is given."""
+        """Confidence of the box over all parameters at once; default 0.95."""
         return 0.95 if self.confidence is None else self.confidence
 
 
 class EpistemicSection(Section):
-    """Ignorance: how the deltas move between their bounds.
+    """Section [epistemic]: uncertainty of the model between the bounds of its deltas.
 
-    ``bounds`` per coefficient, or the name of a model-form.json; absent = the aircraft's own.
-    ``set``: the intervals' box, or the ellipsoid of their joint confidence. ``transient``: the
-    model form's transient error flies as well; absent = where there is such a part. ``interior``:
-    points of a Latin hypercube flown with the corners. ``nominal``: the model with all deltas zero
-    is flown with the corners as well (absent = true)."""
+    ``bounds`` are numbers per coefficient or a model-form.json; default: those of the aircraft.
+    ``set`` is the box of the intervals or the ellipsoid of their joint confidence. ``transient``
+    adds the transient error of the model form; default: if it has one. ``interior`` is the number
+    of points of a Latin hypercube flown with the corners. ``nominal`` adds the model with zero
+    deltas; default: true.
+    """
 
     method: Literal["none", "corners", "levels", "lhs", "white", "walk"]
     coefficients: Annotated[tuple[Coefficient, ...], BeforeValidator(tupled)] = COEFFICIENTS  # type: ignore[assignment]
@@ -123,11 +124,13 @@ class EpistemicSection(Section):
     @field_validator("coefficients")
     @classmethod
     def _in_order(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        """Sort the coefficients."""
         return ordered(value)
 
     @field_validator("bounds", mode="before")
     @classmethod
     def _bounds(cls, value: Any) -> Any:
+        """Expand half-widths to intervals."""
         if isinstance(value, str) and not value.endswith(".json"):
             raise ValueError(
                 "must be numbers, as { CX = 0.008, ... }, or the file of a model form, as"
@@ -142,6 +145,7 @@ class EpistemicSection(Section):
     @field_validator("levels", mode="before")
     @classmethod
     def _levels(cls, value: Any) -> Any:
+        """Require distinct levels between 0 and 1."""
         value = tupled(value)
         if isinstance(value, tuple) and not all(
             is_number(item) and 0 <= item <= 1 for item in value
@@ -154,6 +158,7 @@ class EpistemicSection(Section):
     @field_validator("walk_rate_per_sqrt_s", mode="before")
     @classmethod
     def _rates(cls, value: Any) -> Any:
+        """Expand a single walk rate to all coefficients."""
         rates = value if isinstance(value, dict) else dict.fromkeys(COEFFICIENTS, value)
         for name, rate in rates.items():
             if not is_number(rate) or not rate > 0:
@@ -166,6 +171,7 @@ class EpistemicSection(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> EpistemicSection:
+        """Check keys that depend on each other."""
         if (self.method == "levels") != (self.levels is not None):
             raise ValueError(
                 'levels belongs to method = "levels", which needs it: levels = [0, 0.5, 1]'
@@ -177,7 +183,7 @@ class EpistemicSection(Section):
         return self
 
     def interior_samples(self, corners: int) -> int:
-        """Return the number of interior points flown with so many corners."""
+        """Return the number of interior points flown with that number of corners."""
         if self.interior is not None:
             return self.interior
         if self.method != "corners":
@@ -186,10 +192,11 @@ class EpistemicSection(Section):
 
     @property
     def flies_nominal(self) -> bool:
-        """Whether the model without deltas flies with the corners."""
+        """Whether the model without deltas is flown with the corners."""
         return self.method == "corners" and self.nominal is not False
 
     def _check_bounds(self) -> None:
+        """Require bounds for exactly the uncertain coefficients."""
         if not isinstance(self.bounds, dict):
             return
         for name in self.bounds:
@@ -202,6 +209,7 @@ class EpistemicSection(Section):
             )
 
     def _check_samples(self) -> None:
+        """Require the number of samples where samples are drawn."""
         draws_samples = self.method in SAMPLED or self.parameters is not None
         if draws_samples and self.samples is None:
             key = (
@@ -216,6 +224,7 @@ class EpistemicSection(Section):
             )
 
     def _check_rates(self) -> None:
+        """Require walk rates for all uncertain coefficients."""
         if self.walk_rate_per_sqrt_s is None:
             return
         if self.method != "walk":
@@ -230,6 +239,7 @@ class EpistemicSection(Section):
             )
 
     def _check_set(self) -> None:
+        """Refuse sets and points that the method does not fly."""
         if self.set == "ellipsoid" and self.method not in ("corners", "lhs"):
             raise ValueError(
                 f'set = "ellipsoid" belongs to the methods corners and lhs, not to "{self.method}"'
@@ -249,7 +259,7 @@ class EpistemicSection(Section):
 
 
 def _interval(name: str, item: Any) -> Any:
-    """``0.008`` means ±0.008; a pair means [lower, upper] with 0 between."""
+    """Return a pair [lower, upper] with 0 between; ``0.008`` means ±0.008."""
     if is_number(item):
         if item < 0:
             raise ValueError(
@@ -266,7 +276,7 @@ def _interval(name: str, item: Any) -> Any:
     return (float(item[0]), float(item[1]))
 
 
-# [stop] of campaign.toml: when the flying ends.
+# Section [stop].
 
 _KEYS_OF_RULE: Mapping[str, tuple[str, ...]] = {
     "flights": (),
@@ -285,13 +295,14 @@ _SETS_FLIGHTS = {"hours": "hours", "band-width": "band_width"}
 
 
 class StopSection(Section):
-    """When it ends.
+    """Section [stop]: when a campaign ends.
 
     ``flights``: [aleatory] flights everywhere. ``hours``: that many flight hours per corner and
-    condition. ``band-width``: as many flights as bring the p-box's band within ``band_width``
-    (probability) of its envelope. All three are known beforehand. ``decide``: a cell ends once "at
-    most [metrics] acceptable_per_h excursions beyond radius_m?" is answered, [aleatory] flights at
-    the latest."""
+    condition. ``band-width``: as many flights as bring the band of a p-box within ``band_width``
+    (probability) of its envelope. These three are known beforehand. ``decide``: a condition ends
+    once the question "at most [metrics] acceptable_per_h excursions beyond radius_m?" is answered,
+    at the latest after [aleatory] flights.
+    """
 
     rule: Literal["flights", "hours", "band-width", "decide"] = "flights"
     hours: Annotated[Number, Field(gt=0)] | None = None
@@ -311,6 +322,7 @@ class StopSection(Section):
 
     @model_validator(mode="after")
     def _of_its_rule(self) -> StopSection:
+        """Refuse keys of another rule."""
         for rule, keys in _KEYS_OF_RULE.items():
             strange = [key for key in keys if getattr(self, key) is not None and rule != self.rule]
             if strange:
@@ -326,9 +338,7 @@ class StopSection(Section):
 
 
 def without_flights(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The content of a file whose rule says how many flights there are, with a place for the
-    number; any other as it is.
-    """
+    """Fill in a number of flights where the stopping rule determines it."""
     stop, air = data.get("stop"), data.get("aleatory")
     if not isinstance(stop, dict) or not isinstance(air, dict) or "flights" in air:
         return data
@@ -336,18 +346,19 @@ def without_flights(data: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**data, "aleatory": {**air, "flights": 1}} if key is not None and key in stop else data
 
 
-# [aleatory.variables."PROPERTY"] of campaign.toml: what differs from flight to flight besides
-# air and noise, such as the load.
+# Section [aleatory.variables]: what varies between flights besides air and noise, such as the
+# payload.
 
 Pair = tuple[Number, Number]
 
 
 class VariableSection(Section):
-    """One random property, drawn once a flight. normal: ``mean``, ``std``; uniform: ``low``,
-    ``high``, or ``mean``, ``half_width``.
+    """Section [aleatory.variables."PROPERTY"]: a random property, drawn once per flight.
 
-    ``mean`` may be an interval [low, high]: then where the mean lies is not known, which is an
-    epistemic input of its own. Units are those of the JSBSim property (its name says them)."""
+    normal: ``mean``, ``std``; uniform: ``low``, ``high``, or ``mean``, ``half_width``. ``mean`` may
+    be an interval [low, high]: the mean is then unknown within it, an epistemic input. Units are
+    those of the JSBSim property.
+    """
 
     distribution: Literal["normal", "uniform"]
     mean: Annotated[Number | Pair | None, BeforeValidator(tupled)] = None
@@ -358,6 +369,7 @@ class VariableSection(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> VariableSection:
+        """Require exactly the keys of the distribution."""
         present = {
             name
             for name in ("mean", "std", "low", "high", "half_width")
@@ -385,12 +397,18 @@ class VariableSection(Section):
 
     @property
     def mean_interval(self) -> Pair | None:
-        """Ends of an uncertain mean; None where the mean is known."""
+        """Ends of an uncertain mean; None if the mean is known."""
         return self.mean if isinstance(self.mean, tuple) else None
 
     def value(self, unit_draw: float, mean_level: float) -> float:
-        """The variable for a draw in its unit (standard normal, or uniform in -1..1) and a level
-        0..1 of an uncertain mean.
+        """Return the variable for a draw and a level of the mean.
+
+        Parameters
+        ----------
+        unit_draw : float
+            Standard normal, or uniform in -1..1.
+        mean_level : float
+            Place of an uncertain mean in its interval, 0..1.
         """
         if self.mean is None:
             assert self.low is not None
@@ -406,14 +424,21 @@ class VariableSection(Section):
 _ORDER = ("mean", "std", "low", "high", "half_width")
 
 
-# Files that a campaign.toml names as inputs: a model form (bounds and walk rates) and a fit
-# (parameters with covariance).
+# Input files: a model form (bounds and walk rates) and a fit (parameters with covariance).
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """Identified parameters: ``names`` (JSBSim properties), ``values`` (n,) and ``covariance`` (n,
-    n), positive definite.
+    """Hold identified parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+        JSBSim properties (n).
+    values : array
+        Estimates (n,).
+    covariance : array
+        Their covariance (n, n), positive definite.
     """
 
     names: tuple[str, ...]
@@ -421,7 +446,7 @@ class Estimates:
     covariance: NDArray[np.float64]
 
     def factor(self) -> NDArray[np.float64]:
-        """Lower triangle L (n, n) with L L' = covariance."""
+        """Return the lower triangle L (n, n) with L L' = covariance."""
         std = np.sqrt(np.diag(self.covariance))
         correlation = self.covariance / np.outer(std, std)
         factor: NDArray[np.float64] = std[:, None] * np.array(
@@ -432,13 +457,27 @@ class Estimates:
 
 @dataclass(frozen=True)
 class CampaignInputs:
-    """What the named files hold: the path of the model form, the coefficients it bounds, walk rates
-    in 1/sqrt(s), the fit.
+    """Hold what the files named by a campaign contain.
 
-    ``confidence`` is that of the model form's intervals; ``has_parts``: it separates transient from
-    persistent model error; ``transient_rates``, in 1/sqrt(s), are of the coefficients whose
-    transient part is flown. ``hashes`` are SHA-256 of the files by what they are named as: bounds,
-    fit."""
+    Attributes
+    ----------
+    model_form : Path or None
+        File of the model form.
+    coefficients : tuple of str
+        Uncertain coefficients.
+    walk_rates : mapping of str to float
+        Walk rates [1/sqrt(s)].
+    estimates : Estimates or None
+        Parameters of the fit.
+    confidence : float or None
+        Confidence of the intervals of the model form.
+    has_parts : bool
+        Whether the model form separates transient and persistent error.
+    transient_rates : mapping of str to float
+        Rates [1/sqrt(s)] of coefficients whose transient error is flown.
+    hashes : mapping of str to str
+        SHA-256 of the files by role (bounds, fit).
+    """
 
     model_form: Path | None = None
     coefficients: tuple[str, ...] = COEFFICIENTS
@@ -451,9 +490,19 @@ class CampaignInputs:
 
 
 def read_inputs(section: EpistemicSection, folder: Path) -> CampaignInputs:
-    """Read the files that ``section`` names, relative to the folder ``folder`` first.
+    """Read the files that the section [epistemic] names.
 
-    Raises BadInputError.
+    Parameters
+    ----------
+    section : EpistemicSection
+        Validated section.
+    folder : Path
+        Folder of the campaign file; names are looked up there first.
+
+    Raises
+    ------
+    BadInputError
+        If a file is missing or does not hold what is needed.
     """
     hashes: dict[str, str] = {}
     model_form: Path | None = None
@@ -489,7 +538,7 @@ def read_inputs(section: EpistemicSection, folder: Path) -> CampaignInputs:
 def _form_fields(
     section: EpistemicSection, form: ModelForm, coefficients: tuple[str, ...]
 ) -> dict[str, Any]:
-    """What a model form says beside its bounds."""
+    """Return the fields of `CampaignInputs` that come from a model form."""
     parts = {name: form.coefficients[name].parts for name in coefficients}
     has_transient = section.transient is not False and section.method != "none"
     rates = {
@@ -505,8 +554,8 @@ def _form_fields(
 
 
 def read_bounds(path: Path) -> ModelForm:
-    """A model form from its file. Raises BadInputError."""
-    # Imported here: most campaigns do without.
+    """Read a model form. Raises BadInputError."""
+    # Imported here because most campaigns have no model form.
     from sysid.model_form import read_model_form
 
     try:
@@ -518,6 +567,7 @@ def read_bounds(path: Path) -> ModelForm:
 
 
 def _find(name: str, folder: Path, role: str, hashes: dict[str, str]) -> Path:
+    """Locate and hash a named file. Raises BadInputError."""
     named_path = Path(name)
     path = next((p for p in (folder / named_path, named_path) if p.is_file()), None)
     if path is None:
@@ -532,6 +582,7 @@ def _find(name: str, folder: Path, role: str, hashes: dict[str, str]) -> Path:
 
 
 def _coefficients(section: EpistemicSection, path: Path, form: ModelForm) -> tuple[str, ...]:
+    """Return the coefficients that are uncertain with this model form."""
     requested = section.coefficients
     if "coefficients" not in section.model_fields_set:
         return tuple(name for name in requested if name in form.coefficients)
@@ -544,6 +595,7 @@ def _coefficients(section: EpistemicSection, path: Path, form: ModelForm) -> tup
 
 
 def _estimates(path: Path, requested: tuple[str, ...] | None) -> Estimates:
+    """Read the parameters of a fit. Raises BadInputError."""
     try:
         document = parse_json(read_regular(path))
     except OSError as error:
@@ -575,6 +627,7 @@ def _estimates(path: Path, requested: tuple[str, ...] | None) -> Estimates:
         )
     if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
         raise BadInputError(f"{path}: cov is not symmetric")
+    # Symmetrise: the file may be symmetric to rounding only.
     estimates = Estimates(tuple(names), values, 0.5 * (covariance + covariance.T))
     if requested is not None:
         unknown = [name for name in requested if name not in names]
@@ -597,11 +650,11 @@ def _estimates(path: Path, requested: tuple[str, ...] | None) -> Estimates:
 
 
 class CampaignSection(Section):
-    """What flies: an aircraft (name under aircraft/, or folder), a run script, and the root seed of
-    all streams.
+    """Section [campaign]: aircraft, run script and root seed of all random streams.
 
-    ``engine`` auto is batch where the batch engine understands aircraft and mission as a whole,
-    else jsbsim; settled at the first run."""
+    ``engine`` auto means batch where the batch engine understands aircraft and mission completely,
+    else jsbsim; the first run decides.
+    """
 
     aircraft: str = Field(min_length=1)
     mission: str = Field(min_length=1)
@@ -610,11 +663,11 @@ class CampaignSection(Section):
 
 
 class AleatorySection(Section):
-    """Chance: flights per corner and condition, each ``duration_s`` scored after ``burn_in_s`` that
-    is not.
+    """Section [aleatory]: random variation from flight to flight.
 
-    ``sensor_noise`` absent: on where the aircraft has a sensors system, which is settled before the
-    campaign is flown."""
+    ``flights`` is the number per corner and condition; each scores ``duration_s`` after
+    ``burn_in_s``. ``sensor_noise`` is on by default if the aircraft has a sensors system.
+    """
 
     flights: int = Field(ge=1, le=1_000_000)
     duration_s: Number = Field(gt=0, le=86_400)
@@ -631,19 +684,20 @@ class AleatorySection(Section):
     @field_validator("wind_mps", "turbulence")
     @classmethod
     def _distinct(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Refuse an empty or repeated list."""
         if not value or len(set(value)) != len(value):
             raise ValueError("must name at least one value, and none twice")
         return value
 
 
 class MetricsSection(Section):
-    """What is counted: excursions beyond each radius [m], re-armed ``rearm_m`` inside it, and how
-    many of them are acceptable.
+    """Section [metrics]: excursions beyond each radius [m], re-armed ``rearm_m`` inside it.
 
-    ``acceptable_loss_per_h`` is that of aborted flights (default: as many as excursions).
-    ``dispersion`` is the largest ratio of variance to mean of the excursions of a flight that
-    limits allow for (1: independent) where the same air does not show one at a smaller radius;
-    ``dispersion_radius_m`` are further radii counted for that alone."""
+    ``acceptable_per_h`` and ``acceptable_loss_per_h`` are acceptable rates of excursions and of
+    aborted flights (default: the same). ``dispersion`` is the largest ratio of variance to mean of
+    a flight's excursions that limits allow for (1: independent) where it cannot be measured at a
+    smaller radius; ``dispersion_radius_m`` are further radii counted for that measurement.
+    """
 
     excursion_radius_m: Annotated[
         tuple[Annotated[Number, Field(gt=0)], ...], BeforeValidator(listed)
@@ -658,6 +712,7 @@ class MetricsSection(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> MetricsSection:
+        """Check the radii."""
         excursion_radii, dispersion_radii = self.excursion_radius_m, self.dispersion_radius_m or ()
         radii = (*excursion_radii, *dispersion_radii)
         if not excursion_radii or len(set(excursion_radii)) != len(excursion_radii):
@@ -678,7 +733,7 @@ class MetricsSection(Section):
 
 
 class Document(Section):
-    """A campaign file's content."""
+    """Content of a campaign file."""
 
     campaign: CampaignSection
     aleatory: AleatorySection
@@ -689,6 +744,7 @@ class Document(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Document:
+        """Require [start] with the steady mission, and only with it."""
         if (self.campaign.mission == STEADY) != (self.start is not None):
             raise ValueError(
                 f'mission = "{STEADY}" and a section [start] with V_mps and altitude_m belong'
@@ -699,8 +755,18 @@ class Document(Section):
 
 @dataclass(frozen=True)
 class CampaignSpec:
-    """A validated campaign. ``path`` is the file it came from; ``source`` its text; ``inputs`` what
-    the files it names hold.
+    """Hold a validated campaign.
+
+    Attributes
+    ----------
+    path : Path
+        File that it came from.
+    source : str
+        Text of the file.
+    campaign, aleatory, epistemic, metrics, stop, start
+        Sections of the file.
+    inputs : CampaignInputs
+        Content of the files that it names.
     """
 
     path: Path
@@ -714,8 +780,9 @@ class CampaignSpec:
     inputs: CampaignInputs = field(default_factory=CampaignInputs)
 
     def as_dict(self) -> dict[str, Any]:
-        """Every setting, defaults included, as plain JSON types: two files that mean the same give
-        the same.
+        """Return every setting, defaults included, as JSON types.
+
+        Two files with the same meaning give the same dictionary.
         """
         sections = {name: getattr(self, name) for name in Document.model_fields}
         settings = {
@@ -741,9 +808,7 @@ class CampaignSpec:
 
     @property
     def corner_count(self) -> int:
-        """Number of combinations that ``method`` lists: of bounds (or levels) and of the ends of
-        uncertain means.
-        """
+        """Number of combinations of bounds (or levels) and ends of uncertain means."""
         section = self.epistemic
         means = sum(item.mean_interval is not None for item in self.aleatory.variables.values())
         coefficients = 0 if section.method == "none" else len(self.inputs.coefficients)
@@ -759,8 +824,10 @@ class CampaignSpec:
         return self.epistemic.interior_samples(self.corner_count)
 
     def with_hours(self, hours: float) -> CampaignSpec:
-        """The same campaign with as many flights as give ``hours`` of scored flight per corner and
+        """Return the campaign with the flights that give ``hours`` of scored flight per corner and
         condition.
+
+        Raises BadInputError for hours that are not positive, and with the rule band-width.
         """
         if not (math.isfinite(hours) and hours > 0):
             raise BadInputError(
@@ -780,19 +847,19 @@ class CampaignSpec:
         return dataclasses.replace(self.with_flights(max(1, flights)), stop=stop)
 
     def with_engine(self, engine: str) -> CampaignSpec:
-        """The same campaign flown in the engine of that name."""
+        """Return the campaign in another engine."""
         return dataclasses.replace(
             self, campaign=self.campaign.model_copy(update={"engine": engine})
         )
 
     def with_sensor_noise(self, noise: bool) -> CampaignSpec:
-        """The same campaign flown with sensor noise or without."""
+        """Return the campaign with or without sensor noise."""
         return dataclasses.replace(
             self, aleatory=self.aleatory.model_copy(update={"sensor_noise": noise})
         )
 
     def with_flights(self, flights: int) -> CampaignSpec:
-        """The same campaign with another number of flights per corner and condition."""
+        """Return the campaign with another number of flights per corner and condition."""
         return dataclasses.replace(
             self, aleatory=self.aleatory.model_copy(update={"flights": flights})
         )

@@ -1,6 +1,9 @@
-"""Epistemic samples of a campaign: corners, levels, a Latin hypercube, white or walking levels.
+"""Build the epistemic samples of a campaign and read campaign files.
 
-Draws of parameters and the levels of uncertain means belong to them.
+Samples are corners or levels of the coefficients' intervals, points of a Latin hypercube, or levels
+that vary in flight (white, walk). Draws of identified parameters and levels of uncertain means
+belong to them. `read_campaign` validates a file, reports every mistake with its line, and fills in
+the number of flights that the stopping rule requests.
 """
 
 from __future__ import annotations
@@ -42,23 +45,38 @@ from uqharness.flight import (
 )
 from uqharness.toml import as_toml, explain, line_of, read_toml
 
-# Levels of a joint confidence set: an ellipsoid in place of the box of intervals that each hold
-# for one coefficient.
-#
-# Coefficients are taken as independent, their errors as normal, each interval's half-width as
-# its quantile: the joint set is then a ball in the intervals' half-widths, of the chi
-# distribution's quantile over the normal one. Its ends may lie outside 0..1.
+# Joint confidence set: an ellipsoid in place of the box of intervals. Coefficients are taken as
+# independent, their errors as normal, and each half-width as a quantile. The joint set is then a
+# ball in half-widths; its radius is the quantile of the chi distribution over that of the normal
+# one. Its ends may lie outside 0..1.
 
 _MAX_SIGMA = 40.0
 _TERMS = 2000
 
 
 def joint_radius(dof: int, confidence: float) -> float:
-    """Radius [standard deviations] within which ``dof`` independent normals lie together: the root
-    of chi-square's quantile.
+    """Return the radius within which ``dof`` independent standard normals lie together.
 
-    3.548 for six at 0.95. The same bits on every processor. ValueError for no dof, or a confidence
-    not between 0 and 1 - 1e-9."""
+    It is the square root of the chi-square quantile: 3.548 for six at 0.95. The value is
+    bit-identical on every processor.
+
+    Parameters
+    ----------
+    dof : int
+        Number of normals, at least 1.
+    confidence : float
+        Probability, above 0 and at most 1 - 1e-9.
+
+    Raises
+    ------
+    ValueError
+        Outside these ranges.
+
+    Examples
+    --------
+    >>> round(joint_radius(6, 0.95), 3)
+    3.548
+    """
     if dof < 1 or not 0.0 < confidence <= 1.0 - 1e-9:
         raise ValueError(
             f"dof = {dof}, confidence = {confidence}: at least 1, and a number above 0 and below 1"
@@ -73,26 +91,26 @@ def joint_radius(dof: int, confidence: float) -> float:
 
 
 def marginal_radius(confidence: float) -> float:
-    """Half-width of one interval, in standard deviations: 1.960 at 0.95."""
+    """Return the half-width of one interval in standard deviations: 1.960 at 0.95."""
     return random_numbers.normal_quantile(0.5 + 0.5 * confidence)
 
 
 @lru_cache(maxsize=16)
 def joint_reach(dof: int, confidence: float) -> float:
-    """Radius of the ball in half-widths of the intervals; 1 for one coefficient."""
+    """Return the radius of the joint set in half-widths of the intervals; 1 for one coefficient."""
     return 1.0 if dof == 1 else joint_radius(dof, confidence) / marginal_radius(confidence)
 
 
 def levels_at(direction: Sequence[float], radius: float) -> tuple[float, ...]:
-    """Levels ``radius`` half-widths from the intervals' middles, component by component of
+    """Return the levels ``radius`` half-widths from the middles of the intervals along
     ``direction``.
     """
     return tuple(0.5 + 0.5 * component * radius for component in direction)
 
 
 def box_to_ball(levels: Sequence[float]) -> tuple[float, ...]:
-    """A point of the box of levels 0..1 as a point of the unit ball: the box's shells become the
-    ball's, directions stay.
+    """Map a point of the box of levels 0..1 into the unit ball; shells map to shells, directions
+    stay.
     """
     cube = [2.0 * level - 1.0 for level in levels]
     length = math.sqrt(math.fsum(c * c for c in cube))
@@ -100,8 +118,10 @@ def box_to_ball(levels: Sequence[float]) -> tuple[float, ...]:
 
 
 def _chi_distribution(r: float, dof: int) -> float:
-    """Probability that the length of ``dof`` standard normals is at most r, by the series of the
-    incomplete gamma function.
+    """Return the probability that the length of ``dof`` standard normals is at most ``r``.
+
+    The series of the incomplete gamma function is summed with arithmetic that is the same
+    everywhere.
     """
     factor = random_numbers.exp(-0.5 * r * r) * (math.sqrt(2.0 / math.pi) if dof % 2 else 1.0)
     for n in range(dof, 0, -2):
@@ -116,18 +136,28 @@ def _chi_distribution(r: float, dof: int) -> float:
 
 
 INTERIOR_MARK = "lhs-"
-"""How ids of points of a Latin hypercube begin."""
+"""Beginning of the ids of points of a Latin hypercube."""
 NOMINAL = "nominal"
-"""Id of the model with all deltas zero."""
+"""Id of the model with zero deltas."""
 
 
 @dataclass(frozen=True)
 class Epistemic:
-    """One epistemic sample. ``levels``: level of each coefficient that is uncertain and stands
-    still, 0..1 in the box of intervals.
+    """Hold one epistemic sample.
 
-    ``driver``: those that move; ``means``: level, 0..1, of each uncertain mean; ``parameters``:
-    values of the drawn parameters."""
+    Attributes
+    ----------
+    epistemic_id : str
+        Id, see `epistemic_samples`.
+    levels : mapping of str to float
+        Constant level of each uncertain coefficient; 0..1 within the box of intervals.
+    driver : LevelDriver or None
+        Levels that vary in flight.
+    means : mapping of str to float
+        Level 0..1 of each uncertain mean.
+    parameters : mapping of str to float
+        Values of drawn parameters.
+    """
 
     epistemic_id: str
     levels: Mapping[str, float]
@@ -137,15 +167,15 @@ class Epistemic:
 
 
 def epistemic_samples(spec: CampaignSpec) -> tuple[Epistemic, ...]:
-    """The epistemic samples in their one order. Depends on the campaign alone.
+    """Return the epistemic samples in their one order, which depends on the campaign alone.
 
     A corner's id has one digit per coefficient in the order CX CY CZ Cl Cm Cn (``-`` for one that
     is not uncertain), then, after a ``+``, one per uncertain mean; a draw of parameters adds ``+p``
-    and its number. Drawn samples are numbered: ``walk-000007``, and the points between corners as
-    those of a Latin hypercube. Of an ellipsoid, ``e010011`` is the point in a corner's direction,
+    and its number. Drawn samples are numbered (``walk-000007``), interior points as those of a
+    Latin hypercube. For an ellipsoid, ``e010011`` is the point in the direction of a corner and
     ``a..1...`` the end of an axis, with ``.`` for a coefficient in the middle of its interval.
-    ``nominal`` is the model with all deltas zero and uncertain means in the middle of their
-    intervals."""
+    ``nominal`` has zero deltas and uncertain means in the middle of their intervals.
+    """
     means = [
         name for name, item in spec.aleatory.variables.items() if item.mean_interval is not None
     ]
@@ -161,7 +191,7 @@ def epistemic_samples(spec: CampaignSpec) -> tuple[Epistemic, ...]:
 def _with_draws(
     points: Sequence[Epistemic], draws: Sequence[Mapping[str, float]]
 ) -> Iterator[Epistemic]:
-    """Every point with every draw of parameters, draws fastest."""
+    """Combine every point with every draw of parameters, draws fastest."""
     for point in points:
         if not draws:
             yield point
@@ -172,7 +202,7 @@ def _with_draws(
 
 
 def _combined(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
-    """Every combination, first coefficient slowest, uncertain means next."""
+    """Yield every combination, first coefficient slowest, uncertain means fastest."""
     section = spec.epistemic
     values = section.levels if section.method == "levels" else (0.0, 1.0)
     assert values is not None
@@ -194,18 +224,20 @@ def _combined(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
 
 
 def _product(values: Sequence[float], repeat: int) -> Iterator[tuple[float, ...]]:
+    """Return the Cartesian power of a set of values."""
     return itertools.product(values, repeat=repeat)
 
 
 def _marked(levels: Mapping[str, float], separator: str = "") -> str:
+    """Return the digits of a corner's id."""
     return separator.join(
         f"{levels[name]:.17g}" if name in levels else "-" for name in COEFFICIENTS
     )
 
 
 def _on_ellipsoid(spec: CampaignSpec) -> Iterator[tuple[str, dict[str, float]]]:
-    """Id and levels of the ellipsoid's points in the directions of the corners, then those at the
-    ends of its axes.
+    """Yield id and levels of the points in the directions of the corners, then of the ends of the
+    axes.
     """
     moved = spec.inputs.coefficients
     radius, share = _reach(spec), 1.0 / math.sqrt(len(moved))
@@ -226,12 +258,13 @@ def _on_ellipsoid(spec: CampaignSpec) -> Iterator[tuple[str, dict[str, float]]]:
 
 
 def _reach(spec: CampaignSpec) -> float:
+    """Return the radius of the campaign's ellipsoid in half-widths."""
     assert spec.inputs.confidence is not None
     return joint_reach(len(spec.inputs.coefficients), spec.inputs.confidence)
 
 
 def _interior(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
-    """Points of a Latin hypercube over the same set."""
+    """Yield the points of a Latin hypercube over the uncertainty set."""
     number = spec.interior_samples
     columns = {
         name: latin_column(spec.campaign.seed, name, number)
@@ -247,8 +280,8 @@ def _interior(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
 
 
 def _inside(spec: CampaignSpec, columns: Mapping[str, FloatArray], number: int) -> dict[str, float]:
-    """Levels of one point of a Latin hypercube, brought into the ellipsoid where that is
-    the set.
+    """Return the levels of one point of a Latin hypercube, mapped into the ellipsoid if that is the
+    set.
     """
     levels = [float(columns[name][number]) for name in spec.inputs.coefficients]
     if spec.epistemic.set == "ellipsoid":
@@ -259,6 +292,7 @@ def _inside(spec: CampaignSpec, columns: Mapping[str, FloatArray], number: int) 
 def _drawn_samples(
     spec: CampaignSpec, means: Sequence[str], draws: Sequence[Mapping[str, float]]
 ) -> Iterator[Epistemic]:
+    """Yield the samples of the methods lhs, white and walk."""
     section, root_seed = spec.epistemic, spec.campaign.seed
     moved = spec.inputs.coefficients
     assert section.samples is not None
@@ -279,10 +313,11 @@ def _drawn_samples(
 
 
 def latin_column(root_seed: int, name: str, samples: int) -> FloatArray:
-    """One dimension of a Latin hypercube, (samples,) in 0..1: one value in each of ``samples``
-    equal cells, in random order.
+    """Return one dimension of a Latin hypercube (samples,), with one value in each of equal cells
+    of 0..1.
 
-    The stream is named after the dimension: adding another one moves none of these.
+    The random stream has the name of the dimension, so adding a dimension leaves the others
+    unchanged.
     """
     generator = np.random.Generator(np.random.PCG64(named_stream(root_seed, "levels", name)))
     column: FloatArray = (generator.permutation(samples) + generator.random(samples)) / samples
@@ -290,6 +325,7 @@ def latin_column(root_seed: int, name: str, samples: int) -> FloatArray:
 
 
 def _parameter_draws(spec: CampaignSpec) -> list[dict[str, float]]:
+    """Return the draws of the identified parameters by name; empty without them."""
     section, estimates = spec.epistemic.parameters, spec.inputs.estimates
     if section is None or estimates is None:
         return []
@@ -301,8 +337,9 @@ def _parameter_draws(spec: CampaignSpec) -> list[dict[str, float]]:
 def parameter_draws(
     section: ParametersSection, estimates: Estimates, samples: int, root_seed: int
 ) -> FloatArray:
-    """Draws of the parameters, (samples, n): from N(values, covariance), or filling the
-    simultaneous confidence box.
+    """Return draws of the parameters (samples, n).
+
+    They come from N(values, covariance), or fill the simultaneous confidence box.
     """
     if section.distribution == "normal":
         rows = [
@@ -310,8 +347,8 @@ def parameter_draws(
             for n in range(samples)
         ]
         draws = np.tile(estimates.values, (samples, 1))
-        # Column by column: a matrix product's order, and so its last bits, is the library's and the
-        # processor's.
+        # Column by column: order of summation, and so the last bits, of a matrix product depend on
+        # the library and the processor.
         for column, weights in zip(np.vstack(rows).T, estimates.factor().T, strict=True):
             draws += column[:, None] * weights
         return draws
@@ -325,14 +362,26 @@ def parameter_draws(
     return np.asarray(estimates.values + unit * reach * np.sqrt(np.diag(estimates.covariance)))
 
 
-# campaign.toml read: every mistake named with its line, and the number of flights that its rule
-# asks for.
+# Reading of campaign.toml.
 
 
 def read_campaign(path: str | Path) -> CampaignSpec:
     """Read and validate a campaign file.
 
-    Raises BadInputError that lists every mistake as ``file:line: ...``.
+    Parameters
+    ----------
+    path : str or Path
+        campaign.toml.
+
+    Returns
+    -------
+    CampaignSpec
+        With the number of flights that its stopping rule requests.
+
+    Raises
+    ------
+    BadInputError
+        Lists every mistake as ``file:line: ...``.
     """
     path = Path(path)
     data, text = read_toml(path)
@@ -340,9 +389,9 @@ def read_campaign(path: str | Path) -> CampaignSpec:
 
 
 def checked_settings(data: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a campaign as a manifest holds them, defaults filled in.
+    """Return the settings of a manifest with defaults filled in.
 
-    Looks at no file; raises pydantic's ValidationError.
+    No file is read. Raises pydantic's ValidationError.
     """
     document = Document.model_validate(without_flights(data))
     return document.model_dump(mode="json", exclude_none=True)
@@ -351,7 +400,7 @@ def checked_settings(data: dict[str, Any]) -> dict[str, Any]:
 def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignSpec:
     """Validate the content of a campaign file, as TOML or a manifest holds it.
 
-    ``path`` is where files it names are looked for.
+    ``path`` is where the files that it names are looked up. Raises BadInputError.
     """
     try:
         document = Document.model_validate(without_flights(data))
@@ -366,11 +415,11 @@ def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignS
 
 
 def with_planned_flights(spec: CampaignSpec, has_flights: bool) -> CampaignSpec:
-    """The campaign with the number of flights its rule asks for; ``has_flights``: the file gives a
-    number as well.
+    """Return the campaign with the number of flights that its rule requests.
 
-    Raises BadInputError, with the line, where the two differ, where [stop] and [metrics] do not
-    belong together, and where [epistemic] asks for what its bounds do not hold."""
+    ``has_flights`` says whether the file gives a number as well. Raises BadInputError, with the
+    line, if the two differ or if sections contradict each other.
+    """
     _check_turbulence_model(spec)
     _check_metrics(spec)
     _check_model_form(spec)
@@ -385,13 +434,12 @@ def with_planned_flights(spec: CampaignSpec, has_flights: bool) -> CampaignSpec:
 
 
 def replan_flights(spec: CampaignSpec) -> CampaignSpec:
-    """The campaign with the number of flights its rule asks for, after something that bears on it
-    has been changed.
-    """
+    """Return the campaign with the flights of its rule, after another setting was changed."""
     return _plan_flights(spec)[0]
 
 
 def _check_metrics(spec: CampaignSpec) -> None:
+    """Refuse a [stop] that does not fit [metrics]."""
     stop, metrics = spec.stop, spec.metrics
     if stop.radius_m is not None and stop.radius_m not in metrics.excursion_radius_m:
         radii = ", ".join(f"{radius:g}" for radius in metrics.excursion_radius_m)
@@ -409,8 +457,8 @@ def _check_metrics(spec: CampaignSpec) -> None:
 
 
 def _check_turbulence_model(spec: CampaignSpec) -> None:
-    """Refuse a [start] above the turbulence model; the height of a script's start is found out by
-    flying it.
+    """Refuse a [start] above the validity of the turbulence model; script starts are checked in
+    flight.
     """
     air, start = spec.aleatory, spec.start
     turbulent = [name for name in air.turbulence if name != "none"]
@@ -427,21 +475,20 @@ def _check_turbulence_model(spec: CampaignSpec) -> None:
 
 @contextlib.contextmanager
 def naming_keys(spec: CampaignSpec) -> Iterator[None]:
-    """Put file, line and section before a flight's refusal that begins with the name of a key of
-    [aleatory].
-    """
+    """Add file, line and section to a flight's refusal that begins with a key of [aleatory]."""
     try:
         yield
     except BadInputError as error:
         key = str(error).partition(" = ")[0]
         if type(error) is not BadInputError or key not in AleatorySection.model_fields:
             raise
-        # A campaign from a Python dictionary has no lines.
+        # A campaign from a dictionary has no lines.
         place = f"{spec.path}:{line_of(spec.source, ('aleatory', key))}: " if spec.source else ""
         raise BadInputError(f"{place}[aleatory] {error}") from None
 
 
 def _check_model_form(spec: CampaignSpec) -> None:
+    """Refuse [epistemic] settings that need a model form with other content."""
     section, form = spec.epistemic, spec.inputs.model_form
     if section.transient and not spec.inputs.has_parts:
         lacks = "bounds are no model-form.json" if form is None else f"{form} has no transient part"
@@ -459,13 +506,13 @@ def _check_model_form(spec: CampaignSpec) -> None:
 
 
 def _plan_flights(spec: CampaignSpec) -> tuple[CampaignSpec, str]:
-    """The campaign with the flights its rule asks for, and what asks for them."""
+    """Return the campaign with the flights of its rule, and the text that explains them."""
     stop = spec.stop
     if stop.rule == "hours" and stop.hours is not None:
         reason = f"hours = {stop.hours:g} of flights of {spec.aleatory.duration_s:g} s"
         return spec.with_hours(stop.hours), reason
     if stop.rule == "band-width":
-        # Imported here: pandas and scipy are for this rule alone.
+        # Imported here because only this rule needs pandas and scipy.
         from uqharness.campaign.conditions import CONFIDENCE
         from uqharness.statistics import flights_for_band
 
@@ -478,9 +525,9 @@ def _plan_flights(spec: CampaignSpec) -> tuple[CampaignSpec, str]:
 
 
 def with_samples(spec: CampaignSpec, samples: int) -> CampaignSpec:
-    """The same campaign with another number of drawn epistemic samples.
+    """Return the campaign with another number of drawn epistemic samples.
 
-    Raises BadInputError where none are drawn.
+    Raises BadInputError if none are drawn.
     """
     if spec.epistemic.samples is None:
         raise BadInputError(
