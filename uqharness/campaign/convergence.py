@@ -187,14 +187,20 @@ def metric_convergence(
 
 
 def _values(rows: pd.DataFrame, metric: str) -> Any:
-    """Return the values in the order of the aleatory ids; a failed flight counts as infinite error."""
+    """Return the values in the order of the aleatory ids.
+
+    A failed flight counts as infinite error.
+    """
     rows = rows.sort_values("aleatory_id")
     values = rows[metric].to_numpy(dtype=float)
     return np.where(np.isfinite(values) & (rows["status"] == "ok").to_numpy(), values, np.inf)
 
 
 def as_rows(results: Sequence[MetricConvergence]) -> list[dict[str, Any]]:
-    """Return one row per set of repeats and per size of p-box; cells that do not apply are absent."""
+    """Return one row per set of repeats and per size of p-box.
+
+    Cells that do not apply are absent.
+    """
     rows: list[dict[str, Any]] = []
     for item in results:
         common = {"metric": item.metric, "condition": item.condition.label}
@@ -259,9 +265,9 @@ def sentences(results: Sequence[MetricConvergence]) -> list[str]:
             half_size, full = item.growth[-2], item.growth[-1]
             gained = 1.0 - half_size.area / full.area if full.area > 0 else 0.0
             lines.append(
-                f"{label}: from {half_size.samples} to {full.samples} epistemic samples the p-box grew"
-                f" by {percent(gained)} of its area; one more lies outside, at any value, with a"
-                f" chance of at most {percent(full.chance_of_more)}"
+                f"{label}: from {half_size.samples} to {full.samples} epistemic samples the p-box"
+                f" grew by {percent(gained)} of its area; one more lies outside, at any value, with"
+                f" a chance of at most {percent(full.chance_of_more)}"
             )
     return lines
 

@@ -161,7 +161,8 @@ class Cost:
         at_most = "at most " if size.at_most else ""
         interior = f", {size.interior} of them between the corners" if size.interior else ""
         text = (
-            f"{at_most}{size.flights} flights ({_count(size.epistemic, 'epistemic sample')}{interior},"
+            f"{at_most}{size.flights} flights"
+            f" ({_count(size.epistemic, 'epistemic sample')}{interior},"
             f" {_count(size.conditions, 'condition')}, {size.aleatory} each),"
             f" {hours_in_words(size.hours)} flight h"
         )
@@ -211,7 +212,10 @@ def epistemic_count(spec: CampaignSpec) -> int:
 
 
 def _draws(spec: CampaignSpec) -> int:
-    """Return the number of parameter draws flown at each corner; 1 without [epistemic.parameters]."""
+    """Return the number of parameter draws flown at each corner.
+
+    1 without [epistemic.parameters].
+    """
     section = spec.epistemic
     return section.samples if section.parameters is not None and section.samples else 1
 

@@ -121,7 +121,9 @@ def require_plugin(spec: CampaignSpec, aircraft: Aircraft) -> None:
 
 
 def with_noise_of(spec: CampaignSpec, aircraft: Aircraft) -> CampaignSpec:
-    """Return the campaign with ``sensor_noise`` filled in: on if the aircraft has a sensors system."""
+    """Return the campaign with ``sensor_noise`` filled in: on if the aircraft has a sensors
+    system.
+    """
     if spec.aleatory.sensor_noise is not None:
         return spec
     return spec.with_sensor_noise(has_sensors(aircraft))
@@ -161,8 +163,8 @@ def bounds_notes(spec: CampaignSpec) -> list[str]:
     path = spec.inputs.model_form
     return [
         (
-            f"{path}: the bounds were made for aircraft {origin} (SHA-256 {made_for.sha256[:12]}...);"
-            f" {consequence}"
+            f"{path}: the bounds were made for aircraft {origin} (SHA-256"
+            f" {made_for.sha256[:12]}...); {consequence}"
         )
     ]
 
@@ -236,7 +238,10 @@ def put_bounds(copy: Path, aircraft: Aircraft, model_form: Path) -> None:
 
 
 def system_file(aircraft: Aircraft) -> Path:
-    """Return the file of the aircraft's model-form system. Raises BadInputError if there is none."""
+    """Return the file of the aircraft's model-form system.
+
+    Raises BadInputError if there is none.
+    """
     for system in parse_xml(aircraft.xml).getroot().iter("system"):
         system_name = system.get("file", "").removesuffix(".xml")
         if system_name == SYSTEM:
@@ -797,9 +802,9 @@ def refuse_difference(folder: Path, rows: Sequence[CheckRow]) -> None:
     raise EnginesDifferError(
         f"{folder}: the batch engine differs from JSBSim: case {worst.case_id}"
         f" ({worst.condition}){when} has {worst.metric} {worst.batch or 'undefined'} in the batch"
-        f" engine and {worst.jsbsim or 'undefined'} in JSBSim{distance}; {len(differing)} such rows in"
-        f" {folder / ENGINE_CHECK}. The results in this folder are not valid: fly the campaign with"
-        " --engine jsbsim into another --out, and report the aircraft"
+        f" engine and {worst.jsbsim or 'undefined'} in JSBSim{distance}; {len(differing)} such rows"
+        f" in {folder / ENGINE_CHECK}. The results in this folder are not valid: fly the campaign"
+        " with --engine jsbsim into another --out, and report the aircraft"
     )
 
 

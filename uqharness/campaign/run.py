@@ -297,9 +297,9 @@ def run_campaign(
         # Tables of other commands belong to these flights and stay valid.
         manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
         manifest |= {
-            "engine": engine_choice.as_dict()
-            if old is None or "engine" not in old
-            else old["engine"]
+            "engine": (
+                engine_choice.as_dict() if old is None or "engine" not in old else old["engine"]
+            )
         }
         previous_sums = checksums.take_away(folder)
         write_manifest(folder, manifest)
@@ -536,8 +536,8 @@ def _refuse_foreign(folder: Path) -> None:
     )
     if foreign_files:
         raise BadInputError(
-            f"{folder}: not empty and not a campaign folder (it has {foreign_files[0]}); choose another"
-            " --out"
+            f"{folder}: not empty and not a campaign folder (it has {foreign_files[0]}); choose"
+            " another --out"
         )
 
 

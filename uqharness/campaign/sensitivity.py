@@ -70,7 +70,7 @@ class CornerCampaign:
 
     @property
     def levels(self) -> FloatArray:
-        """Levels (flights, d) of the uncertain coefficients, 0 at the lower bound, 1 at the upper."""
+        """Levels (flights, d) of the coefficients, 0 at the lower bound, 1 at the upper."""
         return self.frame[[f"level_{name}" for name in self.coefficients]].to_numpy(dtype=float)
 
 
@@ -98,7 +98,8 @@ class _LevelFlights:
         """
         if metric not in campaign.frame:
             raise BadInputError(
-                f"metric {metric}: not in {campaign.folder / CASES}; it has {', '.join(metrics_of(campaign))}"
+                f"metric {metric}: not in {campaign.folder / CASES}; it has"
+                f" {', '.join(metrics_of(campaign))}"
             )
         return np.where(
             self.is_valid, campaign.frame[metric].to_numpy(dtype=float)[self.places], np.nan
@@ -169,8 +170,8 @@ def read_corner_campaign(folder: Path) -> CornerCampaign:
             f" with levels {levels}" if method == "levels" else ""
         )
         raise BadInputError(
-            f"{folder}: not a corner campaign ({description}); sensitivity compares corners: fly one with"
-            ' method = "corners", or "levels" that include 0 and 1'
+            f"{folder}: not a corner campaign ({description}); sensitivity compares corners: fly"
+            ' one with method = "corners", or "levels" that include 0 and 1'
         )
     if epistemic["set"] != "box":
         raise BadInputError(
@@ -369,7 +370,8 @@ def _group_by_levels(
         durations = ordered["duration_s"].to_numpy()[ok]
         if durations.size and np.ptp(durations) > 1e-6:
             raise BadInputError(
-                f"{campaign.folder}: {condition.words}: flights of unequal duration cannot be compared"
+                f"{campaign.folder}: {condition.words}: flights of unequal duration cannot be"
+                " compared"
             )
         keys.append(tuple(np.atleast_1d(np.asarray(key, dtype=float)).tolist()))
         places.append(ordered.index.to_numpy())
@@ -456,7 +458,7 @@ def as_csv(results: Sequence[MetricSensitivity]) -> bytes:
 
 
 def as_json(results: Sequence[MetricSensitivity]) -> dict[str, dict[str, Any]]:
-    """Return the results by condition and metric, as ``uqharness sensitivity --json`` prints them."""
+    """Return the results by condition and metric, for ``uqharness sensitivity --json``."""
     by_condition: dict[str, dict[str, Any]] = {}
     for item in results:
         by_condition.setdefault(item.condition.label, {})[item.metric] = item.result.as_dict() | {
@@ -571,7 +573,8 @@ def find_winner(
     chosen = metric or (DEFAULT_METRIC if DEFAULT_METRIC in available else (available or ("",))[0])
     if chosen not in available:
         raise BadInputError(
-            f"--metric {chosen}: {folder} has {', '.join(available) or 'no metric that any flight got'}"
+            f"--metric {chosen}: {folder} has"
+            f" {', '.join(available) or 'no metric that any flight got'}"
         )
     results = [
         f

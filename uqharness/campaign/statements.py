@@ -193,8 +193,8 @@ def joint_words(manifest: Mapping[str, Any]) -> list[str]:
     if epistemic["set"] == "ellipsoid":
         radius = samples.joint_reach(len(names), confidence) * radius_of_one
         text = (
-            f"joint {_percent(confidence)} ellipsoid of {len(names)} intervals, {radius:.2f} standard"
-            " deviations from their middles"
+            f"joint {_percent(confidence)} ellipsoid of {len(names)} intervals, {radius:.2f}"
+            " standard deviations from their middles"
         )
     else:
         text = (
@@ -373,7 +373,10 @@ class Statement:
 
     @property
     def flight_share(self) -> str:
-        """Limit on the share of flights with an excursion, as a phrase; empty if it is not known."""
+        """Limit on the share of flights with an excursion, as a phrase.
+
+        Empty if it is not known.
+        """
         if np.isnan(self.flight_share_upper):
             return ""
         return (

@@ -154,8 +154,8 @@ def test_workers_and_groups_move_no_byte(spec, tmp_path, monkeypatch):
 
     run(spec, tmp_path / "serial")
     run(spec, tmp_path / "two", executor=ProcessExecutor(2, "fork"))
-    monkeypatch.setattr(grouping, "LEAST_LANES", 7)
-    monkeypatch.setattr(grouping, "MOST_LANES", 7)
+    monkeypatch.setattr(grouping, "MIN_LANES", 7)
+    monkeypatch.setattr(grouping, "MAX_LANES", 7)
     run(spec, tmp_path / "seven", executor=ProcessExecutor(3, "fork"))
     assert tables(tmp_path / "two") == tables(tmp_path / "serial") == tables(tmp_path / "seven")
 

@@ -200,7 +200,7 @@ def test_a_lost_manifest_is_rebuilt_in_the_engine_whose_flights_are_there(spec, 
     before = (out / "cases.parquet").read_bytes()
     (out / "manifest.json").unlink()
     found = salvage(out, RunOptions(SerialExecutor(), fly=ALIKE), spec, "command")
-    assert (found.kept, found.flown) == (64, 0)
+    assert (found.retained, found.flights) == (64, 0)
     assert (out / "cases.parquet").read_bytes() == before
     assert read_status(out).engine == engine
 
@@ -209,7 +209,7 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
     import uqharness.campaign.engines as module
 
     path = fakes.campaign_file(tmp_path)
-    monkeypatch.setattr(module, "OwnBatch", lambda: PUZZLED.batch)
+    monkeypatch.setattr(module, "LocalBatch", lambda: PUZZLED.batch)
     assert (
         main(["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--engine", "batch"])
         == 2

@@ -218,8 +218,8 @@ def _read(kind: Callable[..., T], text: Any, kind_name: str) -> T:
         first = error.errors(include_url=False, include_input=False)[0]
         place = dotted(first["loc"]) or "the whole"
         raise BadInputError(
-            f"malformed {kind_name} on the Dask cluster: {place}: {first['msg']}; every machine needs"
-            " the same version of uqharness"
+            f"malformed {kind_name} on the Dask cluster: {place}: {first['msg']}; every machine"
+            " needs the same version of uqharness"
         ) from None
 
 
@@ -351,7 +351,8 @@ def _refuse_other_versions(
     """Raise BadInputError if versions or files of this machine are not those of the campaign."""
     campaign_versions, local_versions = dict(versions), dict(_versions_here())
     unlike = [
-        f"{name} {campaign_versions.get(name, 'unknown')} there, {local_versions.get(name, 'unknown')} here"
+        f"{name} {campaign_versions.get(name, 'unknown')} there,"
+        f" {local_versions.get(name, 'unknown')} here"
         for name in dict.fromkeys([*campaign_versions, *local_versions])
         if campaign_versions.get(name) != local_versions.get(name)
     ]

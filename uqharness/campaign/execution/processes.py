@@ -216,7 +216,9 @@ class ProcessExecutor:
         retry_queue: deque[_Task],
         pool: list[_Worker],
     ) -> Iterator[list[CaseOutcome]]:
-        """Feed workers, collect outcomes, and replace workers that die or hang, until all is flown."""
+        """Feed workers, collect outcomes, and replace workers that die or hang, until all is
+        flown.
+        """
         batch: list[CaseOutcome] = []
         handed_on = time.monotonic()
         while True:

@@ -358,7 +358,8 @@ def refuse_if_different(
         ) != new_settings.get(key):
             section, _, name = key.partition(".")
             differences.append(
-                f"[{section}] {name} was {json.dumps(old_settings.get(key))}, is {json.dumps(new_settings.get(key))}"
+                f"[{section}] {name} was {json.dumps(old_settings.get(key))}, is"
+                f" {json.dumps(new_settings.get(key))}"
             )
     for name, setting in (("aircraft", "aircraft"), ("script", "mission")):
         old_hash, new_hash = old["hashes"][name], new["hashes"][name]
@@ -374,7 +375,8 @@ def refuse_if_different(
         )
         if old_hash != new_hash:
             differences.append(
-                f"the content of the file named as {role} has changed: {old_hash} then, {new_hash} now"
+                f"the content of the file named as {role} has changed: {old_hash} then,"
+                f" {new_hash} now"
             )
     if differences:
         raise BadInputError(

@@ -142,8 +142,8 @@ def lines(answers: Sequence[Answer]) -> list[str]:
     summary = ", ".join(f"{count[word]} {_WORDS.get(word, word)}" for word in _ORDER if count[word])
     result = [
         (
-            f"at most {counted(first.acceptable_per_h, 'excursion')} per hour beyond {first.radius_m:g}"
-            f" m? {summary}"
+            f"at most {counted(first.acceptable_per_h, 'excursion')} per hour beyond"
+            f" {first.radius_m:g} m? {summary}"
         )
     ]
     for answer in answers:
@@ -170,7 +170,7 @@ def lines(answers: Sequence[Answer]) -> list[str]:
 def sealed(
     manifest: Mapping[str, Any], store: Store, tables: Mapping[str, bytes]
 ) -> dict[str, Any]:
-    """Return the manifest of a campaign that is now complete, with digests of journal and tables."""
+    """Return the manifest of a complete campaign, with digests of journal and tables."""
     digests = dict(manifest.get("tables", {})) | {
         name: sha256_hex(content) for name, content in tables.items()
     }

@@ -183,7 +183,10 @@ def part_folders(folder: Path) -> list[Path]:
 
 
 def _verify_campaign(folder: Path) -> tuple[bool | None, tuple[Item, ...]]:
-    """Check manifest, journal and tables; return whether the campaign is complete, and the items."""
+    """Check manifest, journal and tables.
+
+    Return whether the campaign is complete, and the items.
+    """
     manifest: dict[str, Any] | None = None
     try:
         manifest = read_manifest(folder)
@@ -388,7 +391,10 @@ def _is_whole(folder: Path) -> bool:
 
 
 def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Raise DamageError if the journal is not intact; one with a rollback file is read in a copy."""
+    """Raise DamageError if the journal is not intact.
+
+    One with a rollback file is read in a copy.
+    """
     if is_sealed(manifest) and not (folder / JOURNAL).exists():
         raise DamageError(folder / JOURNAL, "it is gone", folder)
     if is_sealed(manifest):
@@ -534,9 +540,9 @@ def _refuse_foreign_flights(
     foreign = len(sound_ids - case_ids)
     if foreign:
         raise BadInputError(
-            f"{folder}: {foreign} of its {len(sound_ids)} sound flights are no part of {campaign.path};"
-            " give the campaign file, the aircraft and the --hours or --samples that it was flown"
-            " with"
+            f"{folder}: {foreign} of its {len(sound_ids)} sound flights are no part of"
+            f" {campaign.path}; give the campaign file, the aircraft and the --hours or --samples"
+            " that it was flown with"
         )
 
 
@@ -604,7 +610,9 @@ def _replace_journal(folder: Path, case_ids: Collection[str] | None) -> list[str
 
 
 def _sources(folder: Path) -> Iterator[Path]:
-    """Yield folders with a journal to read, those of an earlier salvage first: the last one counts."""
+    """Yield folders with a journal to read, those of an earlier salvage first: the last one
+    counts.
+    """
     for number in itertools.count(1):
         damaged = folder / f"journal.damaged-{number}.sqlite"
         if not damaged.exists():

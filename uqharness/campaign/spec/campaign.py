@@ -110,7 +110,9 @@ class EpistemicSection(Section):
     """
 
     method: Literal["none", "corners", "levels", "lhs", "white", "walk"]
-    coefficients: Annotated[tuple[Coefficient, ...], BeforeValidator(tupled)] = COEFFICIENTS  # type: ignore[assignment]
+    coefficients: Annotated[  # type: ignore[assignment]
+        tuple[Coefficient, ...], BeforeValidator(tupled)
+    ] = COEFFICIENTS
     bounds: dict[Coefficient, tuple[Number, Number]] | str | None = None
     levels: tuple[Number, ...] | None = None
     samples: int | None = Field(default=None, ge=1, le=MAX_SAMPLES)
@@ -572,7 +574,8 @@ def _find(name: str, folder: Path, role: str, hashes: dict[str, str]) -> Path:
     path = next((p for p in (folder / named_path, named_path) if p.is_file()), None)
     if path is None:
         raise BadInputError(
-            f"{folder / named_path}: named as {role} and not there, nor is {named_path} in this folder"
+            f"{folder / named_path}: named as {role} and not there, nor is {named_path} in this"
+            " folder"
         )
     try:
         hashes[role] = sha256_hex(read_regular(path))

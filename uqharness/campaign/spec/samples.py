@@ -427,8 +427,8 @@ def with_planned_flights(spec: CampaignSpec, has_flights: bool) -> CampaignSpec:
     if has_flights and planned_spec.aleatory.flights != spec.aleatory.flights:
         raise BadInputError(
             f"{spec.path}:{line_of(spec.source, ('aleatory', 'flights'))}: [aleatory] flights ="
-            f" {spec.aleatory.flights}, but [stop] {reason} asks for {planned_spec.aleatory.flights}; leave"
-            " [aleatory] flights out"
+            f" {spec.aleatory.flights}, but [stop] {reason} asks for"
+            f" {planned_spec.aleatory.flights}; leave [aleatory] flights out"
         )
     return planned_spec
 
