@@ -47,7 +47,7 @@ from uqharness.campaign.spec import INTERIOR_MARK
 from uqharness.campaign.statements import statements
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
-from uqharness.report.ground_track import flown_track
+from uqharness.report.ground_track import flight_track
 from uqharness.report.parts import (
     Block,
     Cell,
@@ -55,13 +55,13 @@ from uqharness.report.parts import (
     Figure,
     Figures,
     Level,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
-    shown,
+    format_value,
 )
-from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
+from uqharness.report.pbox import LabelledBox, corner_words, pbox_figure
 from uqharness.report.svg import Scale, rows_chart
 from uqharness.statistics import NO, OPEN, YES, PBox, Sample, widened
 from uqharness.statistics.pbox import pbox
@@ -127,18 +127,18 @@ def row(item: Statement) -> dict[str, str]:
             if math.isnan(item.dispersion_observed)
             else f"{item.dispersion_observed:.2g}"
         ),
-        "carried": _carried(item),
+        "carried": _dispersion_words(item),
         "outside": "not known" if math.isnan(share) else percent(share),
     }
 
 
-def aborted_kinds(found: Sequence[Statement]) -> tuple[str, ...]:
+def aborted_kinds(claims: Sequence[Statement]) -> tuple[str, ...]:
     """Kinds of aborted flights that have a column of their own: the three of a flight that ends,
     and others where there are some.
 
     None where no flight was aborted, so that no empty column widens a table.
     """
-    totals = {kind: sum(item.aborted[kind] for item in found) for kind in _KIND_WORDS}
+    totals = {kind: sum(item.aborted[kind] for item in claims) for kind in _KIND_WORDS}
     return (
         tuple(kind for kind in _KIND_WORDS if kind != _OTHER or totals[kind])
         if any(totals.values())
@@ -163,12 +163,12 @@ def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tu
         for kind in kinds
     )
     limits = " / ".join(
-        "not flown" if item is None else shown(item.loss_upper_per_h) for item in items
+        "not flown" if item is None else format_value(item.loss_upper_per_h) for item in items
     )
     return (*counts, limits)
 
 
-def assumptions(found: Sequence[Statement], campaign: Mapping[str, Any]) -> list[str]:
+def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> list[str]:
     """What the statements rest on, and where the flights contradict it."""
     allowed = float(campaign["metrics"]["dispersion"])
     allowance = (
@@ -195,22 +195,22 @@ def assumptions(found: Sequence[Statement], campaign: Mapping[str, Any]) -> list
             " outside them."
         ),
     ]
-    told = {
+    horizontal = {
         (item.cell.condition.words, item.cell.radius_m): item
-        for item in found
+        for item in claims
         if item.cell.distance == "horizontal"
     }
-    measured = [item for item in told.values() if item.dispersion.measured]
+    measured = [item for item in horizontal.values() if item.dispersion.measured]
     if measured:
-        least = min(measured, key=lambda item: item.quiet_hours_needed)
+        quickest = min(measured, key=lambda item: item.quiet_hours_needed)
         lines.append(
-            f"Clusters were measured for {len(measured)} of {len(told)} conditions and radii. With"
-            f" them a corner without an excursion needs {least.quiet_hours_needed:.3g} h to be a"
-            f" yes in {least.cell.condition.words} beyond {least.cell.radius_m:g} m."
+            f"Clusters were measured for {len(measured)} of {len(horizontal)} conditions and radii. With"
+            f" them a corner without an excursion needs {quickest.quiet_hours_needed:.3g} h to be a"
+            f" yes in {quickest.cell.condition.words} beyond {quickest.cell.radius_m:g} m."
         )
-    beyond = [item for item in found if item.dispersion_observed > item.dispersion_allowed]
-    if beyond:
-        worst = max(beyond, key=lambda item: item.dispersion_observed)
+    contradicted = [item for item in claims if item.dispersion_observed > item.dispersion_allowed]
+    if contradicted:
+        worst = max(contradicted, key=lambda item: item.dispersion_observed)
         lines.append(
             f"More clustered than assumed: {worst.dispersion_observed:.2g} times the mean beyond"
             f" {worst.cell.radius_m:g} m in {worst.cell.condition.words}. Raise [metrics]"
@@ -219,7 +219,7 @@ def assumptions(found: Sequence[Statement], campaign: Mapping[str, Any]) -> list
     return lines
 
 
-def _carried(item: Statement) -> str:
+def _dispersion_words(item: Statement) -> str:
     """What clusters the limits carry, where that comes from, and the hours a quiet corner needs
     with it.
     """
@@ -259,25 +259,25 @@ def kind_of(epistemic: Mapping[str, Any]) -> str:
     return "samples" if mixed else str(epistemic["method"])
 
 
-def called(part: Part, method: str) -> Part:
+def with_sample_noun(part: Part, method: str) -> Part:
     """A text, or a part of a page with all texts in it, that names the samples of ``method``.
 
     Drawings stay as they are.
     """
     noun = NOUNS.get(method, "sample")
-    return part if noun == "corner" else _renamed(part, noun)
+    return part if noun == "corner" else _replace_corner(part, noun)
 
 
-def _renamed(part: Any, noun: str) -> Any:
+def _replace_corner(part: Any, noun: str) -> Any:
     if isinstance(part, str):
         return part.replace("corner", noun).replace("Corner", noun.capitalize())
     if isinstance(part, tuple):
-        return tuple(_renamed(item, noun) for item in part)
+        return tuple(_replace_corner(item, noun) for item in part)
     if isinstance(part, Figure):
-        return replace(part, caption=_renamed(part.caption, noun))
+        return replace(part, caption=_replace_corner(part.caption, noun))
     if is_dataclass(part) and not isinstance(part, type):
         return replace(
-            part, **{f.name: _renamed(getattr(part, f.name), noun) for f in fields(part)}
+            part, **{f.name: _replace_corner(getattr(part, f.name), noun) for f in fields(part)}
         )
     return part
 
@@ -317,8 +317,8 @@ class Finding:
     @property
     def title(self) -> str:
         """Heading of the metric's figure."""
-        seen = "as the sensors measured it" if self.measured else "true, without sensor noise"
-        return f"Median {self.words} error, {seen}"
+        origin = "as the sensors measured it" if self.measured else "true, without sensor noise"
+        return f"Median {self.words} error, {origin}"
 
     @property
     def axis(self) -> str:
@@ -327,7 +327,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class CampaignFound:
+class CampaignReport:
     """A complete campaign: its manifest, its flights, and what they say."""
 
     folder: Path
@@ -335,8 +335,8 @@ class CampaignFound:
     frame: pd.DataFrame
     findings: tuple[Finding, ...]
     signed: tuple[Statement, ...]
-    asked: str
-    verdict: tuple[Say, ...]
+    question: str
+    verdict: tuple[Sentence, ...]
     engine_check: tuple[CheckRow, ...] = ()
 
     @property
@@ -350,7 +350,7 @@ class CampaignFound:
         return Path(self.campaign["campaign"]["aircraft"]).name
 
 
-def read_found(folder: Path) -> CampaignFound:
+def read_campaign_report(folder: Path) -> CampaignReport:
     """Read a complete campaign's folder. Raises BadInputError."""
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
@@ -359,9 +359,9 @@ def read_found(folder: Path) -> CampaignFound:
     signed = tuple(statements(frame, campaign, read_decisions(folder, manifest)))
     verdict = tuple(_verdict(frame, campaign, findings, signed))
     check = tuple(read_engine_check(folder, manifest))
-    asked = " ".join(
+    question = " ".join(
         [
-            _asked(frame, campaign),
+            _question(frame, campaign),
             *(f"{words[0].upper()}{words[1:]}." for words in joint_words(manifest)),
             *(
                 f"{words[0].upper()}{words[1:]}."
@@ -369,14 +369,14 @@ def read_found(folder: Path) -> CampaignFound:
             ),
         ]
     )
-    return CampaignFound(folder, manifest, frame, findings, signed, asked, verdict, check)
+    return CampaignReport(folder, manifest, frame, findings, signed, question, verdict, check)
 
 
 def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]:
     """P-boxes of the medians: per condition, per quantity, measured before true (the published
     flight is measured).
     """
-    found = []
+    findings = []
     for condition in conditions(frame):
         rows = in_condition(frame, condition)
         for quantity, words, unit in _QUANTITIES:
@@ -389,8 +389,8 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]
                     continue
                 box = pbox(corners, band_confidence(campaign, CONFIDENCE))
                 published = _published(campaign, condition, quantity) if measured else None
-                grown = _widened(corners)
-                found.append(
+                interior_widening = _interior_widening(corners)
+                findings.append(
                     Finding(
                         metric,
                         quantity,
@@ -401,16 +401,20 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]
                         box,
                         corners,
                         published,
-                        grown,
+                        interior_widening,
                     )
                 )
-    return found
+    return findings
 
 
-def _widened(found: Sequence[Sample]) -> float | None:
-    between = [sample for sample in found if sample.epistemic_id.startswith(INTERIOR_MARK)]
-    others = [sample for sample in found if not sample.epistemic_id.startswith(INTERIOR_MARK)]
-    return widened(others, between) if between and others else None
+def _interior_widening(corner_samples: Sequence[Sample]) -> float | None:
+    interior = [
+        sample for sample in corner_samples if sample.epistemic_id.startswith(INTERIOR_MARK)
+    ]
+    corners = [
+        sample for sample in corner_samples if not sample.epistemic_id.startswith(INTERIOR_MARK)
+    ]
+    return widened(corners, interior) if interior and corners else None
 
 
 def _published(campaign: Mapping[str, Any], condition: Condition, quantity: str) -> float | None:
@@ -420,23 +424,23 @@ def _published(campaign: Mapping[str, Any], condition: Condition, quantity: str)
     return _PUBLISHED[quantity] if same_aircraft and same_air else None
 
 
-def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
+def _question(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
     air, epistemic = campaign["aleatory"], campaign["epistemic"]
     corners = frame["epistemic_id"].nunique()
     between = frame["epistemic_id"][frame["epistemic_id"].str.startswith(INTERIOR_MARK)].nunique()
     ends = "points of the joint ellipsoid" if epistemic["set"] == "ellipsoid" else "corners"
-    also = f" and {between} points between them" if between else ""
-    within = f"within the intervals of {', '.join(epistemic['coefficients'])}"
+    interior_text = f" and {between} points between them" if between else ""
+    intervals = f"within the intervals of {', '.join(epistemic['coefficients'])}"
     samples_text = {
         "none": "the model as it is, without model-form uncertainty",
         "corners": (
-            f"{corners - between} {ends}{also} of the model-form intervals of"
+            f"{corners - between} {ends}{interior_text} of the model-form intervals of"
             f" {', '.join(epistemic['coefficients'])}"
         ),
-        "levels": f"{corners} combinations of levels {within}",
-        "lhs": f"{corners} fixed levels, a Latin hypercube, {within}",
-        "white": f"{corners} samples of levels redrawn at every step {within}",
-        "walk": f"{corners} random walks {within}",
+        "levels": f"{corners} combinations of levels {intervals}",
+        "lhs": f"{corners} fixed levels, a Latin hypercube, {intervals}",
+        "white": f"{corners} samples of levels redrawn at every step {intervals}",
+        "walk": f"{corners} random walks {intervals}",
     }[epistemic["method"]]
     if epistemic["method"] == "walk":
         rates = epistemic["walk_rate_per_sqrt_s"]
@@ -466,41 +470,45 @@ def _verdict(
     campaign: Mapping[str, Any],
     findings: Sequence[Finding],
     signed: Sequence[Statement],
-) -> list[Say]:
+) -> list[Sentence]:
     """The answer in words with numbers: the hardest condition, its excursions, its medians, and
     what failed.
     """
     kind = kind_of(campaign["epistemic"])
     hardest = hardest_condition(conditions(frame))
     duration = campaign["aleatory"]["duration_s"]
-    said = [Say(f"Hardest condition flown: {hardest.words}.")]
+    sentences = [Sentence(f"Hardest condition flown: {hardest.words}.")]
     for statement in signed:
         if statement.cell.condition == hardest and statement.cell.distance == "horizontal":
-            said.append(Say(called(sentence(statement), kind), answer_level(statement)))
+            sentences.append(
+                Sentence(with_sample_noun(sentence(statement), kind), answer_level(statement))
+            )
     if UNCOMMANDED_METRICS[0] in frame:
-        said.append(
-            Say(
+        sentences.append(
+            Sentence(
                 "No path was commanded: errors are deviations from the state in which scoring"
                 " began."
             )
         )
     for quantity, _, _ in _QUANTITIES:
-        both = [
+        pair = [
             item for item in findings if item.condition == hardest and item.quantity == quantity
         ]
-        if both:
-            said.append(Say(called(_median_sentence(both, duration), kind)))
+        if pair:
+            sentences.append(Sentence(with_sample_noun(_median_sentence(pair, duration), kind)))
     failed = int((frame["status"] != "ok").sum())
     counted = (
         f"{failed} failed; they are bounded at the worst, not dropped"
         if failed
         else "all ended as planned"
     )
-    said.append(Say(f"Of {len(frame)} flights, {counted}.", "warn" if failed else ""))
+    sentences.append(Sentence(f"Of {len(frame)} flights, {counted}.", "warn" if failed else ""))
     losses = int(frame["loss_of_control"].fillna(0).sum())
-    lost = f"{losses} of them lost control." if losses else "No scored flight lost control."
-    said.append(Say(lost, "bad" if losses else "" if failed < len(frame) else "warn"))
-    return said
+    loss_text = f"{losses} of them lost control." if losses else "No scored flight lost control."
+    sentences.append(
+        Sentence(loss_text, "bad" if losses else "" if failed < len(frame) else "warn")
+    )
+    return sentences
 
 
 def answer_level(statement: Statement) -> Level:
@@ -508,28 +516,28 @@ def answer_level(statement: Statement) -> Level:
     return _ANSWER_LEVELS[statement.answer]
 
 
-def hardest_first(found: Sequence[Condition]) -> list[Condition]:
+def hardest_first(grid: Sequence[Condition]) -> list[Condition]:
     """Conditions from the strongest turbulence and wind to the weakest."""
-    left, out = list(found), []
-    while left:
-        out.append(hardest_condition(left))
-        left.remove(out[-1])
-    return out
+    remaining, ordered = list(grid), []
+    while remaining:
+        ordered.append(hardest_condition(remaining))
+        remaining.remove(ordered[-1])
+    return ordered
 
 
-def _median_sentence(both: Sequence[Finding], duration_s: float) -> str:
+def _median_sentence(pair: Sequence[Finding], duration_s: float) -> str:
     """One quantity, true and (where there is one) measured, against the published flight."""
     parts = []
-    for item in sorted(both, key=lambda finding: finding.measured):
+    for item in sorted(pair, key=lambda finding: finding.measured):
         low, high = item.box.quantile(0.5)
         parts.append(
             f"{span(low, high)} {item.unit} {'as measured' if item.measured else 'in truth'}"
         )
     text = (
-        f"Median {both[0].words} error of a typical {duration_s:g} s flight, best to worst corner:"
+        f"Median {pair[0].words} error of a typical {duration_s:g} s flight, best to worst corner:"
         f" {', '.join(parts)}"
     )
-    for item in both:
+    for item in pair:
         if item.published is not None:
             low, high = item.box.value[0], item.box.value[-1]
             where = (
@@ -556,7 +564,12 @@ def span(low: float, high: float) -> str:
 
 # Sensitivity ranges of a campaign as a section of its page, from its sensitivity.csv.
 
-_SHOWN = ("cross_track_median_m", "altitude_median_m", "speed_median_mps", "heading_median_deg")
+_SENSITIVITY_METRICS = (
+    "cross_track_median_m",
+    "altitude_median_m",
+    "speed_median_mps",
+    "heading_median_deg",
+)
 Row = Mapping[str, str]
 
 
@@ -580,7 +593,9 @@ def sensitivity_section(
         if r["metric"].startswith("excursions_") and not r["metric"].endswith("_3d")
     ]
     by_metric = {
-        m: found for m in (*_SHOWN, *counts[:1]) if (found := [r for r in rows if r["metric"] == m])
+        m: metric_rows
+        for m in (*_SENSITIVITY_METRICS, *counts[:1])
+        if (metric_rows := [r for r in rows if r["metric"] == m])
     }
     text = (
         "How much of the p-box's width each coefficient's interval makes: the thick bar runs from"
@@ -593,7 +608,7 @@ def sensitivity_section(
         "Share of the p-box's width by coefficient, and by how much it would shrink were the"
         " coefficient known.",
         ("Metric", "Coefficient", "Share", "Its 95 % interval", "Shrinks by"),
-        tuple(_table_row(r) for found in by_metric.values() for r in _ordered(found)),
+        tuple(_table_row(r) for metric_rows in by_metric.values() for r in _ordered(metric_rows)),
     )
     blocks = (
         Words(text, note=True),
@@ -608,11 +623,11 @@ def condition_sections(content: bytes) -> list[Section]:
     three quantities.
     """
     out = []
-    for condition, found in by_condition(
+    for condition, condition_rows in by_condition(
         list(csv.DictReader(content.decode().splitlines()))
     ).items():
         file = f"sensitivity-{condition.wind_mps:g}mps-{condition.turbulence}"
-        figures = range_figures(found, _SHOWN[:3], condition, file)
+        figures = range_figures(condition_rows, _SENSITIVITY_METRICS[:3], condition, file)
         out += [Section(condition.words, (figures,))] if figures.items else []
     return out
 
@@ -631,7 +646,9 @@ def range_figures(
     """A chart for each metric that has a share; ``file`` as in :class:`Figures`."""
     by_metric = {m: [r for r in rows if r["metric"] == m and r["share_min"]] for m in metrics}
     figures = tuple(
-        _figure(m, _ordered(found), condition, prefix) for m, found in by_metric.items() if found
+        _figure(m, _ordered(metric_rows), condition, prefix)
+        for m, metric_rows in by_metric.items()
+        if metric_rows
     )
     return Figures(figures, _LEGEND, True, file)
 
@@ -722,20 +739,20 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
     rows = frame.assign(far=frame[_WORST].fillna(np.inf)).sort_values(
         ["far", "case_id"], ascending=[False, True]
     )
-    found: list[Figure] = []
-    said: list[Block] = []
-    kept = {
+    figures: list[Figure] = []
+    notes: list[Block] = []
+    records = {
         path.parent.name: path
         for path in (folder / "rerun").glob("*/record.parquet")
         if path.is_file()
     }
-    rows = rows[rows["case_id"].astype(str).isin(list(kept))]
+    rows = rows[rows["case_id"].astype(str).isin(list(records))]
     for case_id, epistemic_id, wind, air in rows[
         ["case_id", "epistemic_id", "wind_mps", "turbulence"]
     ].itertuples(index=False):
-        if len(found) == MOST_TRACKS:
+        if len(figures) == MOST_TRACKS:
             break
-        path = kept[str(case_id)]
+        path = records[str(case_id)]
         try:
             figure = _track(
                 path,
@@ -743,18 +760,18 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
                 f"Case {case_id}: {epistemic_id}, {float(wind):g} m/s {air}.",
             )
         except BadInputError as error:
-            said.append(Words(str(error)))
+            notes.append(Words(str(error)))
             continue
         if figure is not None:
-            found.append(figure)
-    if found:
+            figures.append(figure)
+    if figures:
         text = (
             "Flights of the campaign that were flown again, the largest median cross-track error"
             " first."
         )
         return (
             Section(
-                "Ground track", (Words(text, note=True), *said, Figures(tuple(found), file=""))
+                "Ground track", (Words(text, note=True), *notes, Figures(tuple(figures), file=""))
             ),
         )
     worst = worst_case(frame)
@@ -766,20 +783,20 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
         ("Fly", f"uqharness campaign rerun DIR --case {worst}"),
         ("Report", "uqharness campaign report DIR"),
     )
-    return (Section("Ground track", (*said, Words(text, note=True), Facts(commands))),)
+    return (Section("Ground track", (*notes, Words(text, note=True), Facts(commands))),)
 
 
-def shown_cases(frame: pd.DataFrame) -> tuple[str, ...]:
+def track_cases(frame: pd.DataFrame) -> tuple[str, ...]:
     """Cases whose tracks a page should show: of the flights of the hardest condition with a known
     median cross-track error the one with the largest and the one in the middle; fewer where there
     are fewer, none for a mission without a path."""
     if _WORST not in frame or not frame[_WORST].notna().any():
         return ()
     rows = in_condition(frame, hardest_condition(conditions(frame)))
-    known = rows[rows[_WORST].notna()].sort_values([_WORST, "case_id"], ascending=[False, True])
+    scored = rows[rows[_WORST].notna()].sort_values([_WORST, "case_id"], ascending=[False, True])
     return (
-        tuple(str(case) for case in dict.fromkeys(known["case_id"].iloc[[0, len(known) // 2]]))
-        if len(known)
+        tuple(str(case) for case in dict.fromkeys(scored["case_id"].iloc[[0, len(scored) // 2]]))
+        if len(scored)
         else ()
     )
 
@@ -789,8 +806,10 @@ def worst_case(frame: pd.DataFrame) -> str:
     first by its id among equals.
     """
     rows = in_condition(frame, hardest_condition(conditions(frame)))
-    known = rows[rows[_WORST].notna()]
-    rows = rows if known.empty else known.sort_values([_WORST, "case_id"], ascending=[False, True])
+    scored = rows[rows[_WORST].notna()]
+    rows = (
+        rows if scored.empty else scored.sort_values([_WORST, "case_id"], ascending=[False, True])
+    )
     return str(rows["case_id"].iloc[0])
 
 
@@ -799,7 +818,7 @@ def _track(path: Path, name: str, words: str) -> Figure | None:
     columns = {n: table[n].to_numpy(dtype=float) for n in _COLUMNS if n in table}
     if "error_cross_track" in columns:
         columns["cross_track_m"] = columns.pop("error_cross_track")
-    return flown_track(name, columns, words)
+    return flight_track(name, columns, words)
 
 
 # What a campaign's page says of the engine that flew it, and of the flights that JSBSim flew as
@@ -811,19 +830,19 @@ _NAMES: Mapping[str, str] = {"batch": "the batch engine", "jsbsim": "JSBSim"}
 def engine_section(manifest: Mapping[str, Any], rows: Sequence[CheckRow]) -> Section:
     """Which engine flew, why, and how far it is from JSBSim."""
     engine = manifest["campaign"]["campaign"]["engine"]
-    why = tuple(manifest.get("engine", {}).get("why", ()))
-    said = engine_words(_NAMES[engine], why)
-    blocks: list[Block] = [Words(f"Flown in {said}.")]
-    whole = [row for row in rows if row.part == FULL_FLIGHT]
+    reasons = tuple(manifest.get("engine", {}).get("why", ()))
+    engine_text = engine_words(_NAMES[engine], reasons)
+    blocks: list[Block] = [Words(f"Flown in {engine_text}.")]
+    full_flights = [row for row in rows if row.part == FULL_FLIGHT]
     if engine == "batch":
-        flights = len({row.case_id for row in whole})
+        flights = len({row.case_id for row in full_flights})
         text = (
             f"{flights} whole flights, and the first seconds of some of each condition, were flown"
             " in JSBSim as well. A difference is measured by the metric's spread over the"
             f" condition's flights; at {TOLERANCE:g} of it the campaign would have stopped."
             " engine-check.csv has every row."
         )
-        blocks += [Words(text, note=True), *_tables(whole)]
+        blocks += [Words(text, note=True), *_tables(full_flights)]
     return Section("Engine", tuple(blocks))
 
 
@@ -839,18 +858,18 @@ def _tables(rows: Sequence[CheckRow]) -> list[Block]:
         Table(
             "The batch engine against JSBSim.",
             head,
-            tuple(_row(name, found) for name, found in by_metric.items()),
+            tuple(_row(name, metric_rows) for name, metric_rows in by_metric.items()),
         )
     ]
 
 
 def _row(name: str, rows: Sequence[CheckRow]) -> tuple[str, ...]:
     excused = [row for row in rows if row.verdict == "excused"]
-    why = "; ".join(dict.fromkeys(row.remark for row in excused))
+    remarks = "; ".join(dict.fromkeys(row.remark for row in excused))
     shares = [as_number(row.difference) for row in rows if row.verdict != "excused"]
-    known = [share for share in shares if not math.isnan(share)]
-    largest = "" if name == STATUS else f"{max(known):.2g}" if known else "undefined"
-    return (name, str(len(rows)), largest, f"{len(excused)} ({why})" if excused else "0")
+    defined = [share for share in shares if not math.isnan(share)]
+    largest = "" if name == STATUS else f"{max(defined):.2g}" if defined else "undefined"
+    return (name, str(len(rows)), largest, f"{len(excused)} ({remarks})" if excused else "0")
 
 
 # P-boxes of two campaigns over each other: the same flights before and after something changed
@@ -861,8 +880,8 @@ _OVERLAID = 2
 
 
 def overlay_section(
-    before: CampaignFound,
-    after: CampaignFound,
+    before: CampaignReport,
+    after: CampaignReport,
     names: Mapping[str, str],
     prefix: str = "",
     title: str = "Before and after",
@@ -871,23 +890,23 @@ def overlay_section(
     condition.
     """
     titles = ("before", "after")
-    drawn = hardest_first([c for c in conditions(before.frame) if c in conditions(after.frame)])[
-        :_OVERLAID
-    ]
+    displayed = hardest_first(
+        [c for c in conditions(before.frame) if c in conditions(after.frame)]
+    )[:_OVERLAID]
     words = [corner_words(side.frame) for side in (before, after)]
-    later = {(item.metric, item.condition): item for item in after.findings}
+    updated = {(item.metric, item.condition): item for item in after.findings}
     figures, rows = [], []
     for item in sorted(
         before.findings,
-        key=lambda f: drawn.index(f.condition) if f.condition in drawn else len(drawn),
+        key=lambda f: displayed.index(f.condition) if f.condition in displayed else len(displayed),
     ):
-        other = later.get((item.metric, item.condition))
+        other = updated.get((item.metric, item.condition))
         if other is None:
             continue
-        if item.condition in drawn:
+        if item.condition in displayed:
             # After is solid and before dashed, as in every other chart of the two.
             boxes = [
-                DrawnBox(t, f.box, f.samples, w)
+                LabelledBox(t, f.box, f.samples, w)
                 for t, f, w in zip(titles, (item, other), words, strict=True)
             ][::-1]
             place = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}".replace(".", "p")
@@ -905,7 +924,7 @@ def overlay_section(
         # A width is a fact: no claim was tested that a tick could confirm.
         level: Level = "warn" if ratio > 1.0 else ""
         change = Cell(
-            shown(ratio, ".2f"),
+            format_value(ratio, ".2f"),
             level,
             small="wider" if ratio > 1.0 else "narrower" if ratio < 1.0 else "",
         )
@@ -928,7 +947,7 @@ def overlay_section(
         " means that the model was wrong. The cursor names the epistemic sample behind each side."
     )
     notes: list[Block] = [Words(text, note=True)]
-    unlike = _unlike(before, after)
+    unlike = _differences(before, after)
     if unlike:
         notes.append(
             Words(
@@ -941,7 +960,7 @@ def overlay_section(
     return Section(title, (*notes, Figures(tuple(figures)), table))
 
 
-def _unlike(before: CampaignFound, after: CampaignFound) -> str:
+def _differences(before: CampaignReport, after: CampaignReport) -> str:
     """What of two campaigns is flown differently, besides the model and its bounds."""
     pairs = [
         (side.campaign["campaign"]["seed"], side.campaign["aleatory"]) for side in (before, after)

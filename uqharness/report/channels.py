@@ -37,7 +37,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     ),
     "Path": ("h_m", "north_m", "east_m", "cross_track_m", "vn_mps", "ve_mps", "vd_mps"),
 }
-_BESIDE: Mapping[str, tuple[str, str]] = {
+_COMPANIONS: Mapping[str, tuple[str, str]] = {
     "V_mps": ("V_demand_mps", "demand"),
     "h_m": ("h_demand_m", "demand"),
     "elevator_deg": ("elevator_pos_deg", "position"),
@@ -52,7 +52,7 @@ _UNITS = {
     "kg/m3": ("kg/m³", 1.0),
 }
 _OTHER = "Other channels"
-_STILL = 1e-3
+_MIN_HEIGHT = 1e-3
 """Least height of an axis, as a share of the channel's own size: rounding of what stands still is
 not drawn large.
 """
@@ -117,26 +117,28 @@ def channel_sections(
     """A section for each group of channels that ``columns`` (name -> (n,), ``time_s`` among them)
     has.
     """
-    known = [
+    available = [
         n
         for n in columns
         if n != "time_s" and n not in LABELS and np.asarray(columns[n]).dtype.kind in "fiub"
     ]
-    taken = {name for group in GROUPS.values() for name in group} | {
-        other for name, (other, _) in _BESIDE.items() if name in known
+    grouped = {name for group in GROUPS.values() for name in group} | {
+        other for name, (other, _) in _COMPANIONS.items() if name in available
     }
-    groups = {**GROUPS, _OTHER: tuple(n for n in known if n not in taken)}
+    groups = {**GROUPS, _OTHER: tuple(n for n in available if n not in grouped)}
     sections = []
     for title, names in groups.items():
-        figures = tuple(_channel(name, columns, shades, flags) for name in names if name in known)
+        figures = tuple(
+            _channel(name, columns, shades, flags) for name in names if name in available
+        )
         if figures:
-            drawn = (("first", "as recorded; commands as steps"), *legend)
+            entries = (("first", "as recorded; commands as steps"), *legend)
             sections.append(
                 Section(
                     title,
                     (
                         Figures(
-                            figures, drawn, narrow=True, file=re.sub(r"\W+", "-", title.lower())
+                            figures, entries, narrow=True, file=re.sub(r"\W+", "-", title.lower())
                         ),
                     ),
                 )
@@ -150,21 +152,25 @@ def _channel(
     quantity, unit, factor = shown_signal(name)
     time_s = np.asarray(columns["time_s"], dtype=float)
     values = factor * np.asarray(columns[name], dtype=float)
-    other, words = _BESIDE.get(name, ("", ""))
-    beside = factor * np.asarray(columns[other], dtype=float) if other in columns else None
-    y = _axis(f"{quantity} [{unit}]", [values, *([] if beside is None else [beside])])
+    other, words = _COMPANIONS.get(name, ("", ""))
+    companion = factor * np.asarray(columns[other], dtype=float) if other in columns else None
+    y = _axis(f"{quantity} [{unit}]", [values, *([] if companion is None else [companion])])
     meaning = SIGNALS[name].meaning.replace("2 pi", "360 deg") if name in SIGNALS else quantity
-    found = flags.get(name, ())
-    said = [f.words for f in found]
-    if beside is not None:
-        said += [f"{f.words} of the {words}" for f in flags.get(other, ())]
-    told = f" Findings: {', '.join(said)}." if said else ""
+    channel_flags = flags.get(name, ())
+    findings = [f.words for f in channel_flags]
+    if companion is not None:
+        findings += [f"{f.words} of the {words}" for f in flags.get(other, ())]
+    findings_text = f" Findings: {', '.join(findings)}." if findings else ""
     x = Scale("time [s]", float(time_s[0]), float(time_s[-1]))
     chart = Chart(
-        f"channel-{name}", f"{quantity} [{unit}] over time [s]: {meaning}.{told}", x, y, 170
+        f"channel-{name}",
+        f"{quantity} [{unit}] over time [s]: {meaning}.{findings_text}",
+        x,
+        y,
+        170,
     )
     _shade(chart, shades)
-    for flag in found:
+    for flag in channel_flags:
         for start, end in flag.spans:
             # A gap of a few samples in an hour would be thinner than a hair.
             reach = 0.5 * max(0.0, 0.004 * (x.high - x.low) - (end - start))
@@ -175,7 +181,7 @@ def _channel(
                 "fillbad",
             )
     steps = name in SIGNALS and SIGNALS[name].kind == "command"
-    drawn = ("command" if steps else "recorded") if beside is not None else ""
+    line_words = ("command" if steps else "recorded") if companion is not None else ""
     if name in SIGNALS and SIGNALS[name].kind == "heading":
         # A line would cross the chart wherever the heading passes north.
         few = np.unique(
@@ -183,25 +189,25 @@ def _channel(
         )
         chart.dots(time_s[few], values[few], "dotfirst", radius=0.7)
     else:
-        chart.line(time_s, values, "first thin", drawn, steps=steps)
-    if beside is not None:
+        chart.line(time_s, values, "first thin", line_words, steps=steps)
+    if companion is not None:
         chart.line(
             time_s,
-            beside,
+            companion,
             "second thin",
             words,
             steps=other in SIGNALS and SIGNALS[other].kind == "command",
         )
     if not np.isfinite(values).any():
-        told = " No finite value." + told
-    return Figure(chart.name, chart.svg(), f"{quantity} [{unit}]: {meaning}.{told}")
+        findings_text = " No finite value." + findings_text
+    return Figure(chart.name, chart.svg(), f"{quantity} [{unit}]: {meaning}.{findings_text}")
 
 
 def _axis(label: str, values: Sequence[FloatArray]) -> Scale:
     axis = scale(label, values)
     middle, half = 0.5 * (axis.low + axis.high), 0.5 * (axis.high - axis.low)
-    least = _STILL * max(abs(middle), 1e-6)
-    return axis if half >= least else Scale(label, middle - least, middle + least)
+    min_half = _MIN_HEIGHT * max(abs(middle), 1e-6)
+    return axis if half >= min_half else Scale(label, middle - min_half, middle + min_half)
 
 
 def _shade(chart: Chart, shades: Sequence[Shade]) -> None:
@@ -211,13 +217,13 @@ def _shade(chart: Chart, shades: Sequence[Shade]) -> None:
             continue
         ends = np.array([shade.start_s, shade.end_s])
         chart.band(ends, np.full(2, chart.y.low), np.full(2, chart.y.high), shade.kind)
-        left, _, width, _ = chart.plot
+        x0, _, width, _ = chart.plot
         (u, v) = (float(w) for w in chart.at(ends, np.zeros(2))[0])
         if (
             shade.mark
             and v - u >= _NUMBER_WIDTH * len(shade.mark) + 1
-            and left <= u
-            and v <= left + width + 1
+            and x0 <= u
+            and v <= x0 + width + 1
         ):
             chart.text(float(ends.mean()), chart.y.high, shade.mark, "middle", (0.0, 10.0))
 
@@ -232,7 +238,7 @@ _GROUPS: Mapping[str, tuple[str, ...]] = {
     "position": ("north_m", "east_m", "h_m"),
 }
 """Names that a finding has for several channels."""
-_WHOLE = ("flight-phase", "slower-than-grid", "time-repeats")
+_SKIPPED_CODES = ("flight-phase", "slower-than-grid", "time-repeats")
 """Findings that a chart's own shading shows, or that say nothing of a place."""
 
 
@@ -279,15 +285,15 @@ def flags_of(record: FlightRecord) -> dict[str, list[Flag]]:
     """Flags by channel, of every finding that concerns a channel."""
     out: dict[str, list[Flag]] = {}
     for finding in record.metadata.findings:
-        if finding.code in _WHOLE:
+        if finding.code in _SKIPPED_CODES:
             continue
         for channel in channels_of(finding, record):
             words = (
                 finding.code if finding.severity == "info" else f"{finding.severity} {finding.code}"
             )
-            found = out.setdefault(channel, [])
-            if words not in [flag.words for flag in found]:
-                found.append(Flag(words, spans_of(finding, channel, record)))
+            channel_flags = out.setdefault(channel, [])
+            if words not in [flag.words for flag in channel_flags]:
+                channel_flags.append(Flag(words, spans_of(finding, channel, record)))
     return out
 
 
@@ -297,14 +303,14 @@ def _runs(time_s: NDArray[np.float64], mask: NDArray[np.bool_]) -> tuple[tuple[f
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     runs = [(float(time_s[a]), float(time_s[b - 1])) for a, b in edges.reshape(-1, 2)]
-    apart = 0.0
+    distance_s = 0.0
     while len(runs) > MOST_SPANS:
-        apart = 2.0 * apart or 1e-3 * float(time_s[-1] - time_s[0])
-        joined = [runs[0]]
+        distance_s = 2.0 * distance_s or 1e-3 * float(time_s[-1] - time_s[0])
+        merged = [runs[0]]
         for start, end in runs[1:]:
-            if start - joined[-1][1] <= apart:
-                joined[-1] = (joined[-1][0], end)
+            if start - merged[-1][1] <= distance_s:
+                merged[-1] = (merged[-1][0], end)
             else:
-                joined.append((start, end))
-        runs = joined
+                merged.append((start, end))
+        runs = merged
     return tuple(runs)

@@ -15,17 +15,17 @@ from uqharness.text_tables import csv_text
 _RULE = f"the noise floor is reached when no judged channel's rms is above {LIMIT} times its noise"
 
 
-def document_of(found: Comparison) -> dict[str, Any]:
+def document_of(comparison: Comparison) -> dict[str, Any]:
     """compare.json as a dictionary; figures that are not finite are null."""
     return {
-        "aircraft": found.aircraft,
-        "flight": found.flight,
-        "reached_noise_floor": found.reached,
+        "aircraft": comparison.aircraft,
+        "flight": comparison.flight,
+        "reached_noise_floor": comparison.reached,
         "rule": _RULE,
-        "verdict": verdict(found),
-        "controls_late_s": found.controls_late_s,
-        "aligned": found.aligned,
-        "above": list(found.above),
+        "verdict": verdict(comparison),
+        "controls_late_s": comparison.controls_late_s,
+        "aligned": comparison.aligned,
+        "above": list(comparison.above),
         "channels": {
             c: finite(
                 {
@@ -42,23 +42,26 @@ def document_of(found: Comparison) -> dict[str, Any]:
                 }
             )
             | {"slip": g.slip, "delay_undefined": g.undefined}
-            for c, g in found.channels.items()
+            for c, g in comparison.channels.items()
         },
         "coefficients": {
             c: finite({"rms": g.rms, "noise": g.noise, "mean": g.mean})
-            for c, g in found.coefficients.items()
+            for c, g in comparison.coefficients.items()
         },
         "manoeuvres": {
-            m: {"channels": finite(row), "coefficients": finite(found.manoeuvre_coefficients[m])}
-            for m, row in found.manoeuvres.items()
+            m: {
+                "channels": finite(row),
+                "coefficients": finite(comparison.manoeuvre_coefficients[m]),
+            }
+            for m, row in comparison.manoeuvres.items()
         },
-        "moments": [finite(vars(m)) for m in found.moments],
-        "biases": {n: v for n, v in found.nuisance.items() if n.startswith("bias/")},
-        "notes": list(found.notes),
+        "moments": [finite(vars(m)) for m in comparison.moments],
+        "biases": {n: v for n, v in comparison.nuisance.items() if n.startswith("bias/")},
+        "notes": list(comparison.notes),
     }
 
 
-def channel_rows(found: Comparison) -> list[dict[str, str]]:
+def channel_rows(comparison: Comparison) -> list[dict[str, str]]:
     """Table of channels as text."""
     return [
         {
@@ -75,7 +78,7 @@ def channel_rows(found: Comparison) -> list[dict[str, str]]:
             "variance": f"{g.theil.variance:.2f}",
             "covariance": f"{g.theil.covariance:.2f}",
         }
-        for c, g in found.channels.items()
+        for c, g in comparison.channels.items()
     ]
 
 
@@ -85,7 +88,7 @@ def _delay(g: Any) -> str:
     return f"{1e3 * (g.allowed_s + g.shift.seconds):.1f} +/- {1e3 * g.shift.std:.1f}"
 
 
-def coefficient_rows(found: Comparison) -> list[dict[str, str]]:
+def coefficient_rows(comparison: Comparison) -> list[dict[str, str]]:
     """Table of coefficients as text."""
     return [
         {
@@ -95,23 +98,23 @@ def coefficient_rows(found: Comparison) -> list[dict[str, str]]:
             "ratio": f"{g.rms / g.noise:.2f}" if g.noise > 0.0 else "no noise known",
             "mean": f"{g.mean:.3g}",
         }
-        for c, g in found.coefficients.items()
+        for c, g in comparison.coefficients.items()
     ]
 
 
-def manoeuvre_rows(found: Comparison) -> list[dict[str, str]]:
+def manoeuvre_rows(comparison: Comparison) -> list[dict[str, str]]:
     """rms over noise, one row a manoeuvre, channels then coefficients."""
     return [
         {
             "manoeuvre": m,
             **{c: f"{v:.2f}" for c, v in row.items()},
-            **{c: f"{v:.2f}" for c, v in found.manoeuvre_coefficients[m].items()},
+            **{c: f"{v:.2f}" for c, v in comparison.manoeuvre_coefficients[m].items()},
         }
-        for m, row in found.manoeuvres.items()
+        for m, row in comparison.manoeuvres.items()
     ]
 
 
-def moment_rows(found: Comparison) -> list[dict[str, str]]:
+def moment_rows(comparison: Comparison) -> list[dict[str, str]]:
     """The worst moments, one row each."""
     return [
         {
@@ -121,49 +124,51 @@ def moment_rows(found: Comparison) -> list[dict[str, str]]:
             "gap": f"{m.gap:.4g}",
             "in sigma": f"{m.noises:.1f}",
         }
-        for m in found.moments
+        for m in comparison.moments
     ]
 
 
-def write_tables(found: Comparison, document: dict[str, Any], out: Path) -> None:
+def write_tables(comparison: Comparison, document: dict[str, Any], out: Path) -> None:
     """compare.json, histories.parquet and the CSV tables."""
     tables = {
-        "channels": channel_rows(found),
-        "coefficients": coefficient_rows(found),
-        "manoeuvres": manoeuvre_rows(found),
-        "moments": moment_rows(found),
+        "channels": channel_rows(comparison),
+        "coefficients": coefficient_rows(comparison),
+        "manoeuvres": manoeuvre_rows(comparison),
+        "moments": moment_rows(comparison),
     }
     for name, rows in tables.items():
         if rows:
             write_text(out / f"{name}.csv", csv_text(rows))
     write_histories(
         out,
-        found.segments,
+        comparison.segments,
         {
-            **columns_of(found.outputs, found.measured),
-            **columns_of(found.outputs, found.modelled, "_model"),
-            **columns_of(CONTROLS, [s.controls for s in found.segments]),
-            **columns_of(COEFFICIENTS, found.demanded, "_flight"),
-            **columns_of(COEFFICIENTS, found.predicted, "_model"),
+            **columns_of(comparison.outputs, comparison.measured),
+            **columns_of(comparison.outputs, comparison.modelled, "_model"),
+            **columns_of(CONTROLS, [s.controls for s in comparison.segments]),
+            **columns_of(COEFFICIENTS, comparison.demanded, "_flight"),
+            **columns_of(COEFFICIENTS, comparison.predicted, "_model"),
         },
     )
     write_json(out / "compare.json", document)
 
 
-def verdict(found: Comparison) -> str:
+def verdict(comparison: Comparison) -> str:
     """One sentence: reached or not, by the rule."""
-    if not found.reached and found.slips:
+    if not comparison.reached and comparison.slips:
         return (
             "Signs or scales differ between record and model, which comes before any delay:"
-            f" {'; '.join(found.slips)}. Correct the channel's map or the servo table (see"
+            f" {'; '.join(comparison.slips)}. Correct the channel's map or the servo table (see"
             " uqharness log info), or the model."
         )
-    if not found.reached and not found.aligned:
-        when = "early" if found.controls_late_s < 0.0 else "late"
+    if not comparison.reached and not comparison.aligned:
+        when = "early" if comparison.controls_late_s < 0.0 else "late"
         return (
-            f"The record is not aligned: its controls act {1e3 * abs(found.controls_late_s):.1f} ms"
-            f" {when}, and {1e3 * found.late_limit_s:.1f} ms are allowed. A command belongs to the"
+            f"The record is not aligned: its controls act {1e3 * abs(comparison.controls_late_s):.1f} ms"
+            f" {when}, and {1e3 * comparison.late_limit_s:.1f} ms are allowed. A command belongs to the"
             " row whose acceleration has seen it first: shift the command columns, otherwise a"
             " model identified from this flight gets this lag in addition."
         )
-    return noise_floor(found.reached, {c: found.channels[c].ratio for c in found.above}, _RULE)
+    return noise_floor(
+        comparison.reached, {c: comparison.channels[c].ratio for c in comparison.above}, _RULE
+    )

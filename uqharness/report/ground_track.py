@@ -49,8 +49,8 @@ def circle_of(north_m: FloatArray, east_m: FloatArray, distance_m: FloatArray) -
 
     With r the distance from the middle c and d = r - R: n² + e² - d² = 2 c·(n, e) + 2 R d + R² -
     c², linear in c, R and the rest."""
-    known = np.isfinite(north_m) & np.isfinite(east_m) & np.isfinite(distance_m)
-    n, e, d = north_m[known], east_m[known], distance_m[known]
+    is_known = np.isfinite(north_m) & np.isfinite(east_m) & np.isfinite(distance_m)
+    n, e, d = north_m[is_known], east_m[is_known], distance_m[is_known]
     if n.size < 8:
         return None
     rows = np.column_stack([2.0 * n, 2.0 * e, 2.0 * d, np.ones(n.size)])
@@ -87,7 +87,7 @@ class Lap:
 
     tracks: (when, model) -> rows of tracks.parquet within the lap, from ``begin_s`` to ``end_s``;
     ``at_s``: the instant around which it lies, at which the flights are ``apart_m`` from each other
-    (0 for one flight). ``judged``: the worst corner flown last, with its largest distance from the
+    (0 for one flight). ``worst_flight``: the worst corner flown last, with its largest distance from the
     path in the whole flight, ``largest_m``; ``circle``: the path, if it is one."""
 
     tracks: Mapping[tuple[str, str], pd.DataFrame]
@@ -95,7 +95,7 @@ class Lap:
     end_s: float
     at_s: float
     apart_m: float
-    judged: tuple[str, str]
+    worst_flight: tuple[str, str]
     largest_m: float
     circle: Circle | None
 
@@ -105,17 +105,17 @@ class Lap:
         return model if len({w for w, _ in self.tracks}) == 1 else f"{model}, {when}"
 
 
-def lap_of(flown: pd.DataFrame) -> Lap | None:
+def lap_of(track_rows: pd.DataFrame) -> Lap | None:
     """The lap in which the flights lie farthest from each other, or, where they do not differ, the
     worst corner from its path.
 
-    flown: tracks.parquet of a study. None without a worst corner whose distance from a path is
+    track_rows: tracks.parquet of a study. None without a worst corner whose distance from a path is
     known."""
     tracks = {
         (str(when), str(model)): rows
-        for (when, model), rows in flown.groupby(["when", "model"], sort=False)
+        for (when, model), rows in track_rows.groupby(["when", "model"], sort=False)
     }
-    judged = next(
+    worst_flight = next(
         (
             key
             for key in reversed(list(tracks))
@@ -123,21 +123,34 @@ def lap_of(flown: pd.DataFrame) -> Lap | None:
         ),
         None,
     )
-    if judged is None:
+    if worst_flight is None:
         return None
     time_s, north, east, distance = (
-        tracks[judged][c].to_numpy(dtype=float)
+        tracks[worst_flight][c].to_numpy(dtype=float)
         for c in ("time_s", "north_m", "east_m", "distance_m")
     )
-    apart = _apart(time_s, list(tracks.values()))
-    at = int(np.argmax(apart)) if apart.max() > _APART_M else int(np.nanargmax(np.abs(distance)))
+    separation_m = _largest_separation(time_s, list(tracks.values()))
+    at = (
+        int(np.argmax(separation_m))
+        if separation_m.max() > _APART_M
+        else int(np.nanargmax(np.abs(distance)))
+    )
     begin, end = _turn(time_s, north, east, at)
-    shown = {
+    lap_tracks = {
         key: rows[(rows["time_s"] >= begin) & (rows["time_s"] <= end)]
         for key, rows in tracks.items()
     }
     largest, circle = float(np.nanmax(np.abs(distance))), circle_of(north, east, distance)
-    return Lap(shown, begin, end, float(time_s[at]), float(apart[at]), judged, largest, circle)
+    return Lap(
+        lap_tracks,
+        begin,
+        end,
+        float(time_s[at]),
+        float(separation_m[at]),
+        worst_flight,
+        largest,
+        circle,
+    )
 
 
 def ground_track(name: str, lap: Lap, radius_m: float, condition: str) -> Figure:
@@ -165,13 +178,13 @@ def ground_track(name: str, lap: Lap, radius_m: float, condition: str) -> Figure
             _KINDS[key],
             lap.called(key),
         )
-    why = (
+    reason = (
         f"the lines are {lap.apart_m:.2g} m apart"
         if lap.apart_m > _APART_M
         else "the worst corner is farthest from its path"
     )
     caption = (
-        f"Ground track of the lap ({lap.end_s - lap.begin_s:.0f} s) in which {why}."
+        f"Ground track of the lap ({lap.end_s - lap.begin_s:.0f} s) in which {reason}."
         f" {_sentence(condition)}, one air for all lines."
     )
     return Figure(name, chart.svg(), caption)
@@ -182,11 +195,11 @@ def track_distance(name: str, lap: Lap, radius_m: float) -> Figure:
     about.
     """
     sides = {key: rows["distance_m"].to_numpy(dtype=float) for key, rows in lap.tracks.items()}
-    known = np.concatenate(list(sides.values()))
+    distances = np.concatenate(list(sides.values()))
     # A limit that no line comes near would only flatten the lines.
-    limits = [radius_m] + ([-radius_m] if np.nanmin(known) < -0.5 * radius_m else [])
+    limits = [radius_m] + ([-radius_m] if np.nanmin(distances) < -0.5 * radius_m else [])
     quantity = "distance from the path [m]" + (", outside positive" if lap.circle else "")
-    y = scale(quantity, [known, np.array([0.0, *limits])])
+    y = scale(quantity, [distances, np.array([0.0, *limits])])
     x = Scale("time in the lap [s]", 0.0, lap.end_s - lap.begin_s)
     chart = Chart(
         name,
@@ -207,7 +220,7 @@ def track_distance(name: str, lap: Lap, radius_m: float) -> Figure:
         )
     caption = (
         f"The same lap. {_sentence(_largest(lap))}; in the whole flight {lap.largest_m:.3g} m"
-        f" ({lap.called(lap.judged)})."
+        f" ({lap.called(lap.worst_flight)})."
     )
     return Figure(name, chart.svg(), caption)
 
@@ -222,33 +235,35 @@ def _in_order(lap: Lap) -> list[tuple[tuple[str, str], pd.DataFrame]]:
 
 
 def _largest(lap: Lap) -> str:
-    found = [
+    texts = [
         f"{np.nanmax(np.abs(rows['distance_m'])):.3g} m ({lap.called(key)})"
         for key, rows in lap.tracks.items()
         if rows["distance_m"].notna().any()
     ]
-    return f"largest distance from the path: {', '.join(found)}"
+    return f"largest distance from the path: {', '.join(texts)}"
 
 
 def _sentence(words: str) -> str:
     return f"{words[:1].upper()}{words[1:]}"
 
 
-def _apart(time_s: FloatArray, tracks: Sequence[pd.DataFrame]) -> FloatArray:
+def _largest_separation(time_s: FloatArray, tracks: Sequence[pd.DataFrame]) -> FloatArray:
     """Largest distance between two of the flights across the path [m] at each instant (n,); 0 where
     it is not known.
     """
-    found = []
+    distances = []
     for rows in tracks:
-        known = rows[rows["distance_m"].notna()]
-        if len(known):
-            at, away = (known[column].to_numpy(dtype=float) for column in ("time_s", "distance_m"))
-            found.append(np.interp(time_s, at, away, left=np.nan, right=np.nan))
-    spread = np.max(found, axis=0) - np.min(found, axis=0)
-    return np.nan_to_num(spread)
+        known_rows = rows[rows["distance_m"].notna()]
+        if len(known_rows):
+            at, distance = (
+                known_rows[column].to_numpy(dtype=float) for column in ("time_s", "distance_m")
+            )
+            distances.append(np.interp(time_s, at, distance, left=np.nan, right=np.nan))
+    separation = np.max(distances, axis=0) - np.min(distances, axis=0)
+    return np.nan_to_num(separation)
 
 
-def flown_track(
+def flight_track(
     name: str, columns: Mapping[str, FloatArray], words: str = "", circles: Sequence[Circle] = ()
 ) -> Figure | None:
     """The whole track of a flight with its start and end, and the circles it was to keep.
@@ -262,28 +277,28 @@ def flown_track(
     if place is None:
         return None
     north, east = place
-    known = np.isfinite(north) & np.isfinite(east)
-    kept = list(circles) or _commanded(north, east, columns)
-    rings = [next(_rings(circle, 0.0)) for circle in kept]
+    is_known = np.isfinite(north) & np.isfinite(east)
+    commanded = list(circles) or _commanded(north, east, columns)
+    rings = [next(_rings(circle, 0.0)) for circle in commanded]
     ends = [
-        np.concatenate([v[known], *(ring[k] for ring in rings)])
+        np.concatenate([v[is_known], *(ring[k] for ring in rings)])
         for k, v in enumerate((east, north))
     ]
     x, y = equal_scales(ends[0], ends[1], _HEIGHT)
-    of = f", commanded circle of {kept[0].radius_m:.4g} m" if kept else ""
-    chart = Chart(name, f"Ground track, north [m] over east [m]{of}.", x, y, _HEIGHT)
+    circle_text = f", commanded circle of {commanded[0].radius_m:.4g} m" if commanded else ""
+    chart = Chart(name, f"Ground track, north [m] over east [m]{circle_text}.", x, y, _HEIGHT)
     for k, (ring_east, ring_north, kind) in enumerate(rings):
         chart.path(
             ring_east,
             ring_north,
             kind,
-            "" if k else f"commanded circle, radius {kept[0].radius_m:.4g} m",
+            "" if k else f"commanded circle, radius {commanded[0].radius_m:.4g} m",
         )
     few = max(1, math.ceil(len(east) / _MOST_POINTS))
     chart.path(east[::few], north[::few], "first thin", "flown")
-    at = np.flatnonzero(known)
-    for k, shape, what in ((at[0], "disc", "start"), (at[-1], "square", "end")):
-        chart.marker(float(east[k]), float(north[k]), "second", shape, what)
+    at = np.flatnonzero(is_known)
+    for k, shape, label in ((at[0], "disc", "start"), (at[-1], "square", "end")):
+        chart.marker(float(east[k]), float(north[k]), "second", shape, label)
     return Figure(
         name,
         chart.svg(),
@@ -305,8 +320,8 @@ def _places(columns: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray] 
         )
     else:
         return None
-    known = np.isfinite(north) & np.isfinite(east)
-    moved = known.any() and max(float(np.ptp(v[known])) for v in (north, east)) >= _LEAST_M
+    is_known = np.isfinite(north) & np.isfinite(east)
+    moved = is_known.any() and max(float(np.ptp(v[is_known])) for v in (north, east)) >= _LEAST_M
     return (north, east) if moved else None
 
 
@@ -330,11 +345,17 @@ def _turn(time_s: FloatArray, north: FloatArray, east: FloatArray, at: int) -> t
     """
     course = np.unwrap(np.arctan2(np.gradient(east), np.gradient(north)))
     low, high = float(course.min()) + math.pi, float(course.max()) - math.pi
-    near = (
+    is_in_turn = (
         np.abs(course - (min(max(course[at], low), high) if low < high else course[at])) <= math.pi
     )
-    first = at - int(np.argmin(near[: at + 1][::-1])) + 1 if not near[: at + 1].all() else 0
-    last = at + int(np.argmin(near[at:])) - 1 if not near[at:].all() else len(near) - 1
+    first = (
+        at - int(np.argmin(is_in_turn[: at + 1][::-1])) + 1 if not is_in_turn[: at + 1].all() else 0
+    )
+    last = (
+        at + int(np.argmin(is_in_turn[at:])) - 1
+        if not is_in_turn[at:].all()
+        else len(is_in_turn) - 1
+    )
     begin, end = (
         max(time_s[first], time_s[at] - 0.5 * _LONGEST_S),
         min(time_s[last], time_s[at] + 0.5 * _LONGEST_S),

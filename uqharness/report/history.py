@@ -46,12 +46,12 @@ class Model:
 
 
 def history_section(
-    found: Sequence[History],
+    histories: Sequence[History],
     noise: Mapping[str, float | None],
     models: Sequence[Model],
     title: str,
     prefix: str = "",
-    most: int | None = MOST_SEGMENTS,
+    max_segments: int | None = MOST_SEGMENTS,
     file: Callable[[int, History], str | None] = lambda rank, history: None,
 ) -> tuple[Section, ...]:
     """The segments in which the first model is farthest from the log, each channel against all
@@ -60,18 +60,18 @@ def history_section(
     noise: channel -> standard deviation, in the channel's own unit, None where it is not known
     (then no band is drawn). most: number of segments shown, None for all. file: name of a segment's
     file of figures, by its rank."""
-    if not found:
+    if not histories:
         return ()
-    ranked = sorted(found, key=lambda h: -_worst(h, noise, models[0])[0])[:most]
+    ranked = sorted(histories, key=lambda h: -_worst(h, noise, models[0])[0])[:max_segments]
     first, last = ((f" {m.words}" if len(models) > 1 else "") for m in (models[0], models[-1]))
-    which = "All segments"
-    if len(ranked) < len(found):
-        which = (
-            f"The {len(ranked)} of {len(found)} segments in which the model{first} is farthest from"
+    selection = "All segments"
+    if len(ranked) < len(histories):
+        selection = (
+            f"The {len(ranked)} of {len(histories)} segments in which the model{first} is farthest from"
             " the log"
         )
     text = (
-        f"{which}, the worst first; every segment stands in histories.parquet. The band is the"
+        f"{selection}, the worst first; every segment stands in histories.parquet. The band is the"
         f" model{last} plus and minus 1.96 times the noise of the channel: with a right model 95 %"
         " of the samples lie inside."
     )
@@ -87,25 +87,28 @@ def history_section(
 
 
 def farthest_figure(
-    found: Sequence[History], noise: Mapping[str, float | None], models: Sequence[Model], name: str
+    histories: Sequence[History],
+    noise: Mapping[str, float | None],
+    models: Sequence[Model],
+    name: str,
 ) -> Figure | None:
     """The one channel in the one segment in which the first model is farthest from the log; None
     where nothing is judged.
     """
     ratio, channel, history = max(
-        ((*_worst(h, noise, models[0]), h) for h in found),
+        ((*_worst(h, noise, models[0]), h) for h in histories),
         key=lambda item: item[0],
         default=(-math.inf, "", None),
     )
     if history is None or not math.isfinite(ratio):
         return None
-    drawn = _channel(history, channel, noise[channel], models, f"{name}-", legend=True)
+    channel_figure = _channel(history, channel, noise[channel], models, f"{name}-", legend=True)
     ratios = [(m.words, _ratio(history, channel, noise[channel], m)) for m in models]
-    told = ", ".join(f"{words} {value:.2f}" for words, value in ratios if value is not None)
+    ratio_text = ", ".join(f"{words} {value:.2f}" for words, value in ratios if value is not None)
     return Figure(
-        drawn.name,
-        drawn.svg,
-        f"{history.title}; rms of log minus model in sigma of the sensor: {told}.",
+        channel_figure.name,
+        channel_figure.svg,
+        f"{history.title}; rms of log minus model in sigma of the sensor: {ratio_text}.",
     )
 
 
@@ -147,18 +150,18 @@ def _channel(
     """``legend``: the chart has its own."""
     quantity, unit, factor = shown_channel(name)
     measured = factor * history.columns[name]
-    drawn = [
+    simulated = [
         (m, factor * history.columns[f"{name}{m.suffix}"])
         for m in models
         if f"{name}{m.suffix}" in history.columns
     ]
-    band = None if noise is None or not drawn else Z95 * factor * noise
-    shown = [measured, *(y for _, y in drawn)]
+    band = None if noise is None or not simulated else Z95 * factor * noise
+    curves = [measured, *(y for _, y in simulated)]
     if band is not None:
-        shown += [drawn[-1][1] - band, drawn[-1][1] + band]
+        curves += [simulated[-1][1] - band, simulated[-1][1] + band]
     label = (
         f"{quantity} [{unit}] against time [s], {history.title}: log and"
-        f" {', '.join(m.words for m, _ in drawn)}."
+        f" {', '.join(m.words for m, _ in simulated)}."
     )
     if not np.isfinite(measured).any():
         label += " The log has no value of it here."
@@ -166,11 +169,11 @@ def _channel(
         f"{prefix}history-{history.number}-{name}",
         label,
         _time(history),
-        scale(axis_label(name), shown),
+        scale(axis_label(name), curves),
         height=180,
     )
     if band is not None:
-        last = drawn[-1][1]
+        last = simulated[-1][1]
         chart.band(
             history.time_s,
             last - band,
@@ -180,7 +183,7 @@ def _channel(
         )
     few = np.unique(np.linspace(0, measured.size - 1, min(measured.size, 250)).round().astype(int))
     chart.dots(history.time_s[few], measured[few], "dot", "log" if legend else "")
-    for model, y in drawn:
+    for model, y in simulated:
         chart.line(history.time_s, y, model.kind, f"simulation {model.words}" if legend else "")
     ratio = _ratio(history, name, noise, models[-1])
     caption = (
@@ -213,9 +216,9 @@ def _worst(history: History, noise: Mapping[str, float | None], model: Model) ->
     """Largest rms over noise of log minus model, and its channel; minus infinity where nothing can
     be compared.
     """
-    found = {name: _ratio(history, name, std, model) for name, std in noise.items()}
+    ratios = {name: _ratio(history, name, std, model) for name, std in noise.items()}
     return max(
-        [(-math.inf, ""), *((ratio, name) for name, ratio in found.items() if ratio is not None)]
+        [(-math.inf, ""), *((ratio, name) for name, ratio in ratios.items() if ratio is not None)]
     )
 
 
@@ -225,12 +228,12 @@ def _ratio(history: History, name: str, std: float | None, model: Model) -> floa
     if y is None or name not in history.columns or not std:
         return None
     gap = history.columns[name] - y
-    known = gap[np.isfinite(gap)]
-    return float(np.sqrt(np.mean(known**2))) / std if known.size else None
+    finite = gap[np.isfinite(gap)]
+    return float(np.sqrt(np.mean(finite**2))) / std if finite.size else None
 
 
 def end_to_end(
-    found: Sequence[History],
+    histories: Sequence[History],
     name: str,
     series: Sequence[tuple[str, str, str]],
     band: tuple[Sequence[FloatArray], Sequence[FloatArray], str] | None,
@@ -244,27 +247,27 @@ def end_to_end(
 
     outside: samples of the first column beyond the band are marked.
     """
-    start, at = 0.0, []
-    for h in found:
-        at.append(start + h.time_s - h.time_s[0])
-        start = float(at[-1][-1]) + 0.5
-    shown = [h.columns[c] for h in found for c, _, _ in series] + (
+    start, piece_times = 0.0, []
+    for h in histories:
+        piece_times.append(start + h.time_s - h.time_s[0])
+        start = float(piece_times[-1][-1]) + 0.5
+    curves = [h.columns[c] for h in histories for c, _, _ in series] + (
         [*band[0], *band[1]] if band else []
     )
     x = Scale("pieces end to end [s]", 0.0, max(start - 0.5, 1e-3))
-    chart = Chart(name, label, x, scale(axis, shown), height=190)
+    chart = Chart(name, label, x, scale(axis, curves), height=190)
     if band:
-        for t, low, high in zip(at, *band[:2], strict=True):
+        for t, low, high in zip(piece_times, *band[:2], strict=True):
             chart.band(t, low, high, "fill1", band[2])
     chart.level(0.0, "zero")
-    for t in at[1:]:
+    for t in piece_times[1:]:
         chart.upright(float(t[0]) - 0.25, "joint")
     for column, kind, words in series:
-        x_all = np.concatenate([v for t in at for v in (t, [np.nan])])
-        y_all = np.concatenate([v for h in found for v in (h.columns[column], [np.nan])])
+        x_all = np.concatenate([v for t in piece_times for v in (t, [np.nan])])
+        y_all = np.concatenate([v for h in histories for v in (h.columns[column], [np.nan])])
         chart.line(x_all, y_all, kind, words)
     if band and outside:
-        for t, h, low, high in zip(at, found, *band[:2], strict=True):
+        for t, h, low, high in zip(piece_times, histories, *band[:2], strict=True):
             y = h.columns[series[0][0]]
             out = (y < low) | (y > high)
             chart.dots(t[out], y[out], "dotout", radius=1.5)
@@ -279,15 +282,15 @@ _ANGLES = ("phi_rad", "theta_rad", "alpha_rad", "beta_rad")
 _SURFACES = ("elevator", "aileron", "rudder")
 
 
-def draw_rerun(found: RerunResult) -> list[Path]:
+def draw_rerun(rerun: RerunResult) -> list[Path]:
     """Draw a case that was flown again beside its record; none where it left no record."""
-    record = next((path for path in found.files if path.suffix == ".parquet"), None)
+    record = next((path for path in rerun.files if path.suffix == ".parquet"), None)
     if record is None:
         return []
-    case = found.case
+    case = rerun.case
     where = f"flight {case.aleatory_id}, {case.wind_mps:g} m/s {case.turbulence}"
-    title = f"case {case.case_id}: {case.epistemic_id}, {where}; {found.outcome.status}"
-    path = found.folder / "flight.svg"
+    title = f"case {case.case_id}: {case.epistemic_id}, {where}; {rerun.outcome.status}"
+    path = rerun.folder / "flight.svg"
     charts = [
         (figure.svg, figure.caption)
         for figure in flight_figures(pd.read_parquet(record), case.flight)
@@ -325,7 +328,7 @@ def _panels(record: pd.DataFrame) -> Iterator[tuple[str, str, Mapping[str, str],
         {c: c for c in _rerun_control(record, "throttle")},
     )
     # A coefficient whose delta is 0 throughout is certain in this flight, whatever its level says.
-    acting = [
+    active = [
         name for name in COEFFICIENTS if f"delta_{name}" in record and record[f"delta_{name}"].any()
     ]
     for name, axis, lines, factor in (
@@ -335,11 +338,11 @@ def _panels(record: pd.DataFrame) -> Iterator[tuple[str, str, Mapping[str, str],
         ("height", "height above sea level [m]", {"h_m": ""}, 1.0),
         ("surfaces", "surfaces [deg], [-]", surfaces, 1.0),
         ("throttle", "throttle [%], [-]", throttle, 1.0),
-        ("levels", "level between the bounds [-]", {f"level_{c}": c for c in acting}, 1.0),
+        ("levels", "level between the bounds [-]", {f"level_{c}": c for c in active}, 1.0),
     ):
-        known = {column: words for column, words in lines.items() if column in record}
-        if known:
-            yield name, axis, known, factor
+        recorded = {column: words for column, words in lines.items() if column in record}
+        if recorded:
+            yield name, axis, recorded, factor
 
 
 def _rerun_control(record: pd.DataFrame, control: str) -> list[str]:
@@ -359,9 +362,13 @@ def _over_time(
 ) -> Figure:
     cross_track = series.get("cross-track", np.zeros(1))
     reach = 2.0 * max(5.0, float(np.nanmax(np.abs(cross_track), initial=0.0)))
-    shown = [radius for radius in radii if "cross-track" in series and radius <= reach]
+    visible_radii = [radius for radius in radii if "cross-track" in series and radius <= reach]
     y = scale(
-        axis, [*series.values(), np.array([side for radius in shown for side in (-radius, radius)])]
+        axis,
+        [
+            *series.values(),
+            np.array([side for radius in visible_radii for side in (-radius, radius)]),
+        ],
     )
     if name == "levels":
         y = Scale(axis, -0.02, 1.02)
@@ -377,7 +384,7 @@ def _over_time(
         chart.band(ends, np.full(2, y.low), np.full(2, y.high), "fillrange", "not scored")
     for (words, values), kind in zip(series.items(), _KINDS, strict=False):
         chart.line(time_s, values, f"{kind} thin", words)
-    for radius in shown:
+    for radius in visible_radii:
         chart.level(radius, "limit", "excursion radius")
         chart.level(-radius, "limit")
     return Figure(chart.name, chart.svg(), "")

@@ -23,7 +23,7 @@ SIGNS: Mapping[str, str] = {"good": "✓", "bad": "✕", "warn": "!", "": ""}
 
 
 @dataclass(frozen=True)
-class Say:
+class Sentence:
     """A sentence of the verdict, and whether it is good news; an empty level is a plain fact."""
 
     text: str
@@ -54,11 +54,11 @@ class Bullets:
 
 
 @dataclass(frozen=True)
-class Told:
+class Sentences:
     """Sentences with their level, as in the verdict."""
 
     kind: ClassVar[str] = "told"
-    items: tuple[Say, ...]
+    items: tuple[Sentence, ...]
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class Code:
     text: str
 
 
-Block = Words | Bullets | Told | Table | Figures | Facts | Code
+Block = Words | Bullets | Sentences | Table | Figures | Facts | Code
 
 
 @dataclass(frozen=True)
@@ -166,8 +166,8 @@ class Page:
     ``first`` make one screen."""
 
     title: str
-    asked: str
-    verdict: tuple[Say, ...]
+    question: str
+    verdict: tuple[Sentence, ...]
     sections: tuple[Section, ...] = field(default=())
     first: tuple[Block, ...] = ()
 
@@ -245,7 +245,7 @@ def _text(name: str) -> str:
     )
 
 
-def shown(value: float | None, form: str = ".3g") -> str:
+def format_value(value: float | None, form: str = ".3g") -> str:
     """A figure as text. What is undefined says so and is never a 0; what has no end is open."""
     if value is None or math.isnan(value):
         return "undefined"
@@ -254,7 +254,7 @@ def shown(value: float | None, form: str = ".3g") -> str:
 
 def percent(value: float | None, form: str = ".3g") -> str:
     """A share as a number of percent."""
-    return shown(None if value is None else 100.0 * value, form)
+    return format_value(None if value is None else 100.0 * value, form)
 
 
 def remarks(
@@ -263,8 +263,8 @@ def remarks(
     """The section of a document's warnings and notes, none where there are none; a terminal shows
     those named in ``key``.
     """
-    said = {name: tuple(document.get(name, ())) for name in ("warnings", "notes")}
-    blocks = tuple(Bullets(items, name in key) for name, items in said.items() if items)
+    remarks_by_name = {name: tuple(document.get(name, ())) for name in ("warnings", "notes")}
+    blocks = tuple(Bullets(items, name in key) for name, items in remarks_by_name.items() if items)
     return (Section("Warnings and notes", blocks),) if blocks else ()
 
 

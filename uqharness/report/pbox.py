@@ -18,20 +18,20 @@ from sysid.arrays import FloatArray
 from sysid.distributions import normal_tail
 from uqharness.campaign import MetricConvergence
 from uqharness.campaign.spec import NOMINAL
-from uqharness.report.parts import Figure, Figures, Section, shown
+from uqharness.report.parts import Figure, Figures, Section, format_value
 from uqharness.report.svg import Chart, Scale, scale
 from uqharness.statistics import PBox, Sample, envelope
 
-_CURVE_POINTS, _MOST_CURVES = 60, 96
+_CURVE_POINTS, _MAX_CURVES = 60, 96
 _SMOOTH_POINTS = 160
 """Values at which a smooth curve is computed, enough for a chart 360 units wide."""
-_MOST_KERNELS = 1000
+_MAX_KERNELS = 1000
 PROBABILITY = "cumulative probability [-]"
-_DRAWN = ("first", "fill1"), ("second", "fill2")
+_BOX_CLASSES = ("first", "fill1"), ("second", "fill2")
 
 
 @dataclass(frozen=True)
-class DrawnBox:
+class LabelledBox:
     """One p-box of a figure. ``title`` names it among several, empty where it is alone; ``words``:
     corner id -> levels.
 
@@ -49,7 +49,7 @@ def pbox_figure(
     name: str,
     quantity: str,
     unit: str,
-    boxes: Sequence[DrawnBox],
+    boxes: Sequence[LabelledBox],
     caption: str,
     mark: tuple[float, str] | None = None,
 ) -> Figure:
@@ -58,16 +58,16 @@ def pbox_figure(
 
     The caption of smooth curves tells how far they lie from the flights' own steps.
     """
-    alone = len(boxes) == 1
-    known = [b.box.value for b in boxes] + ([np.array([mark[0]])] if mark else [])
-    x = scale(f"{quantity} [{unit}]", known, least=0.0)
+    is_single = len(boxes) == 1
+    values = [b.box.value for b in boxes] + ([np.array([mark[0]])] if mark else [])
+    x = scale(f"{quantity} [{unit}]", values, minimum=0.0)
     halves = "; ".join(f"{b.title + ': ' if b.title else ''}{_half(b.box, unit)}" for b in boxes)
     label = (
-        f"P-box{'es' if not alone else ''} of {quantity} [{unit}]. Half of the flights stay below"
+        f"P-box{'es' if not is_single else ''} of {quantity} [{unit}]. Half of the flights stay below"
         f" {halves}."
     )
     chart = Chart(name, label, x, Scale(PROBABILITY, -0.01, 1.01), height=250)
-    read = [
+    curves = [
         (
             smooth_pbox(b.samples, b.box, np.linspace(x.low, x.high, _SMOOTH_POINTS))
             if b.smooth
@@ -75,62 +75,72 @@ def pbox_figure(
         )
         for b in boxes
     ]
-    for number, (drawn, box, (line, fill)) in enumerate(zip(boxes, read, _DRAWN, strict=False)):
-        steps = not drawn.smooth
-        if alone and len(drawn.samples) > 1:
-            _draw_samples(chart, drawn, box, number)
-        at, lower, upper = _sides(drawn, box, x)
-        words = drawn.title or "p-box (envelope)"
+    for number, (labelled_box, box, (line, fill)) in enumerate(
+        zip(boxes, curves, _BOX_CLASSES, strict=False)
+    ):
+        steps = not labelled_box.smooth
+        if is_single and len(labelled_box.samples) > 1:
+            _draw_samples(chart, labelled_box, box, number)
+        at, lower, upper = _sides(labelled_box, box, x)
+        words = labelled_box.title or "p-box (envelope)"
         chart.band(at, lower, upper, fill, steps=steps)
         chart.line(at, upper, line, words, steps=steps)
         chart.line(at, lower, line, steps=steps)
-        if alone:
+        if is_single:
             # Outside the values flown, the band still says something: at least its first and at
             # most its last step.
-            above = box.band_upper if drawn.smooth else _between(box.band_upper[0], box.band_upper)
-            below = box.band_lower if drawn.smooth else _between(0.0, box.band_lower)
+            above = (
+                box.band_upper
+                if labelled_box.smooth
+                else _between(box.band_upper[0], box.band_upper)
+            )
+            below = box.band_lower if labelled_box.smooth else _between(0.0, box.band_lower)
             chart.line(at, above, "limit", "95 % band, all samples", steps=steps)
             chart.line(at, below, "limit", steps=steps)
     if mark:
         chart.upright(mark[0], "mark", mark[1])
-    away = [farthest(b.samples, box) for b, box in zip(boxes, read, strict=True) if b.smooth]
-    if away:
-        caption += (
-            f" Curves are smoothed: within {100.0 * max(away):.0f} % of the flights' own steps."
-        )
+    smoothing_errors = [
+        smoothing_error(b.samples, box) for b, box in zip(boxes, curves, strict=True) if b.smooth
+    ]
+    if smoothing_errors:
+        caption += f" Curves are smoothed: within {100.0 * max(smoothing_errors):.0f} % of the flights' own steps."
     cursor = {
         "quantity": quantity,
         "unit": unit,
-        "boxes": [_cursor(k, b, read[k], alone) for k, b in enumerate(boxes)],
+        "boxes": [_cursor(k, b, curves[k], is_single) for k, b in enumerate(boxes)],
     }
     return Figure(name, chart.svg(), caption, cursor)
 
 
-def _draw_samples(chart: Chart, drawn: DrawnBox, box: PBox, number: int) -> None:
+def _draw_samples(chart: Chart, labelled_box: LabelledBox, box: PBox, number: int) -> None:
     """A thin curve for each sample; those behind a side of ``box`` are named for the cursor."""
-    place = {name: k for k, name in enumerate(_behind(box))}
-    shown_samples = _curves(drawn, box)
-    few = len(shown_samples) < len(drawn.samples)
-    every = f"{len(shown_samples)} of {len(drawn.samples)} samples" if few else "one sample each"
+    place = {name: k for k, name in enumerate(_samples_on_sides(box))}
+    shown_samples = _curves(labelled_box, box)
+    few = len(shown_samples) < len(labelled_box.samples)
+    every = (
+        f"{len(shown_samples)} of {len(labelled_box.samples)} samples" if few else "one sample each"
+    )
     for sample in shown_samples:
         data = (
             f' data-corner="{number}.{place[sample.epistemic_id]}"'
             if sample.epistemic_id in place
             else ""
         )
-        if drawn.smooth:
+        if labelled_box.smooth:
             share = smooth_share(sample.values, box.value) * (sample.values.size / sample.size)
             chart.line(box.value, share, "corner", every, data=data)
         else:
             chart.line(*_steps(sample, chart.x), "corner", every, steps=True, data=data)
 
 
-def _sides(drawn: DrawnBox, box: PBox, x: Scale) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _sides(
+    labelled_box: LabelledBox, box: PBox, x: Scale
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values and both sides from one end of the axis to the other."""
-    if drawn.smooth:
+    if labelled_box.smooth:
         return box.value, box.lower, box.upper
     # Unknown flights may lie below every value that was seen.
-    unseen = max(sample.unknown / sample.size for sample in drawn.samples)
+    unseen = max(sample.unknown / sample.size for sample in labelled_box.samples)
     return (
         np.concatenate([[x.low], box.value, [x.high]]),
         _between(0.0, box.lower),
@@ -154,8 +164,8 @@ def smooth_share(values: FloatArray, at: FloatArray) -> FloatArray:
         )
 
     middles = values
-    if values.size > _MOST_KERNELS:
-        places = (np.arange(_MOST_KERNELS) + 0.5) * values.size / _MOST_KERNELS
+    if values.size > _MAX_KERNELS:
+        places = (np.arange(_MAX_KERNELS) + 0.5) * values.size / _MAX_KERNELS
         middles = np.sort(values)[places.astype(int)]
 
     def below(ends: FloatArray) -> FloatArray:
@@ -184,19 +194,19 @@ def smooth_pbox(samples: Sequence[Sample], box: PBox, at: FloatArray) -> PBox:
         names[(shares + unknown).argmax(axis=0)],
     )
     half = max(float((box.lower - box.band_lower).max()), float((box.band_upper - box.upper).max()))
-    half += farthest(samples, curve)
+    half += smoothing_error(samples, curve)
     band = (np.clip(lower - half, 0.0, 1.0), np.clip(upper + half, 0.0, 1.0))
     return PBox(at, lower, upper, *band, curve.corner_lower, curve.corner_upper)
 
 
-def farthest(samples: Sequence[Sample], curve: PBox) -> float:
+def smoothing_error(samples: Sequence[Sample], curve: PBox) -> float:
     """Largest difference in probability between the sides of ``curve`` and those that the samples'
     steps make.
     """
     ends = envelope(samples, curve.value)
     return max(
-        float(np.abs(found - wanted).max())
-        for found, wanted in zip((curve.lower, curve.upper), ends, strict=True)
+        float(np.abs(side - stepped).max())
+        for side, stepped in zip((curve.lower, curve.upper), ends, strict=True)
     )
 
 
@@ -207,10 +217,10 @@ def metric_label(metric: str) -> str:
         ", measured" if metric.endswith("_measured") else "",
     )
     quantity, _, unit = name.rpartition("_")
-    known = {"m": "m", "mps": "m/s", "deg": "deg", "s": "s"}.get(unit)
+    unit_text = {"m": "m", "mps": "m/s", "deg": "deg", "s": "s"}.get(unit)
     return (
-        f"{quantity.replace('_', ' ')}{measured} [{known}]"
-        if quantity and known
+        f"{quantity.replace('_', ' ')}{measured} [{unit_text}]"
+        if quantity and unit_text
         else f"{metric} [-]"
     )
 
@@ -237,14 +247,14 @@ def corner_words(frame: pd.DataFrame) -> dict[str, str]:
 
 def _half(box: PBox, unit: str) -> str:
     low, high = box.quantile(0.5)
-    return f"{shown(low)} to {shown(high)} {unit}"
+    return f"{format_value(low)} to {format_value(high)} {unit}"
 
 
-def _cursor(number: int, drawn: DrawnBox, box: PBox, alone: bool) -> dict[str, Any]:
+def _cursor(number: int, labelled_box: LabelledBox, box: PBox, is_single: bool) -> dict[str, Any]:
     """What the page's script reads out; without the samples' names where smooth curves lie over
     each other.
     """
-    names = _behind(box) if alone or not drawn.smooth else []
+    names = _samples_on_sides(box) if is_single or not labelled_box.smooth else []
     place = {name: k for k, name in enumerate(names)}
     sides = {
         "lower": box.lower,
@@ -253,11 +263,11 @@ def _cursor(number: int, drawn: DrawnBox, box: PBox, alone: bool) -> dict[str, A
         "band_upper": box.band_upper,
     }
     return {
-        "name": drawn.title,
+        "name": labelled_box.title,
         "tag": f"{number}.",
-        "smooth": drawn.smooth,
-        "corners": [drawn.words.get(name, name) for name in names],
-        "middle": float(f"{np.median(drawn.box.value):.4g}"),
+        "smooth": labelled_box.smooth,
+        "corners": [labelled_box.words.get(name, name) for name in names],
+        "middle": float(f"{np.median(labelled_box.box.value):.4g}"),
         "value": [float(f"{v:.5g}") for v in box.value],
         **{side: [round(float(p), 4) for p in values] for side, values in sides.items()},
         "at_least": [place[str(name)] for name in box.corner_lower] if names else [],
@@ -265,26 +275,26 @@ def _cursor(number: int, drawn: DrawnBox, box: PBox, alone: bool) -> dict[str, A
     }
 
 
-def _behind(box: PBox) -> list[str]:
+def _samples_on_sides(box: PBox) -> list[str]:
     """Ids of the samples that set a side somewhere, in order of appearance."""
     return list(
         dict.fromkeys(str(name) for side in (box.corner_lower, box.corner_upper) for name in side)
     )
 
 
-def _curves(drawn: DrawnBox, box: PBox) -> list[Sample]:
+def _curves(labelled_box: LabelledBox, box: PBox) -> list[Sample]:
     """Samples to draw one by one: all if they are few, else those that set a side and some of the
     others, evenly chosen.
     """
-    if len(drawn.samples) <= _MOST_CURVES:
-        return list(drawn.samples)
-    wanted = set(_behind(box)[: _MOST_CURVES // 2])
-    others = [sample for sample in drawn.samples if sample.epistemic_id not in wanted]
+    if len(labelled_box.samples) <= _MAX_CURVES:
+        return list(labelled_box.samples)
+    selected = set(_samples_on_sides(box)[: _MAX_CURVES // 2])
+    remaining = [sample for sample in labelled_box.samples if sample.epistemic_id not in selected]
     places = np.unique(
-        np.linspace(0, len(others) - 1, _MOST_CURVES - len(wanted)).round().astype(int)
+        np.linspace(0, len(remaining) - 1, _MAX_CURVES - len(selected)).round().astype(int)
     )
-    wanted |= {others[k].epistemic_id for k in places}
-    return [sample for sample in drawn.samples if sample.epistemic_id in wanted]
+    selected |= {remaining[k].epistemic_id for k in places}
+    return [sample for sample in labelled_box.samples if sample.epistemic_id in selected]
 
 
 def _steps(sample: Sample, x: Scale) -> tuple[FloatArray, FloatArray]:
@@ -316,24 +326,26 @@ def convergence_section(item: MetricConvergence) -> Section:
     condition = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}"
     place = f"{item.metric.replace('_', '-')}-{condition}"
     figures = (_repeats(item, place), _growth(item, place))
-    drawn = Figures(tuple(figure for figure in figures if figure), file=f"convergence-{place}")
-    return Section(f"{item.metric}, {item.condition.words}", (drawn,))
+    figure_block = Figures(
+        tuple(figure for figure in figures if figure), file=f"convergence-{place}"
+    )
+    return Section(f"{item.metric}, {item.condition.words}", (figure_block,))
 
 
 def _repeats(item: MetricConvergence, place: str) -> Figure | None:
-    found = item.repeats
-    if found is None:
+    study = item.repeats
+    if study is None:
         return None
-    words = f"{found.repeats} repeats of {found.flights} flights, sample {item.epistemic_id}"
-    x = scale(metric_label(item.metric), [found.curves])
+    words = f"{study.repeats} repeats of {study.flights} flights, sample {item.epistemic_id}"
+    x = scale(metric_label(item.metric), [study.curves])
     chart = Chart(
         f"repeats-{place}",
         f"Distribution functions of {words}.",
         x,
         Scale(PROBABILITY, -0.01, 1.01),
     )
-    share = np.arange(found.flights + 1) / found.flights
-    for curve in found.curves:
+    share = np.arange(study.flights + 1) / study.flights
+    for curve in study.curves:
         chart.line(np.insert(curve, 0, x.low), share, "first thin", steps=True)
     return Figure(chart.name, chart.svg(), words)
 
@@ -358,7 +370,7 @@ def _growth(item: MetricConvergence, place: str) -> Figure | None:
         f"growth-{place}",
         label,
         x,
-        scale(f"area of the p-box [{unit}", [np.zeros(1), high], least=0.0),
+        scale(f"area of the p-box [{unit}", [np.zeros(1), high], minimum=0.0),
     )
     chart.band(at, low, high, "fill1", "95 % of random parts")
     chart.line(at, area, "first", "mean")

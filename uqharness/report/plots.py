@@ -19,8 +19,8 @@ from uqharness.arguments import instance
 from uqharness.campaign import CONFIDENCE, band_confidence, in_condition, pboxes, samples
 from uqharness.replay import axis_label, shown_channel
 from uqharness.report.history import Z95
-from uqharness.report.pages.model_form import BEYOND, near_slice, slice_states
-from uqharness.report.pbox import PROBABILITY, DrawnBox, metric_label, pbox_figure
+from uqharness.report.pages.model_form import SLICE_MARGIN, near_slice, slice_states
+from uqharness.report.pbox import PROBABILITY, LabelledBox, metric_label, pbox_figure
 from uqharness.report.svg import standalone
 from uqharness.statistics import PBox
 
@@ -289,15 +289,15 @@ def plot_model_form(
     ax, factor = _axes(ax), shown_channel(state)[2]
     k = bounds.states.index(state)
     low, high = float(bounds.hull.low[k]), float(bounds.hull.high[k])
-    reach = BEYOND * max(high - low, 1e-9)
+    reach = SLICE_MARGIN * max(high - low, 1e-9)
     at = np.linspace(low - reach, high + reach, 121)
     ax.axvspan(factor * low, factor * high, color=_SOFT, alpha=0.13, linewidth=0)
     if residuals is not None:
-        near = near_slice(bounds, state, residuals.states)
+        is_near = near_slice(bounds, state, residuals.states)
         values = np.concatenate(residuals.columns(coefficient))
         ax.plot(
-            factor * residuals.states[state][near],
-            values[near],
+            factor * residuals.states[state][is_near],
+            values[is_near],
             ".",
             color=_SOFT,
             markersize=3,
@@ -329,7 +329,7 @@ def _axes(ax: Axes | None) -> Axes:
 
 # What a notebook shows of a campaign: HTML with the report's own p-box charts.
 
-_MOST_CHARTS = 4
+_MAX_CHARTS = 4
 """Conditions whose p-box is drawn; ``pboxes()`` has all."""
 _STATEMENT_COLUMNS = (
     "condition",
@@ -353,10 +353,10 @@ def campaign_view(
         "flights": len(cases),
         "failed or aborted": failed,
     }
-    shown = [name for name in _STATEMENT_COLUMNS if name in statements]
+    displayed = [name for name in _STATEMENT_COLUMNS if name in statements]
     return view(
         f"Campaign in {folder}",
-        frame_table(statements[shown]),
+        frame_table(statements[displayed]),
         _charts(manifest, cases),
         facts=facts,
     )
@@ -367,12 +367,16 @@ def _charts(manifest: Mapping[str, Any], cases: pd.DataFrame) -> str:
     first = None
     for metric, condition, box in pboxes(cases, band_confidence(manifest["campaign"], CONFIDENCE)):
         first = first or metric
-        if metric != first or len(charts) == _MOST_CHARTS:
+        if metric != first or len(charts) == _MAX_CHARTS:
             break
         quantity, _, unit = metric_label(metric).rpartition(" [")
-        drawn = DrawnBox("", box, samples(in_condition(cases, condition), metric), {})
+        labelled_box = LabelledBox("", box, samples(in_condition(cases, condition), metric), {})
         figure = pbox_figure(
-            f"notebook-{len(charts)}", quantity, unit.removesuffix("]"), [drawn], condition.words
+            f"notebook-{len(charts)}",
+            quantity,
+            unit.removesuffix("]"),
+            [labelled_box],
+            condition.words,
         )
         charts.append((figure.svg, f"{quantity}, {condition.words}"))
     if not charts:

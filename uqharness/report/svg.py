@@ -25,11 +25,11 @@ from sysid.display import visible
 
 WIDTH = 360
 _GAP = 16
-_LEFT, _RIGHT, _TOP, _BOTTOM = 34, 12, 24, 38
+_MIN_LEFT, _RIGHT, _TOP, _BOTTOM = 34, 12, 24, 38
 _CHARACTER = 6.9
 """Width to reserve for a character of the 11-unit text, whichever font the reader has."""
-_MOST_POINTS = 400
-_MOST_LOG_TICKS = 9
+_MAX_POINTS = 400
+_MAX_LOG_TICKS = 9
 
 
 @dataclass(frozen=True)
@@ -79,31 +79,31 @@ class Scale:
 
 
 def scale(
-    label: str, values: Sequence[FloatArray], margin: float = 0.06, least: float | None = None
+    label: str, values: Sequence[FloatArray], margin: float = 0.06, minimum: float | None = None
 ) -> Scale:
-    """A scale around all finite values, ``least`` its smallest end at most where it is given; 0 to
+    """A scale around all finite values, ``minimum`` its smallest end at most where it is given; 0 to
     1 where there is none.
     """
-    known = (
+    finite = (
         np.concatenate([np.ravel(v)[np.isfinite(np.ravel(v))] for v in values])
         if values
         else np.empty(0)
     )
-    if not known.size:
+    if not finite.size:
         return Scale(label, 0.0, 1.0)
-    low, high = float(known.min()), float(known.max())
+    low, high = float(finite.min()), float(finite.max())
     room = margin * (high - low) or 0.1 * abs(high) or 1.0
     low, high = low - room, high + room
-    return Scale(label, low if least is None else max(least, low), high)
+    return Scale(label, low if minimum is None else max(minimum, low), high)
 
 
 def log_scale(label: str, values: Sequence[FloatArray], margin: float = 0.06) -> Scale:
     """A logarithmic scale around all finite values above 0; 0.1 to 1 where there is none."""
-    known = np.concatenate([np.ravel(v) for v in values]) if values else np.empty(0)
-    known = known[np.isfinite(known) & (known > 0.0)]
-    if not known.size:
+    positive = np.concatenate([np.ravel(v) for v in values]) if values else np.empty(0)
+    positive = positive[np.isfinite(positive) & (positive > 0.0)]
+    if not positive.size:
         return Scale(label, 0.1, 1.0, log=True)
-    low, high = math.log(known.min()), math.log(known.max())
+    low, high = math.log(positive.min()), math.log(positive.max())
     room = margin * (high - low) if high > low else 0.5
     return Scale(label, math.exp(low - room), math.exp(high + room), log=True)
 
@@ -112,15 +112,15 @@ def _log_ticks(low: float, high: float) -> list[tuple[float, str]]:
     """At 1, 2 and 5 times the powers of ten, or at the powers alone where there are many."""
     powers = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
     for factors in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
-        found = [
+        values = [
             f * 10.0**k
             for k in powers
             for f in factors
             if low * (1 - 1e-9) <= f * 10.0**k <= high * (1 + 1e-9)
         ]
-        if len(found) <= _MOST_LOG_TICKS:
+        if len(values) <= _MAX_LOG_TICKS:
             break
-    return [(value, f"{value:g}") for value in found]
+    return [(value, f"{value:g}") for value in values]
 
 
 def _step(rough: float) -> float:
@@ -156,20 +156,25 @@ class Chart:
     legend: list[tuple[str, str]] = field(default_factory=list)
 
     @cached_property
-    def left(self) -> int:
+    def left_margin(self) -> int:
         """Room for the widest tick."""
         widest = max((len(words) for _, words in self.y.ticks()), default=0)
-        return max(_LEFT, min(190, 9 + math.ceil(_CHARACTER * widest)))
+        return max(_MIN_LEFT, min(190, 9 + math.ceil(_CHARACTER * widest)))
 
     @property
     def plot(self) -> tuple[float, float, float, float]:
         """Left, top, width and height of the area inside the axes."""
-        return self.left, _TOP, WIDTH - self.left - _RIGHT, self.height - _TOP - _BOTTOM
+        return (
+            self.left_margin,
+            _TOP,
+            WIDTH - self.left_margin - _RIGHT,
+            self.height - _TOP - _BOTTOM,
+        )
 
     def at(self, x: FloatArray | float, y: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         """Places of data in the drawing."""
-        left, top, width, height = self.plot
-        u, v = left + width * self.x.place(x), top + height * (1.0 - self.y.place(y))
+        x0, top, width, height = self.plot
+        u, v = x0 + width * self.x.place(x), top + height * (1.0 - self.y.place(y))
         # Far beyond the frame a browser's arithmetic fails before the clip does.
         u, v = (np.where(np.isfinite(w), np.clip(w, -5000.0, 5000.0), np.nan) for w in (u, v))
         return u, v
@@ -188,7 +193,7 @@ class Chart:
         """
         x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
         if not steps:
-            x, y = thinned(x, y)
+            x, y = thin_line(x, y)
         path = _path(*self.at(x, y), steps)
         if path:
             self.marks.append(f'<path class="line {kind}"{data} d="{path}"/>')
@@ -215,8 +220,8 @@ class Chart:
             _, w = self.at(x[run], high[run])
             if steps:
                 u, v, w = np.repeat(u, 2)[1:], np.repeat(v, 2)[:-1], np.repeat(w, 2)[:-1]
-            elif u.size > _MOST_POINTS:
-                keep = np.unique(np.linspace(0, u.size - 1, _MOST_POINTS).round().astype(int))
+            elif u.size > _MAX_POINTS:
+                keep = np.unique(np.linspace(0, u.size - 1, _MAX_POINTS).round().astype(int))
                 u, v, w = u[keep], v[keep], w[keep]
             outline = _path(np.concatenate([u, u[::-1]]), np.concatenate([w, v[::-1]]))
             self.marks.append(f'<path class="band {kind}" d="{outline}Z"/>')
@@ -232,10 +237,10 @@ class Chart:
     ) -> None:
         """Small discs at finite points, one path for all of them."""
         u, v = self.at(x, y)
-        known = np.isfinite(u) & np.isfinite(v)
-        if known.any():
+        finite = np.isfinite(u) & np.isfinite(v)
+        if finite.any():
             # A line of no length with round ends is a disc, and the shortest there is to write.
-            path = _written("M%.1f %.1fh0" * int(known.sum()), u[known], v[known])
+            path = _format_pairs("M%.1f %.1fh0" * int(finite.sum()), u[finite], v[finite])
             self.marks.append(
                 f'<path class="dots {kind}" stroke-width="{2 * radius:g}" d="{path}"/>'
             )
@@ -246,7 +251,7 @@ class Chart:
         (u,), (v,) = (np.atleast_1d(w) for w in self.at(x, y))
         if not (math.isfinite(u) and math.isfinite(v)):
             return
-        drawn = {
+        shapes = {
             "disc": f'<circle class="mark {kind}" cx="{u:.1f}" cy="{v:.1f}" r="4"/>',
             "ring": f'<circle class="mark hollow {kind}" cx="{u:.1f}" cy="{v:.1f}" r="4"/>',
             "square": (
@@ -256,7 +261,7 @@ class Chart:
             "bar": f'<path class="line {kind}" d="M{u:.1f} {v - 5:.1f}v10"/>',
             "cross": f'<path class="line {kind}" d="M{u - 4:.1f} {v - 4:.1f}l8 8m0 -8l-8 8"/>',
         }
-        self.marks.append(drawn[shape])
+        self.marks.append(shapes[shape])
         self._entry(f"mark-{shape} {kind}", words)
 
     def text(
@@ -309,7 +314,7 @@ class Chart:
 
     def svg(self) -> Markup:
         """The drawing, to stand in a page that has templates/figure.css."""
-        left, top, width, height = self.plot
+        x0, top, width, height = self.plot
         entries, rows = _legend(self.legend, WIDTH)
         total = self.height + (16 * rows + 4 if rows else 0)
         out = [
@@ -318,19 +323,19 @@ class Chart:
                 f' {WIDTH} {total}" '
             ),
             (
-                f'data-plot="{left},{top},{width},{height}"'
+                f'data-plot="{x0},{top},{width},{height}"'
                 f' data-x="{self.x.low:.6g},{self.x.high:.6g}">'
             ),
             (
-                f'<clipPath id="{self.name}-clip"><rect x="{left}" y="{top}" width="{width}"'
+                f'<clipPath id="{self.name}-clip"><rect x="{x0}" y="{top}" width="{width}"'
                 f' height="{height}"/></clipPath>'
             ),
             *self._grid(),
             f'<g clip-path="url(#{self.name}-clip)">{"".join(self.marks)}</g>',
-            f'<path class="axis" d="M{left} {top}v{height}h{width}"/>',
+            f'<path class="axis" d="M{x0} {top}v{height}h{width}"/>',
             f'<text class="label" x="2" y="13">{escape(self.y.label)}</text>',
         ]
-        middle, low = left + width / 2, self.height - 5
+        middle, low = x0 + width / 2, self.height - 5
         out.append(
             f'<text class="label" text-anchor="middle" x="{middle:g}"'
             f' y="{low}">{escape(self.x.label)}</text>'
@@ -344,10 +349,10 @@ class Chart:
         return Markup("".join([*out, "</svg>"]))
 
     def _grid(self) -> list[str]:
-        left, top, width, height = self.plot
+        x0, top, width, height = self.plot
         out = []
         for value, words in self.x.ticks():
-            u = left + width * float(self.x.place(value))
+            u = x0 + width * float(self.x.place(value))
             out.append(f'<path class="grid" d="M{u:.1f} {top}v{height}"/>')
             u = min(u, WIDTH - 2 - 0.5 * _CHARACTER * len(words))
             out.append(
@@ -357,9 +362,9 @@ class Chart:
         for value, words in self.y.ticks():
             v = top + height * (1.0 - float(self.y.place(value)))
             if not self.y.names:
-                out.append(f'<path class="grid" d="M{left} {v:.1f}h{width}"/>')
+                out.append(f'<path class="grid" d="M{x0} {v:.1f}h{width}"/>')
             out.append(
-                f'<text text-anchor="end" x="{left - 5}" y="{v + 3.5:.1f}">{escape(words)}</text>'
+                f'<text text-anchor="end" x="{x0 - 5}" y="{v + 3.5:.1f}">{escape(words)}</text>'
             )
         return out
 
@@ -420,9 +425,9 @@ def standalone(
 
 def _placed(svg: Markup, x: int, y: int) -> tuple[int, str]:
     """Height of a chart, and the chart at a place of another drawing."""
-    found = re.search(r'viewBox="0 0 (\d+) (\d+)"', svg)
-    assert found is not None
-    height = int(found[2])
+    view_box = re.search(r'viewBox="0 0 (\d+) (\d+)"', svg)
+    assert view_box is not None
+    height = int(view_box[2])
     return height, str(svg).replace(
         "<svg ", f'<svg x="{x}" y="{y}" width="{WIDTH}" height="{height}" ', 1
     )
@@ -446,15 +451,15 @@ def _plain_style() -> str:
     return re.sub(r"var\(--([\w-]+)\)", lambda found: colours[found[1]], rules)
 
 
-def thinned(
-    x: FloatArray, y: FloatArray, most: int = _MOST_POINTS
+def thin_line(
+    x: FloatArray, y: FloatArray, max_points: int = _MAX_POINTS
 ) -> tuple[FloatArray, FloatArray]:
-    """A line of at most about ``most`` points that keeps every bucket's smallest and largest value,
+    """A line of at most about ``max_points`` points that keeps every bucket's smallest and largest value,
     so no peak is lost.
     """
-    if x.size <= most:
+    if x.size <= max_points:
         return x, y
-    edges = np.linspace(0, x.size, most // 2 + 1).astype(int)
+    edges = np.linspace(0, x.size, max_points // 2 + 1).astype(int)
     first, sizes = edges[:-1], np.diff(edges)
     bucket, missing = np.repeat(np.arange(first.size), sizes), np.isnan(y)
     # The first sample without a value keeps the gap; without any value it stands for its bucket.
@@ -465,29 +470,31 @@ def thinned(
     return x[order], y[order]
 
 
-def _first_of(bucket: NDArray[np.intp], wanted: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _first_of(bucket: NDArray[np.intp], is_selected: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Place of the first wanted sample of each bucket that has one; ``bucket`` ascends."""
-    places = np.flatnonzero(wanted)
-    of = bucket[places]
-    return places[np.append(True, of[1:] != of[:-1])[: places.size]]
+    places = np.flatnonzero(is_selected)
+    bucket_of_place = bucket[places]
+    return places[np.append(True, bucket_of_place[1:] != bucket_of_place[:-1])[: places.size]]
 
 
-def _runs(known: NDArray[np.bool_]) -> list[slice]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+def _runs(is_finite: NDArray[np.bool_]) -> list[slice]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_finite, [False]]).astype(int)))
     return [
         slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1
     ]
 
 
 def _path(u: FloatArray, v: FloatArray, steps: bool = False) -> str:
-    known = np.isfinite(u) & np.isfinite(v)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    is_finite = np.isfinite(u) & np.isfinite(v)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_finite, [False]]).astype(int)))
     going_on = "H%.1fV%.1f" if steps else "L%.1f %.1f"
     runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    return "".join(_written("M%.1f %.1f" + going_on * (b - a - 1), u[a:b], v[a:b]) for a, b in runs)
+    return "".join(
+        _format_pairs("M%.1f %.1f" + going_on * (b - a - 1), u[a:b], v[a:b]) for a, b in runs
+    )
 
 
-def _written(form: str, u: FloatArray, v: FloatArray) -> str:
+def _format_pairs(form: str, u: FloatArray, v: FloatArray) -> str:
     """Pairs of numbers in a form of one decimal, which is left out where it is 0."""
     return (form % tuple(np.column_stack([u, v]).ravel().tolist())).replace(".0", "")
 
@@ -507,15 +514,17 @@ def _legend(
 
 
 def _swatch(kind: str, x: float, y: float) -> str:
-    shape, _, rest = kind.partition(" ")
+    shape, _, css_class = kind.partition(" ")
     if shape == "mark-disc":
-        return f'<circle class="mark {rest}" cx="{x + 11:g}" cy="{y:g}" r="4"/>'
+        return f'<circle class="mark {css_class}" cx="{x + 11:g}" cy="{y:g}" r="4"/>'
     if shape == "mark-ring":
-        return f'<circle class="mark hollow {rest}" cx="{x + 11:g}" cy="{y:g}" r="4"/>'
+        return f'<circle class="mark hollow {css_class}" cx="{x + 11:g}" cy="{y:g}" r="4"/>'
     if shape == "mark-square":
-        return f'<rect class="mark {rest}" x="{x + 7.5:g}" y="{y - 3.5:g}" width="7" height="7"/>'
+        return (
+            f'<rect class="mark {css_class}" x="{x + 7.5:g}" y="{y - 3.5:g}" width="7" height="7"/>'
+        )
     if shape == "mark-cross":
-        return f'<path class="line {rest}" d="M{x + 7:g} {y - 4:g}l8 8m0 -8l-8 8"/>'
+        return f'<path class="line {css_class}" d="M{x + 7:g} {y - 4:g}l8 8m0 -8l-8 8"/>'
     if shape.startswith("fill"):
         return f'<rect class="band {kind}" x="{x:g}" y="{y - 5:g}" width="22" height="10"/>'
     if shape.startswith("dot"):

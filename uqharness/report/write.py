@@ -16,7 +16,15 @@ from uqharness.files import finite, inner_folder, remove, write_bytes, write_jso
 from uqharness.refinement import Refinement
 from uqharness.replay import CONTROLS, columns_of, write_histories
 from uqharness.report.history import MOST_SEGMENTS
-from uqharness.report.parts import Figures, Page, Say, Section, every_section, first_lines, render
+from uqharness.report.parts import (
+    Figures,
+    Page,
+    Section,
+    Sentence,
+    every_section,
+    first_lines,
+    render,
+)
 from uqharness.report.svg import standalone
 
 # The page of any folder of results: what the folder is, is told by its files.
@@ -53,8 +61,8 @@ def kind_of(folder: Path) -> str:
             f"{folder}: next-flight writes its report.html itself and report does not; open that"
             " page, or run uqharness next-flight again to write it anew"
         )
-    looked = ", ".join(f"{name} ({kind})" for name, kind in KINDS)
-    raise BadInputError(f"{folder}: no results to report on; looked for {looked}")
+    expected_files = ", ".join(f"{name} ({kind})" for name, kind in KINDS)
+    raise BadInputError(f"{folder}: no results to report on; looked for {expected_files}")
 
 
 def page_of(folder: Path, every_segment: bool = False) -> Page:
@@ -82,10 +90,10 @@ def page_of(folder: Path, every_segment: bool = False) -> Page:
 
         return compare_page(folder, segments=None if every_segment else MOST_SEGMENTS)
     if kind == "campaign run":
-        from uqharness.report.campaign import read_found
+        from uqharness.report.campaign import read_campaign_report
         from uqharness.report.pages.campaign import campaign_page
 
-        return campaign_page(read_found(folder))
+        return campaign_page(read_campaign_report(folder))
     from uqharness.report.pages.coverage import coverage_page
     from uqharness.report.pages.model_form import bounds_page
 
@@ -93,7 +101,7 @@ def page_of(folder: Path, every_segment: bool = False) -> Page:
 
 
 REPORT = "report.html"
-_NAMED = 5
+_MAX_NAMED = 5
 """Damaged files that a page names."""
 
 
@@ -133,44 +141,48 @@ def write_report(folder: Path, figures: bool = False) -> Report:
     ``figures``: write its drawings into figures/ as well. Those of a campaign always are.
     """
     page, kind = page_of(folder), kind_of(folder)
-    drawn = page if figures or kind == "campaign run" else None
+    figure_page = page if figures or kind == "campaign run" else None
     if figures and kind in SEGMENTED:
-        drawn = page_of(folder, every_segment=True)
-    return write_page(folder, page, drawn)
+        figure_page = page_of(folder, every_segment=True)
+    return write_page(folder, page, figure_page)
 
 
 def write_campaign_report(folder: Path) -> Report:
     """The same for the folder of a complete campaign and no other."""
-    from uqharness.report.campaign import read_found
+    from uqharness.report.campaign import read_campaign_report
     from uqharness.report.pages.campaign import campaign_page
 
-    page = campaign_page(read_found(folder))
+    page = campaign_page(read_campaign_report(folder))
     return write_page(folder, page, page)
 
 
-def write_page(folder: Path, page: Page, drawn: Page | None = None) -> Report:
-    """Write a page as ``folder``/report.html, and the drawings of ``drawn`` into figures/.
+def write_page(folder: Path, page: Page, figure_page: Page | None = None) -> Report:
+    """Write a page as ``folder``/report.html, and the drawings of ``figure_page`` into figures/.
 
     Raises BadInputError.
     """
-    path, found = folder / REPORT, faults(folder)
-    drawings = () if drawn is None else tuple(write_figures(folder, drawn.sections, drawn.title))
-    written = {item.relative_to(folder).as_posix() for item in (path, *drawings)}
-    damaged = tuple(fault for fault in found if fault.name not in written)
+    path, file_faults = folder / REPORT, faults(folder)
+    drawings = (
+        ()
+        if figure_page is None
+        else tuple(write_figures(folder, figure_page.sections, figure_page.title))
+    )
+    new_files = {item.relative_to(folder).as_posix() for item in (path, *drawings)}
+    damaged = tuple(fault for fault in file_faults if fault.name not in new_files)
     if damaged:
-        page = replace(page, verdict=(Say(_damage_words(damaged), "bad"), *page.verdict))
+        page = replace(page, verdict=(Sentence(_damage_words(damaged), "bad"), *page.verdict))
     write_bytes(path, render(page).encode("utf-8", errors="replace"))
-    again = tuple(fault.name for fault in found if fault.name in written)
-    return Report(path, drawings, page, damaged, again)
+    rewritten = tuple(fault.name for fault in file_faults if fault.name in new_files)
+    return Report(path, drawings, page, damaged, rewritten)
 
 
 def _damage_words(damaged: Sequence[Fault]) -> str:
     """Say on the page that files are not as they were written, and how many."""
-    named = "; ".join(f"{fault.name}: {fault.problem}" for fault in damaged[:_NAMED])
-    more = f"; and {len(damaged) - _NAMED} more" if len(damaged) > _NAMED else ""
+    listed = "; ".join(f"{fault.name}: {fault.problem}" for fault in damaged[:_MAX_NAMED])
+    more = f"; and {len(damaged) - _MAX_NAMED} more" if len(damaged) > _MAX_NAMED else ""
     return (
         f"Do not rely on this page: {len(damaged)} of the folder's files changed after "
-        f"uqharness wrote the folder. {named}{more}."
+        f"uqharness wrote the folder. {listed}{more}."
     )
 
 
@@ -235,10 +247,10 @@ def write_results(done: Refinement, out: Path) -> None:
     columns = columns_of(setup.outputs, setup.measured) | columns_of(
         CONTROLS, [s.controls for s in setup.segments]
     )
-    for suffix, shown in models.items():
-        modelled = [z - r for z, r in zip(setup.measured, shown.residual, strict=True)]
+    for suffix, evaluation in models.items():
+        modelled = [z - r for z, r in zip(setup.measured, evaluation.residual, strict=True)]
         columns |= columns_of(setup.outputs, modelled, suffix)
-        columns |= columns_of(COEFFICIENTS, shown.coefficients, f"_gap{suffix}")
+        columns |= columns_of(COEFFICIENTS, evaluation.coefficients, f"_gap{suffix}")
     write_histories(out, setup.segments, columns)
     write_sums(out, done.earlier)
 

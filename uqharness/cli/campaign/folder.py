@@ -52,7 +52,7 @@ from uqharness.parallel import usable_cores
 from uqharness.report import (
     convergence_section,
     draw_rerun,
-    shown_cases,
+    track_cases,
     write_campaign_report,
     write_figures,
 )
@@ -172,7 +172,7 @@ def _fly_shown(folder: Path) -> list[str]:
     manifest = read_manifest(folder)
     if manifest.get("state") != "complete" or any((folder / RERUN).glob("*/record.parquet")):
         return []
-    cases = shown_cases(read_cases(folder, manifest))
+    cases = track_cases(read_cases(folder, manifest))
     seconds = len(cases) * sum(
         float(manifest["campaign"]["aleatory"][key]) for key in ("duration_s", "burn_in_s")
     )

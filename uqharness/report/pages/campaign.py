@@ -19,16 +19,16 @@ from uqharness.campaign import (
 from uqharness.campaign.conditions import conditions
 from uqharness.report import campaign as report_statements
 from uqharness.report.campaign import (
-    CampaignFound,
+    CampaignReport,
     Finding,
     answer_level,
-    called,
     engine_section,
     hardest_first,
     kind_of,
     sensitivity_section,
     span,
     track_section,
+    with_sample_noun,
 )
 from uqharness.report.parts import (
     Block,
@@ -41,11 +41,11 @@ from uqharness.report.parts import (
     Section,
     Table,
     Words,
+    format_value,
     is_wanted,
     provenance,
-    shown,
 )
-from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
+from uqharness.report.pbox import LabelledBox, corner_words, pbox_figure
 from uqharness.statistics import ExcursionRate, best_and_worst, poisson_upper
 
 CONDITIONS_DRAWN = 4
@@ -58,36 +58,39 @@ _MARKS = {"yes": "✓", "no": "✕", "open": "?"}
 
 
 def campaign_page(
-    found: CampaignFound, prefix: str = "", only: Collection[str] | None = None
+    report: CampaignReport, prefix: str = "", only: Collection[str] | None = None
 ) -> Page:
     """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page.
 
     ``only``: titles of the sections that are shown, if not all.
     """
-    kind = kind_of(found.campaign["epistemic"])
-    sections = [called(grid_section(found.signed), kind)]
+    kind = kind_of(report.campaign["epistemic"])
+    sections = [with_sample_noun(grid_section(report.signed), kind)]
     if is_wanted(PBOXES, only):
-        section = called(pbox_section(found, prefix), kind)
+        section = with_sample_noun(pbox_section(report, prefix), kind)
         remarks = tuple(
             Words(f"{text[0].upper()}{text[1:]}.")
-            for text in corners_only_words(found.campaign["epistemic"])
+            for text in corners_only_words(report.campaign["epistemic"])
         )
         sections.append(replace(section, blocks=(*remarks, *section.blocks)))
-    sections += track_section(found.folder, found.frame, prefix)
-    sections += sensitivity_section(found.folder, found.manifest, prefix)
-    sections += [*(called(s, kind) for s in rate_sections(found)), failure_section(found.frame)]
-    sections += [engine_section(found.manifest, found.engine_check), _provenance(found)]
-    return Page(f"Campaign of {found.aircraft}", found.asked, found.verdict, tuple(sections))
+    sections += track_section(report.folder, report.frame, prefix)
+    sections += sensitivity_section(report.folder, report.manifest, prefix)
+    sections += [
+        *(with_sample_noun(s, kind) for s in rate_sections(report)),
+        failure_section(report.frame),
+    ]
+    sections += [engine_section(report.manifest, report.engine_check), _provenance(report)]
+    return Page(f"Campaign of {report.aircraft}", report.question, report.verdict, tuple(sections))
 
 
-def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
+def pbox_section(report: CampaignReport, prefix: str = "") -> Section:
     """P-boxes of the medians in the first conditions, and the table of their middles in all."""
-    drawn = hardest_first(conditions(found.frame))[:CONDITIONS_DRAWN]
-    words = corner_words(found.frame)
+    displayed = hardest_first(conditions(report.frame))[:CONDITIONS_DRAWN]
+    words = corner_words(report.frame)
     figures = tuple(
         _figure(item, words, prefix)
-        for condition in drawn
-        for item in found.findings
+        for condition in displayed
+        for item in report.findings
         if item.condition == condition
     )
     intro = (
@@ -98,21 +101,21 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
         " cursor the figure names the sample behind either side: − for a coefficient at its lower"
         " bound, + for one at its upper."
     )
-    published = any(item.published is not None for item in found.findings)
+    published = any(item.published is not None for item in report.findings)
     if published:
         intro += (
             " The published flight was measured by its own sensors, so it is marked only where the"
             " curves are measured too."
         )
     blocks: list[Block] = [Words(intro, note=True), Figures(figures, file="")]
-    undrawn = len(conditions(found.frame)) - len(drawn)
+    undrawn = len(conditions(report.frame)) - len(displayed)
     if undrawn > 0:
         text = (
             f"Further conditions, not drawn: {undrawn}; they are in the tables below and in"
             " pbox.parquet."
         )
         blocks.append(Words(text, note=True))
-    between = any(item.widened is not None for item in found.findings)
+    between = any(item.widened is not None for item in report.findings)
     head = [
         "Error",
         "Condition",
@@ -138,7 +141,7 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
         Table(
             caption,
             tuple(head),
-            tuple(_median_row(item, words, between, published) for item in found.findings),
+            tuple(_median_row(item, words, between, published) for item in report.findings),
         )
     )
     return Section(PBOXES, tuple(blocks))
@@ -152,16 +155,16 @@ def _figure(item: Finding, words: dict[str, str], prefix: str) -> Figure:
         if item.published is None
         else (item.published, f"published flight, {item.published:g} {item.unit}")
     )
-    drawn = DrawnBox("", item.box, item.samples, words)
+    labelled_box = LabelledBox("", item.box, item.samples, words)
     return pbox_figure(
-        name, item.axis, item.unit, [drawn], f"{item.title}; {item.condition.words}.", mark
+        name, item.axis, item.unit, [labelled_box], f"{item.title}; {item.condition.words}.", mark
     )
 
 
 def _median_row(
     item: Finding, words: dict[str, str], between: bool, published: bool
 ) -> tuple[str, ...]:
-    band = " to ".join(shown(end) for end in item.box.band_quantile(0.5))
+    band = " to ".join(format_value(end) for end in item.box.band_quantile(0.5))
     ends = [words.get(name, name) for name in item.box.set_by(0.5)]
     row = [
         f"{item.title} [{item.unit}]",
@@ -222,7 +225,7 @@ def grid_section(
 def _grid_cell(item: Statement | None) -> Cell:
     if item is None:
         return Cell("not flown")
-    limits = f"{item.worst.lower:.2g} to {shown(item.worst.upper)}"
+    limits = f"{item.worst.lower:.2g} to {format_value(item.worst.upper)}"
     rate = (
         "undefined: no flight was scored"
         if math.isnan(item.worst.rate)
@@ -237,10 +240,10 @@ def _grid_cell(item: Statement | None) -> Cell:
     )
 
 
-def rate_sections(found: CampaignFound) -> list[Section]:
+def rate_sections(report: CampaignReport) -> list[Section]:
     """Supportable claims, and the counts behind it."""
-    signed = found.signed
-    acceptable = f"{found.campaign['metrics']['acceptable_per_h']:g}"
+    signed = report.signed
+    acceptable = f"{report.campaign['metrics']['acceptable_per_h']:g}"
     text = (
         f"Excursions per flight hour of the best and the worst corner with limits ({_SURE} each)"
         " that take the flight as the unit, "
@@ -263,7 +266,7 @@ def rate_sections(found: CampaignFound) -> list[Section]:
         "Allowed for, and hours needed without excursions",
         "Time outside the data",
     )
-    words = corner_words(found.frame)
+    words = corner_words(report.frame)
     rows = tuple(_signed_row(item, words, kinds) for item in signed)
     first = Section(
         "Supportable claims",
@@ -274,7 +277,7 @@ def rate_sections(found: CampaignFound) -> list[Section]:
                 head,
                 rows,
             ),
-            Bullets(tuple(report_statements.assumptions(signed, found.campaign))),
+            Bullets(tuple(report_statements.assumptions(signed, report.campaign))),
         ),
     )
     text = (
@@ -337,7 +340,7 @@ def _excursion_row(cell: ExcursionCell, words: dict[str, str]) -> tuple[str | Ce
             _rate(worst, worst.rate_upper, worst.events_upper),
             small=words.get(worst.epistemic_id, worst.epistemic_id),
         ),
-        f"{best.simultaneous[0]:.2g} to {shown(worst.simultaneous[1])}",
+        f"{best.simultaneous[0]:.2g} to {format_value(worst.simultaneous[1])}",
         f"{worst.hours:.3g}",
         str(sum(rate.failed for rate in cell.rates)),
     )
@@ -348,7 +351,7 @@ def _rate(item: ExcursionRate, rate: float, events: int) -> str:
         return "undefined: no hours"
     if events == 0:
         return f"0 (< {poisson_upper(0, item.hours, CONFIDENCE):.2g})"
-    return f"{shown(rate)} [{item.limits[0]:.2g}, {shown(item.limits[1])}]"
+    return f"{format_value(rate)} [{item.limits[0]:.2g}, {format_value(item.limits[1])}]"
 
 
 def failure_section(frame: pd.DataFrame) -> Section:
@@ -374,9 +377,9 @@ def failure_section(frame: pd.DataFrame) -> Section:
     return Section("Failed flights", (Table(f"{len(failed)} failed{more}.", head, tuple(rows)),))
 
 
-def _provenance(found: CampaignFound) -> Section:
+def _provenance(report: CampaignReport) -> Section:
     """Commands, seed, versions and hashes: what it takes to do it again."""
-    manifest, settings = found.manifest, found.campaign["campaign"]
+    manifest, settings = report.manifest, report.campaign["campaign"]
     names = {"aircraft": settings["aircraft"], "script": settings["mission"]}
     hashes = [
         (f"{role.capitalize()} (SHA-256)", " ".join([digest, str(names.get(role, ""))]).strip())

@@ -14,15 +14,15 @@ from uqharness.report.parts import (
     Figure,
     Figures,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
     provenance,
 )
 from uqharness.report.svg import Chart, Scale, scale
 
-DRAWN = 8
+MAX_HISTORIES = 8
 """Channels whose histories are drawn."""
 _LEGEND = (("first", "A"), ("second", "B"))
 
@@ -31,58 +31,58 @@ def difference_page(
     names: tuple[str, str],
     channels: Sequence[Channel],
     flights: Sequence[Matched],
-    found: Sequence[Difference],
+    differences: Sequence[Difference],
     terms: Sequence[Term],
     command: str,
 ) -> Page:
-    """The page of what `uqharness.differences` found; ``found`` one row a channel, ranked."""
+    """The page of what `uqharness.differences` found; ``differences`` one row a channel, ranked."""
     a, b = names
-    asked = f"Does {b} fly as {a} does, with the same controls in the same air?"
+    question = f"Does {b} fly as {a} does, with the same controls in the same air?"
     sections = [
-        _channels(found),
-        *_histories(flights, found),
-        _elements(terms, found),
-        _flown(flights, channels),
+        _channels(differences),
+        *_histories(flights, differences),
+        _elements(terms, differences),
+        _flights(flights, channels),
     ]
     files = provenance(("Command", command or "not recorded"), ("A", a), ("B", b))
-    return Page(f"{a} and {b}", asked, _verdict(flights, found, terms), (*sections, files))
+    return Page(f"{a} and {b}", question, _verdict(flights, differences, terms), (*sections, files))
 
 
 def _verdict(
-    flights: Sequence[Matched], found: Sequence[Difference], terms: Sequence[Term]
-) -> tuple[Say, ...]:
-    said = [Say(f"{f.name}: {f.reason}.", "bad") for f in flights if f.reason]
+    flights: Sequence[Matched], differences: Sequence[Difference], terms: Sequence[Term]
+) -> tuple[Sentence, ...]:
+    sentences = [Sentence(f"{f.name}: {f.reason}.", "bad") for f in flights if f.reason]
     for f in flights:
-        said += [
-            Say(f"{f.name}: only {s} has {', '.join(n)}.", "bad")
+        sentences += [
+            Sentence(f"{f.name}: only {s} has {', '.join(n)}.", "bad")
             for s, n in (("A", f.only_a), ("B", f.only_b))
             if n
         ]
-    if found:
-        d = found[0]
-        said.append(
-            Say(
-                f"The models differ in {len(found)} channels, first in {d.channel} at {d.from_s:g}"
+    if differences:
+        d = differences[0]
+        sentences.append(
+            Sentence(
+                f"The models differ in {len(differences)} channels, first in {d.channel} at {d.from_s:g}"
                 f" s of {d.flight}.",
                 "bad",
             )
         )
         if d.terms:
-            said.append(Say(f"Likeliest cause: {_where(d.terms[0])}, {d.terms[0].path}."))
-    elif not said:
-        said.append(Say("No output differs beyond rounding.", "good"))
+            sentences.append(Sentence(f"Likeliest cause: {_where(d.terms[0])}, {d.terms[0].path}."))
+    elif not sentences:
+        sentences.append(Sentence("No output differs beyond rounding.", "good"))
         if terms:
-            said.append(
-                Say(
+            sentences.append(
+                Sentence(
                     f"{len(terms)} elements of the XML differ; these flights do not show them.",
                     "warn",
                 )
             )
-    return tuple(said)
+    return tuple(sentences)
 
 
-def _channels(found: Sequence[Difference]) -> Section:
-    if not found:
+def _channels(differences: Sequence[Difference]) -> Section:
+    if not differences:
         return Section("Channels", (Words("None differs."),))
     rows = tuple(
         (
@@ -94,7 +94,7 @@ def _channels(found: Sequence[Difference]) -> Section:
             f"{100.0 * d.share:.2g}",
             f"{d.times:.1g}",
         )
-        for d in found
+        for d in differences
     )
     head = (
         "Channel",
@@ -115,9 +115,12 @@ def _channels(found: Sequence[Difference]) -> Section:
     )
 
 
-def _histories(flights: Sequence[Matched], found: Sequence[Difference]) -> list[Section]:
+def _histories(flights: Sequence[Matched], differences: Sequence[Difference]) -> list[Section]:
     by_name = {f.name: f for f in flights}
-    figures = [_history(by_name[d.flight], d, number) for number, d in enumerate(found[:DRAWN])]
+    figures = [
+        _history(by_name[d.flight], d, number)
+        for number, d in enumerate(differences[:MAX_HISTORIES])
+    ]
     return (
         [Section("Histories", (Figures(tuple(figures), _LEGEND, narrow=True),))] if figures else []
     )
@@ -141,17 +144,17 @@ def _history(flight: Matched, d: Difference, number: int) -> Figure:
     )
 
 
-def _elements(terms: Sequence[Term], found: Sequence[Difference]) -> Section:
+def _elements(terms: Sequence[Term], differences: Sequence[Difference]) -> Section:
     if not terms:
         return Section(
             "XML that differs",
             (Words("None: comments, spaces and the order of attributes do not count."),),
         )
-    ordered = found[0].terms if found else terms
+    ordered = differences[0].terms if differences else terms
     rows = tuple((_where(t), t.path, t.a or "nothing", t.b or "nothing") for t in ordered)
     first = (
         "the likeliest cause of the first difference on top"
-        if found
+        if differences
         else "in the order of the files"
     )
     return Section(
@@ -159,11 +162,11 @@ def _elements(terms: Sequence[Term], found: Sequence[Difference]) -> Section:
     )
 
 
-def _flown(flights: Sequence[Matched], channels: Sequence[Channel]) -> Section:
-    told = tuple(f"{f.name}: {len(f.time_s)} frames" for f in flights)
+def _flights(flights: Sequence[Matched], channels: Sequence[Channel]) -> Section:
+    frame_counts = tuple(f"{f.name}: {len(f.time_s)} frames" for f in flights)
     compared = tuple(f"{c.name} [{c.unit}]" + _range(c, flights) for c in channels)
     parts = (Section("Channels compared", (Bullets(compared),)),)
-    return Section("What was flown", (Bullets(told),), parts)
+    return Section("What was flown", (Bullets(frame_counts),), parts)
 
 
 def _range(channel: Channel, flights: Sequence[Matched]) -> str:

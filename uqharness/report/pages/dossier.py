@@ -36,7 +36,7 @@ from uqharness.dossier import (
 from uqharness.dossier import Band as Tolerance
 from uqharness.errors import BadInputError
 from uqharness.replay import History, axis_label, shown_channel
-from uqharness.report.campaign import CampaignFound, read_found
+from uqharness.report.campaign import CampaignReport, read_campaign_report
 from uqharness.report.parts import (
     Block,
     Bullets,
@@ -45,13 +45,13 @@ from uqharness.report.parts import (
     Figures,
     Level,
     Page,
-    Say,
     Section,
+    Sentence,
+    Sentences,
     Table,
-    Told,
     Words,
+    format_value,
     percent,
-    shown,
 )
 from uqharness.report.svg import Chart, Scale, scale
 from uqharness.simulator import folder_hash
@@ -65,7 +65,7 @@ _MOST_DOTS = 250
 
 
 @dataclass(frozen=True)
-class Compared:
+class LogComparison:
     """Log and model of a step: which model (the ending of its columns), and in words on which
     flights.
     """
@@ -77,7 +77,7 @@ class Compared:
     match: Match
 
 
-def compared(found: Evidence) -> Compared | None:
+def compare_with_log(evidence: Evidence) -> LogComparison | None:
     """What the proof of match is made from: the last refinement's hold-out flights, else a
     comparison, else the identification.
     """
@@ -100,12 +100,12 @@ def compared(found: Evidence) -> Compared | None:
             ),
         ),
     ):
-        for step in reversed(found.of(kind)):
+        for step in reversed(evidence.of(kind)):
             segments = [
-                s for s in found.histories(step) if any(c.endswith(suffix) for c in s.columns)
+                s for s in evidence.histories(step) if any(c.endswith(suffix) for c in s.columns)
             ]
             if segments:
-                return Compared(
+                return LogComparison(
                     step, segments, suffix, model, prove(segments, suffix, _noise(step))
                 )
     return None
@@ -119,7 +119,7 @@ def _noise(step: Step) -> dict[str, float | None]:
     return {c: r.get("noise") for c, r in rows.items()}
 
 
-def match_section(title: str, source: Compared | None) -> Section:
+def match_section(title: str, source: LogComparison | None) -> Section:
     """The section: what was compared, a line for each test of the table, a line for each segment,
     the figures.
     """
@@ -158,16 +158,16 @@ def match_section(title: str, source: Compared | None) -> Section:
 def _summary(match: Match) -> Table:
     rows = []
     for test in TESTS:
-        found = match.of(test.entry)
-        answers = [j.answer for j in found]
+        results = match.of(test.entry)
+        answers = [j.answer for j in results]
         answer = next((a for a in (FAIL, UNSURE, PASS) if a in answers), ABSENT)
         words = ", ".join(f"{answers.count(a)} {a}" for a in (PASS, FAIL, UNSURE) if a in answers)
-        small = words if found else match.missing.get(test.entry, "")
+        small = words if results else match.missing.get(test.entry, "")
         rows.append(
             (
                 f"{test.entry} {test.title}",
                 test.tolerance,
-                str(len(found)),
+                str(len(results)),
                 Cell(answer, _LEVELS[answer], small=small),
             )
         )
@@ -180,45 +180,49 @@ def _summary(match: Match) -> Table:
 
 
 def _details(match: Match) -> list[Block]:
-    judged = sorted(match.judged, key=lambda j: (j.test.entry, -_worst(j)))
-    if not judged:
+    segments = sorted(match.judged, key=lambda j: (j.test.entry, -_worst(j)))
+    if not segments:
         return []
     rows = []
-    for j in judged[:_MOST_ROWS]:
-        said = "; ".join(_row_words(r) for r in j.rows)
+    for j in segments[:_MOST_ROWS]:
+        differences = "; ".join(_row_words(r) for r in j.rows)
         segment = f"{j.segment.flight}, {j.segment.manoeuvre}, {j.segment.time_s[0]:.1f} s"
-        rows.append((j.test.entry, segment, said, Cell(j.answer, _LEVELS[j.answer], small=j.why)))
+        rows.append(
+            (j.test.entry, segment, differences, Cell(j.answer, _LEVELS[j.answer], small=j.why))
+        )
     caption = (
         "Segments by test, the largest difference over its tolerance first: greatest difference /"
         " tolerance at that time."
     )
-    if len(judged) > _MOST_ROWS:
-        caption += f" {_MOST_ROWS} of {len(judged)} segments; dossier --json has all."
+    if len(segments) > _MOST_ROWS:
+        caption += f" {_MOST_ROWS} of {len(segments)} segments; dossier --json has all."
     return [Table(caption, ("Test", "Segment", "Greatest difference", "Answer"), tuple(rows))]
 
 
-def _worst(judged: Judged) -> float:
-    known = [r.ratio for r in judged.rows if math.isfinite(r.ratio)]
-    return max(known, default=math.inf)
+def _worst(result: Judged) -> float:
+    ratios = [r.ratio for r in result.rows if math.isfinite(r.ratio)]
+    return max(ratios, default=math.inf)
 
 
 def _row_words(row: Row) -> str:
     quantity, unit, factor = shown_channel(row.quantity)
     unit = "" if unit == "-" else f" {unit}"
     if math.isfinite(row.measured):
-        values = f"measured {shown(factor * row.measured)}, model {shown(factor * row.model)}"
-        return f"{quantity} {values}, tolerance {shown(factor * row.band)}{unit}: {row.answer}"
+        values = f"measured {format_value(factor * row.measured)}, model {format_value(factor * row.model)}"
+        return (
+            f"{quantity} {values}, tolerance {format_value(factor * row.band)}{unit}: {row.answer}"
+        )
     share = "" if row.share == 1.0 else f", {100.0 * row.share:.1f} % inside"
-    return f"{quantity} {shown(factor * abs(row.worst))} / {shown(factor * row.band)}{unit}{share}"
+    return f"{quantity} {format_value(factor * abs(row.worst))} / {format_value(factor * row.band)}{unit}{share}"
 
 
-def _figures(source: Compared) -> tuple[Figure, ...]:
+def _figures(source: LogComparison) -> tuple[Figure, ...]:
     out = []
     for test in TESTS:
-        found = source.match.of(test.entry)
-        if not found:
+        results = source.match.of(test.entry)
+        if not results:
             continue
-        worst = max(found, key=_worst)
+        worst = max(results, key=_worst)
         bands: list[tuple[str, Tolerance | None]] = [(b.channel, b) for b in test.bands]
         if test.oscillation is not None:
             bands = [(test.oscillation.channel, None)]
@@ -227,26 +231,28 @@ def _figures(source: Compared) -> tuple[Figure, ...]:
                 channel in worst.segment.columns
                 and f"{channel}{source.suffix}" in worst.segment.columns
             ):
-                out += _drawn(worst, channel, band, source.suffix, len(found))
+                out += _test_figures(worst, channel, band, source.suffix, len(results))
     return tuple(out)
 
 
-def _drawn(
-    judged: Judged, channel: str, band: Tolerance | None, suffix: str, of: int
+def _test_figures(
+    result: Judged, channel: str, band: Tolerance | None, suffix: str, segment_count: int
 ) -> list[Figure]:
     """Measured and model with the tolerance; beside it their difference, on which the tolerance is
     large enough to be seen.
     """
-    segment = judged.segment
+    segment = result.segment
     quantity, unit, factor = shown_channel(channel)
     measured, model = (factor * segment.columns[c] for c in (channel, f"{channel}{suffix}"))
-    name = f"match-{judged.test.entry.replace('.', '-')}-{channel}"
+    name = f"match-{result.test.entry.replace('.', '-')}-{channel}"
     label = (
-        f"{judged.test.entry} {judged.test.title}: {quantity} [{unit}] against time, measured and"
+        f"{result.test.entry} {result.test.title}: {quantity} [{unit}] against time, measured and"
         f" model, {segment.title}."
     )
-    which = f"the worst of {of} segments" if of > 1 else "the only segment"
-    caption = f"{judged.test.entry}, {quantity}: {segment.manoeuvre}, {which}"
+    selection = (
+        f"the worst of {segment_count} segments" if segment_count > 1 else "the only segment"
+    )
+    caption = f"{result.test.entry}, {quantity}: {segment.manoeuvre}, {selection}"
     if band is None:
         return [
             _chart(
@@ -260,25 +266,25 @@ def _drawn(
             )
         ]
     half = factor * limits(band, segment.columns[channel])
-    row = next((r for r in judged.rows if r.quantity == channel), None)
+    row = next((r for r in result.rows if r.quantity == channel), None)
     share = (
         "" if row is None else f"; {100.0 * row.share:.1f} % of the samples within the tolerance"
     )
-    both: list[tuple[str, FloatArray]] = [("dot", measured), ("first", model)]
+    series: list[tuple[str, FloatArray]] = [("dot", measured), ("first", model)]
     gap = f"{quantity} measured minus model [{unit}]"
     return [
         _chart(
             name,
             label,
             segment,
-            both,
+            series,
             (measured - half, measured + half),
             axis_label(channel),
             caption,
         ),
         _chart(
             f"{name}-gap",
-            f"{judged.test.entry}: {gap}, {segment.title}.",
+            f"{result.test.entry}: {gap}, {segment.title}.",
             segment,
             [("dot", measured - model)],
             (-half, half),
@@ -298,12 +304,12 @@ def _chart(
     caption: str,
 ) -> Figure:
     t = segment.time_s
-    seen = [*(y for _, y in series), *(band or ())]
+    curves = [*(y for _, y in series), *(band or ())]
     chart = Chart(
         name,
         label,
         Scale("time of the log [s]", float(t[0]), float(t[-1])),
-        scale(axis, seen),
+        scale(axis, curves),
         height=160,
     )
     if band is not None:
@@ -354,47 +360,49 @@ class Dossier:
     """
 
     page: Page
-    source: Compared | None
+    source: LogComparison | None
     missing: tuple[str, ...]
 
 
-def dossier_of(found: Evidence) -> Dossier:
+def dossier_of(evidence: Evidence) -> Dossier:
     """The dossier of a folder's evidence; same folder, same bytes."""
-    source = compared(found)
+    source = compare_with_log(evidence)
     match = Match((), {}) if source is None else source.match
-    campaigns = _campaigns(found)
+    campaigns = _campaigns(evidence)
     numbered = [f"{k}. {title}" for k, title in enumerate(_TITLES, start=1)]
     histories = {
-        s.place: found.histories(s)
+        s.place: evidence.histories(s)
         for kind in ("identify", "refine", "compare")
-        for s in found.of(kind)
+        for s in evidence.of(kind)
     }
     sections = [
-        _provenance(numbered[0], found),
+        _provenance(numbered[0], evidence),
         match_section(numbered[1], source),
-        _credibility(numbered[2], found, match),
-        _said(numbered[3], found, campaigns, source),
-        _envelope(numbered[4], found, histories, campaigns),
-        _not_done(numbered[5], found, source),
-        _sources(numbered[6], found),
+        _credibility(numbered[2], evidence, match),
+        _statement_section(numbered[3], evidence, campaigns, source),
+        _envelope(numbered[4], evidence, histories, campaigns),
+        _not_done(numbered[5], evidence, source),
+        _sources(numbered[6], evidence),
     ]
     # Last, for what is missing is met on the way.
-    missing = tuple(found.missing)
+    missing = tuple(evidence.missing)
     front = [Section("Contents", (Bullets(tuple(numbered)),))]
     if missing:
         front.append(Section("Missing or damaged", (Bullets(missing, key=True),)))
-    title = f"Dossier: {_name(found)}"
-    asked = (
+    title = f"Dossier: {_name(evidence)}"
+    question = (
         "What was flown, what does the model rest on, how near is it to the measured flight, and"
         " what is not known?"
     )
     return Dossier(
-        Page(title, asked, _verdict(match, missing, found), (*front, *sections)), source, missing
+        Page(title, question, _verdict(match, missing, evidence), (*front, *sections)),
+        source,
+        missing,
     )
 
 
-def _name(found: Evidence) -> str:
-    for step in reversed(found.steps):
+def _name(evidence: Evidence) -> str:
+    for step in reversed(evidence.steps):
         document = step.document or {}
         if step.kind == "campaign" and step.document is not None:
             return Path(document["campaign"]["campaign"]["aircraft"]).name
@@ -403,20 +411,22 @@ def _name(found: Evidence) -> str:
     return "results"
 
 
-def _verdict(match: Match, missing: Sequence[str], found: Evidence) -> tuple[Say, ...]:
-    said = [
-        Say(
+def _verdict(match: Match, missing: Sequence[str], evidence: Evidence) -> tuple[Sentence, ...]:
+    sentences = [
+        Sentence(
             "This dossier lays out evidence. It claims no compliance with any regulation or"
             " standard."
         )
     ]
     if missing:
-        said.append(
-            Say(f"The folder is incomplete or damaged: {len(missing)} points, listed below.", "bad")
+        sentences.append(
+            Sentence(
+                f"The folder is incomplete or damaged: {len(missing)} points, listed below.", "bad"
+            )
         )
-    for aircraft in flown_by_simulation(found):
-        said.append(
-            Say(
+    for aircraft in flown_by_simulation(evidence):
+        sentences.append(
+            Sentence(
                 f"The flights are simulated, by the model {aircraft}. No real aircraft was flown.",
                 "warn",
             )
@@ -430,31 +440,31 @@ def _verdict(match: Match, missing: Sequence[str], found: Evidence) -> tuple[Say
         for a in (PASS, FAIL, UNSURE, "")
     }
     if match.judged:
-        said.append(
-            Say(
+        sentences.append(
+            Sentence(
                 f"Within tolerance in every segment: {_list(counts[PASS])}.",
                 "good" if counts[PASS] else "",
             )
         )
         if counts[FAIL]:
-            said.append(Say(f"Outside tolerance: {_list(counts[FAIL])}.", "bad"))
+            sentences.append(Sentence(f"Outside tolerance: {_list(counts[FAIL])}.", "bad"))
         if counts[UNSURE]:
-            said.append(Say(f"Inconclusive: {_list(counts[UNSURE])}.", "warn"))
-    said.append(
-        Say(
+            sentences.append(Sentence(f"Inconclusive: {_list(counts[UNSURE])}.", "warn"))
+    sentences.append(
+        Sentence(
             f"Not in the data: {_list(counts[''])}, of {len(TESTS)} tests that flights may contain."
         )
     )
-    return tuple(said)
+    return tuple(sentences)
 
 
 def _list(names: Sequence[str]) -> str:
     return ", ".join(names) if names else "none"
 
 
-def _provenance(title: str, found: Evidence) -> Section:
+def _provenance(title: str, evidence: Evidence) -> Section:
     rows = []
-    for number, step in enumerate(found.steps, start=1):
+    for number, step in enumerate(evidence.steps, start=1):
         model = _model(step)
         digest = Cell(model[:16], code=True) if model else Cell("")
         where = "this folder" if step.place == "." else step.place
@@ -468,14 +478,16 @@ def _provenance(title: str, found: Evidence) -> Section:
         Words(text, note=True),
         Table("Steps.", ("Step", "Command", "Folder", "What it found", "Model"), tuple(rows)),
     ]
-    for step in found.of("refine"):
+    for step in evidence.of("refine"):
         blocks += _effects(step)
-    return Section(title, (*blocks, *_parameters(found)))
+    return Section(title, (*blocks, *_parameters(evidence)))
 
 
-def _parameters(found: Evidence) -> list[Block]:
+def _parameters(evidence: Evidence) -> list[Block]:
     """Each parameter at the beginning and after every step that estimated it."""
-    fits = [s for s in found.steps if s.kind in ("identify", "refine") and s.document is not None]
+    fits = [
+        s for s in evidence.steps if s.kind in ("identify", "refine") and s.document is not None
+    ]
     tables: list[Mapping[str, Any]] = [(s.document or {}).get("parameters", {}) for s in fits]
     names = list(dict.fromkeys(n for table in tables for n in table))
     if not names:
@@ -485,7 +497,11 @@ def _parameters(found: Evidence) -> list[Block]:
     for name in names[:_MOST_PARAMETERS]:
         values = [_estimate(table.get(name)) for table in tables]
         rows.append(
-            (Cell(name, code=True), shown(initial.get(name, {}).get("initial"), ".5g"), *values)
+            (
+                Cell(name, code=True),
+                format_value(initial.get(name, {}).get("initial"), ".5g"),
+                *values,
+            )
         )
     head = ("Parameter", "Initial", *(s.place if s.place != "." else s.kind for s in fits))
     caption = "Parameters from step to step: estimate and standard error."
@@ -499,7 +515,7 @@ def _estimate(row: Mapping[str, Any] | None) -> str:
         return "not estimated"
     if row.get("status", "identified") != "identified":
         return "not identified"
-    return f"{shown(row.get('value'), '.5g')} ± {shown(row.get('std'), '.2g')}"
+    return f"{format_value(row.get('value'), '.5g')} ± {format_value(row.get('std'), '.2g')}"
 
 
 def _model(step: Step) -> str:
@@ -532,19 +548,19 @@ def _outcome(step: Step) -> str:
         return "cannot be read"
     if step.kind == "identify":
         rows = document["parameters"].values()
-        sure = sum(r["status"] == "identified" for r in rows)
+        identified = sum(r["status"] == "identified" for r in rows)
         converged = "converged" if document.get("converged") else "did not converge"
         return (
-            f"{sure} of {len(rows)} parameters of {document['aircraft']} from"
+            f"{identified} of {len(rows)} parameters of {document['aircraft']} from"
             f" {_list(document['flights'])}; {converged}"
         )
     if step.kind == "refine":
-        named = "; ".join(e["name"] for e in document["effects"])
+        effect_names = "; ".join(e["name"] for e in document["effects"])
         flights = (
             f"chosen on {_list(document.get('train', ()))}, shown on"
             f" {_list(document.get('test', ()))}"
         )
-        return f"{document['verdict']}: {named or 'no effect'}; {flights}"
+        return f"{document['verdict']}: {effect_names or 'no effect'}; {flights}"
     if step.kind == "compare":
         return f"{document['aircraft']} beside {document['flight']}"
     if step.kind == "bounds":
@@ -563,14 +579,16 @@ def _outcome(step: Step) -> str:
 def _effects(step: Step) -> list[Block]:
     document = step.document or {}
     rows = []
-    for kept, effects in (
+    for decision, effects in (
         ("kept", document["effects"]),
         ("withdrawn", document.get("withdrawn", ())),
     ):
         for e in effects:
             t = e.get("evidence", {}).get("t")
             unit = "" if e.get("unit") in (None, "1", "-") else f" {e['unit']}"
-            value = f"{shown(e.get('value'), '.4g')} ± {shown(e.get('std'), '.2g')}{unit}"
+            value = (
+                f"{format_value(e.get('value'), '.4g')} ± {format_value(e.get('std'), '.2g')}{unit}"
+            )
             alike = [
                 a["name"].removesuffix(" off")
                 for a in e.get("alternatives", ())
@@ -580,7 +598,14 @@ def _effects(step: Step) -> list[Block]:
             name = Cell(e["name"], small=f"confounded with {'; '.join(alike)}" if alike else "")
             where = Cell(str(e.get("property") or e.get("subsystem", "")), code=True)
             rows.append(
-                (name, where, value, shown(None if t is None else abs(t), ".1f"), tested, kept)
+                (
+                    name,
+                    where,
+                    value,
+                    format_value(None if t is None else abs(t), ".1f"),
+                    tested,
+                    decision,
+                )
             )
     if not rows:
         return [Words(f"{step.place}: no effect was added to the model.")]
@@ -609,16 +634,16 @@ def _lines(path: Path) -> int:
     return sum(line[:1] in "+-" and line[:3] not in ("+++", "---") for line in text if line)
 
 
-def _credibility(title: str, found: Evidence, match: Match) -> Section:
+def _credibility(title: str, evidence: Evidence, match: Match) -> Section:
     text = (
         f"Factors of credibility after {STANDARD}, with the evidence that this folder holds. No"
         " level is given: that is for those who decide with the model's results. The names of the"
         " factors are to be checked against the edition that applies."
     )
     rows = []
-    for factor in factors(found, match):
-        evidence = "; ".join(factor.evidence)
-        rows.append((factor.name, factor.about, evidence or Cell(NOT_ASSESSED, "warn")))
+    for factor in factors(evidence, match):
+        evidence_text = "; ".join(factor.evidence)
+        rows.append((factor.name, factor.about, evidence_text or Cell(NOT_ASSESSED, "warn")))
     return Section(
         title,
         (
@@ -628,45 +653,45 @@ def _credibility(title: str, found: Evidence, match: Match) -> Section:
     )
 
 
-def _campaigns(found: Evidence) -> list[tuple[Step, CampaignFound]]:
+def _campaigns(evidence: Evidence) -> list[tuple[Step, CampaignReport]]:
     """The complete campaigns that can be read."""
     out = []
-    for step in found.of("campaign"):
+    for step in evidence.of("campaign"):
         try:
-            out.append((step, read_found(step.folder)))
+            out.append((step, read_campaign_report(step.folder)))
         except BadInputError as error:
-            found.say_error(error)
+            evidence.say_error(error)
     return out
 
 
 def _statements(
-    found: Evidence, campaigns: Sequence[tuple[Step, CampaignFound]]
-) -> list[tuple[str, tuple[Say, ...]]]:
+    evidence: Evidence, campaigns: Sequence[tuple[Step, CampaignReport]]
+) -> list[tuple[str, tuple[Sentence, ...]]]:
     """Sentences that the results allow, by where they stand: a study's own where it has drawn them,
     else each campaign's.
     """
-    said: list[tuple[str, tuple[Say, ...]]] = []
-    for study in found.of("study"):
-        drawn = tuple(
-            Say(v["text"], v["level"] if v.get("level") in ("good", "warn", "bad") else "")
+    statements: list[tuple[str, tuple[Sentence, ...]]] = []
+    for study in evidence.of("study"):
+        conclusions = tuple(
+            Sentence(v["text"], v["level"] if v.get("level") in ("good", "warn", "bad") else "")
             for v in _verdict_of(study)
         )
-        said += [("study", drawn)] if drawn else []
-    return said or [(step.place, campaign.verdict) for step, campaign in campaigns]
+        statements += [("study", conclusions)] if conclusions else []
+    return statements or [(step.place, campaign.verdict) for step, campaign in campaigns]
 
 
 def _verdict_of(study: Step) -> Sequence[Mapping[str, Any]]:
     return (study.document or {}).get("verdict") or ()
 
 
-def _said(
+def _statement_section(
     title: str,
-    found: Evidence,
-    campaigns: Sequence[tuple[Step, CampaignFound]],
-    source: Compared | None,
+    evidence: Evidence,
+    campaigns: Sequence[tuple[Step, CampaignReport]],
+    source: LogComparison | None,
 ) -> Section:
     blocks: list[Block] = []
-    statements = _statements(found, campaigns)
+    statements = _statements(evidence, campaigns)
     for where, sentences in statements:
         head = (
             "The study's own sentences:"
@@ -675,7 +700,7 @@ def _said(
             if where != "."
             else "The campaign:"
         )
-        blocks += [Words(head), Told(sentences[:_MOST_SENTENCES])]
+        blocks += [Words(head), Sentences(sentences[:_MOST_SENTENCES])]
         if len(sentences) > _MOST_SENTENCES:
             blocks.append(
                 Words(
@@ -689,47 +714,47 @@ def _said(
         )
     blocks += [
         Words("They hold under these assumptions:"),
-        Bullets(tuple(_assumptions(found, source))),
+        Bullets(tuple(_assumptions(evidence, source))),
     ]
     return Section(title, tuple(blocks))
 
 
-def _assumptions(found: Evidence, source: Compared | None) -> list[str]:
-    said = [
+def _assumptions(evidence: Evidence, source: LogComparison | None) -> list[str]:
+    lines = [
         "The aircraft is as it was in the flights: mass, centre of gravity, configuration, servos."
     ]
     if source is not None:
-        said.append(
+        lines.append(
             "Sensors are where the aircraft's card puts them, and their noise is white with the"
             " standard deviations estimated."
         )
-    if found.of("bounds"):
-        said.append(
+    if evidence.of("bounds"):
+        lines.append(
             "Outside the flight states of the flights that they were made from, intervals of the"
             " model's error are extrapolated."
         )
-    for step in found.of("campaign"):
+    for step in evidence.of("campaign"):
         campaign = (step.document or {})["campaign"]
         air, unknown = campaign["aleatory"], campaign["epistemic"]
-        said.append(
+        lines.append(
             f"{step.place if step.place != '.' else 'Campaign'}: Dryden turbulence"
             f" ({air['turbulence_source']}), steady wind; flights of {air['duration_s']:g} s; the"
             f" model's error lies within its bounds ({unknown['method']})."
         )
-    return said
+    return lines
 
 
 def _envelope(
     title: str,
-    found: Evidence,
+    evidence: Evidence,
     histories: Mapping[str, Sequence[History]],
-    campaigns: Sequence[tuple[Step, CampaignFound]],
+    campaigns: Sequence[tuple[Step, CampaignReport]],
 ) -> Section:
     shares = _extrapolated(campaigns)
     columns = [
         (s, histories.get(s.place, ()))
         for kind in ("identify", "refine", "compare")
-        for s in found.of(kind)
+        for s in evidence.of(kind)
     ]
     columns = [(s, h) for s, h in columns if h]
     if not columns:
@@ -767,7 +792,7 @@ def _envelope(
     )
 
 
-def _extrapolated(campaigns: Sequence[tuple[Step, CampaignFound]]) -> list[Block]:
+def _extrapolated(campaigns: Sequence[tuple[Step, CampaignReport]]) -> list[Block]:
     """How much of each campaign's time was flown outside the states of its bounds."""
     rows: dict[tuple[str, str], str] = {}
     for step, campaign in campaigns:
@@ -790,21 +815,21 @@ def _extrapolated(campaigns: Sequence[tuple[Step, CampaignFound]]) -> list[Block
 def _range(name: str, segments: Sequence[History]) -> str:
     factor = shown_channel(name)[2]
     values = [s.columns[name][np.isfinite(s.columns[name])] for s in segments if name in s.columns]
-    known = np.concatenate(values) if values else np.empty(0)
-    return f"{factor * known.min():.3g} to {factor * known.max():.3g}" if known.size else ""
+    finite = np.concatenate(values) if values else np.empty(0)
+    return f"{factor * finite.min():.3g} to {factor * finite.max():.3g}" if finite.size else ""
 
 
-def _not_done(title: str, found: Evidence, source: Compared | None) -> Section:
-    said = [
+def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> Section:
+    lines = [
         f"{t.entry} {t.title}: {source.match.missing[t.entry]}."
         for t in TESTS
         if source and t.entry in source.match.missing
     ]
     if source is None:
-        said.append(
+        lines.append(
             "No test of the proof of match: the folder has no time histories of log and model."
         )
-    said.append(
+    lines.append(
         f"Tests of {REGULATION} on the ground, at take-off and landing, of engines, control forces"
         " and failures."
     )
@@ -815,46 +840,48 @@ def _not_done(title: str, found: Evidence, source: Compared | None) -> Section:
         ("validate-bounds", "validation of bounds on a new flight"),
         ("campaign", "campaign"),
     ):
-        if not found.of(kind):
-            said.append(f"No {words} is in this folder.")
-    for step in found.of("identify"):
-        lost = [
+        if not evidence.of(kind):
+            lines.append(f"No {words} is in this folder.")
+    for step in evidence.of("identify"):
+        unidentified = [
             n for n, r in (step.document or {})["parameters"].items() if r["status"] != "identified"
         ]
-        said += (
-            [f"Not identified, left at their initial values: {', '.join(lost)}."] if lost else []
+        lines += (
+            [f"Not identified, left at their initial values: {', '.join(unidentified)}."]
+            if unidentified
+            else []
         )
-    for step in found.of("refine"):
+    for step in evidence.of("refine"):
         if (step.document or {})["remaining"].get("unexplained"):
-            said.append(f"{step.place}: something is left that no effect explains.")
-    said += [
+            lines.append(f"{step.place}: something is left that no effect explains.")
+    lines += [
         f"{f.name}: {NOT_ASSESSED}."
-        for f in factors(found, Match((), {}) if source is None else source.match)
+        for f in factors(evidence, Match((), {}) if source is None else source.match)
         if not f.evidence
     ]
-    if flown_by_simulation(found):
-        said.append("No flight of a real aircraft.")
-    return Section(title, (Bullets(tuple(said)),))
+    if flown_by_simulation(evidence):
+        lines.append("No flight of a real aircraft.")
+    return Section(title, (Bullets(tuple(lines)),))
 
 
-def _sources(title: str, found: Evidence) -> Section:
+def _sources(title: str, evidence: Evidence) -> Section:
     commands = tuple(
         (f"S{k}", Cell(s.command or "not recorded", code=True), s.version or "not recorded")
-        for k, s in enumerate(found.steps, start=1)
+        for k, s in enumerate(evidence.steps, start=1)
     )
     rows = tuple(
         (
             Cell(s.file, code=True),
             Cell(s.sha256, code=True),
-            _step_of(found, s.file),
+            _step_of(evidence, s.file),
             s.version or "not recorded",
         )
-        for s in found.sources[:_MOST_SOURCES]
+        for s in evidence.sources[:_MOST_SOURCES]
     )
-    caption = f"Files with their SHA-256. {len(found.sources)} files"
+    caption = f"Files with their SHA-256. {len(evidence.sources)} files"
     caption += (
         "."
-        if len(found.sources) <= _MOST_SOURCES
+        if len(evidence.sources) <= _MOST_SOURCES
         else f", the first {_MOST_SOURCES} of which are listed; dossier --json has all."
     )
     text = (
@@ -869,10 +896,10 @@ def _sources(title: str, found: Evidence) -> Section:
     return Section(title, blocks)
 
 
-def _step_of(found: Evidence, file: str) -> str:
+def _step_of(evidence: Evidence, file: str) -> str:
     """The step in whose folder a file lies, the deepest first."""
     best, name = -1, ""
-    for number, step in enumerate(found.steps, start=1):
+    for number, step in enumerate(evidence.steps, start=1):
         depth = 0 if step.place == "." else len(Path(step.place).parts)
         if depth > best and (depth == 0 or Path(file).is_relative_to(step.place)):
             best, name = depth, f"S{number}"

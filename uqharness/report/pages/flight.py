@@ -11,26 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.report.channels import Shade, channel_sections, named_stretches, shown_signal
-from uqharness.report.ground_track import Circle, flown_track
+from uqharness.report.ground_track import Circle, flight_track
 from uqharness.report.parts import (
     Figures,
     Level,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     provenance,
-    shown,
 )
 
 Columns = Mapping[str, NDArray[Any]]
-MOST_LISTED = 60
+MAX_LISTED = 60
 """Manoeuvres in the table; all are shaded."""
 
 
 @dataclass(frozen=True)
-class FlightAsked:
+class FlightRequest:
     """What was flown: aircraft, script or mission, conditions in words, the record's file, the
     command that flies it again.
     """
@@ -42,7 +42,7 @@ class FlightAsked:
     command: str
 
 
-def flight_page(asked: FlightAsked, columns: Columns, status: str, reason: str) -> Page:
+def flight_page(request: FlightRequest, columns: Columns, status: str, reason: str) -> Page:
     """The page of a record, name -> (n,) with ``time_s``; ``status`` ok or what ended the flight,
     for which ``reason``.
     """
@@ -51,8 +51,8 @@ def flight_page(asked: FlightAsked, columns: Columns, status: str, reason: str) 
     names = (
         named_stretches(time_s, np.asarray(columns["manoeuvre"])) if "manoeuvre" in columns else []
     )
-    whole = len(names) == 1 and names[0][1] - names[0][0] >= 0.99 * length
-    stretches = [] if whole else names
+    is_single = len(names) == 1 and names[0][1] - names[0][0] >= 0.99 * length
+    stretches = [] if is_single else names
     shades = manoeuvre_shades(stretches)
     legend = (("fill1", "manoeuvre"),) if shades else ()
     sections = [
@@ -61,34 +61,34 @@ def flight_page(asked: FlightAsked, columns: Columns, status: str, reason: str) 
         *manoeuvre_section(stretches),
     ]
     sections.append(_ranges(columns))
-    question = f"How did {asked.aircraft} fly {asked.script}? {asked.conditions}"
-    facts = provenance(("Command", asked.command), ("Record", asked.record))
+    question = f"How did {request.aircraft} fly {request.script}? {request.conditions}"
+    facts = provenance(("Command", request.command), ("Record", request.record))
     return Page(
-        f"Flight of {asked.aircraft}: {asked.script}",
+        f"Flight of {request.aircraft}: {request.script}",
         question,
         _verdict(length, columns, status, reason),
         (*sections, facts),
     )
 
 
-def _verdict(length: float, columns: Columns, status: str, reason: str) -> tuple[Say, ...]:
+def _verdict(length: float, columns: Columns, status: str, reason: str) -> tuple[Sentence, ...]:
     level: Level = "good" if status == "ok" else "bad"
     end = (
         "The flight ended as planned"
         if status == "ok"
         else f"The flight ended early, {status}: {reason}"
     )
-    said = [Say(f"{end}; {length:.1f} s, {len(columns['time_s'])} rows.", level)]
+    sentences = [Sentence(f"{end}; {length:.1f} s, {len(columns['time_s'])} rows.", level)]
     if "cross_track_m" in columns:
         error = np.abs(np.asarray(columns["cross_track_m"], dtype=float))
         if np.isfinite(error).any():
-            said.append(
-                Say(
+            sentences.append(
+                Sentence(
                     f"Distance from the commanded path: median {np.nanmedian(error):.3g} m, largest"
                     f" {np.nanmax(error):.3g} m."
                 )
             )
-    return tuple(said)
+    return tuple(sentences)
 
 
 def manoeuvre_shades(stretches: Sequence[tuple[float, float, str]]) -> list[Shade]:
@@ -104,9 +104,9 @@ def manoeuvre_section(stretches: Sequence[tuple[float, float, str]]) -> tuple[Se
         return ()
     rows = tuple(
         (str(k), name, f"{start:.2f}", f"{end:.2f}")
-        for k, (start, end, name) in enumerate(stretches[:MOST_LISTED], start=1)
+        for k, (start, end, name) in enumerate(stretches[:MAX_LISTED], start=1)
     )
-    more = f", the first {MOST_LISTED} of {len(stretches)}" if len(stretches) > MOST_LISTED else ""
+    more = f", the first {MAX_LISTED} of {len(stretches)}" if len(stretches) > MAX_LISTED else ""
     table = Table(
         f"Manoeuvres, by the number above their shading{more}.",
         ("Number", "Manoeuvre", "From [s]", "To [s]"),
@@ -121,7 +121,7 @@ def track_section(
     """The ground track, with circles that it was to keep where they are known; none where the
     position is not recorded.
     """
-    figure = flown_track("ground-track", columns, words, circles)
+    figure = flight_track("ground-track", columns, words, circles)
     return () if figure is None else (Section("Ground track", (Figures((figure,), file=""),)),)
 
 
@@ -131,12 +131,14 @@ def _ranges(columns: Columns) -> Section:
         if name == "time_s" or np.asarray(values).dtype.kind not in "fiub":
             continue
         quantity, unit, factor = shown_signal(name)
-        known = factor * np.asarray(values, dtype=float)
-        known = known[np.isfinite(known)]
+        finite = factor * np.asarray(values, dtype=float)
+        finite = finite[np.isfinite(finite)]
         low, middle, high = (
-            float(f(known)) if known.size else math.nan for f in (np.min, np.median, np.max)
+            float(f(finite)) if finite.size else math.nan for f in (np.min, np.median, np.max)
         )
-        rows.append((name, f"{quantity} [{unit}]", *(shown(v, ".4g") for v in (low, middle, high))))
+        rows.append(
+            (name, f"{quantity} [{unit}]", *(format_value(v, ".4g") for v in (low, middle, high)))
+        )
     if not rows:
         return Section("Ranges", (Words("The record has no channel."),))
     head = ("Column", "Quantity", "Smallest", "Median", "Largest")

@@ -33,14 +33,14 @@ from uqharness.report.parts import (
     Figure,
     Figures,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     is_wanted,
     provenance,
     remarks,
-    shown,
 )
 from uqharness.report.svg import Scale, rows_chart
 from uqharness.result_documents import Fit, read_document
@@ -50,7 +50,7 @@ from uqharness.text_tables import csv_text
 FIT = "fit.json"
 _IDENTIFIED = "identified"
 FILTER = "filter error"
-_NOT_SAID = (
+_NOT_COVERED = (
     ", and standard errors, which take the model for right, do not say how far off the estimates"
     " are. Next: compare, bounds or refine."
 )
@@ -83,47 +83,47 @@ def identify_page(
             segments,
             lambda _, h: file_name(f"{h.flight}-{h.number:02d}-{h.manoeuvre}"),
         )
-    said = {
+    remark_texts = {
         key: [with_shown_names(text, CHANNELS) for text in fit.get(key, ())]
         for key in ("warnings", "notes")
     }
-    sections += [*remarks(said), _provenance(fit)]
+    sections += [*remarks(remark_texts), _provenance(fit)]
     flights = ", ".join(fit["flights"])
-    asked = (
+    question = (
         f"Which values of {len(parameters)} parameters of {fit['aircraft']} agree with {flights},"
         " and how accurately?"
     )
-    return Page(f"Identification of {fit['aircraft']}", asked, _verdict(fit), tuple(sections))
+    return Page(f"Identification of {fit['aircraft']}", question, _verdict(fit), tuple(sections))
 
 
-def _verdict(fit: Mapping[str, Any]) -> tuple[Say, ...]:
+def _verdict(fit: Mapping[str, Any]) -> tuple[Sentence, ...]:
     parameters = fit["parameters"]
-    known = [n for n, row in parameters.items() if row["status"] == _IDENTIFIED]
-    missing = [n for n in parameters if n not in known]
-    said = [
+    identified = [n for n, row in parameters.items() if row["status"] == _IDENTIFIED]
+    missing = [n for n in parameters if n not in identified]
+    sentences = [
         (
-            Say(f"Estimation converged ({fit.get('method', 'method not recorded')}).")
+            Sentence(f"Estimation converged ({fit.get('method', 'method not recorded')}).")
             if fit.get("converged")
-            else Say("Estimation did not converge: the estimates below are not valid.", "bad")
+            else Sentence("Estimation did not converge: the estimates below are not valid.", "bad")
         )
     ]
     if missing:
         text = (
-            f"{len(known)} of {len(parameters)} parameters are identified; not identified:"
+            f"{len(identified)} of {len(parameters)} parameters are identified; not identified:"
             f" {', '.join(missing)}."
         )
-        said.append(Say(text, "warn" if known else "bad"))
+        sentences.append(Sentence(text, "warn" if identified else "bad"))
     else:
-        said.append(Say(f"All {len(parameters)} parameters are identified."))
-    said += (
-        _filter_left(fit["fit"], bool(known))
+        sentences.append(Sentence(f"All {len(parameters)} parameters are identified."))
+    sentences += (
+        _filter_residual_sentences(fit["fit"], bool(identified))
         if fit.get("method") == FILTER
-        else _output_left(fit["fit"])
+        else _output_residual_sentences(fit["fit"])
     )
-    return tuple(said)
+    return tuple(sentences)
 
 
-def _output_left(channels: Mapping[str, Mapping[str, Any]]) -> list[Say]:
+def _output_residual_sentences(channels: Mapping[str, Mapping[str, Any]]) -> list[Sentence]:
     """Whether output error's residuals are the sensors' noise."""
     ratios = {c: _ratio(row) for c, row in channels.items()}
     above = {c: r for c, r in ratios.items() if r is not None and r > LIMIT}
@@ -137,18 +137,22 @@ def _output_left(channels: Mapping[str, Mapping[str, Any]]) -> list[Say]:
             f" {worst}."
         )
         return [
-            Say(
+            Sentence(
                 f"{text} A model term is missing: these parameters cannot remove the"
-                f" residual{_NOT_SAID}",
+                f" residual{_NOT_COVERED}",
                 "warn",
             )
         ]
     if any(r is not None for r in ratios.values()):
-        return [Say(f"Every channel with known noise is within {LIMIT:g} times its noise.", "good")]
+        return [
+            Sentence(f"Every channel with known noise is within {LIMIT:g} times its noise.", "good")
+        ]
     return []
 
 
-def _filter_left(channels: Mapping[str, Mapping[str, Any]], identified: bool) -> list[Say]:
+def _filter_residual_sentences(
+    channels: Mapping[str, Mapping[str, Any]], identified: bool
+) -> list[Sentence]:
     """Whether filter error's innovations are white.
 
     Their size says nothing: the gusts of a sample are in it.
@@ -170,13 +174,17 @@ def _filter_left(channels: Mapping[str, Mapping[str, Any]], identified: bool) ->
             "Filter error does not explain the flights: its innovations can be predicted from"
             f" their past: {worst}."
         )
-        return [Say(f"{text} A model term, or the noise of a state, is missing{_NOT_SAID}", "warn")]
+        return [
+            Sentence(
+                f"{text} A model term, or the noise of a state, is missing{_NOT_COVERED}", "warn"
+            )
+        ]
     if not identified:
         # White innovations do not vouch for a model whose estimates were refused for another
         # reason.
-        return [Say("Filter error's innovations are white.")]
+        return [Sentence("Filter error's innovations are white.")]
     return [
-        Say(
+        Sentence(
             "Filter error's innovations are white: the model and the process noise found explain"
             " the flights.",
             "good",
@@ -192,18 +200,18 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
     rows = []
     notes = _shared_reasons(parameters)
     for name, row in parameters.items():
-        known = row["status"] == _IDENTIFIED
+        is_identified = row["status"] == _IDENTIFIED
         reason = row.get("reason") or ""
         text = f"{row['status']} ({notes.index(reason) + 1})" if reason in notes else row["status"]
-        status = Cell(text, "" if known else "warn", "" if reason in notes else reason)
-        spread = (
-            (shown(row["std"], ".2g"), shown(row["std_crb"], ".2g"))
-            if known
+        status = Cell(text, "" if is_identified else "warn", "" if reason in notes else reason)
+        errors = (
+            (format_value(row["std"], ".2g"), format_value(row["std_crb"], ".2g"))
+            if is_identified
             else ("not identified", "not identified")
         )
-        value = shown(row["value"], ".5g")
+        value = format_value(row["value"], ".5g")
         rows.append(
-            (Cell(name, code=True), shown(row.get("initial"), ".5g"), value, *spread, status)
+            (Cell(name, code=True), format_value(row.get("initial"), ".5g"), value, *errors, status)
         )
     head = (
         "Parameter",
@@ -248,7 +256,7 @@ def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure 
     if not rows:
         return None
     reach = min(150.0, max(5.0, 1.1 * max(abs(change) + half for _, change, half in rows)))
-    beyond = sum(abs(change) > reach for _, change, _ in rows)
+    outside_frame = sum(abs(change) > reach for _, change, _ in rows)
     label = f"Change of {len(rows)} parameters from their initial values [%], with 95 % intervals."
     x = Scale("change from the initial value [%]", -reach, reach)
     chart = rows_chart(f"{prefix}parameters", label, x, [name for name, _, _ in rows], 14)
@@ -256,7 +264,7 @@ def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure 
     for k, (_, change, half) in enumerate(rows):
         chart.across(change - half, change + half, k, "plain")
         chart.marker(change, float(k), "first", "disc")
-    note = f" {beyond} beyond the frame: see the table." if beyond else ""
+    note = f" {outside_frame} beyond the frame: see the table." if outside_frame else ""
     caption = (
         "Change of the identified parameters that had an initial value [%]; bars: 95 %"
         f" intervals.{note}"
@@ -275,8 +283,11 @@ def _fit_section(fit: Mapping[str, Mapping[str, Any]]) -> Section:
             else Cell(f"{ratio:.2f}", "good" if ratio <= LIMIT else "warn")
         )
         rms, noise = (None if row.get(k) is None else factor * row[k] for k in ("rms", "noise"))
-        tint = (shown(row.get("whiteness_p"), ".2g"), shown(row.get("predictable_share"), ".2f"))
-        rows.append((f"{quantity} [{unit}]", shown(rms), shown(noise), level, *tint))
+        tint = (
+            format_value(row.get("whiteness_p"), ".2g"),
+            format_value(row.get("predictable_share"), ".2f"),
+        )
+        rows.append((f"{quantity} [{unit}]", format_value(rms), format_value(noise), level, *tint))
     head = (
         "Channel",
         "rms of log minus model",
@@ -303,7 +314,10 @@ def _provenance(fit: Mapping[str, Any]) -> Section:
     ]
     if fit.get("simulations") is not None:
         items.append(
-            ("Effort", f"{fit['simulations']} simulations, {shown(fit.get('seconds'), '.1f')} s")
+            (
+                "Effort",
+                f"{fit['simulations']} simulations, {format_value(fit.get('seconds'), '.1f')} s",
+            )
         )
     items.append(
         (
@@ -322,7 +336,7 @@ def _provenance(fit: Mapping[str, Any]) -> Section:
 
 
 def fit_document(
-    found: Identification,
+    identification: Identification,
     flights: Sequence[str],
     command: Sequence[str],
     hashes: Sequence[str] = (),
@@ -330,40 +344,42 @@ def fit_document(
     """fit.json as a dictionary (docs/identification.md describes it); figures that are not finite
     are null.
     """
-    names = found.identified
+    names = identification.identified
     residual = [
-        np.concatenate([block[:, k] for block in found.residual]) for k in range(len(found.outputs))
+        np.concatenate([block[:, k] for block in identification.residual])
+        for k in range(len(identification.outputs))
     ]
-    tint = colour(list(found.residual), list(found.modelled))
+    tint = colour(list(identification.residual), list(identification.modelled))
     fit = {}
-    for k, channel in enumerate(found.outputs):
+    for k, channel in enumerate(identification.outputs):
         fit[channel] = {
             "rms": finite(rms(residual[k])),
-            "noise": finite(found.noise[channel]),
+            "noise": finite(identification.noise[channel]),
             "whiteness_p": finite(tint.p_value[k]),
             "predictable_share": finite(tint.predictable[k]),
         }
     return {
-        "aircraft": found.aircraft,
-        "method": found.method,
-        "converged": found.converged,
+        "aircraft": identification.aircraft,
+        "method": identification.method,
+        "converged": identification.converged,
         "parameters": {
             n: {
-                "value": finite(found.theta[i]),
-                "std": finite(found.std[i]),
-                "std_crb": finite(found.std_crb[i]),
-                "status": found.status[n],
-                "reason": found.reason[n],
-                "initial": finite(found.initial[i]),
+                "value": finite(identification.theta[i]),
+                "std": finite(identification.std[i]),
+                "std_crb": finite(identification.std_crb[i]),
+                "status": identification.status[n],
+                "reason": identification.reason[n],
+                "initial": finite(identification.initial[i]),
             }
-            for i, n in enumerate(found.names)
+            for i, n in enumerate(identification.names)
         },
         "names": list(names),
-        "cov": [[float(v) for v in row] for row in found.cov],
-        "warnings": list(found.warnings),
+        "cov": [[float(v) for v in row] for row in identification.cov],
+        "warnings": list(identification.warnings),
         "fit": fit,
         "nuisance": {
-            n: {"value": finite(v), "std": finite(s)} for n, (v, s) in found.nuisance.items()
+            n: {"value": finite(v), "std": finite(s)}
+            for n, (v, s) in identification.nuisance.items()
         },
         "segments": [
             {
@@ -372,45 +388,45 @@ def fit_document(
                 "start_s": float(s.time_s[0]),
                 "end_s": float(s.time_s[-1]),
             }
-            for s in found.segments
+            for s in identification.segments
         ],
         "flights": list(flights),
         "flights_sha256": list(hashes),
-        "notes": list(found.notes),
+        "notes": list(identification.notes),
         "command": shlex.join(command),
-        "simulations": found.simulations,
-        "seconds": round(found.seconds, 2),
+        "simulations": identification.simulations,
+        "seconds": round(identification.seconds, 2),
         "speed": (
             None
-            if found.speed is None
-            else {k: round(v, 1) for k, v in asdict(found.speed).items()}
+            if identification.speed is None
+            else {k: round(v, 1) for k, v in asdict(identification.speed).items()}
         ),
     }
 
 
-def parameter_rows(found: Identification) -> list[dict[str, str]]:
+def parameter_rows(identification: Identification) -> list[dict[str, str]]:
     """The table as text, columns as Table 2.6: initial value, estimate, corrected standard error,
     Cramer-Rao bound, status.
     """
     rows = []
-    for i, name in enumerate(found.names):
-        known = found.status[name] == "identified"
+    for i, name in enumerate(identification.names):
+        is_identified = identification.status[name] == "identified"
         rows.append(
             {
                 "parameter": name,
-                "initial": f"{found.initial[i]:.5g}",
-                "estimate": f"{found.theta[i]:.5g}",
-                "std": f"{found.std[i]:.2g}" if known else "",
-                "crb": f"{found.std_crb[i]:.2g}" if known else "",
-                "status": found.status[name],
-                "reason": found.reason[name],
+                "initial": f"{identification.initial[i]:.5g}",
+                "estimate": f"{identification.theta[i]:.5g}",
+                "std": f"{identification.std[i]:.2g}" if is_identified else "",
+                "crb": f"{identification.std_crb[i]:.2g}" if is_identified else "",
+                "status": identification.status[name],
+                "reason": identification.reason[name],
             }
         )
     return rows
 
 
 def write_results(
-    found: Identification,
+    identification: Identification,
     aircraft: Aircraft,
     flights: Sequence[str],
     command: Sequence[str],
@@ -422,15 +438,15 @@ def write_results(
 
     hashes: SHA-256 of the flights' files, by which bounds know a flight that the model was
     identified from."""
-    document = fit_document(found, flights, command, hashes)
+    document = fit_document(identification, flights, command, hashes)
     estimates = {
         n: Estimate(
-            float(found.theta[i]),
-            f"{found.theta[i]:.4g} +/- {found.std[i]:.2g} by {found.method} from"
+            float(identification.theta[i]),
+            f"{identification.theta[i]:.4g} +/- {identification.std[i]:.2g} by {identification.method} from"
             f" {', '.join(flights)}: uqharness identify",
         )
-        for i, n in enumerate(found.names)
-        if found.status[n] == "identified"
+        for i, n in enumerate(identification.names)
+        if identification.status[n] == "identified"
     }
     unwritten = write_estimates(aircraft, estimates, out / "aircraft")
     if unwritten:
@@ -438,14 +454,14 @@ def write_results(
             "not written into the XML, which does not declare them as <property value=...>:"
             f" {', '.join(unwritten)}"
         )
-    write_text(out / "parameters.csv", csv_text(parameter_rows(found)))
+    write_text(out / "parameters.csv", csv_text(parameter_rows(identification)))
     write_histories(
         out,
-        found.segments,
+        identification.segments,
         {
-            **columns_of(found.outputs, found.measured),
-            **columns_of(found.outputs, found.modelled, "_model"),
-            **columns_of(CONTROLS, [s.controls for s in found.segments]),
+            **columns_of(identification.outputs, identification.measured),
+            **columns_of(identification.outputs, identification.modelled, "_model"),
+            **columns_of(CONTROLS, [s.controls for s in identification.segments]),
         },
     )
     write_json(out / "fit.json", document)

@@ -19,20 +19,30 @@ from uqharness.report.channels import (
 )
 from uqharness.report.ground_track import Circle
 from uqharness.report.pages.flight import (
-    MOST_LISTED,
+    MAX_LISTED,
     manoeuvre_section,
     manoeuvre_shades,
     track_section,
 )
-from uqharness.report.parts import Cell, Code, Level, Page, Say, Section, Table, Words, provenance
+from uqharness.report.parts import (
+    Cell,
+    Code,
+    Level,
+    Page,
+    Section,
+    Sentence,
+    Table,
+    Words,
+    provenance,
+)
 
 _LEVELS: Mapping[str, Level] = {"error": "bad", "warning": "warn", "info": ""}
 _ORDER = ("error", "warning", "info")
-_MOST_MODES = 12
+_MAX_MODES = 12
 """Flight modes whose changes are drawn; the table lists more."""
-_MOST_CIRCLES = 6
+_MAX_CIRCLES = 6
 """Commanded circles that are drawn."""
-_SAME = 6
+_MAX_CHANNELS = 6
 """Channels of one kind of finding that are named in a row."""
 
 
@@ -42,7 +52,7 @@ def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
     names = named_stretches(record["time_s"], record["manoeuvre"]) if "manoeuvre" in record else []
     changes = (
         [Shade(start, start, "joint") for start, _, _ in modes[1:]]
-        if len(modes) <= _MOST_MODES
+        if len(modes) <= _MAX_MODES
         else []
     )
     shades = [*_phases(record), *changes, *manoeuvre_shades(names)]
@@ -54,12 +64,12 @@ def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
     legend += [("joint", "change of mode")] if changes else []
     legend += (
         [("fillbad", "finding")]
-        if any(flag.spans for found in flags.values() for flag in found)
+        if any(flag.spans for channel_flags in flags.values() for flag in channel_flags)
         else []
     )
     sections = [_purposes(info), _findings(record), *_mends(info)]
     circles = list(dict.fromkeys(Circle(x.north_m, x.east_m, x.radius_m) for x in info.loiters))[
-        :_MOST_CIRCLES
+        :_MAX_CIRCLES
     ]
     sections += [
         *track_section(record.columns, circles=circles),
@@ -70,41 +80,41 @@ def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
         ("Command", command),
         ("Log (SHA-256)", f"{record.metadata.sha256 or 'not computed'} {info.source}"),
     ]
-    asked = f"What does {info.source} hold, what is wrong with it, and what does it serve?"
-    return Page(f"Log {info.source}", asked, _verdict(info), (*sections, provenance(*facts)))
+    question = f"What does {info.source} hold, what is wrong with it, and what does it serve?"
+    return Page(f"Log {info.source}", question, _verdict(info), (*sections, provenance(*facts)))
 
 
-def _verdict(info: LogInfo) -> tuple[Say, ...]:
+def _verdict(info: LogInfo) -> tuple[Sentence, ...]:
     flight = (
         "no free flight"
         if info.flight_s is None
         else f"free flight from {info.flight_s[0]:.1f} to {info.flight_s[1]:.1f} s"
     )
     vehicle = info.vehicle or "vehicle not said"
-    said = [
-        Say(
+    sentences = [
+        Sentence(
             f"{vehicle}, {info.dialect}: {info.duration_s:.1f} s on a grid of {info.grid_hz:.4g}"
             f" Hz, {flight}."
         )
     ]
-    serves, rest = ([p.name for p in info.purposes if p.serves is yes] for yes in (True, False))
+    serves, unserved = ([p.name for p in info.purposes if p.serves is yes] for yes in (True, False))
     if serves:
-        said.append(
-            Say(
+        sentences.append(
+            Sentence(
                 f"The log serves {', '.join(serves)}."
-                + (f" It does not serve {', '.join(rest)}." if rest else ""),
+                + (f" It does not serve {', '.join(unserved)}." if unserved else ""),
                 "good",
             )
         )
     else:
-        said.append(Say("The log serves no purpose.", "bad"))
+        sentences.append(Sentence("The log serves no purpose.", "bad"))
     for severity in ("error", "warning"):
-        found = [f for f in info.findings if f.severity == severity]
-        if found:
-            codes = ", ".join(dict.fromkeys(f.code for f in found))
-            count = f"{len(found)} {severity}{'s' if len(found) > 1 else ''}"
-            said.append(Say(f"{count}: {codes}.", _LEVELS[severity]))
-    return tuple(said)
+        findings = [f for f in info.findings if f.severity == severity]
+        if findings:
+            codes = ", ".join(dict.fromkeys(f.code for f in findings))
+            count = f"{len(findings)} {severity}{'s' if len(findings) > 1 else ''}"
+            sentences.append(Sentence(f"{count}: {codes}.", _LEVELS[severity]))
+    return tuple(sentences)
 
 
 def _phases(record: FlightRecord) -> list[Shade]:
@@ -140,15 +150,15 @@ def _findings(record: FlightRecord) -> Section:
     rows = []
     for (severity, code), members in groups.items():
         first = members[0]
-        others = [f.channel for f in members[1:] if f.channel]
-        more = f" Also: {', '.join(others)}." if others else ""
-        what = f"{first.message.rstrip('.')}.{more}"
+        further_channels = [f.channel for f in members[1:] if f.channel]
+        more = f" Also: {', '.join(further_channels)}." if further_channels else ""
+        description = f"{first.message.rstrip('.')}.{more}"
         rows.append(
             (
                 code,
                 Cell(severity, _LEVELS.get(severity, "")),
                 _where(members, record),
-                what,
+                description,
                 first.spoils or "-",
             )
         )
@@ -166,17 +176,17 @@ def _where(members: Sequence[Finding], record: FlightRecord) -> str:
     names = list(
         dict.fromkeys(n for f in members for n in channels_of(f, record) or (f.channel,) if n)
     )
-    shown = ", ".join(names[:_SAME]) + (
-        f" and {len(names) - _SAME} more" if len(names) > _SAME else ""
+    channels = ", ".join(names[:_MAX_CHANNELS]) + (
+        f" and {len(names) - _MAX_CHANNELS} more" if len(names) > _MAX_CHANNELS else ""
     )
     spans = [
         span for f in members for n in channels_of(f, record)[:1] for span in spans_of(f, n, record)
     ]
     if not spans:
-        return shown or "whole log"
+        return channels or "whole log"
     start, end = min(spans, key=lambda s: s[0] - s[1])
     longest = "" if len(spans) == 1 else f"{len(spans)} stretches, the longest "
-    return f"{shown}: {longest}{start:.2f} to {end:.2f} s"
+    return f"{channels}: {longest}{start:.2f} to {end:.2f} s"
 
 
 def _mends(info: LogInfo) -> tuple[Section, ...]:
@@ -191,8 +201,8 @@ def _mends(info: LogInfo) -> tuple[Section, ...]:
 def _modes(modes: Sequence[tuple[float, float, str]]) -> tuple[Section, ...]:
     if not modes:
         return ()
-    rows = tuple((f"{start:.2f}", f"{end:.2f}", name) for start, end, name in modes[:MOST_LISTED])
-    more = f", the first {MOST_LISTED} of {len(modes)}" if len(modes) > MOST_LISTED else ""
+    rows = tuple((f"{start:.2f}", f"{end:.2f}", name) for start, end, name in modes[:MAX_LISTED])
+    more = f", the first {MAX_LISTED} of {len(modes)}" if len(modes) > MAX_LISTED else ""
     return (
         Section(
             "Flight modes",

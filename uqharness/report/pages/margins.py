@@ -15,12 +15,12 @@ from uqharness.report.parts import (
     Figure,
     Figures,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     provenance,
-    shown,
 )
 from uqharness.report.svg import Chart, Scale, log_scale, scale
 
@@ -31,12 +31,12 @@ _MOST_TICKS = 8
 
 def margins_page(aircraft: str, flight: str, measured: Sequence[LoopMargins], command: str) -> Page:
     """The page of loops measured on the ``flight`` (loiter or straight) of an aircraft."""
-    asked = (
+    question = (
         f"How far are the loops of {aircraft}'s autopilot from instability? Measured in flight"
         f" ({flight}, calm air, no sensor noise): each loop is opened at its controller's output,"
         " the others stay closed."
     )
-    verdict = tuple(Say(_sentence(item)) for item in measured)
+    verdict = tuple(Sentence(_sentence(item)) for item in measured)
     sections = [_table(measured), *(_loop(item) for item in measured)]
     text = (
         "The response is L = -output/applied at the frequencies of an injected multisine, with"
@@ -51,7 +51,7 @@ def margins_page(aircraft: str, flight: str, measured: Sequence[LoopMargins], co
     sections.append(Section("How it was measured", (Words(text),)))
     return Page(
         f"Stability margins of {aircraft}, {flight}",
-        asked,
+        question,
         verdict,
         (*sections, provenance(("Command", command))),
     )
@@ -125,25 +125,25 @@ class _Response:
 
     def __init__(self, item: LoopMargins) -> None:
         self.item, self.margins = item, item.margins
-        good = item.reliable
-        self.w = item.frequency_radps[good]
+        is_reliable = item.reliable
+        self.w = item.frequency_radps[is_reliable]
         self.log_w = np.log(self.w)
-        self.gain = 20.0 * np.log10(np.abs(item.response[good]))
-        phase = np.degrees(np.unwrap(np.angle(item.response[good])))
+        self.gain = 20.0 * np.log10(np.abs(item.response[is_reliable]))
+        phase = np.degrees(np.unwrap(np.angle(item.response[is_reliable])))
         at = self.margins.phase_radps
-        here = (
+        margin_phase = (
             float(np.interp(math.log(at), self.log_w, phase))
             if math.isfinite(at)
             else float(np.median(phase))
         )
-        lag = (here + 180.0) % _TURN
-        self.phase = phase + ((lag if lag <= 180.0 else lag - _TURN) - 180.0 - here)
+        lag = (margin_phase + 180.0) % _TURN
+        self.phase = phase + ((lag if lag <= 180.0 else lag - _TURN) - 180.0 - margin_phase)
         # Lines that were not read: their phase on the branch nearest to the curve.
-        self.bad_w = item.frequency_radps[~good]
-        self.bad_gain = 20.0 * np.log10(np.abs(item.response[~good]))
-        raw = np.degrees(np.angle(item.response[~good]))
-        near = np.interp(np.log(self.bad_w), self.log_w, self.phase)
-        self.bad_phase = raw + _TURN * np.round((near - raw) / _TURN)
+        self.bad_w = item.frequency_radps[~is_reliable]
+        self.bad_gain = 20.0 * np.log10(np.abs(item.response[~is_reliable]))
+        raw = np.degrees(np.angle(item.response[~is_reliable]))
+        curve_phase = np.interp(np.log(self.bad_w), self.log_w, self.phase)
+        self.bad_phase = raw + _TURN * np.round((curve_phase - raw) / _TURN)
 
     def at(self, radps: float) -> tuple[float, float]:
         """Gain [dB] and phase [deg] at a frequency."""
@@ -162,11 +162,11 @@ class _Response:
     def gain_margins(self) -> list[tuple[float, str, str]]:
         """Frequency [rad/s], class and words of each gain margin that there is."""
         m = self.margins
-        found = [
+        margins = [
             (m.gain_up_radps, "second", f"gain up {m.gain_up_dB:.1f} dB"),
             (m.gain_down_radps, "mark", f"gain down {m.gain_down_dB:.1f} dB"),
         ]
-        return [row for row in found if math.isfinite(row[0])]
+        return [row for row in margins if math.isfinite(row[0])]
 
 
 def _critical(low: float, high: float) -> list[float]:
@@ -178,13 +178,11 @@ def _critical(low: float, high: float) -> list[float]:
 
 
 def _phase_scale(values: Sequence[FloatArray]) -> Scale:
-    found = scale("phase of L [deg]", [*values, np.array([-180.0])])
-    step = next((s for s in _SPACED_DEG if (found.high - found.low) / s <= _MOST_TICKS), 720.0)
-    ticks = [
-        step * k for k in range(math.ceil(found.low / step), math.floor(found.high / step) + 1)
-    ]
+    axis = scale("phase of L [deg]", [*values, np.array([-180.0])])
+    step = next((s for s in _SPACED_DEG if (axis.high - axis.low) / s <= _MOST_TICKS), 720.0)
+    ticks = [step * k for k in range(math.ceil(axis.low / step), math.floor(axis.high / step) + 1)]
     return Scale(
-        found.label, found.low, found.high, tuple((t, f"{t:g}".replace("-", "−")) for t in ticks)
+        axis.label, axis.low, axis.high, tuple((t, f"{t:g}".replace("-", "−")) for t in ticks)
     )
 
 
@@ -227,10 +225,10 @@ def _phase(r: _Response) -> Figure:
     chart.line(r.w, r.phase, "first", "L, measured")
     chart.dots(r.w, r.phase, "dotfirst", radius=1.6)
     if math.isfinite(m.phase_deg):
-        _, here = r.at(m.phase_radps)
+        _, phase_deg = r.at(m.phase_radps)
         chart.path(
             np.array([m.phase_radps] * 2),
-            np.array([here, -180.0]),
+            np.array([phase_deg, -180.0]),
             "second",
             f"phase margin {m.phase_deg:.1f} deg",
         )
@@ -261,19 +259,19 @@ def _nichols(r: _Response) -> Figure:
     chart.path(r.phase, r.gain, "first", "L, measured")
     chart.dots(r.phase, r.gain, "dotfirst", radius=1.6)
     for w, kind, words in r.gain_margins:
-        gain, here = r.at(w)
-        chart.path(np.array([here, here]), np.array([gain, 0.0]), kind, words)
+        gain, phase_deg = r.at(w)
+        chart.path(np.array([phase_deg, phase_deg]), np.array([gain, 0.0]), kind, words)
     if math.isfinite(m.phase_deg):
-        _, here = r.at(m.phase_radps)
+        _, phase_deg = r.at(m.phase_radps)
         chart.path(
-            np.array([here, -180.0]),
+            np.array([phase_deg, -180.0]),
             np.zeros(2),
             "second thin",
             f"phase margin {m.phase_deg:.1f} deg",
         )
     for turn in _critical(x.low, x.high):
         chart.marker(turn, 0.0, "", "cross", "the point −1")
-    rising = f"{shown(float(r.w[0]))} to {shown(float(r.w[-1]))} rad/s"
+    rising = f"{format_value(float(r.w[0]))} to {format_value(float(r.w[-1]))} rad/s"
     return Figure(
         chart.name,
         chart.svg(),

@@ -28,12 +28,12 @@ from uqharness.report.parts import (
     Figures,
     Level,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     provenance,
-    shown,
 )
 from uqharness.report.svg import Chart, Scale, log_scale, scale
 
@@ -58,7 +58,7 @@ _TALL = 250
 
 
 @dataclass(frozen=True)
-class ModesAsked:
+class ModesRequest:
     """What the page is of: aircraft, category and class, facts of the trim (name, text), the
     command that makes it again.
     """
@@ -70,42 +70,52 @@ class ModesAsked:
     command: str
 
 
-def modes_page(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Page:
+def modes_page(request: ModesRequest, point: LocusPoint, locus: Locus) -> Page:
     """The page of the modes at one speed and of ``locus``, which holds that ``point`` too."""
-    which = f"category {asked.category}, class {asked.aircraft_class}"
+    category_text = f"category {request.category}, class {request.aircraft_class}"
     question = (
-        f"Which Levels of MIL-F-8785C do the modes of {asked.aircraft} reach ({which}), and how do"
+        f"Which Levels of MIL-F-8785C do the modes of {request.aircraft} reach ({category_text}), and how do"
         " they move with airspeed?"
     )
-    sections = [_eigenvalues(point), _maps(asked, point, locus), _by_speed(locus), *_refused(locus)]
-    sections.append(Section("Trim", (Facts(asked.trim),)))
+    sections = [
+        _eigenvalues(point),
+        _maps(request, point, locus),
+        _by_speed(locus),
+        *_refused(locus),
+    ]
+    sections.append(Section("Trim", (Facts(request.trim),)))
     text = (
         "Actuators are outside the linear model, and thrust follows its map at fixed throttle."
         " MIL-F-8785C was written for piloted aircraft; for a small unmanned one its Levels are a"
         " yardstick, not a requirement."
     )
     sections.append(Section("Assumptions", (Words(text),)))
-    title = f"Modes of {asked.aircraft} at {point.V_mps:g} m/s"
+    title = f"Modes of {request.aircraft} at {point.V_mps:g} m/s"
     return Page(
         title,
         question,
-        _verdict(asked, point, locus),
-        (*sections, provenance(("Command", asked.command))),
+        _verdict(request, point, locus),
+        (*sections, provenance(("Command", request.command))),
     )
 
 
-def _verdict(asked: ModesAsked, point: LocusPoint, locus: Locus) -> tuple[Say, ...]:
+def _verdict(request: ModesRequest, point: LocusPoint, locus: Locus) -> tuple[Sentence, ...]:
     worst = max(a.level for a in point.levels)
     reached = "a mode is worse than Level 3" if worst == 4 else f"all modes reach Level {worst}"
-    better = " or better" if 1 < worst < 4 else ""
-    said = [Say(f"At {point.V_mps:g} m/s {reached}{better}.", _LEVELS[worst])]
+    or_better = " or better" if 1 < worst < 4 else ""
+    sentences = [Sentence(f"At {point.V_mps:g} m/s {reached}{or_better}.", _LEVELS[worst])]
     for mode, name in NAMES.items():
-        found = [a for a in point.levels if a.mode == mode]
-        if not found:
+        assessments = [a for a in point.levels if a.mode == mode]
+        if not assessments:
             continue
-        told = "; ".join(f"{criterion_words(a)}, {_level_words(a.level)}" for a in found)
-        said.append(
-            Say(f"{name[0].upper()}{name[1:]}: {told}.", _LEVELS[max(a.level for a in found)])
+        criteria_text = "; ".join(
+            f"{criterion_words(a)}, {_level_words(a.level)}" for a in assessments
+        )
+        sentences.append(
+            Sentence(
+                f"{name[0].upper()}{name[1:]}: {criteria_text}.",
+                _LEVELS[max(a.level for a in assessments)],
+            )
         )
     speeds = [p.V_mps for p in locus.points]
     text = f"Trimmed at {len(speeds)} speeds from {speeds[0]:.4g} to {speeds[-1]:.4g} m/s"
@@ -114,16 +124,16 @@ def _verdict(asked: ModesAsked, point: LocusPoint, locus: Locus) -> tuple[Say, .
         if locus.refused
         else "."
     )
-    return (*said, Say(text + lacking))
+    return (*sentences, Sentence(text + lacking))
 
 
-def criterion_words(found: Assessment) -> str:
+def criterion_words(assessment: Assessment) -> str:
     """A criterion with its value and unit."""
-    if math.isinf(found.value):
+    if math.isinf(assessment.value):
         return "stable"
-    if math.isnan(found.value):
-        return f"{found.criterion} undefined"
-    return f"{found.criterion} {found.value:.3g} {'' if found.unit == '1' else found.unit}".rstrip()
+    if math.isnan(assessment.value):
+        return f"{assessment.criterion} undefined"
+    return f"{assessment.criterion} {assessment.value:.3g} {'' if assessment.unit == '1' else assessment.unit}".rstrip()
 
 
 def _level_words(level: int) -> str:
@@ -143,9 +153,9 @@ def _eigenvalues(point: LocusPoint) -> Section:
                 f"{m.real:.4f}",
                 f"{m.imag:.4f}",
                 f"{m.wn_radps:.4f}",
-                shown(m.zeta, ".3f"),
-                shown(period, ".3g") if m.imag else "none",
-                f"{end} in {shown(time, '.3g')} s" if m.real else "neither",
+                format_value(m.zeta, ".3f"),
+                format_value(period, ".3g") if m.imag else "none",
+                f"{end} in {format_value(time, '.3g')} s" if m.real else "neither",
             )
         )
     head = (
@@ -162,11 +172,13 @@ def _eigenvalues(point: LocusPoint) -> Section:
     )
 
 
-def _maps(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Section:
-    figures = [_all(point, locus), *_cap(asked, point, locus)]
-    drawn = {m.name for p in locus.points for m in p.modes}
-    figures += [_pair(mode, asked, point, locus) for mode in OSCILLATORY if mode in drawn]
-    figures += [_root(mode, asked, point, locus) for mode in ("roll", "spiral") if mode in drawn]
+def _maps(request: ModesRequest, point: LocusPoint, locus: Locus) -> Section:
+    figures = [_all(point, locus), *_cap(request, point, locus)]
+    mode_names = {m.name for p in locus.points for m in p.modes}
+    figures += [_pair(mode, request, point, locus) for mode in OSCILLATORY if mode in mode_names]
+    figures += [
+        _root(mode, request, point, locus) for mode in ("roll", "spiral") if mode in mode_names
+    ]
     text = (
         "Each line joins the roots of one mode by rising speed, a dot at each speed. Areas and"
         " limits are those of the category and class above; of two real roots in place of a pair"
@@ -182,13 +194,15 @@ def _branches(locus: Locus, mode: str) -> list[tuple[FloatArray, FloatArray, Flo
     """Speed, real and imaginary part of a mode's roots along the speeds, NaN where there is no such
     root; one branch a root.
     """
-    found = [
+    mode_roots = [
         sorted((m for m in p.modes if m.name == mode), key=lambda m: m.real) for p in locus.points
     ]
     speeds = np.array([p.V_mps for p in locus.points])
     out = []
-    for k in range(max(map(len, found), default=0)):
-        values = [(f[k].real, f[k].imag) if k < len(f) else (math.nan, math.nan) for f in found]
+    for k in range(max(map(len, mode_roots), default=0)):
+        values = [
+            (f[k].real, f[k].imag) if k < len(f) else (math.nan, math.nan) for f in mode_roots
+        ]
         out.append((speeds, np.array([v[0] for v in values]), np.array([v[1] for v in values])))
     return out
 
@@ -229,11 +243,13 @@ def _plane(
 
 
 def _all(point: LocusPoint, locus: Locus) -> Figure:
-    roots = [root for mode in NAMES for found in _roots(locus, mode).values() for root in found]
-    told = ", ".join(f"{NAMES[m.name]} {m.real:.3g} + {m.imag:.3g}i" for m in point.modes)
+    roots = [root for mode in NAMES for pairs in _roots(locus, mode).values() for root in pairs]
+    eigenvalue_text = ", ".join(
+        f"{NAMES[m.name]} {m.real:.3g} + {m.imag:.3g}i" for m in point.modes
+    )
     chart = _plane(
         "locus-all",
-        f"Eigenvalues in the complex plane, real [1/s] and imaginary part [rad/s]: {told}.",
+        f"Eigenvalues in the complex plane, real [1/s] and imaginary part [rad/s]: {eigenvalue_text}.",
         roots,
     )
     chart.upright(0.0, "zero")
@@ -256,8 +272,8 @@ def _labels(
     chart: Chart, point: LocusPoint
 ) -> list[tuple[str, tuple[float, float], tuple[float, float], str]]:
     """Where the modes' names stand: beside their markers, inside the frame, none over another."""
-    left, top, width, height = chart.plot
-    taken: list[tuple[float, float, float, float]] = []
+    x_left, top, width, height = chart.plot
+    occupied: list[tuple[float, float, float, float]] = []
     out: list[tuple[str, tuple[float, float], tuple[float, float], str]] = []
     for m in sorted(point.modes, key=lambda m: -m.imag):
         if any(mode == m.name for mode, *_ in out):
@@ -271,32 +287,34 @@ def _labels(
             x0 = u + dx - {"start": 0.0, "end": wide, "middle": 0.5 * wide}[anchor]
             box = (x0, v + dy - 10.0, x0 + wide, v + dy + 2.0)
             free = all(
-                box[2] < t[0] or box[0] > t[2] or box[3] < t[1] or box[1] > t[3] for t in taken
+                box[2] < t[0] or box[0] > t[2] or box[3] < t[1] or box[1] > t[3] for t in occupied
             )
             if (
                 free
-                and box[0] >= left
-                and box[2] <= left + width
+                and box[0] >= x_left
+                and box[2] <= x_left + width
                 and box[1] >= top
                 and box[3] <= top + height
             ):
-                taken.append(box)
+                occupied.append(box)
                 out.append((m.name, (m.real, m.imag), (dx, dy), anchor))
                 break
     return out
 
 
-def _pair(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figure:
+def _pair(mode: str, request: ModesRequest, point: LocusPoint, locus: Locus) -> Figure:
     place = _roots(locus, mode)
-    roots = [root for found in place.values() for root in found]
-    here = ", ".join(f"{a.criterion} {shown(a.value)}" for a in point.levels if a.mode == mode)
+    roots = [root for pairs in place.values() for root in pairs]
+    criteria = ", ".join(
+        f"{a.criterion} {format_value(a.value)}" for a in point.levels if a.mode == mode
+    )
     label = (
         f"Root locus of the {NAMES[mode]}, real [1/s] and imaginary part [rad/s]; at"
-        f" {point.V_mps:g} m/s {here}."
+        f" {point.V_mps:g} m/s {criteria}."
     )
     chart = _plane(f"locus-{mode}", label, roots)
     imag = np.linspace(0.0, chart.y.high, 121)
-    edges = level_edges(mode, asked.category, asked.aircraft_class, imag)
+    edges = level_edges(mode, request.category, request.aircraft_class, imag)
     inside = np.clip(edges[0], chart.x.low, None)
     outline = (
         np.concatenate([[chart.x.low], inside, [chart.x.low]]),
@@ -310,17 +328,17 @@ def _pair(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figu
         chart.line(real, up, "first")
         chart.dots(real, up, "dotfirst", radius=2.0)
     _ends(chart, point, locus, place)
-    of = (
+    basis = (
         "damping alone; CAP has its own figure"
         if mode == "short_period"
         else "MIL-F-8785C " + _PARAGRAPHS[mode]
     )
     return Figure(
-        chart.name, chart.svg(), f"{NAMES[mode][0].upper()}{NAMES[mode][1:]}: Levels by {of}."
+        chart.name, chart.svg(), f"{NAMES[mode][0].upper()}{NAMES[mode][1:]}: Levels by {basis}."
     )
 
 
-def _cap(asked: ModesAsked, point: LocusPoint, locus: Locus) -> list[Figure]:
+def _cap(request: ModesRequest, point: LocusPoint, locus: Locus) -> list[Figure]:
     """Draw natural frequency over n/alpha with lines of equal CAP, as the specification's figures 1
     to 3.
 
@@ -333,8 +351,8 @@ def _cap(asked: ModesAsked, point: LocusPoint, locus: Locus) -> list[Figure]:
             place[p.V_mps] = [(p.n_alpha, math.sqrt(cap * p.n_alpha))]
     if not place:
         return []
-    n, wn = (np.array([found[0][k] for found in place.values()]) for k in (0, 1))
-    (one_low, one_high), (two_low, two_high) = cap_limits(asked.category)
+    n, wn = (np.array([roots[0][k] for roots in place.values()]) for k in (0, 1))
+    (one_low, one_high), (two_low, two_high) = cap_limits(request.category)
     x = log_scale("n/alpha [g/rad]", [n], margin=0.25)
     ends = np.array([x.low, x.high])
     lines = [
@@ -346,11 +364,13 @@ def _cap(asked: ModesAsked, point: LocusPoint, locus: Locus) -> list[Figure]:
     y = log_scale(
         "short-period natural frequency [rad/s]", [wn, *(np.sqrt(cap * n) for cap, _, _ in lines)]
     )
-    told = ", ".join(f"CAP {shown(a.value)}" for a in point.levels if a.criterion == "CAP")
+    cap_text = ", ".join(
+        f"CAP {format_value(a.value)}" for a in point.levels if a.criterion == "CAP"
+    )
     chart = Chart(
         "locus-cap",
         f"Natural frequency of the short period [rad/s] over n/alpha [g/rad]; at {point.V_mps:g}"
-        f" m/s {told}.",
+        f" m/s {cap_text}.",
         x,
         y,
         _TALL,
@@ -369,16 +389,16 @@ def _cap(asked: ModesAsked, point: LocusPoint, locus: Locus) -> list[Figure]:
     return [Figure(chart.name, chart.svg(), caption)]
 
 
-def _root(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figure:
-    limits = root_limits(mode, asked.category, asked.aircraft_class)
+def _root(mode: str, request: ModesRequest, point: LocusPoint, locus: Locus) -> Figure:
+    limits = root_limits(mode, request.category, request.aircraft_class)
     branches = _branches(locus, mode)
     speeds, values = np.array([p.V_mps for p in locus.points]), [real for _, real, _ in branches]
     y = scale(f"real root of {mode} [1/s]", [*values, np.zeros(1), np.array(limits)], margin=0.1)
     x = scale("true airspeed [m/s]", [speeds], margin=0.04)
-    told = ", ".join(criterion_words(a) for a in point.levels if a.mode == mode)
+    criteria_text = ", ".join(criterion_words(a) for a in point.levels if a.mode == mode)
     chart = Chart(
         f"locus-{mode}",
-        f"Real root of the {mode} mode [1/s] over airspeed [m/s]; at {point.V_mps:g} m/s {told}.",
+        f"Real root of the {mode} mode [1/s] over airspeed [m/s]; at {point.V_mps:g} m/s {criteria_text}.",
         x,
         y,
         220,
@@ -394,11 +414,13 @@ def _root(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figu
     for m in point.modes:
         if m.name == mode:
             chart.marker(point.V_mps, m.real, "second", "disc", f"{point.V_mps:.4g} m/s")
-    what = "time constant, -1/root" if mode == "roll" else "time to double amplitude, ln 2/root"
+    criterion = (
+        "time constant, -1/root" if mode == "roll" else "time to double amplitude, ln 2/root"
+    )
     return Figure(
         chart.name,
         chart.svg(),
-        f"{mode.capitalize()}: Levels by {what}, MIL-F-8785C {_PARAGRAPHS[mode]}.",
+        f"{mode.capitalize()}: Levels by {criterion}, MIL-F-8785C {_PARAGRAPHS[mode]}.",
     )
 
 
@@ -411,11 +433,14 @@ def _by_speed(locus: Locus) -> Section:
     keys = sorted(units, key=lambda key: list(NAMES).index(key[0]))
     rows: list[tuple[str | Cell, ...]] = []
     for p in locus.points:
-        found = {(a.mode, a.criterion): a for a in p.levels}
+        assessments = {(a.mode, a.criterion): a for a in p.levels}
         rows.append(
             (
                 f"{p.V_mps:.4g}",
-                *(_cell(found[key]) if key in found else Cell("no such mode") for key in keys),
+                *(
+                    _cell(assessments[key]) if key in assessments else Cell("no such mode")
+                    for key in keys
+                ),
             )
         )
     head = (
@@ -427,9 +452,9 @@ def _by_speed(locus: Locus) -> Section:
     )
 
 
-def _cell(found: Assessment) -> Cell:
-    text = "stable" if math.isinf(found.value) else shown(found.value)
-    return Cell(text, _LEVELS[found.level], small=_level_words(found.level))
+def _cell(assessment: Assessment) -> Cell:
+    text = "stable" if math.isinf(assessment.value) else format_value(assessment.value)
+    return Cell(text, _LEVELS[assessment.level], small=_level_words(assessment.level))
 
 
 def _refused(locus: Locus) -> tuple[Section, ...]:

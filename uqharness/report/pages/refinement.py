@@ -25,15 +25,15 @@ from uqharness.report.parts import (
     Figures,
     Level,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     is_wanted,
     percent,
     provenance,
     remarks,
-    shown,
 )
 from uqharness.report.svg import Chart, Scale, rows_chart, scale
 from uqharness.result_documents import Refinement, read_document
@@ -41,7 +41,7 @@ from uqharness.result_documents import Refinement, read_document
 # The chart of a refinement's candidates: every one that the page names, and the likeliest of
 # the others.
 
-MOST_OTHERS = 8
+MAX_UNLISTED = 8
 """Candidates in the chart that the page does not name."""
 LEGEND = (("wide", "alone, beside the parameters"), ("thick", "the same of a chosen effect"))
 _MARKS = {
@@ -53,7 +53,7 @@ _MARKS = {
 
 
 @dataclass(frozen=True)
-class Named:
+class ListedCandidate:
     """A candidate that the page names: as what (chosen, withdrawn, alternative, left), and its |t|
     there; None where unknown.
     """
@@ -62,7 +62,7 @@ class Named:
     t: float | None
 
 
-def named_candidates(done: Mapping[str, Any]) -> dict[str, Named]:
+def listed_candidates(done: Mapping[str, Any]) -> dict[str, ListedCandidate]:
     """Candidates that a refinement names, by coefficient or subsystem and term; one that is named
     twice as the first of `Named`.
 
@@ -78,15 +78,15 @@ def named_candidates(done: Mapping[str, Any]) -> dict[str, Named]:
     remaining = done["remaining"]
     rows += [("left", w, w["t"]) for w in remaining["where"] if w.get("term") and "t" in w]
     rows += [("left", c, c["t"]) for c in (remaining.get("place") or {}).get("candidates", ())]
-    out: dict[str, Named] = {}
+    out: dict[str, ListedCandidate] = {}
     for part, e, t in rows:
         if e.get("term"):
-            out.setdefault(_short(e), Named(part, None if t is None else abs(t)))
+            out.setdefault(_short(e), ListedCandidate(part, None if t is None else abs(t)))
     refused = done.get("best_refused")
     if refused:
         out.setdefault(
             _as_scored(refused["effect"]),
-            Named("left", None if refused.get("t") is None else abs(refused["t"])),
+            ListedCandidate("left", None if refused.get("t") is None else abs(refused["t"])),
         )
     return out
 
@@ -103,12 +103,12 @@ def _as_scored(key: str) -> str:
 def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None:
     """|t| of the candidates; None where a refinement names and scores none."""
     board = done.get("candidates", {})
-    alone = {r["effect"]: abs(r["t"]) for r in board.get("scores", ()) if r.get("t") is not None}
-    named = named_candidates(done)
-    others = [n for n in alone if n not in named][:MOST_OTHERS]
+    single_t = {r["effect"]: abs(r["t"]) for r in board.get("scores", ()) if r.get("t") is not None}
+    listed = listed_candidates(done)
+    unlisted = [n for n in single_t if n not in listed][:MAX_UNLISTED]
     sizes = {
-        n: max(alone.get(n, 0.0), (named[n].t or 0.0) if n in named else 0.0)
-        for n in (*named, *others)
+        n: max(single_t.get(n, 0.0), (listed[n].t or 0.0) if n in listed else 0.0)
+        for n in (*listed, *unlisted)
     }
     if not sizes:
         return None
@@ -116,15 +116,18 @@ def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None
     limit = board.get("limit")
     label = "Candidate effects by |t| [-]: " + ", ".join(f"{n} {sizes[n]:.1f}" for n in order) + "."
     x = Scale("|t| of the score test [-]", 0.0, 1.08 * max(*sizes.values(), limit or 0.0, 1e-9))
-    titles = [f"{n} {_MARKS[named[n].part]}" if n in named else n for n in order]
+    titles = [f"{n} {_MARKS[listed[n].part]}" if n in listed else n for n in order]
     chart = rows_chart(f"{prefix}candidates", label, x, titles)
     for k, n in enumerate(order):
-        if n in alone:
+        if n in single_t:
             chart.across(
-                0.0, alone[n], k, "thick" if n in named and named[n].part == "chosen" else "wide"
+                0.0,
+                single_t[n],
+                k,
+                "thick" if n in listed and listed[n].part == "chosen" else "wide",
             )
-        if n in named and named[n].t is not None:
-            chart.marker(named[n].t or 0.0, float(k), "first", "disc")
+        if n in listed and listed[n].t is not None:
+            chart.marker(listed[n].t or 0.0, float(k), "first", "disc")
     if limit is not None:
         chart.upright(limit, "limit", "reached by chance by the best of all")
     caption = (
@@ -137,13 +140,13 @@ def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None
 
 # refinement.json in sentences: what the test flights say of an effect, what is left, and where.
 
-_AWAY = 1e9
+_DIVERGED = 1e9
 """Change of twice a log likelihood that is no measure of noise any more: replays of one of the two
 models diverge.
 """
 
 
-def place_says(place: Mapping[str, Any]) -> list[str]:
+def place_words(place: Mapping[str, Any]) -> list[str]:
     """Where the strongest of what is left sits, in at most three lines; none where nothing
     is left.
     """
@@ -158,7 +161,9 @@ def place_says(place: Mapping[str, Any]) -> list[str]:
         )
     else:
         share = place["share_of_excess"]
-        held = "" if share is None else f", {100.0 * share:.0f} % of what is left of the channel"
+        share_text = (
+            "" if share is None else f", {100.0 * share:.0f} % of what is left of the channel"
+        )
         when = (
             f"{place['flight']}, {place['from_s']:.1f} to {place['to_s']:.1f} s"
             f" ({place['manoeuvre']})"
@@ -166,46 +171,46 @@ def place_says(place: Mapping[str, Any]) -> list[str]:
         band = f"{place['from_Hz']:.2g} to {place['to_Hz']:.2g} Hz"
         first = (
             f"residual of {name}, {side} flight {when}, {band}: {place['rms_over_noise']:.2f} times"
-            f" its noise{held}"
+            f" its noise{share_text}"
         )
-    goes = place["state"]
-    if goes is not None:
-        state, unit, factor = shown_channel(goes["state"])
+    dependence = place["state"]
+    if dependence is not None:
+        state, unit, factor = shown_channel(dependence["state"])
         first += (
-            f"; its {goes['of']} goes with {state}, most at {factor * goes['low']:.3g} to"
-            f" {factor * goes['high']:.3g} {unit} ({100.0 * goes['share']:.0f} % of its variance)"
+            f"; its {dependence['of']} goes with {state}, most at {factor * dependence['low']:.3g} to"
+            f" {factor * dependence['high']:.3g} {unit} ({100.0 * dependence['share']:.0f} % of its variance)"
         )
-    near = ", ".join(
+    candidates = ", ".join(
         f"{c['name']} {c['leaves']:.2f} (|t| {abs(c['t']):.1f})" for c in place["candidates"]
     )
-    now = f"rms over noise of {name} on the train flights {place['channel_on_train']:.2f}"
-    second = f"{now}; with the nearest candidates it would be: {near}"
+    current = f"rms over noise of {name} on the train flights {place['channel_on_train']:.2f}"
+    second = f"{current}; with the nearest candidates it would be: {candidates}"
     return [first, second, f"the flight that would tell: {place['would_tell']}"]
 
 
-def smooth_says(smooth: Mapping[str, Any]) -> str:
+def smooth_words(smooth: Mapping[str, Any]) -> str:
     """What is said of a smooth term that is offered for naming, in a line."""
     channel, _, _ = shown_channel(smooth["channel"])
-    instead = (
+    replaced = (
         f", in place of {' and '.join(smooth['in_place_of'])}," if smooth["in_place_of"] else ""
     )
     return (
-        f"not named, no physics: a {smooth['name']} ({smooth['property']}){instead} brings"
+        f"not named, no physics: a {smooth['name']} ({smooth['property']}){replaced} brings"
         f" {channel} on the train flights from {smooth['channel_on_train']:.2f} to"
-        f" {smooth['leaves']:.2f} times its noise; {test_says(smooth)}"
+        f" {smooth['leaves']:.2f} times its noise; {test_words(smooth)}"
     )
 
 
-def nowhere(document: Mapping[str, Any]) -> str:
+def no_region_words(document: Mapping[str, Any]) -> str:
     """What is said where no region stands out: nothing at all is missing, or what is missing shows
     over whole flights alone.
     """
-    named = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
-    named += [abs(w["t"]) for w in document["remaining"]["where"] if "t" in w]
-    if named:
+    t_values = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
+    t_values += [abs(w["t"]) for w in document["remaining"]["where"] if "t" in w]
+    if t_values:
         return (
             "in no single region beyond what noise allows a sample; over all samples together the"
-            f" flights disagree with the model all the same (|t| up to {max(named):.0f})"
+            f" flights disagree with the model all the same (|t| up to {max(t_values):.0f})"
         )
     if document["remaining"]["unexplained"]:
         return (
@@ -215,7 +220,7 @@ def nowhere(document: Mapping[str, Any]) -> str:
     return "nowhere beyond what noise allows"
 
 
-def left_over(remaining: Mapping[str, Any]) -> list[str]:
+def remaining_words(remaining: Mapping[str, Any]) -> list[str]:
     """What is left, in sentences; none where nothing is."""
     if not remaining["unexplained"]:
         return [w["words"] for w in remaining["where"] if "words" in w]
@@ -240,33 +245,35 @@ def left_over(remaining: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def test_says(effect: Mapping[str, Any]) -> str:
+def test_words(effect: Mapping[str, Any]) -> str:
     """What the test flights say of one effect."""
     test = effect["test"]
     change, std = test["change_of_twice_log_likelihood"], test["std"]
     number = f"twice the log likelihood {_with_error(change, std)} with it"
-    if abs(change) >= _AWAY:
+    if abs(change) >= _DIVERGED:
         more, leaves = ("more", "without") if change > 0.0 else ("less", "with")
         number = (
             f"twice the log likelihood over a billion {more} with it, for {leaves} it the model"
             " leaves the flights altogether"
         )
-    share, wide = test.get("share_of_estimate"), test.get("share_std")
+    share, share_std = test.get("share_of_estimate"), test.get("share_std")
     # A standard error of half the way between none and all tells neither from the other.
-    if share is not None and wide is not None and math.isfinite(share) and wide < 0.5:
-        number += f", {share:.2f} ± {wide:.2f} of the estimate fits them best"
+    if share is not None and share_std is not None and math.isfinite(share) and share_std < 0.5:
+        number += f", {share:.2f} ± {share_std:.2f} of the estimate fits them best"
     if test["gap"] == "shrank":
         return f"on the test flights the gap shrank: {number}"
     if test["gap"] == "grew":
         return f"on the test flights the gap grew: {number}; withdrawn"
     if test["gap"] == "too far":
-        far = (
+        distance = (
             f"{test['rms_over_that_of_train']:.0f} times as far from either model as the train"
             " flights"
         )
-        return f"the test flights do not tell: they lie {far}; look for what is wrong with them"
-    gone = "; withdrawn beside what nothing explains" if effect.get("withdrawn") else ""
-    return f"the test flights do not tell whether the gap shrank: {number}{gone}"
+        return (
+            f"the test flights do not tell: they lie {distance}; look for what is wrong with them"
+        )
+    withdrawal = "; withdrawn beside what nothing explains" if effect.get("withdrawn") else ""
+    return f"the test flights do not tell whether the gap shrank: {number}{withdrawal}"
 
 
 def _with_error(value: float, std: float) -> str:
@@ -279,7 +286,7 @@ def _with_error(value: float, std: float) -> str:
     return f"{round(value, places):+.{max(places, 0)}f} ± {round(std, places):.{max(places, 0)}f}"
 
 
-def carried_by(effect: Mapping[str, Any]) -> str:
+def location_of_effect(effect: Mapping[str, Any]) -> str:
     """Where an effect of refinement.json stands: its property, a number of the XML, or a sensor."""
     sensor = str(effect.get("subsystem", "")).startswith("sensor.")
     return str(effect.get("property") or ("a sensor's" if sensor else "a number in the XML"))
@@ -291,7 +298,7 @@ def carried_by(effect: Mapping[str, Any]) -> str:
 
 def headline(e: Mapping[str, Any]) -> str:
     """Name, value and standard error of an effect."""
-    return f"{capital(e['name'])}: {shown(e['value'], '.5g')} ± {shown(e['std'], '.2g')}{_unit(e)}"
+    return f"{capital(e['name'])}: {format_value(e['value'], '.5g')} ± {format_value(e['std'], '.2g')}{_unit(e)}"
 
 
 def _unit(e: Mapping[str, Any]) -> str:
@@ -313,14 +320,19 @@ def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") ->
     parts = [
         Section(
             headline(e),
-            (*_value(e, off, f"{prefix}effect{k}"), *_change(e, diff), *_others(e), *_evidence(e)),
+            (
+                *_value(e, off, f"{prefix}effect{k}"),
+                *_change(e, diff),
+                *_alternatives(e),
+                *_evidence(e),
+            ),
         )
         for k, e in enumerate(done["effects"])
     ]
     first: list[Block] = [] if parts else [Words("None.")]
     refused = done.get("best_refused")
     if refused:
-        t = shown(_abs(refused.get("t")), ".1f")
+        t = format_value(_abs(refused.get("t")), ".1f")
         first.append(
             Words(
                 f"Best candidate that was refused: {refused['effect']} (|t| {t}): {refused['why']}."
@@ -334,23 +346,23 @@ def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") ->
 
 def _value(e: Mapping[str, Any], off: Mapping[str, float], name: str) -> list[Block]:
     """What the hold-out flights say, and the 95 % interval beside the value without the effect."""
-    out: list[Block] = [Words(f"{capital(test_says(e))}.")] if e.get("test") else []
+    out: list[Block] = [Words(f"{capital(test_words(e))}.")] if e.get("test") else []
     low, high = e.get("evidence", {}).get("interval_95") or (None, None)
     if low is None or high is None or e["value"] is None:
         return out
-    without = float(off.get(e.get("property") or "", 0.0))
-    ends = [float(v) for v in (low, high, without)]
+    off_value = float(off.get(e.get("property") or "", 0.0))
+    ends = [float(v) for v in (low, high, off_value)]
     margin = 0.08 * (max(ends) - min(ends)) or 1.0
     label = (
-        f"{capital(e['name'])}: 95 % interval {shown(low, '.5g')} to"
-        f" {shown(high, '.5g')}{_unit(e)}, without it {without:g}."
+        f"{capital(e['name'])}: 95 % interval {format_value(low, '.5g')} to"
+        f" {format_value(high, '.5g')}{_unit(e)}, without it {off_value:g}."
     )
     unit = e.get("unit") or "-"
     axis = f"value [{'-' if unit == '1' else unit}]"
     chart = rows_chart(
         name, label, Scale(axis, min(ends) - margin, max(ends) + margin), [e["term"]], 24
     )
-    chart.upright(without, "zero", "without the effect")
+    chart.upright(off_value, "zero", "without the effect")
     chart.across(low, high, 0.0, "first")
     chart.marker(e["value"], 0.0, "first", "disc")
     return [
@@ -380,19 +392,21 @@ def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
     on either side.
     """
     lines = [line for line in diff.splitlines() if not line.startswith(("--- ", "+++ ", "@@"))]
-    own = [k for k, line in enumerate(lines) if line[:1] in "+-" and any(w in line for w in words)]
-    near = sorted(
-        {k for c in own for k in range(max(c - around, 0), min(c + around + 1, len(lines)))}
+    matches = [
+        k for k, line in enumerate(lines) if line[:1] in "+-" and any(w in line for w in words)
+    ]
+    with_context = sorted(
+        {k for c in matches for k in range(max(c - around, 0), min(c + around + 1, len(lines)))}
     )
     out: list[str] = []
-    for last, k in zip([-1, *near], near, strict=False):
+    for last, k in zip([-1, *with_context], with_context, strict=False):
         out += ["..."] * (last >= 0 and k > last + 1) + [lines[k]]
     return "\n".join(out)
 
 
-def _others(e: Mapping[str, Any]) -> list[Block]:
+def _alternatives(e: Mapping[str, Any]) -> list[Block]:
     """What the effect is confounded with, and which alternatives the flights exclude."""
-    told = [
+    sentences = [
         (
             f"Distinguished from {a['name']}."
             if a["separable"]
@@ -400,30 +414,33 @@ def _others(e: Mapping[str, Any]) -> list[Block]:
         )
         for a in e.get("alternatives", ())
     ]
-    return [Bullets(tuple(told))] if told else []
+    return [Bullets(tuple(sentences))] if sentences else []
 
 
 def _evidence(e: Mapping[str, Any]) -> list[Block]:
     evidence = e.get("evidence", {})
     low, high = evidence.get("interval_95") or (None, None)
     rows = [
-        ("Value", f"{shown(e['value'], '.5g')}{_unit(e)}"),
-        ("Standard error", shown(e["std"], ".2g")),
-        ("95 % interval", f"{shown(low, '.5g')} to {shown(high, '.5g')}"),
-        ("|t|", shown(_abs(evidence.get("t")), ".1f")),
-        ("Twice the log-likelihood gained", shown(evidence.get("twice_log_likelihood"), ".4g")),
+        ("Value", f"{format_value(e['value'], '.5g')}{_unit(e)}"),
+        ("Standard error", format_value(e["std"], ".2g")),
+        ("95 % interval", f"{format_value(low, '.5g')} to {format_value(high, '.5g')}"),
+        ("|t|", format_value(_abs(evidence.get("t")), ".1f")),
+        (
+            "Twice the log-likelihood gained",
+            format_value(evidence.get("twice_log_likelihood"), ".4g"),
+        ),
         (
             "Gained on held-out manoeuvres",
-            shown(evidence.get("confirmed_on_held_out_manoeuvres"), ".4g"),
+            format_value(evidence.get("confirmed_on_held_out_manoeuvres"), ".4g"),
         ),
         (
             "Held-out estimate differs by",
-            f"{shown(evidence.get('held_out_estimate_differs_by_std'), '.2f')} standard errors",
+            f"{format_value(evidence.get('held_out_estimate_differs_by_std'), '.2f')} standard errors",
         ),
-        ("Property", carried_by(e)),
+        ("Property", location_of_effect(e)),
     ]
-    why = Words(f"{capital(e['why']).rstrip('.')}.")
-    return [why, Table(f"Evidence for {e['name']}.", ("Evidence", "Value"), tuple(rows))]
+    reason = Words(f"{capital(e['why']).rstrip('.')}.")
+    return [reason, Table(f"Evidence for {e['name']}.", ("Evidence", "Value"), tuple(rows))]
 
 
 def _abs(value: float | None) -> float | None:
@@ -448,8 +465,8 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         rows.append(
             (
                 name,
-                shown(before),
-                Cell(shown(after), level),
+                format_value(before),
+                Cell(format_value(after), level),
                 *(_share(r, when) for when in ("before", "after")),
             )
         )
@@ -505,28 +522,28 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
             Figure(chart.name, chart.svg(), "Mean width of the intervals after, over before [-].")
         )
     sides = (("before", "second", "ring", -0.15), ("after", "first", "disc", 0.15))
-    known = [
+    rows_with_coverage = [
         (
-            k + aside,
+            k + offset,
             kind,
             shape,
             100.0 * r[f"coverage_{when}"],
             196.0 * (r[f"coverage_std_{when}"] or 0.0),
         )
         for k, r in enumerate(rows.values())
-        for when, kind, shape, aside in sides
+        for when, kind, shape, offset in sides
         if r[f"coverage_{when}"] is not None
     ]
-    if known:
+    if rows_with_coverage:
         label = (
-            f"Test samples inside the intervals [%], {min(row[3] for row in known):.1f} at the"
+            f"Test samples inside the intervals [%], {min(row[3] for row in rows_with_coverage):.1f} at the"
             " least."
         )
-        least = min(share - half for *_, share, half in known)
-        x = Scale("test samples inside [%], with 95 % limits", max(0.0, least - 2.0), 101.0)
+        lowest = min(share - half for *_, share, half in rows_with_coverage)
+        x = Scale("test samples inside [%], with 95 % limits", max(0.0, lowest - 2.0), 101.0)
         chart = rows_chart(f"{prefix}interval-coverage", label, x, tuple(rows), 24)
         chart.upright(100.0 * intervals["confidence"], "limit")
-        for at, kind, shape, share, half in known:
+        for at, kind, shape, share, half in rows_with_coverage:
             chart.across(share - half, share + half, at, kind)
             chart.marker(share, at, kind, shape)
         out.append(
@@ -551,31 +568,32 @@ def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> S
     if mission.get("reason") is not None:
         return Section(title, (Words(f"Not shown: {mission['reason']}."),))
     # With these pandas is loaded, and not every refinement flies a mission.
-    from uqharness.report.campaign import overlay_section, read_found
+    from uqharness.report.campaign import overlay_section, read_campaign_report
 
     folders = mission["folders"]
-    said = (
+    flown_text = (
         f"{mission['mission']}, {mission['corners']} corners, {mission['flights_per_corner']}"
         f" flights of {mission['duration_s']:g} s each, the same air for both models. Failed"
         f" flights: {mission['before']['failed']} before, {mission['after']['failed']} after."
     )
     if len(folders) < 2:
         return Section(
-            title, (Words(f"{said} Without an effect there is one model, and nothing to compare."),)
+            title,
+            (Words(f"{flown_text} Without an effect there is one model, and nothing to compare."),),
         )
     try:
-        pair = [read_found(folder / name) for name in folders]
+        pair = [read_campaign_report(folder / name) for name in folders]
     except BadInputError as error:
-        return Section(title, (Words(f"{said} The campaigns cannot be read: {error}"),))
-    drawn = overlay_section(
+        return Section(title, (Words(f"{flown_text} The campaigns cannot be read: {error}"),))
+    overlay = overlay_section(
         pair[0],
         pair[1],
         dict(zip(("before", "after"), folders, strict=True)),
         f"{prefix}mission-",
         title,
     )
-    blocks: list[Block] = [Words(said, note=True)]
-    for block in drawn.blocks:
+    blocks: list[Block] = [Words(flown_text, note=True)]
+    for block in overlay.blocks:
         if isinstance(block, Figures):
             blocks.append(replace(block, file="pbox"))
         else:
@@ -589,10 +607,10 @@ RMS = ("rms_before", "rms_after", "noise_rms")
 """What a refinement says of a channel or a coefficient."""
 
 
-def smooth_lines(done: Mapping[str, Any]) -> tuple[Say, ...]:
+def smooth_lines(done: Mapping[str, Any]) -> tuple[Sentence, ...]:
     """The line of the page's head, where a term is offered."""
     smooth = done["remaining"].get("smooth")
-    return (Say(f"{capital(smooth_says(smooth))}.", "warn"),) if smooth else ()
+    return (Sentence(f"{capital(smooth_words(smooth))}.", "warn"),) if smooth else ()
 
 
 def smooth_sections(done: Mapping[str, Any], prefix: str = "") -> list[Section]:
@@ -603,7 +621,7 @@ def smooth_sections(done: Mapping[str, Any], prefix: str = "") -> list[Section]:
     if not smooth:
         return []
     text = (
-        f"Nothing of the catalogue explains what is left. {capital(smooth_says(smooth))}. The term"
+        f"Nothing of the catalogue explains what is left. {capital(smooth_words(smooth))}. The term"
         f" has {smooth['effective_degrees_of_freedom']:.1f} effective degrees of freedom. It is a"
         " description and no effect: find the physics that would make this shape, or fly what"
         " tells more. Nothing is known outside the range drawn; the table holds its ends there."
@@ -622,8 +640,10 @@ def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
     at, value, low, high, samples = (
         np.array(smooth["curve"][k], dtype=float) for k in ("at", "value", "low", "high", "samples")
     )
-    what = f"{smooth['coefficient']} [-]" + (f" over {smooth['times']}" if smooth["times"] else "")
-    y = scale(what, [value, low, high])
+    axis_label_text = f"{smooth['coefficient']} [-]" + (
+        f" over {smooth['times']}" if smooth["times"] else ""
+    )
+    y = scale(axis_label_text, [value, low, high])
     foot = y.low + 0.25 * (y.high - y.low) * samples / max(samples.max(), 1.0)
     label = (
         f"{capital(smooth['name'])}: {value.min():.3g} to {value.max():.3g} over {smooth['state']}"
@@ -656,12 +676,12 @@ def _gap_table(smooth: Mapping[str, Any]) -> Table:
     for side, flights in (("train", "Train"), ("test", "Test")):
         gap = smooth["gap"][side]
         channels = gap.get("predictions") or gap["channels"]
-        for name, found in (
+        for name, gap_rows in (
             (smooth["channel"], channels),
             (smooth["coefficient"], gap["coefficients"]),
         ):
-            label, values = in_shown_unit(name, found[name], *RMS)
-            rows.append((f"{flights}: {label}", *(shown(v) for v in values)))
+            label, values = in_shown_unit(name, gap_rows[name], *RMS)
+            rows.append((f"{flights}: {label}", *(format_value(v) for v in values)))
     head = ("Flights and quantity", "Without the term", "With it", "Noise")
     return Table(
         "Rms of log minus model without and with the term, beside the effects that stand.",
@@ -674,7 +694,11 @@ def _gap_table(smooth: Mapping[str, Any]) -> Table:
 def _shape_table(smooth: Mapping[str, Any]) -> Table:
     name, _, _ = shown_channel(smooth["channel"])
     rows = tuple(
-        (capital(s["form"]), shown(s["correlation"], ".3f"), shown(s["leaves"], ".3f"))
+        (
+            capital(s["form"]),
+            format_value(s["correlation"], ".3f"),
+            format_value(s["leaves"], ".3f"),
+        )
         for s in smooth["shapes"]
     )
     caption = (
@@ -720,8 +744,10 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
             ("first thin", "after"),
             ("fill1", "95 % band of the noise"),
         )
-        drawn = Figures(figures, legend, file="coefficients")
-        sections.append(Section("Coefficients before and after", (Words(text, note=True), drawn)))
+        figure_block = Figures(figures, legend, file="coefficients")
+        sections.append(
+            Section("Coefficients before and after", (Words(text, note=True), figure_block))
+        )
     noise = {c: row["noise_rms"] for c, row in gap["channels"].items()}
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
     if is_wanted(title := "Test flights against both models", only):
@@ -736,7 +762,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
         )
     sections += [interval_section(gap, prefix), mission_section(folder, gap, prefix)]
     sections += [
-        _left_section(done),
+        _remaining_section(done),
         _parameter_section(done),
         _model_section(done, diff),
         *remarks(done),
@@ -746,7 +772,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
         ("Command", done.get("command") or "not recorded"),
         ("Chosen on", train),
         ("Shown on", test),
-        ("Time", f"{shown(done.get('seconds'), '.0f')} s"),
+        ("Time", f"{format_value(done.get('seconds'), '.0f')} s"),
         (
             "Files",
             (
@@ -756,11 +782,11 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
         ),
     )
     sections.append(provenance(*facts))
-    asked = (
+    question = (
         f"What does the model lack? Effects were chosen on {train} and shown on the hold-out"
         f" flights {test}."
     )
-    return Page("Refinement", asked, _verdict(done), tuple(sections))
+    return Page("Refinement", question, _verdict(done), tuple(sections))
 
 
 _VERDICTS = {
@@ -768,47 +794,50 @@ _VERDICTS = {
     "unexplained": ("Something is missing that no effect of the catalogue explains", "bad"),
 }
 _SHRANK = ("Effects were found, and the gap on the hold-out flights shrank", "good")
-_UNTOLD = ("Effects were found; the hold-out flights do not tell whether the gap shrank", "warn")
-_UNEXPLAINED_BESIDE = (
+_INCONCLUSIVE = (
+    "Effects were found; the hold-out flights do not tell whether the gap shrank",
+    "warn",
+)
+_UNEXPLAINED_REMAINDER = (
     "Effects were found, and something beside them is left that no effect of the catalogue explains"
 )
 
 
-def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
-    held = [(e.get("test") or {}).get("gap") == "shrank" for e in done["effects"]]
-    found = {"effects-found": _SHRANK if any(held) else _UNTOLD}
-    text, level = {**_VERDICTS, **found}.get(done["verdict"], (done["verdict"], "warn"))
+def _verdict(done: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    is_confirmed = [(e.get("test") or {}).get("gap") == "shrank" for e in done["effects"]]
+    effect_verdict = {"effects-found": _SHRANK if any(is_confirmed) else _INCONCLUSIVE}
+    text, level = {**_VERDICTS, **effect_verdict}.get(done["verdict"], (done["verdict"], "warn"))
     if done["verdict"] == "unexplained" and done["effects"]:
-        text = _UNEXPLAINED_BESIDE
-    said = [Say(f"{text} ({done['verdict']}).", level)]
-    for e, tested_and_held in zip(done["effects"], held, strict=True):
+        text = _UNEXPLAINED_REMAINDER
+    sentences = [Sentence(f"{text} ({done['verdict']}).", level)]
+    for e, confirmed in zip(done["effects"], is_confirmed, strict=True):
         t = (
-            shown(abs(e["evidence"]["t"]), ".1f")
+            format_value(abs(e["evidence"]["t"]), ".1f")
             if e.get("evidence", {}).get("t") is not None
             else "undefined"
         )
-        tested = f"; {test_says(e)}" if e.get("test") else ""
-        said.append(
-            Say(
-                f"{headline(e)} ({carried_by(e)}), |t| {t}{tested}.",
-                "good" if tested_and_held else "warn",
+        tested = f"; {test_words(e)}" if e.get("test") else ""
+        sentences.append(
+            Sentence(
+                f"{headline(e)} ({location_of_effect(e)}), |t| {t}{tested}.",
+                "good" if confirmed else "warn",
             )
         )
     for e in done.get("withdrawn", ()):
-        said.append(Say(f"Withdrawn: {headline(e)}; {test_says(e)}.", "warn"))
+        sentences.append(Sentence(f"Withdrawn: {headline(e)}; {test_words(e)}.", "warn"))
     for e in done["effects"]:
         alike = [
             a["name"].removesuffix(" off") for a in e.get("alternatives", ()) if not a["separable"]
         ]
         if alike:
-            said.append(
-                Say(f"{capital(e['name'])} is confounded with: {'; '.join(alike)}.", "warn")
+            sentences.append(
+                Sentence(f"{capital(e['name'])} is confounded with: {'; '.join(alike)}.", "warn")
             )
-    said += smooth_lines(done)
+    sentences += smooth_lines(done)
     worst = _largest_fall(done["gap"]["test"])
     if worst:
-        said.append(Say(worst))
-    return tuple(said)
+        sentences.append(Sentence(worst))
+    return tuple(sentences)
 
 
 def _largest_fall(gap: Mapping[str, Any]) -> str:
@@ -840,16 +869,14 @@ def _place_sections(done: Mapping[str, Any]) -> list[Section]:
     place = done["remaining"].get("place")
     if not place or place["channel"] is None:
         return []
-    lines = tuple(f"{capital(line)}." for line in place_says(place))
+    lines = tuple(f"{capital(line)}." for line in place_words(place))
     name, _, _ = shown_channel(place["channel"])
     rows = tuple(
-        (capital(c["name"]), shown(abs(c["t"]), ".1f"), shown(c["leaves"], ".3f"))
+        (capital(c["name"]), format_value(abs(c["t"]), ".1f"), format_value(c["leaves"], ".3f"))
         for c in place["candidates"]
     )
-    now = shown(place["channel_on_train"], ".3f")
-    caption = (
-        f"Nearest candidates: what each leaves of {name} on the train flights, {now} without any."
-    )
+    current = format_value(place["channel_on_train"], ".3f")
+    caption = f"Nearest candidates: what each leaves of {name} on the train flights, {current} without any."
     table = Table(caption, ("Candidate", "|t| [-]", "Rms over noise left [-]"), rows)
     return [Section("Where something is left", (Bullets(lines, key=True), table))]
 
@@ -858,10 +885,10 @@ def _where_section(done: Mapping[str, Any]) -> Section:
     rows = []
     for d in done["disagreement"]:
         region = "; ".join(_region(s, ends) for s, ends in d.get("region", {}).items())
-        size = (percent(d["share_outside_95"], ".0f"), shown(d["size"], ".2g"))
+        size = (percent(d["share_outside_95"], ".0f"), format_value(d["size"], ".2g"))
         rows.append((d["coefficient"], d["manoeuvre"], region, *size))
     if not rows:
-        text = nowhere(done)
+        text = no_region_words(done)
         return Section("Where model and flights disagreed", (Words(f"{capital(text)}."),))
     head = ("Coefficient", "Manoeuvre", "Region", "Outside the 95 % band [%]", "Size [-]")
     table = Table(
@@ -873,8 +900,8 @@ def _where_section(done: Mapping[str, Any]) -> Section:
 def _region(state: str, ends: Sequence[float | None]) -> str:
     quantity, unit, factor = shown_channel(state)
     low, high = (None if v is None else factor * v for v in ends)
-    named = f"|{quantity.removeprefix('abs ')}|" if quantity.startswith("abs ") else quantity
-    return f"{named} {shown(low)} to {shown(high)} {unit}".removesuffix(" -")
+    label = f"|{quantity.removeprefix('abs ')}|" if quantity.startswith("abs ") else quantity
+    return f"{label} {format_value(low)} to {format_value(high)} {unit}".removesuffix(" -")
 
 
 def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
@@ -886,11 +913,13 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
             label, (before, after, noise) = in_shown_unit(name, r, *RMS)
             if before is not None and after is not None and noise:
                 ratios[shown_channel(name)[0]] = {"before": before / noise, "after": after / noise}
-                same = shown(after) == shown(before)
-                answer = Cell(shown(after), "" if same else "good" if after < before else "bad")
+                same = format_value(after) == format_value(before)
+                answer = Cell(
+                    format_value(after), "" if same else "good" if after < before else "bad"
+                )
             else:
-                answer = Cell(shown(after))
-            rows.append((label, shown(before), answer, shown(noise)))
+                answer = Cell(format_value(after))
+            rows.append((label, format_value(before), answer, format_value(noise)))
         series = [("before", "second", "ring"), ("after", "first", "disc")]
         figure = ratio_figure(
             f"{prefix}shrinkage-{kind}", ratios, series, f"{kind} on the test flights"
@@ -901,8 +930,8 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         rows.append(
             (
                 "Theil's U, mean [-]",
-                shown(theil.get("before"), ".4f"),
-                Cell(shown(theil.get("after"), ".4f")),
+                format_value(theil.get("before"), ".4f"),
+                Cell(format_value(theil.get("after"), ".4f")),
                 "",
             )
         )
@@ -917,8 +946,8 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         tuple(rows),
         True,
     )
-    drawn = Figures(tuple(figures), file="gap")
-    blocks: list[Block] = [Words(text, note=True), drawn, table]
+    figure_block = Figures(tuple(figures), file="gap")
+    blocks: list[Block] = [Words(text, note=True), figure_block, table]
     if gap.get("predictions"):
         blocks += [Words(_TURBULENT), _prediction_table(gap["predictions"])]
     return Section("Gap on the test flights, before and after", tuple(blocks))
@@ -934,7 +963,7 @@ def _prediction_table(predictions: Mapping[str, Any]) -> Table:
     rows = []
     for name, r in predictions.items():
         label, values = in_shown_unit(name, r, *RMS)
-        rows.append((label, *(shown(v) for v in values)))
+        rows.append((label, *(format_value(v) for v in values)))
     head = ("Quantity", "Before", "After", "Expected")
     return Table(
         "Errors of predictions one sample ahead on the test flights, rms.", head, tuple(rows), True
@@ -972,10 +1001,10 @@ def _coefficient_figures(
     return tuple(out)
 
 
-def _left_section(done: Mapping[str, Any]) -> Section:
-    said = tuple(left_over(done["remaining"]))
-    if said:
-        return Section("What is left", (Bullets(said, key=True),))
+def _remaining_section(done: Mapping[str, Any]) -> Section:
+    lines = tuple(remaining_words(done["remaining"]))
+    if lines:
+        return Section("What is left", (Bullets(lines, key=True),))
     unplaced = done["remaining"].get("unexplained")
     return Section(
         "What is left",
@@ -989,7 +1018,7 @@ def _left_section(done: Mapping[str, Any]) -> Section:
 
 def _parameter_section(done: Mapping[str, Any]) -> Section:
     rows = tuple(
-        (Cell(n, code=True), shown(r["value"], ".6g"), shown(r["std"], ".2g"))
+        (Cell(n, code=True), format_value(r["value"], ".6g"), format_value(r["std"], ".2g"))
         for n, r in done.get("parameters", {}).items()
     )
     head = ("Property", "Value", "Standard error")

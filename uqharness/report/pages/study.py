@@ -16,13 +16,13 @@ from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
 from uqharness.replay import HISTORIES, read_histories
 from uqharness.report.campaign import (
-    CampaignFound,
+    CampaignReport,
     aborted_cells,
     aborted_head,
     aborted_kinds,
     answer_level,
     overlay_section,
-    read_found,
+    read_campaign_report,
     span,
 )
 from uqharness.report.ground_track import ground_track, lap_of, track_distance
@@ -42,15 +42,15 @@ from uqharness.report.parts import (
     Figures,
     Level,
     Page,
-    Say,
     Section,
+    Sentence,
+    Sentences,
     Table,
-    Told,
     Words,
+    format_value,
     provenance,
-    shown,
 )
-from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
+from uqharness.report.pbox import LabelledBox, corner_words, pbox_figure
 from uqharness.result_documents import Refinement, Study, read_document
 
 # What a study's page shows before anything is unfolded: the answer, the ground track, one
@@ -62,17 +62,17 @@ _WORDS = {"yes": "yes", "no": "no", "open": "inconclusive"}
 _FIRST = ("cross_track_median_m", "altitude_median_m", "speed_median_mps", "heading_median_deg")
 _NONE_ABORTED = "No flight was aborted."
 _TRACK_COLUMNS = ("when", "model", "time_s", "north_m", "east_m", "distance_m")
-Sides = Mapping[str, CampaignFound]
+Sides = Mapping[str, CampaignReport]
 """Campaigns by when they were flown: before, after."""
 
 
-def answer_says(answer: Mapping[str, Any]) -> tuple[Say, ...]:
+def answer_sentences(answer: Mapping[str, Any]) -> tuple[Sentence, ...]:
     """The answer with its level, then why, what the model lacked, and what to do next as plain
     facts.
     """
     level: Level = answer["level"] if answer["level"] in ("good", "warn", "bad") else ""
-    rest = (answer[part] for part in ("why", "lacked", "next"))
-    return Say(answer["answer"], level), *(Say(text) for text in rest if text)
+    facts = (answer[part] for part in ("why", "lacked", "next"))
+    return Sentence(answer["answer"], level), *(Sentence(text) for text in facts if text)
 
 
 def first_figures(
@@ -84,13 +84,13 @@ def first_figures(
     Damage is told in ``missing``.
     """
     try:
-        drawn = _lap(folder / "tracks.parquet", study.get("tracks") or {})
+        figures = _lap(folder / "tracks.parquet", study.get("tracks") or {})
     except BadInputError as error:
         missing.append(str(error))
-        drawn = []
+        figures = []
     box = _pbox(sides)
-    drawn += [] if box is None else [box]
-    return (Figures(tuple(drawn), narrow=True),) if drawn else ()
+    figures += [] if box is None else [box]
+    return (Figures(tuple(figures), narrow=True),) if figures else ()
 
 
 def _lap(path: Path, tracks: Mapping[str, Any]) -> list[Figure]:
@@ -119,23 +119,23 @@ def _pbox(sides: Sides) -> Figure | None:
             w: next((f for f in s.findings if (f.metric, f.condition) == (metric, condition)), None)
             for w, s in sides.items()
         }
-        found = {when: item for when, item in items.items() if item is not None}
-        if len(found) < len(sides):
+        findings = {when: item for when, item in items.items() if item is not None}
+        if len(findings) < len(sides):
             continue
         boxes = [
-            DrawnBox(
-                when if len(found) > 1 else "",
+            LabelledBox(
+                when if len(findings) > 1 else "",
                 item.box,
                 item.samples,
                 corner_words(sides[when].frame),
                 smooth=True,
             )
-            for when, item in reversed(found.items())
+            for when, item in reversed(findings.items())
         ]
-        item = found[next(iter(found))]
+        item = findings[next(iter(findings))]
         halves = ", ".join(
             f"{span(*f.box.quantile(0.5))} {f.unit}{f' ({when})' if when else ''}"
-            for when, f in found.items()
+            for when, f in findings.items()
         )
         caption = (
             f"P-box of the {item.words} error, {condition.words}: {len(item.samples)} epistemic"
@@ -157,15 +157,15 @@ def effect_section(folder: Path) -> Section:
     for e in done["effects"]:
         unit = "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
         t = e.get("evidence", {}).get("t")
-        held = (e.get("test") or {}).get("gap")
+        test_gap = (e.get("test") or {}).get("gap")
         tested = (
             Cell("smaller residual", "good")
-            if held == "shrank"
-            else Cell("not shown" if held else "not tested")
+            if test_gap == "shrank"
+            else Cell("not shown" if test_gap else "not tested")
         )
-        value = f"{shown(e['value'], '.4g')} ± {shown(e['std'], '.2g')}{unit}"
+        value = f"{format_value(e['value'], '.4g')} ± {format_value(e['std'], '.2g')}{unit}"
         rows.append(
-            (capital(e["name"]), value, shown(None if t is None else abs(t), ".1f"), tested)
+            (capital(e["name"]), value, format_value(None if t is None else abs(t), ".1f"), tested)
         )
     head = ("Effect", "Value, standard error", "|t| [-]", "On the held-out flight")
     table = Table("Effects that refinement added to the model.", head, tuple(rows))
@@ -179,11 +179,11 @@ def effect_section(folder: Path) -> Section:
         if all(row.get(key) for key in ("rms_before", "rms_after", "noise_rms"))
     }
     series = [("before", "second", "ring"), ("after", "first", "disc")]
-    drawn = [
+    optional_figures = [
         farthest_figure(read_histories(folder / HISTORIES), noise, models, "effect"),
         ratio_figure("effect-residuals", ratios, series, "channels on the held-out flight"),
     ]
-    figures = tuple(figure for figure in drawn if figure is not None)
+    figures = tuple(figure for figure in optional_figures if figure is not None)
     blocks: list[Block] = [table if rows else Words("Refinement added no effect to the model.")]
     return Section("The effect found", (*blocks, *((Figures(figures),) if figures else ())))
 
@@ -204,11 +204,16 @@ def cells_section(sides: Sides) -> Section:
     for item in last.signed:
         if item.cell.distance != "horizontal":
             continue
-        here = [by_place[when].get(_place(item)) for when in sides]
+        cell_statements = [by_place[when].get(_place(item)) for when in sides]
         hours = f"{sum(rate.hours for rate in item.cell.rates):.4g}"
         place = (item.cell.condition.label, f"{item.cell.radius_m:g} m")
         rows.append(
-            (*place, *(_answer(found) for found in here), hours, *aborted_cells(kinds, here))
+            (
+                *place,
+                *(_answer(claim) for claim in cell_statements),
+                hours,
+                *aborted_cells(kinds, cell_statements),
+            )
         )
     names = [f"Answer {when}" for when in sides] if len(sides) > 1 else ["Answer"]
     head = ("Wind, turbulence", "Radius", *names, "Flight hours", *aborted_head(kinds))
@@ -236,7 +241,7 @@ def _answer(item: Statement | None) -> Cell:
     rate = (
         "no flight was scored"
         if math.isnan(worst.rate)
-        else f"{worst.rate:.3g} [{worst.lower:.2g} to {shown(worst.upper)}]"
+        else f"{worst.rate:.3g} [{worst.lower:.2g} to {format_value(worst.upper)}]"
     )
     return Cell(
         _WORDS[item.answer],
@@ -246,14 +251,14 @@ def _answer(item: Statement | None) -> Cell:
     )
 
 
-def read_side(folder: Path, missing: list[str], read: Any) -> CampaignFound | None:
+def read_side(folder: Path, missing: list[str], read: Any) -> CampaignReport | None:
     """A campaign of the study; None, and told in ``missing``, where it cannot be read."""
     try:
-        found: CampaignFound = read(folder)
+        report: CampaignReport = read(folder)
     except BadInputError as error:
         missing.append(str(error))
         return None
-    return found
+    return report
 
 
 def folded(sections: Sequence[Section]) -> list[Section]:
@@ -263,7 +268,7 @@ def folded(sections: Sequence[Section]) -> list[Section]:
 
 STUDY = "study.json"
 _STATES: Mapping[str, Level] = {"done": "", "running": "warn", "waiting": "", "failed": "bad"}
-_KEPT: Mapping[str, tuple[str, ...]] = {
+_STAGE_SECTIONS: Mapping[str, tuple[str, ...]] = {
     "identify": ("Parameters",),
     "compare": ("Gap by channel", "Log against model"),
     "bounds": ("How wide the bounds are", "Slices of the bounds"),
@@ -284,13 +289,13 @@ _KEPT: Mapping[str, tuple[str, ...]] = {
     ),
 }
 """Sections that a study shows of a stage's page; the rest stands in the stage's own."""
-_SHOWN_ABOVE = _KEPT["campaign"][:2]
+_SHOWN_ABOVE = _STAGE_SECTIONS["campaign"][:2]
 _PAGES: Mapping[str, Callable[[Path, str], Page]] = {
-    "identify": partial(identify_page, segments=1, only=_KEPT["identify"]),
+    "identify": partial(identify_page, segments=1, only=_STAGE_SECTIONS["identify"]),
     "compare": partial(compare_page, segments=1),
-    "bounds": partial(bounds_page, only=_KEPT["bounds"]),
-    "refine": partial(refine_page, only=_KEPT["refine"]),
-    "validate-bounds": partial(coverage_page, only=_KEPT["validate-bounds"]),
+    "bounds": partial(bounds_page, only=_STAGE_SECTIONS["bounds"]),
+    "refine": partial(refine_page, only=_STAGE_SECTIONS["refine"]),
+    "validate-bounds": partial(coverage_page, only=_STAGE_SECTIONS["validate-bounds"]),
 }
 
 
@@ -301,38 +306,40 @@ def study_page(folder: Path) -> Page:
     """
     study = read_document(folder / STUDY, Study)
     missing: list[str] = []
-    both = study.get("before_after") or {}
+    overlaid = study.get("before_after") or {}
     # Each campaign is read once, however often it is shown.
-    read = cache(read_found)
-    names = both or _one_campaign(study)
+    read = cache(read_campaign_report)
+    names = overlaid or _one_campaign(study)
     sides = {
         when: side
         for when, name in names.items()
         if (side := read_side(folder / name, missing, read)) is not None
     }
     sections, first = _answered(folder, study, sides, missing)
-    rest: list[Section] = []
+    folded_sections: list[Section] = []
     if first and study.get("verdict"):
-        rest.append(Section("All findings", (Told(_sentences(study)),)))
+        folded_sections.append(Section("All findings", (Sentences(_sentences(study)),)))
     if len(sides) > 1:
-        rest += [overlay_section(sides["before"], sides["after"], both)]
-        rest += [grid_section(side.signed, f"Answers {when}") for when, side in sides.items()]
+        folded_sections += [overlay_section(sides["before"], sides["after"], overlaid)]
+        folded_sections += [
+            grid_section(side.signed, f"Answers {when}") for when, side in sides.items()
+        ]
     for number, stage in enumerate(study["stages"]):
         section = _stage_page(
             folder, stage, number, missing, list(names.values()) if len(sides) > 1 else [], read
         )
-        rest += [] if section is None else [section]
-    rest.append(_stage_section(study))
+        folded_sections += [] if section is None else [section]
+    folded_sections.append(_stage_section(study))
     if missing:
         sections.append(
             Section("What could not be read", (Bullets(tuple(dict.fromkeys(missing))),))
         )
-    rest.append(_provenance(study))
-    asked = study.get("question") or "The study's file asks no question in words."
-    sections += folded(rest)
+    folded_sections.append(_provenance(study))
+    question = study.get("question") or "The study's file asks no question in words."
+    sections += folded(folded_sections)
     if first:
-        return Page(asked, "", _verdict(study), tuple(sections), first)
-    return Page(f"Study: {study['study']}", asked, _verdict(study), tuple(sections))
+        return Page(question, "", _verdict(study), tuple(sections), first)
+    return Page(f"Study: {study['study']}", question, _verdict(study), tuple(sections))
 
 
 def _one_campaign(study: Mapping[str, Any]) -> dict[str, str]:
@@ -348,7 +355,7 @@ def _one_campaign(study: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _answered(
-    folder: Path, study: Mapping[str, Any], sides: Mapping[str, CampaignFound], missing: list[str]
+    folder: Path, study: Mapping[str, Any], sides: Mapping[str, CampaignReport], missing: list[str]
 ) -> tuple[list[Section], tuple[Block, ...]]:
     """The sections that stand open, and the figures beside the answer; no figure for a study
     without an answer.
@@ -367,37 +374,42 @@ def _answered(
     return sections, first_figures(folder, study, sides, missing) if study.get("answer") else ()
 
 
-def _verdict(study: Mapping[str, Any]) -> tuple[Say, ...]:
-    said = [*answer_says(study["answer"])] if study.get("answer") else [*_sentences(study)]
+def _verdict(study: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    sentences = (
+        [*answer_sentences(study["answer"])] if study.get("answer") else [*_sentences(study)]
+    )
     stages = study["stages"]
     done = sum(stage["state"] == "done" for stage in stages)
     state = study.get("state", "running")
     if state == "failed":
-        bad = (
+        failed = (
             ", ".join(stage["name"] for stage in stages if stage["state"] == "failed") or "a stage"
         )
-        said.insert(
+        sentences.insert(
             0,
-            Say(
-                f"The study stopped: {bad} failed. The same command goes on once the cause is"
+            Sentence(
+                f"The study stopped: {failed} failed. The same command goes on once the cause is"
                 " gone.",
                 "bad",
             ),
         )
     elif state != "done":
-        said.insert(
-            0, Say(f"The study is not finished: {done} of {len(stages)} stages are done.", "warn")
+        sentences.insert(
+            0,
+            Sentence(
+                f"The study is not finished: {done} of {len(stages)} stages are done.", "warn"
+            ),
         )
-    elif not said:
-        said.append(
-            Say(f"All {len(stages)} stages are done; the study draws no conclusion in words.")
+    elif not sentences:
+        sentences.append(
+            Sentence(f"All {len(stages)} stages are done; the study draws no conclusion in words.")
         )
-    return tuple(said)
+    return tuple(sentences)
 
 
-def _sentences(study: Mapping[str, Any]) -> tuple[Say, ...]:
+def _sentences(study: Mapping[str, Any]) -> tuple[Sentence, ...]:
     return tuple(
-        Say(item["text"], _level(item.get("level"))) for item in study.get("verdict") or ()
+        Sentence(item["text"], _level(item.get("level"))) for item in study.get("verdict") or ()
     )
 
 
@@ -412,7 +424,7 @@ def _stage_section(study: Mapping[str, Any]) -> Section:
             stage["state"], _STATES.get(stage["state"], "warn"), small=stage.get("error") or ""
         )
         answer = {0: "done", 1: "ran, the answer is no"}.get(stage.get("exit"), "")
-        seconds = "" if stage.get("seconds") is None else shown(stage["seconds"], ".1f")
+        seconds = "" if stage.get("seconds") is None else format_value(stage["seconds"], ".1f")
         rows.append((stage["name"], stage["kind"], state, answer, seconds))
     table = Table(
         "Stages in the order in which they run.",
@@ -434,17 +446,17 @@ def _stage_page(
     number: int,
     missing: list[str],
     overlaid: Sequence[str | None],
-    read: Callable[[Path], CampaignFound],
+    read: Callable[[Path], CampaignReport],
 ) -> Section | None:
     """What a finished stage found, shortened; None for a stage that leaves nothing to show here."""
     if stage["state"] != "done" or not stage.get("folder"):
         return None
     place, prefix = folder / stage["folder"], f"s{number}-"
     skipped = _SHOWN_ABOVE if stage["folder"] in overlaid else ()
-    kept = [title for title in _KEPT.get(stage["kind"], ()) if title not in skipped]
+    titles = [title for title in _STAGE_SECTIONS.get(stage["kind"], ()) if title not in skipped]
     try:
         if stage["kind"] == "campaign":
-            page = campaign_page(read(place), prefix, kept)
+            page = campaign_page(read(place), prefix, titles)
         elif stage["kind"] in _PAGES:
             page = _PAGES[stage["kind"]](place, prefix)
         else:
@@ -452,25 +464,25 @@ def _stage_page(
     except BadInputError as error:
         missing.append(f"{stage['name']}: {error}")
         return None
-    sections = tuple(s for s in page.sections if s.title in kept)
-    own = Words(
+    sections = tuple(s for s in page.sections if s.title in titles)
+    page_hint = Words(
         f"All of it: {stage['folder']}/report.html, written by uqharness report {stage['folder']}.",
         note=True,
     )
     return Section(
         f"{stage['name']}: {page.title}",
-        (Words(page.asked, note=True), Told(page.verdict), own),
+        (Words(page.question, note=True), Sentences(page.verdict), page_hint),
         sections,
     )
 
 
 def _provenance(study: Mapping[str, Any]) -> Section:
-    seen = dict.fromkeys(
+    inputs = dict.fromkeys(
         item for stage in study["stages"] for item in (stage.get("inputs") or {}).items()
     )
     return provenance(
         ("Command", study.get("command") or "not recorded"),
         ("Version", f"uqharness {study.get('version', 'not recorded')}"),
         (f"Study file {study.get('file', '')} (SHA-256)", study.get("hash") or "not recorded"),
-        *((f"Input {name} (SHA-256)", digest) for name, digest in seen),
+        *((f"Input {name} (SHA-256)", digest) for name, digest in inputs),
     )
