@@ -1,5 +1,7 @@
-"""What a campaign found, ready to be told: p-boxes of the median errors, supportable claims, the
-verdict as sentences.
+"""Prepare the results of a campaign for reports: p-boxes, claims, sensitivity, tracks, engines.
+
+`read_campaign_report` reads a complete campaign and formulates its verdict. The sections are shared
+by the pages of a campaign, of a study, of a refinement and of a dossier.
 """
 
 from __future__ import annotations
@@ -66,8 +68,7 @@ from uqharness.report.svg import Scale, rows_chart
 from uqharness.statistics import NO, OPEN, YES, PBox, Sample, widened
 from uqharness.statistics.pbox import pbox
 
-# The report's words and table rows about excursion rates: supportable claims, and what stands
-# beside it.
+# Text and table rows on excursion rates.
 
 _ANSWER_WORDS = {YES: "yes", NO: "no", OPEN: "inconclusive"}
 _OTHER = "other"
@@ -77,17 +78,17 @@ _KIND_WORDS = {
     "diverged": "Diverged",
     _OTHER: "Ended otherwise",
 }
-"""Heads of the columns, by the kind of an aborted flight."""
+"""Column heads by kind of aborted flight."""
 
 
 def answer_words(item: Statement) -> str:
-    """The answer in words; of an inconclusive one with the reason."""
+    """Return the answer; an inconclusive one with its reason."""
     words = _ANSWER_WORDS[item.answer]
     return f"{words}: {item.reason or 'too few flight hours'}" if item.answer == OPEN else words
 
 
 def sentence(item: Statement) -> str:
-    """One statement in words, for the verdict."""
+    """Return one statement as sentences for the verdict."""
     cell = item.cell
     text = f"Excursions beyond {cell.radius_m:g} m per flight hour: "
     if all(math.isnan(rate.rate) for rate in cell.rates):
@@ -111,7 +112,7 @@ def sentence(item: Statement) -> str:
 
 
 def row(item: Statement) -> dict[str, str]:
-    """One statement for the table."""
+    """Return one statement as texts for the table."""
     cell = item.cell
     share = item.extrapolated_share
     return {
@@ -133,11 +134,7 @@ def row(item: Statement) -> dict[str, str]:
 
 
 def aborted_kinds(claims: Sequence[Statement]) -> tuple[str, ...]:
-    """Kinds of aborted flights that have a column of their own: the three of a flight that ends,
-    and others where there are some.
-
-    None where no flight was aborted, so that no empty column widens a table.
-    """
+    """Return the kinds of aborted flights that get a column; empty if no flight was aborted."""
     totals = {kind: sum(item.aborted[kind] for item in claims) for kind in _KIND_WORDS}
     return (
         tuple(kind for kind in _KIND_WORDS if kind != _OTHER or totals[kind])
@@ -147,14 +144,14 @@ def aborted_kinds(claims: Sequence[Statement]) -> tuple[str, ...]:
 
 
 def aborted_head(kinds: Sequence[str]) -> tuple[str, ...]:
-    """Heads of the columns of aborted flights; none without kinds."""
+    """Return the column heads of aborted flights; empty without kinds."""
     limit = f"Aborted flights, {100 * CONFIDENCE:g} % upper limit [1/h]"
     return (*(_KIND_WORDS[kind] for kind in kinds), limit) if kinds else ()
 
 
 def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tuple[str, ...]:
-    """Flights aborted by kind, and the upper limit of their rate at the worst corner; of several
-    campaigns one after the other.
+    """Return aborted flights by kind and the upper limit of their rate; several campaigns side by
+    side.
     """
     if not kinds:
         return ()
@@ -169,7 +166,7 @@ def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tu
 
 
 def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> list[str]:
-    """What the statements rest on, and where the flights contradict it."""
+    """Return the assumptions of the statements, and where the flights contradict them."""
     allowed = float(campaign["metrics"]["dispersion"])
     allowance = (
         f"Upper limits allow for a variance of the excursions per flight of {allowed:g} times their"
@@ -204,9 +201,9 @@ def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> lis
     if measured:
         quickest = min(measured, key=lambda item: item.quiet_hours_needed)
         lines.append(
-            f"Clusters were measured for {len(measured)} of {len(horizontal)} conditions and radii. With"
-            f" them a corner without an excursion needs {quickest.quiet_hours_needed:.3g} h to be a"
-            f" yes in {quickest.cell.condition.words} beyond {quickest.cell.radius_m:g} m."
+            f"Clusters were measured for {len(measured)} of {len(horizontal)} conditions and radii."
+            f" With them a corner without an excursion needs {quickest.quiet_hours_needed:.3g} h to"
+            f" be a yes in {quickest.cell.condition.words} beyond {quickest.cell.radius_m:g} m."
         )
     contradicted = [item for item in claims if item.dispersion_observed > item.dispersion_allowed]
     if contradicted:
@@ -220,9 +217,7 @@ def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> lis
 
 
 def _dispersion_words(item: Statement) -> str:
-    """What clusters the limits carry, where that comes from, and the hours a quiet corner needs
-    with it.
-    """
+    """Return the dispersion that limits allow for, its origin, and the quiet hours it needs."""
     corners = len(item.cell.rates)
     origin = "assumed"
     if item.dispersion.measured:
@@ -233,25 +228,26 @@ def _dispersion_words(item: Statement) -> str:
 
 
 def _limits(side: RateRange) -> str:
+    """Format the limits of a rate."""
     upper = "open" if math.isinf(side.upper) else f"{side.upper:.3g}"
     return f"{side.lower:.2g} to {upper}"
 
 
 def _uneven(item: Statement) -> bool:
+    """Return whether the corners flew different numbers of flights."""
     return len({rate.flights for rate in item.cell.rates}) > 1
 
 
-# What a campaign's epistemic samples are called: texts are written for corners, and say what
-# was flown instead.
+# Names of epistemic samples: texts are written for corners and adapted to what was flown.
 
 Part = TypeVar("Part")
 NOUNS: Mapping[str, str] = {"corners": "corner", "levels": "combination", "walk": "walk"}
-"""[epistemic] method -> one of its samples; any other: sample."""
+"""Name of an epistemic sample by method; "sample" for any other."""
 
 
 def kind_of(epistemic: Mapping[str, Any]) -> str:
-    """What ``called`` takes for a campaign's [epistemic]: its method, unless other samples flew
-    beside or in place of corners.
+    """Return the method of a campaign for `with_sample_noun`; "samples" if others than corners
+    flew.
     """
     mixed = epistemic["method"] == "corners" and (
         epistemic.get("interior") or epistemic.get("nominal") or epistemic["set"] != "box"
@@ -260,7 +256,7 @@ def kind_of(epistemic: Mapping[str, Any]) -> str:
 
 
 def with_sample_noun(part: Part, method: str) -> Part:
-    """A text, or a part of a page with all texts in it, that names the samples of ``method``.
+    """Replace "corner" in a text, or in all texts of a page part, by the noun of the method.
 
     Drawings stay as they are.
     """
@@ -269,6 +265,7 @@ def with_sample_noun(part: Part, method: str) -> Part:
 
 
 def _replace_corner(part: Any, noun: str) -> Any:
+    """Replace the noun recursively in texts, tuples and dataclasses."""
     if isinstance(part, str):
         return part.replace("corner", noun).replace("Corner", noun.capitalize())
     if isinstance(part, tuple):
@@ -297,11 +294,27 @@ _PUBLISHED_AIRCRAFT, _PUBLISHED_WIND_MPS, _PUBLISHED_AIR = "espaaro", 3.0, ("mod
 
 @dataclass(frozen=True)
 class Finding:
-    """One p-box of a median error and the samples it is the envelope of. ``metric`` is its column
-    of cases.parquet.
+    """Hold the p-box of a median error.
 
-    ``widened``: by which share of its area the points between the corners widen it; None where none
-    were flown."""
+    Attributes
+    ----------
+    metric : str
+        Column of cases.parquet.
+    quantity, words, unit : str
+        Quantity, its name in sentences, and unit.
+    measured : bool
+        Whether the error is that of the noisy sensors.
+    condition : Condition
+        Wind and turbulence.
+    box : PBox
+        The p-box.
+    samples : sequence of Sample
+        Its epistemic samples.
+    published : float or None
+        Median of the published flight in this condition.
+    widened : float or None
+        Share of its area by which interior points widen it; None without such points.
+    """
 
     metric: str
     quantity: str
@@ -316,19 +329,39 @@ class Finding:
 
     @property
     def title(self) -> str:
-        """Heading of the metric's figure."""
+        """Heading of the figure."""
         origin = "as the sensors measured it" if self.measured else "true, without sensor noise"
         return f"Median {self.words} error, {origin}"
 
     @property
     def axis(self) -> str:
-        """Name of the figure's axis, unit left out."""
+        """Label of the axis without unit."""
         return f"median |{self.words} error|, {'measured' if self.measured else 'true'}"
 
 
 @dataclass(frozen=True)
 class CampaignReport:
-    """A complete campaign: its manifest, its flights, and what they say."""
+    """Hold a complete campaign with its results.
+
+    Attributes
+    ----------
+    folder : Path
+        Campaign folder.
+    manifest : mapping
+        Its manifest.
+    frame : DataFrame
+        cases.parquet.
+    findings : tuple of Finding
+        P-boxes of the median errors.
+    signed : tuple of Statement
+        Claims on excursions.
+    question : str
+        What the campaign asks.
+    verdict : tuple of Sentence
+        Its answer.
+    engine_check : tuple of CheckRow
+        Comparison of the engines.
+    """
 
     folder: Path
     manifest: Mapping[str, Any]
@@ -341,17 +374,17 @@ class CampaignReport:
 
     @property
     def campaign(self) -> Mapping[str, Any]:
-        """Every setting of the campaign, as the manifest has it."""
+        """Settings of the campaign."""
         return self.manifest["campaign"]
 
     @property
     def aircraft(self) -> str:
-        """Name of the aircraft flown."""
+        """Name of the aircraft."""
         return Path(self.campaign["campaign"]["aircraft"]).name
 
 
 def read_campaign_report(folder: Path) -> CampaignReport:
-    """Read a complete campaign's folder. Raises BadInputError."""
+    """Read a complete campaign. Raises BadInputError."""
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
     campaign = manifest["campaign"]
@@ -373,9 +406,7 @@ def read_campaign_report(folder: Path) -> CampaignReport:
 
 
 def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]:
-    """P-boxes of the medians: per condition, per quantity, measured before true (the published
-    flight is measured).
-    """
+    """Return the p-boxes of the medians per condition and quantity, measured before true."""
     findings = []
     for condition in conditions(frame):
         rows = in_condition(frame, condition)
@@ -408,6 +439,7 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]
 
 
 def _interior_widening(corner_samples: Sequence[Sample]) -> float | None:
+    """Return by which share of its area the interior points widen the p-box of the corners."""
     interior = [
         sample for sample in corner_samples if sample.epistemic_id.startswith(INTERIOR_MARK)
     ]
@@ -418,13 +450,14 @@ def _interior_widening(corner_samples: Sequence[Sample]) -> float | None:
 
 
 def _published(campaign: Mapping[str, Any], condition: Condition, quantity: str) -> float | None:
-    """The published flight's median, where it was flown in this condition by this aircraft."""
+    """Return the median of the published flight if aircraft and condition are the same."""
     same_aircraft = Path(campaign["campaign"]["aircraft"]).name == _PUBLISHED_AIRCRAFT
     same_air = condition.wind_mps == _PUBLISHED_WIND_MPS and condition.turbulence in _PUBLISHED_AIR
     return _PUBLISHED[quantity] if same_aircraft and same_air else None
 
 
 def _question(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
+    """Return the question that the campaign answers, with what was flown."""
     air, epistemic = campaign["aleatory"], campaign["epistemic"]
     corners = frame["epistemic_id"].nunique()
     between = frame["epistemic_id"][frame["epistemic_id"].str.startswith(INTERIOR_MARK)].nunique()
@@ -471,9 +504,7 @@ def _verdict(
     findings: Sequence[Finding],
     signed: Sequence[Statement],
 ) -> list[Sentence]:
-    """The answer in words with numbers: the hardest condition, its excursions, its medians, and
-    what failed.
-    """
+    """Return the verdict: hardest condition, its excursions and medians, and failures."""
     kind = kind_of(campaign["epistemic"])
     hardest = hardest_condition(conditions(frame))
     duration = campaign["aleatory"]["duration_s"]
@@ -512,12 +543,12 @@ def _verdict(
 
 
 def answer_level(statement: Statement) -> Level:
-    """Whether an answer is good news."""
+    """Return the level of an answer."""
     return _ANSWER_LEVELS[statement.answer]
 
 
 def hardest_first(grid: Sequence[Condition]) -> list[Condition]:
-    """Conditions from the strongest turbulence and wind to the weakest."""
+    """Return conditions from the strongest turbulence and wind to the weakest."""
     remaining, ordered = list(grid), []
     while remaining:
         ordered.append(hardest_condition(remaining))
@@ -526,7 +557,9 @@ def hardest_first(grid: Sequence[Condition]) -> list[Condition]:
 
 
 def _median_sentence(pair: Sequence[Finding], duration_s: float) -> str:
-    """One quantity, true and (where there is one) measured, against the published flight."""
+    """Return a sentence on the median of one quantity, true and measured, with the published
+    flight.
+    """
     parts = []
     for item in sorted(pair, key=lambda finding: finding.measured):
         low, high = item.box.quantile(0.5)
@@ -556,13 +589,13 @@ def _median_sentence(pair: Sequence[Finding], duration_s: float) -> str:
 
 
 def span(low: float, high: float) -> str:
-    """An interval of a quantile in words."""
+    """Format an interval."""
     if math.isinf(high):
         return f"at least {low:.3g}"
     return f"{low:.3g} to {high:.3g}" if low != high else f"{low:.3g}"
 
 
-# Sensitivity ranges of a campaign as a section of its page, from its sensitivity.csv.
+# Sensitivity section.
 
 _SENSITIVITY_METRICS = (
     "cross_track_median_m",
@@ -576,9 +609,9 @@ Row = Mapping[str, str]
 def sensitivity_section(
     folder: Path, manifest: Mapping[str, Any], prefix: str = ""
 ) -> tuple[Section, ...]:
-    """The section, none where ``uqharness sensitivity`` has not been run on the folder.
+    """Return the sensitivity section; empty if ``uqharness sensitivity`` was not run.
 
-    Raises BadInputError.
+    Raises BadInputError if the table is damaged.
     """
     table_rows = read_sensitivity(folder, manifest)
     if not table_rows:
@@ -619,9 +652,7 @@ def sensitivity_section(
 
 
 def condition_sections(content: bytes) -> list[Section]:
-    """The drawings of a sensitivity.csv, one file a condition: shares of the medians of the error's
-    three quantities.
-    """
+    """Return the drawings of a sensitivity.csv, one file per condition."""
     out = []
     for condition, condition_rows in by_condition(
         list(csv.DictReader(content.decode().splitlines()))
@@ -633,7 +664,7 @@ def condition_sections(content: bytes) -> list[Section]:
 
 
 def by_condition(rows: Sequence[Row]) -> dict[Condition, list[Row]]:
-    """Rows of sensitivity.csv by their condition, as they come."""
+    """Group rows of sensitivity.csv by condition."""
     out: dict[Condition, list[Row]] = {}
     for row in rows:
         out.setdefault(Condition(float(row["wind_mps"]), row["turbulence"]), []).append(row)
@@ -643,7 +674,7 @@ def by_condition(rows: Sequence[Row]) -> dict[Condition, list[Row]]:
 def range_figures(
     rows: Sequence[Row], metrics: Sequence[str], condition: Condition, file: str, prefix: str = ""
 ) -> Figures:
-    """A chart for each metric that has a share; ``file`` as in :class:`Figures`."""
+    """Return a chart per metric with a share; ``file`` as in `Figures`."""
     by_metric = {m: [r for r in rows if r["metric"] == m and r["share_min"]] for m in metrics}
     figures = tuple(
         _figure(m, _ordered(metric_rows), condition, prefix)
@@ -660,12 +691,14 @@ _LEGEND = (
 
 
 def _ordered(rows: Sequence[Row]) -> list[Row]:
+    """Sort rows by share, largest first."""
     return sorted(
         rows, key=lambda r: -(float(r["share_min"] or 0.0) + float(r["share_max"] or 0.0))
     )
 
 
 def _figure(metric: str, rows: Sequence[Row], condition: Condition, prefix: str) -> Figure:
+    """Draw the shares of one metric."""
     words, first = _words(metric), rows[0]
     label = (
         f"Sensitivity of the {words}: shares of the p-box's width [-] by coefficient;"
@@ -687,6 +720,7 @@ def _figure(metric: str, rows: Sequence[Row], condition: Condition, prefix: str)
 
 
 def _table_row(r: Row) -> tuple[str, ...]:
+    """Return the table row of one coefficient."""
     if not r["share_min"]:
         return (
             _words(r["metric"]),
@@ -697,6 +731,7 @@ def _table_row(r: Row) -> tuple[str, ...]:
         )
 
     def span(low: str, high: str, scale: float = 1.0, unit: str = "") -> str:
+        """Format an interval of scaled numbers."""
         return (
             f"{scale * float(low):.2g} to {scale * float(high):.2g}{unit}"
             if low and high
@@ -713,26 +748,25 @@ def _table_row(r: Row) -> tuple[str, ...]:
 
 
 def _words(metric: str) -> str:
+    """Return the name of a metric in sentences."""
     if metric.startswith("excursions_"):
         return f"excursions beyond {metric.split('_')[1].removesuffix('m')} m"
     quantity = metric.rsplit("_", 2)[0].replace("_", "-")
     return f"median {quantity} error"
 
 
-# Ground tracks of a campaign's page: of the flights whose records stand in the folder, as
-# `campaign rerun` leaves them.
+# Ground tracks of repeated flights.
 
 MOST_TRACKS = 4
-"""Tracks in the page: of the flights farthest from their path."""
+"""Number of tracks in the page, those farthest from the path first."""
 _WORST = "cross_track_median_m"
 _COLUMNS = ("time_s", "north_m", "east_m", "error_cross_track")
 
 
 def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[Section, ...]:
-    """The tracks of flights flown again, or the command that flies the worst one again; none for a
-    mission without a path.
+    """Return the tracks of repeated flights, or the command that repeats the worst one.
 
-    frame: cases.parquet, one row a flight. A record that cannot be read is told.
+    ``frame`` is cases.parquet. Empty for a mission without a commanded path.
     """
     if _WORST not in frame or not frame[_WORST].notna().any():
         return ()
@@ -787,9 +821,7 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
 
 
 def track_cases(frame: pd.DataFrame) -> tuple[str, ...]:
-    """Cases whose tracks a page should show: of the flights of the hardest condition with a known
-    median cross-track error the one with the largest and the one in the middle; fewer where there
-    are fewer, none for a mission without a path."""
+    """Return the cases to repeat for the ground track: the worst and the median flight."""
     if _WORST not in frame or not frame[_WORST].notna().any():
         return ()
     rows = in_condition(frame, hardest_condition(conditions(frame)))
@@ -802,9 +834,7 @@ def track_cases(frame: pd.DataFrame) -> tuple[str, ...]:
 
 
 def worst_case(frame: pd.DataFrame) -> str:
-    """Case with the largest median cross-track error that is known in the hardest condition, the
-    first by its id among equals.
-    """
+    """Return the case with the largest median cross-track error in the hardest condition."""
     rows = in_condition(frame, hardest_condition(conditions(frame)))
     scored = rows[rows[_WORST].notna()]
     rows = (
@@ -814,6 +844,7 @@ def worst_case(frame: pd.DataFrame) -> str:
 
 
 def _track(path: Path, name: str, words: str) -> Figure | None:
+    """Draw the track of a record; None without a position."""
     table = read_table(path).to_pandas()
     columns = {n: table[n].to_numpy(dtype=float) for n in _COLUMNS if n in table}
     if "error_cross_track" in columns:
@@ -821,14 +852,13 @@ def _track(path: Path, name: str, words: str) -> Figure | None:
     return flight_track(name, columns, words)
 
 
-# What a campaign's page says of the engine that flew it, and of the flights that JSBSim flew as
-# its judge.
+# Engine and comparison with JSBSim.
 
 _NAMES: Mapping[str, str] = {"batch": "the batch engine", "jsbsim": "JSBSim"}
 
 
 def engine_section(manifest: Mapping[str, Any], rows: Sequence[CheckRow]) -> Section:
-    """Which engine flew, why, and how far it is from JSBSim."""
+    """Return which engine flew, why, and how far it is from JSBSim."""
     engine = manifest["campaign"]["campaign"]["engine"]
     reasons = tuple(manifest.get("engine", {}).get("why", ()))
     engine_text = engine_words(_NAMES[engine], reasons)
@@ -847,6 +877,7 @@ def engine_section(manifest: Mapping[str, Any], rows: Sequence[CheckRow]) -> Sec
 
 
 def _tables(rows: Sequence[CheckRow]) -> list[Block]:
+    """Return the table of differences between the engines by metric."""
     by_metric: dict[str, list[CheckRow]] = {}
     for row in rows:
         if row.difference or row.metric == STATUS:
@@ -864,6 +895,7 @@ def _tables(rows: Sequence[CheckRow]) -> list[Block]:
 
 
 def _row(name: str, rows: Sequence[CheckRow]) -> tuple[str, ...]:
+    """Return the row of one metric."""
     excused = [row for row in rows if row.verdict == "excused"]
     remarks = "; ".join(dict.fromkeys(row.remark for row in excused))
     shares = [as_number(row.difference) for row in rows if row.verdict != "excused"]
@@ -872,11 +904,10 @@ def _row(name: str, rows: Sequence[CheckRow]) -> tuple[str, ...]:
     return (name, str(len(rows)), largest, f"{len(excused)} ({remarks})" if excused else "0")
 
 
-# P-boxes of two campaigns over each other: the same flights before and after something changed
-# in the model.
+# Comparison of two campaigns.
 
 _OVERLAID = 2
-"""Conditions whose p-boxes are drawn over each other, the hardest; the table holds all."""
+"""Number of conditions, the hardest, whose p-boxes are drawn in one chart."""
 
 
 def overlay_section(
@@ -886,9 +917,7 @@ def overlay_section(
     prefix: str = "",
     title: str = "Before and after",
 ) -> Section:
-    """P-boxes of two campaigns over each other wherever both have the same quantity in the same
-    condition.
-    """
+    """Draw the p-boxes of two campaigns in one chart wherever both have the same quantity."""
     titles = ("before", "after")
     displayed = hardest_first(
         [c for c in conditions(before.frame) if c in conditions(after.frame)]
@@ -921,7 +950,7 @@ def overlay_section(
         ratio = (
             widths[1] / widths[0] if widths[0] > 0.0 and widths[0] < float("inf") else float("nan")
         )
-        # A width is a fact: no claim was tested that a tick could confirm.
+        # A width is a fact, not a tested claim, so it gets no tick.
         level: Level = "warn" if ratio > 1.0 else ""
         change = Cell(
             format_value(ratio, ".2f"),
@@ -961,7 +990,7 @@ def overlay_section(
 
 
 def _differences(before: CampaignReport, after: CampaignReport) -> str:
-    """What of two campaigns is flown differently, besides the model and its bounds."""
+    """Return what two campaigns flew differently besides the model and its bounds."""
     pairs = [
         (side.campaign["campaign"]["seed"], side.campaign["aleatory"]) for side in (before, after)
     ]

@@ -1,5 +1,7 @@
-"""Every channel of a flight over time: one chart a channel, phases and manoeuvres shaded, findings
-flagged where they are.
+"""Draw every channel of a flight over time, one chart per channel.
+
+Phases and manoeuvres are shaded, and findings of the log check are flagged at the times where they
+hold. Used by the pages of a log and of a recorded flight.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ _COMPANIONS: Mapping[str, tuple[str, str]] = {
     "aileron_deg": ("aileron_pos_deg", "position"),
     "rudder_deg": ("rudder_pos_deg", "position"),
 }
-"""What is drawn into another channel's chart, and as what."""
+"""Channel drawn into the chart of another, and its label."""
 _UNITS = {
     "rad": ("deg", RAD_DEG),
     "rad/s": ("deg/s", RAD_DEG),
@@ -53,8 +55,8 @@ _UNITS = {
 }
 _OTHER = "Other channels"
 _MIN_HEIGHT = 1e-3
-"""Least height of an axis, as a share of the channel's own size: rounding of what stands still is
-not drawn large.
+"""Smallest half-height of an axis as a share of the channel's size, so that rounding of a constant
+channel is not magnified.
 """
 _NUMBER_WIDTH = 6.5
 _MOST_DOTS = 1200
@@ -62,8 +64,9 @@ _MOST_DOTS = 1200
 
 @dataclass(frozen=True)
 class Shade:
-    """A stretch of time [s] that is shaded in every chart, in the class ``kind`` of figure.css;
-    ``mark`` stands on top of it.
+    """Shade a time interval [s] in every chart, in the class ``kind``.
+
+    ``mark`` is written on top.
     """
 
     start_s: float
@@ -74,8 +77,8 @@ class Shade:
 
 @dataclass(frozen=True)
 class Flag:
-    """What was found wrong with a channel: in short, and the stretches of time [s] in which it is
-    so; none for all of it.
+    """Describe a finding of a channel and the time intervals [s] where it holds; none means
+    everywhere.
     """
 
     words: str
@@ -83,7 +86,10 @@ class Flag:
 
 
 def named_stretches(time_s: FloatArray, labels: NDArray[Any]) -> list[tuple[float, float, str]]:
-    """Begin, end [s] and name of each stretch of equal labels (n,), empty ones left out."""
+    """Return start, end [s] and name of each run of equal labels (n,).
+
+    Empty labels are left out.
+    """
     if not len(time_s):
         return []
     edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1).tolist(), len(labels)]
@@ -101,7 +107,7 @@ def named_stretches(time_s: FloatArray, labels: NDArray[Any]) -> list[tuple[floa
 
 
 def shown_signal(name: str) -> tuple[str, str, float]:
-    """Quantity, unit and factor of a channel as it is drawn: angles in degrees."""
+    """Return quantity, unit and factor with which a channel is displayed (angles in degrees)."""
     if name not in SIGNALS:
         return shown_channel(name)
     unit, factor = _UNITS.get(SIGNALS[name].unit, (SIGNALS[name].unit, 1.0))
@@ -114,8 +120,18 @@ def channel_sections(
     flags: Mapping[str, Sequence[Flag]],
     legend: Sequence[tuple[str, str]],
 ) -> list[Section]:
-    """A section for each group of channels that ``columns`` (name -> (n,), ``time_s`` among them)
-    has.
+    """Return a section per group of channels.
+
+    Parameters
+    ----------
+    columns : mapping of str to array
+        Channels (n,) by name, ``time_s`` included.
+    shades : sequence of Shade
+        Shaded intervals.
+    flags : mapping of str to sequence of Flag
+        Findings by channel.
+    legend : sequence of (str, str)
+        Class and words of the shades.
     """
     available = [
         n
@@ -149,6 +165,7 @@ def channel_sections(
 def _channel(
     name: str, columns: Columns, shades: Sequence[Shade], flags: Mapping[str, Sequence[Flag]]
 ) -> Figure:
+    """Return the chart of one channel, with its companion and findings."""
     quantity, unit, factor = shown_signal(name)
     time_s = np.asarray(columns["time_s"], dtype=float)
     values = factor * np.asarray(columns[name], dtype=float)
@@ -172,7 +189,7 @@ def _channel(
     _shade(chart, shades)
     for flag in channel_flags:
         for start, end in flag.spans:
-            # A gap of a few samples in an hour would be thinner than a hair.
+            # Widen short intervals: a gap of some samples in an hour would be invisible.
             reach = 0.5 * max(0.0, 0.004 * (x.high - x.low) - (end - start))
             chart.band(
                 np.array([start - reach, end + reach]),
@@ -183,7 +200,7 @@ def _channel(
     steps = name in SIGNALS and SIGNALS[name].kind == "command"
     line_words = ("command" if steps else "recorded") if companion is not None else ""
     if name in SIGNALS and SIGNALS[name].kind == "heading":
-        # A line would cross the chart wherever the heading passes north.
+        # Dots, because a line would cross the chart whenever the heading passes north.
         few = np.unique(
             np.linspace(0, values.size - 1, min(values.size, _MOST_DOTS)).round().astype(int)
         )
@@ -204,6 +221,7 @@ def _channel(
 
 
 def _axis(label: str, values: Sequence[FloatArray]) -> Scale:
+    """Return a scale that is not narrower than `_MIN_HEIGHT`."""
     axis = scale(label, values)
     middle, half = 0.5 * (axis.low + axis.high), 0.5 * (axis.high - axis.low)
     min_half = _MIN_HEIGHT * max(abs(middle), 1e-6)
@@ -211,6 +229,7 @@ def _axis(label: str, values: Sequence[FloatArray]) -> Scale:
 
 
 def _shade(chart: Chart, shades: Sequence[Shade]) -> None:
+    """Shade intervals of a chart and write their marks where they fit."""
     for shade in shades:
         if shade.kind == "joint":
             chart.upright(shade.start_s, "joint")
@@ -218,7 +237,7 @@ def _shade(chart: Chart, shades: Sequence[Shade]) -> None:
         ends = np.array([shade.start_s, shade.end_s])
         chart.band(ends, np.full(2, chart.y.low), np.full(2, chart.y.high), shade.kind)
         x0, _, width, _ = chart.plot
-        (u, v) = (float(w) for w in chart.at(ends, np.zeros(2))[0])
+        u, v = (float(w) for w in chart.at(ends, np.zeros(2))[0])
         if (
             shade.mark
             and v - u >= _NUMBER_WIDTH * len(shade.mark) + 1
@@ -228,24 +247,22 @@ def _shade(chart: Chart, shades: Sequence[Shade]) -> None:
             chart.text(float(ends.mean()), chart.y.high, shade.mark, "middle", (0.0, 10.0))
 
 
-# Where in a record the findings of its log apply: channels, and stretches of time.
+# Places of findings: channels and time intervals.
 
 MOST_SPANS = 60
-"""Stretches of one finding that are drawn; nearer ones are joined until there are no more."""
+"""Maximum number of intervals of one finding that are drawn."""
 _GROUPS: Mapping[str, tuple[str, ...]] = {
     "ground velocity": ("vn_mps", "ve_mps", "vd_mps"),
     "attitude": ("phi_rad", "theta_rad", "psi_rad"),
     "position": ("north_m", "east_m", "h_m"),
 }
-"""Names that a finding has for several channels."""
+"""Names under which a finding covers several channels."""
 _SKIPPED_CODES = ("flight-phase", "slower-than-grid", "time-repeats")
-"""Findings that a chart's own shading shows, or that say nothing of a place."""
+"""Findings that the shading shows already, or that have no place in time."""
 
 
 def channels_of(finding: Finding, record: FlightRecord) -> tuple[str, ...]:
-    """Channels of the record that a finding concerns: its own, those of its group, or those made
-    from its message.
-    """
+    """Return the channels of a record that a finding concerns."""
     name = finding.channel
     if name in record:
         return (name,)
@@ -262,8 +279,8 @@ def channels_of(finding: Finding, record: FlightRecord) -> tuple[str, ...]:
 def spans_of(
     finding: Finding, channel: str, record: FlightRecord
 ) -> tuple[tuple[float, float], ...]:
-    """Stretches [s] in which a finding holds for a channel; none where it holds throughout or the
-    log does not say.
+    """Return the time intervals [s] where a finding holds for a channel; empty for everywhere or
+    unknown.
     """
     numbers = finding.numbers
     if "start_s" in numbers and "end_s" in numbers:
@@ -282,7 +299,7 @@ def spans_of(
 
 
 def flags_of(record: FlightRecord) -> dict[str, list[Flag]]:
-    """Flags by channel, of every finding that concerns a channel."""
+    """Return the flags of every channel with findings."""
     out: dict[str, list[Flag]] = {}
     for finding in record.metadata.findings:
         if finding.code in _SKIPPED_CODES:
@@ -298,9 +315,7 @@ def flags_of(record: FlightRecord) -> dict[str, list[Flag]]:
 
 
 def _runs(time_s: NDArray[np.float64], mask: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
-    """Begin and end of each run of True, joined over ever longer distances until there are at most
-    `MOST_SPANS`.
-    """
+    """Return start and end of each run of True, merged until there are at most `MOST_SPANS`."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     runs = [(float(time_s[a]), float(time_s[b - 1])) for a, b in edges.reshape(-1, 2)]
     distance_s = 0.0

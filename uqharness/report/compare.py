@@ -1,4 +1,4 @@
-"""What a comparison leaves on disk and on the screen."""
+"""Write the results of a comparison: compare.json, CSV tables and the terminal's tables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _RULE = f"the noise floor is reached when no judged channel's rms is above {LIMI
 
 
 def document_of(comparison: Comparison) -> dict[str, Any]:
-    """compare.json as a dictionary; figures that are not finite are null."""
+    """Return the content of compare.json; numbers that are not finite are null."""
     return {
         "aircraft": comparison.aircraft,
         "flight": comparison.flight,
@@ -62,7 +62,7 @@ def document_of(comparison: Comparison) -> dict[str, Any]:
 
 
 def channel_rows(comparison: Comparison) -> list[dict[str, str]]:
-    """Table of channels as text."""
+    """Return the table of channels as text."""
     return [
         {
             "channel": c,
@@ -83,13 +83,14 @@ def channel_rows(comparison: Comparison) -> list[dict[str, str]]:
 
 
 def _delay(g: Any) -> str:
+    """Format a delay with its standard error [ms], or the reason why it is undefined."""
     if g.undefined:
         return f"undefined: {g.undefined}"
     return f"{1e3 * (g.allowed_s + g.shift.seconds):.1f} +/- {1e3 * g.shift.std:.1f}"
 
 
 def coefficient_rows(comparison: Comparison) -> list[dict[str, str]]:
-    """Table of coefficients as text."""
+    """Return the table of coefficients as text."""
     return [
         {
             "coefficient": c,
@@ -103,7 +104,7 @@ def coefficient_rows(comparison: Comparison) -> list[dict[str, str]]:
 
 
 def manoeuvre_rows(comparison: Comparison) -> list[dict[str, str]]:
-    """rms over noise, one row a manoeuvre, channels then coefficients."""
+    """Return residual rms over noise, a row per manoeuvre, channels before coefficients."""
     return [
         {
             "manoeuvre": m,
@@ -115,7 +116,7 @@ def manoeuvre_rows(comparison: Comparison) -> list[dict[str, str]]:
 
 
 def moment_rows(comparison: Comparison) -> list[dict[str, str]]:
-    """The worst moments, one row each."""
+    """Return the largest deviations, one row each."""
     return [
         {
             "time_s": f"{m.time_s:.2f}",
@@ -129,7 +130,7 @@ def moment_rows(comparison: Comparison) -> list[dict[str, str]]:
 
 
 def write_tables(comparison: Comparison, document: dict[str, Any], out: Path) -> None:
-    """compare.json, histories.parquet and the CSV tables."""
+    """Write compare.json, histories.parquet and the CSV tables."""
     tables = {
         "channels": channel_rows(comparison),
         "coefficients": coefficient_rows(comparison),
@@ -154,7 +155,7 @@ def write_tables(comparison: Comparison, document: dict[str, Any], out: Path) ->
 
 
 def verdict(comparison: Comparison) -> str:
-    """One sentence: reached or not, by the rule."""
+    """Return one sentence on whether the model reaches the noise floor, and if not, why."""
     if not comparison.reached and comparison.slips:
         return (
             "Signs or scales differ between record and model, which comes before any delay:"
@@ -164,10 +165,11 @@ def verdict(comparison: Comparison) -> str:
     if not comparison.reached and not comparison.aligned:
         when = "early" if comparison.controls_late_s < 0.0 else "late"
         return (
-            f"The record is not aligned: its controls act {1e3 * abs(comparison.controls_late_s):.1f} ms"
-            f" {when}, and {1e3 * comparison.late_limit_s:.1f} ms are allowed. A command belongs to the"
-            " row whose acceleration has seen it first: shift the command columns, otherwise a"
-            " model identified from this flight gets this lag in addition."
+            "The record is not aligned: its controls act"
+            f" {1e3 * abs(comparison.controls_late_s):.1f} ms {when}, and"
+            f" {1e3 * comparison.late_limit_s:.1f} ms are allowed. A command belongs to the row"
+            " whose acceleration has seen it first: shift the command columns, otherwise a model"
+            " identified from this flight gets this lag in addition."
         )
     return noise_floor(
         comparison.reached, {c: comparison.channels[c].ratio for c in comparison.above}, _RULE

@@ -1,5 +1,7 @@
-"""One lap beside the path it was to keep, as ground track and as distance over time; whole tracks
-of recorded flights.
+"""Draw ground tracks: one lap of a study's flights with the commanded path, or a complete flight.
+
+A commanded circle is recovered from positions and signed distances by least squares. Axes east and
+north have equal scales.
 """
 
 from __future__ import annotations
@@ -17,13 +19,13 @@ from uqharness.report.svg import Chart, Scale, scale
 
 _HEIGHT, _LAP_HEIGHT = 330, 290
 _LONGEST_S = 120.0
-"""Time shown of a track that does not turn through a whole circle."""
+"""Time [s] displayed of a track that does not complete a turn."""
 _NEAR_M = 0.05
 _APART_M = 0.1
-"""Distance between two flights below which they are the same line."""
+"""Distance [m] below which two flights count as the same line."""
 _MOST_POINTS = 4000
 _LEAST_M = 1.0
-"""Shortest track that is drawn: less is a receiver that stands still."""
+"""Shortest track [m] that is drawn; a shorter one is a receiver at rest."""
 _WIDEST = 3.0
 """Largest radius of a circle that is drawn, in lengths of the track."""
 _KINDS: Mapping[tuple[str, str], str] = {
@@ -36,7 +38,7 @@ _KINDS: Mapping[tuple[str, str], str] = {
 
 @dataclass(frozen=True)
 class Circle:
-    """A path on which a distance of 0 lies: its middle and radius [m]."""
+    """Hold the centre and radius [m] of a commanded circle."""
 
     north_m: float
     east_m: float
@@ -44,11 +46,21 @@ class Circle:
 
 
 def circle_of(north_m: FloatArray, east_m: FloatArray, distance_m: FloatArray) -> Circle | None:
-    """The circle from which signed distances are measured (positive outside), by least squares;
-    None where they are not.
+    """Return the circle from which signed distances are measured, by least squares.
 
-    With r the distance from the middle c and d = r - R: n² + e² - d² = 2 c·(n, e) + 2 R d + R² -
-    c², linear in c, R and the rest."""
+    With r the distance from the centre c and d = r - R, n^2 + e^2 - d^2 = 2 c.(n, e) + 2 R d + R^2
+    - c^2, which is linear in c, R and the remaining constant.
+
+    Parameters
+    ----------
+    north_m, east_m, distance_m : array
+        Positions and distances (n,) [m], positive outside the circle.
+
+    Returns
+    -------
+    Circle or None
+        None if the distances are not measured from a circle.
+    """
     is_known = np.isfinite(north_m) & np.isfinite(east_m) & np.isfinite(distance_m)
     n, e, d = north_m[is_known], east_m[is_known], distance_m[is_known]
     if n.size < 8:
@@ -65,8 +77,8 @@ def circle_of(north_m: FloatArray, east_m: FloatArray, distance_m: FloatArray) -
 
 
 def equal_scales(east: FloatArray, north: FloatArray, height: int) -> tuple[Scale, Scale]:
-    """Axes east and north [m] of a chart that high around the points: one metre is as long to the
-    east as to the north.
+    """Return axes east and north [m] with equal scales around the points, for a chart of that
+    height.
     """
     middle = [0.5 * float(np.nanmin(v) + np.nanmax(v)) for v in (east, north)]
     blank = Chart(
@@ -83,12 +95,25 @@ def equal_scales(east: FloatArray, north: FloatArray, height: int) -> tuple[Scal
 
 @dataclass(frozen=True)
 class Lap:
-    """One lap of the flights of a study, all in the same air.
+    """Hold one lap of the flights of a study, all in the same gusts.
 
-    tracks: (when, model) -> rows of tracks.parquet within the lap, from ``begin_s`` to ``end_s``;
-    ``at_s``: the instant around which it lies, at which the flights are ``apart_m`` from each other
-    (0 for one flight). ``worst_flight``: the worst corner flown last, with its largest distance from the
-    path in the whole flight, ``largest_m``; ``circle``: the path, if it is one."""
+    Attributes
+    ----------
+    tracks : mapping of (str, str) to DataFrame
+        Rows of tracks.parquet within the lap, by (when, model).
+    begin_s, end_s : float
+        Time interval [s].
+    at_s : float
+        Instant around which the lap lies.
+    apart_m : float
+        Largest distance between two flights at that instant [m]; 0 for one flight.
+    worst_flight : tuple of str
+        Key of the worst corner that was flown last.
+    largest_m : float
+        Its largest distance from the path in the complete flight [m].
+    circle : Circle or None
+        Commanded path, if it is a circle.
+    """
 
     tracks: Mapping[tuple[str, str], pd.DataFrame]
     begin_s: float
@@ -100,17 +125,19 @@ class Lap:
     circle: Circle | None
 
     def called(self, key: tuple[str, str]) -> str:
-        """A flight's model, and when it was flown where there is a before and an after."""
+        """Return the label of a flight: its model, and when it was flown if there are two
+        versions.
+        """
         when, model = key
         return model if len({w for w, _ in self.tracks}) == 1 else f"{model}, {when}"
 
 
 def lap_of(track_rows: pd.DataFrame) -> Lap | None:
-    """The lap in which the flights lie farthest from each other, or, where they do not differ, the
-    worst corner from its path.
+    """Select the lap in which the flights differ most.
 
-    track_rows: tracks.parquet of a study. None without a worst corner whose distance from a path is
-    known."""
+    If they do not differ, it is the lap in which the worst corner is farthest from its path.
+    ``track_rows`` is tracks.parquet of a study. None without a worst corner with known distances.
+    """
     tracks = {
         (str(when), str(model)): rows
         for (when, model), rows in track_rows.groupby(["when", "model"], sort=False)
@@ -154,9 +181,7 @@ def lap_of(track_rows: pd.DataFrame) -> Lap | None:
 
 
 def ground_track(name: str, lap: Lap, radius_m: float, condition: str) -> Figure:
-    """The track of each flight with the path, where that is a circle, and the radius asked about
-    [m] around it.
-    """
+    """Draw the tracks of a lap, the commanded circle, and the radius in question [m] around it."""
     rings = list(_rings(lap.circle, radius_m)) if lap.circle else []
     east = np.concatenate(
         [*(rows["east_m"] for rows in lap.tracks.values()), *(ring[0] for ring in rings)]
@@ -191,12 +216,12 @@ def ground_track(name: str, lap: Lap, radius_m: float, condition: str) -> Figure
 
 
 def track_distance(name: str, lap: Lap, radius_m: float) -> Figure:
-    """Distance of each flight from the path [m] over the time of the lap [s], with the radius asked
-    about.
+    """Draw the distances from the path [m] over the time of the lap [s], with the radius in
+    question.
     """
     sides = {key: rows["distance_m"].to_numpy(dtype=float) for key, rows in lap.tracks.items()}
     distances = np.concatenate(list(sides.values()))
-    # A limit that no line comes near would only flatten the lines.
+    # A limit far from all lines would only compress them.
     limits = [radius_m] + ([-radius_m] if np.nanmin(distances) < -0.5 * radius_m else [])
     quantity = "distance from the path [m]" + (", outside positive" if lap.circle else "")
     y = scale(quantity, [distances, np.array([0.0, *limits])])
@@ -226,15 +251,14 @@ def track_distance(name: str, lap: Lap, radius_m: float) -> Figure:
 
 
 def _in_order(lap: Lap) -> list[tuple[tuple[str, str], pd.DataFrame]]:
-    """Worst corners below, the dashed lines of before above the others: a line stays visible where
-    two coincide.
-    """
+    """Return the flights in drawing order: nominal models and dashed "before" lines on top."""
     return sorted(
         lap.tracks.items(), key=lambda item: (item[0][1] == "nominal", item[0][0] == "before")
     )
 
 
 def _largest(lap: Lap) -> str:
+    """Return a sentence with the largest distance of each flight from the path."""
     texts = [
         f"{np.nanmax(np.abs(rows['distance_m'])):.3g} m ({lap.called(key)})"
         for key, rows in lap.tracks.items()
@@ -244,13 +268,12 @@ def _largest(lap: Lap) -> str:
 
 
 def _sentence(words: str) -> str:
+    """Return text with a capital first letter."""
     return f"{words[:1].upper()}{words[1:]}"
 
 
 def _largest_separation(time_s: FloatArray, tracks: Sequence[pd.DataFrame]) -> FloatArray:
-    """Largest distance between two of the flights across the path [m] at each instant (n,); 0 where
-    it is not known.
-    """
+    """Return the largest distance between two flights across the path [m] (n,); 0 where unknown."""
     distances = []
     for rows in tracks:
         known_rows = rows[rows["distance_m"].notna()]
@@ -266,13 +289,25 @@ def _largest_separation(time_s: FloatArray, tracks: Sequence[pd.DataFrame]) -> F
 def flight_track(
     name: str, columns: Mapping[str, FloatArray], words: str = "", circles: Sequence[Circle] = ()
 ) -> Figure | None:
-    """The whole track of a flight with its start and end, and the circles it was to keep.
+    """Draw the track of a flight with start, end and commanded circles.
 
-    Without ``circles`` the one is drawn that its cross-track error tells of, if any.
+    Parameters
+    ----------
+    name : str
+        Name of the figure.
+    columns : mapping of str to array
+        ``north_m`` and ``east_m`` [m], or ``vn_mps`` and ``ve_mps`` with ``time_s``; optionally
+        ``cross_track_m``.
+    words : str
+        Addition to the caption.
+    circles : sequence of Circle
+        Commanded circles; default: the one that the cross-track error implies.
 
-    columns: name -> (n,), of which ``north_m`` and ``east_m`` [m], or ``vn_mps`` and ``ve_mps``
-    with ``time_s``, and ``cross_track_m`` are used; None where the position is not known. words:
-    what the caption says besides."""
+    Returns
+    -------
+    Figure or None
+        None if the position is not known.
+    """
     place = _places(columns)
     if place is None:
         return None
@@ -309,7 +344,9 @@ def flight_track(
 
 
 def _places(columns: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray] | None:
-    """North and east [m], positions before integrated velocities; None where neither moves."""
+    """Return north and east [m], from positions or integrated velocities; None if the aircraft is
+    at rest.
+    """
     if {"north_m", "east_m"} <= set(columns):
         north, east = (np.asarray(columns[n], dtype=float) for n in ("north_m", "east_m"))
     elif {"vn_mps", "ve_mps", "time_s"} <= set(columns):
@@ -328,21 +365,18 @@ def _places(columns: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray] 
 def _commanded(
     north: FloatArray, east: FloatArray, columns: Mapping[str, FloatArray]
 ) -> list[Circle]:
-    """The circle of the cross-track error, whichever side is positive; none where there is none."""
+    """Return the circle implied by the cross-track error, for either sign convention."""
     if "cross_track_m" not in columns:
         return []
     distance = np.asarray(columns["cross_track_m"], dtype=float)
     circle = circle_of(north, east, distance) or circle_of(north, east, -distance)
-    # Of a circle much wider than the track nothing but a line would be seen, and the track not at
-    # all.
+    # A circle much larger than the track would appear as a line and hide the track.
     reach = max(float(np.nanmax(v) - np.nanmin(v)) for v in (north, east))
     return [circle] if circle is not None and circle.radius_m <= _WIDEST * reach else []
 
 
 def _turn(time_s: FloatArray, north: FloatArray, east: FloatArray, at: int) -> tuple[float, float]:
-    """Begin and end [s] of one turn of the course around the instant ``at``, a whole one where the
-    flight has one.
-    """
+    """Return start and end [s] of one turn of the course around the instant ``at``."""
     course = np.unwrap(np.arctan2(np.gradient(east), np.gradient(north)))
     low, high = float(course.min()) + math.pi, float(course.max()) - math.pi
     is_in_turn = (
@@ -364,7 +398,7 @@ def _turn(time_s: FloatArray, north: FloatArray, east: FloatArray, at: int) -> t
 
 
 def _rings(circle: Circle, radius_m: float) -> Iterator[tuple[FloatArray, FloatArray, str]]:
-    """East and north of the path and of what lies ``radius_m`` outside and inside it."""
+    """Yield east and north [m] of the path and of circles ``radius_m`` outside and inside it."""
     angle = np.linspace(0.0, 2.0 * math.pi, 181)
     for size, kind in (
         (circle.radius_m, "third"),

@@ -1,5 +1,7 @@
-"""Time histories on a page: the log against one or more models, with the band that the sensors'
-noise allows.
+"""Draw time histories: the log against one or more models, and the record of a repeated flight.
+
+The band around a model is plus and minus 1.96 standard deviations of the sensor noise; a correct
+model leaves 95 % of the samples inside.
 """
 
 from __future__ import annotations
@@ -24,21 +26,21 @@ from uqharness.report.parts import Block, Figure, Figures, Section, Words
 from uqharness.report.svg import Chart, Scale, scale, standalone
 
 Z95 = 1.959963984540054
+"""97.5 % quantile of the standard normal distribution."""
 MOST_SEGMENTS = 3
+"""Segments displayed by default."""
 _LEAST_CONTROL = 2.0  # deg or %: a control that stands still shall look so
 _CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 
 
 def file_name(text: str) -> str:
-    """Words as the name of a file."""
+    """Return text as a file name."""
     return re.sub(r"[^\w.-]+", "-", text)
 
 
 @dataclass(frozen=True)
 class Model:
-    """A model in a file of histories: the ending of its columns, the class that draws it, what it
-    is called.
-    """
+    """Identify a model in a file of histories: column suffix, class of its line, and name."""
 
     suffix: str
     kind: str
@@ -54,21 +56,33 @@ def history_section(
     max_segments: int | None = MOST_SEGMENTS,
     file: Callable[[int, History], str | None] = lambda rank, history: None,
 ) -> tuple[Section, ...]:
-    """The segments in which the first model is farthest from the log, each channel against all
-    models; none without histories.
+    """Return the segments in which the first model is farthest from the log.
 
-    noise: channel -> standard deviation, in the channel's own unit, None where it is not known
-    (then no band is drawn). most: number of segments shown, None for all. file: name of a segment's
-    file of figures, by its rank."""
+    Parameters
+    ----------
+    histories : sequence of History
+        Segments; without any the result is empty.
+    noise : mapping of str to float or None
+        Noise of each channel in the channel's unit; None draws no band.
+    models : sequence of Model
+        Models to draw.
+    title, prefix : str
+        Heading, and prefix of figure names.
+    max_segments : int, optional
+        Number of segments; None for all.
+    file : callable
+        Returns the name of a segment's file of figures, from its rank and the segment.
+    """
     if not histories:
         return ()
+    # The reader sees the worst segments first.
     ranked = sorted(histories, key=lambda h: -_worst(h, noise, models[0])[0])[:max_segments]
     first, last = ((f" {m.words}" if len(models) > 1 else "") for m in (models[0], models[-1]))
     selection = "All segments"
     if len(ranked) < len(histories):
         selection = (
-            f"The {len(ranked)} of {len(histories)} segments in which the model{first} is farthest from"
-            " the log"
+            f"The {len(ranked)} of {len(histories)} segments in which the model{first} is farthest"
+            " from the log"
         )
     text = (
         f"{selection}, the worst first; every segment stands in histories.parquet. The band is the"
@@ -92,8 +106,8 @@ def farthest_figure(
     models: Sequence[Model],
     name: str,
 ) -> Figure | None:
-    """The one channel in the one segment in which the first model is farthest from the log; None
-    where nothing is judged.
+    """Draw the channel and segment in which the first model is farthest from the log; None if
+    unknown.
     """
     ratio, channel, history = max(
         ((*_worst(h, noise, models[0]), h) for h in histories),
@@ -120,6 +134,7 @@ def _segment(
     prefix: str,
     file: str | None,
 ) -> Section:
+    """Return the section of one segment: a chart per channel and control."""
     figures = [
         _channel(history, c, noise[c], models, prefix) for c in noise if c in history.columns
     ]
@@ -147,7 +162,7 @@ def _channel(
     prefix: str,
     legend: bool = False,
 ) -> Figure:
-    """``legend``: the chart has its own."""
+    """Draw the log and the models of one channel; with ``legend`` the chart has its own legend."""
     quantity, unit, factor = shown_channel(name)
     measured = factor * history.columns[name]
     simulated = [
@@ -194,6 +209,7 @@ def _channel(
 
 
 def _control(history: History, name: str, prefix: str) -> Figure:
+    """Draw one control."""
     unit = shown_channel(name)[1]
     y = history.columns[name]
     label = f"{name} [{unit}] against time [s], {history.title}."
@@ -209,12 +225,13 @@ def _control(history: History, name: str, prefix: str) -> Figure:
 
 
 def _time(history: History) -> Scale:
+    """Return the time axis of a segment."""
     return Scale("time of the log [s]", float(history.time_s[0]), float(history.time_s[-1]))
 
 
 def _worst(history: History, noise: Mapping[str, float | None], model: Model) -> tuple[float, str]:
-    """Largest rms over noise of log minus model, and its channel; minus infinity where nothing can
-    be compared.
+    """Return the largest ratio of residual rms to noise and its channel; -inf if nothing is
+    comparable.
     """
     ratios = {name: _ratio(history, name, std, model) for name, std in noise.items()}
     return max(
@@ -223,7 +240,7 @@ def _worst(history: History, noise: Mapping[str, float | None], model: Model) ->
 
 
 def _ratio(history: History, name: str, std: float | None, model: Model) -> float | None:
-    """rms of log minus model over noise in one segment; None where one of them is not there."""
+    """Return the ratio of residual rms to noise in a segment; None if one of them is missing."""
     y = history.columns.get(f"{name}{model.suffix}")
     if y is None or name not in history.columns or not std:
         return None
@@ -242,10 +259,22 @@ def end_to_end(
     caption: str,
     outside: bool = False,
 ) -> Figure:
-    """Columns (name, class, words) of all pieces, one after the other with a gap; ``band``: lower
-    and upper by piece, and words.
+    """Draw columns of all pieces one after the other.
 
-    outside: samples of the first column beyond the band are marked.
+    Parameters
+    ----------
+    histories : sequence of History
+        Pieces.
+    name : str
+        Name of the figure.
+    series : sequence of (str, str, str)
+        Column, class and legend of each line.
+    band : tuple, optional
+        Lower and upper limits by piece, and legend.
+    label, axis, caption : str
+        Description, axis label and caption.
+    outside : bool
+        Whether samples of the first column outside the band are marked.
     """
     start, piece_times = 0.0, []
     for h in histories:
@@ -274,8 +303,7 @@ def end_to_end(
     return Figure(name, chart.svg(), caption)
 
 
-# Charts of one flight: the track, errors against their limits, the state, controls and levels
-# over time.
+# Charts of one flight: track, errors with limits, state, controls and levels.
 
 _KINDS = ("first", "second", "third", "plain thin", "limit2", "mark")
 _ANGLES = ("phi_rad", "theta_rad", "alpha_rad", "beta_rad")
@@ -283,7 +311,7 @@ _SURFACES = ("elevator", "aileron", "rudder")
 
 
 def draw_rerun(rerun: RerunResult) -> list[Path]:
-    """Draw a case that was flown again beside its record; none where it left no record."""
+    """Draw a repeated case next to its record and return the file; empty without a record."""
     record = next((path for path in rerun.files if path.suffix == ".parquet"), None)
     if record is None:
         return []
@@ -300,10 +328,7 @@ def draw_rerun(rerun: RerunResult) -> list[Path]:
 
 
 def flight_figures(record: pd.DataFrame, flight: FlightSpec) -> list[Figure]:
-    """Charts of a flight's record.
-
-    What was flown and not scored is shaded; what the aircraft lacks is left out.
-    """
+    """Return charts of a flight's record; the time before scoring is shaded."""
     figures = [_track(record)]
     for name, axis, lines, factor in _panels(record):
         series = {
@@ -319,15 +344,15 @@ def flight_figures(record: pd.DataFrame, flight: FlightSpec) -> list[Figure]:
 
 
 def _panels(record: pd.DataFrame) -> Iterator[tuple[str, str, Mapping[str, str], float]]:
-    """Name, axis, columns with their words, and factor of each chart over time that the record has
-    something for.
+    """Yield name, axis label, columns with labels, and factor of each chart that the record
+    supports.
     """
     errors = {f"error_{n}": n.replace("_", "-") for n in ("cross_track", "altitude", "speed")}
     surfaces, throttle = (
         {c: c for s in _SURFACES for c in _rerun_control(record, s)},
         {c: c for c in _rerun_control(record, "throttle")},
     )
-    # A coefficient whose delta is 0 throughout is certain in this flight, whatever its level says.
+    # A coefficient without a delta is not varied in this flight, whatever its level.
     active = [
         name for name in COEFFICIENTS if f"delta_{name}" in record and record[f"delta_{name}"].any()
     ]
@@ -346,7 +371,7 @@ def _panels(record: pd.DataFrame) -> Iterator[tuple[str, str, Mapping[str, str],
 
 
 def _rerun_control(record: pd.DataFrame, control: str) -> list[str]:
-    """The column of a control that says most of it: its position before its command."""
+    """Return the best column of a control: position before command."""
     return [
         n for ending in ("pos_deg", "deg", "norm", "pct") if (n := f"{control}_{ending}") in record
     ][:1]
@@ -360,6 +385,7 @@ def _over_time(
     burn_in_s: float,
     radii: Sequence[float],
 ) -> Figure:
+    """Draw columns over time, with excursion radii on the error chart."""
     cross_track = series.get("cross-track", np.zeros(1))
     reach = 2.0 * max(5.0, float(np.nanmax(np.abs(cross_track), initial=0.0)))
     visible_radii = [radius for radius in radii if "cross-track" in series and radius <= reach]
@@ -391,6 +417,7 @@ def _over_time(
 
 
 def _track(record: pd.DataFrame) -> Figure:
+    """Draw the ground track of a record."""
     if {"north_m", "east_m"} <= set(record.columns):
         east, north = (record[n].to_numpy(dtype=float) for n in ("east_m", "north_m"))
     else:

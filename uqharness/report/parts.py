@@ -1,5 +1,8 @@
-"""What a report page is made of, whatever it reports on: frozen parts that templates/page.html.j2
-knows how to show.
+"""Define the parts of report pages and render them to HTML.
+
+Parts are frozen dataclasses (`Page`, `Section`, `Table`, `Figures`, ...) that the modules in
+`uqharness.report.pages` build and templates/page.html.j2 displays. `first_lines` gives the terminal
+summary of a page.
 """
 
 from __future__ import annotations
@@ -19,25 +22,25 @@ from uqharness.text_tables import text_table
 
 Level = Literal["good", "warn", "bad", ""]
 SIGNS: Mapping[str, str] = {"good": "✓", "bad": "✕", "warn": "!", "": ""}
-"""What stands beside a colour, for readers without it."""
+"""Mark shown with a colour, for readers who do not see it."""
 
 
 @dataclass(frozen=True)
 class Sentence:
-    """A sentence of the verdict, and whether it is good news; an empty level is a plain fact."""
+    """Hold a sentence of the verdict; ``level`` is good, warn, bad or empty for a plain fact."""
 
     text: str
     level: Level = ""
 
     @property
     def sign(self) -> str:
-        """The mark beside the sentence."""
+        """Mark of the level."""
         return SIGNS[self.level]
 
 
 @dataclass(frozen=True)
 class Words:
-    """A paragraph; ``note`` in a softer colour."""
+    """Hold a paragraph; a ``note`` is shown in a softer colour."""
 
     kind: ClassVar[str] = "words"
     text: str
@@ -46,7 +49,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Bullets:
-    """A list of sentences; ``key``: a terminal shows them too."""
+    """Hold a list of sentences; with ``key`` a terminal shows it too."""
 
     kind: ClassVar[str] = "bullets"
     items: tuple[str, ...]
@@ -55,7 +58,7 @@ class Bullets:
 
 @dataclass(frozen=True)
 class Sentences:
-    """Sentences with their level, as in the verdict."""
+    """Hold sentences with levels."""
 
     kind: ClassVar[str] = "told"
     items: tuple[Sentence, ...]
@@ -63,8 +66,20 @@ class Sentences:
 
 @dataclass(frozen=True)
 class Cell:
-    """A table cell that is more than text: its level colours it, its sign says the same without
-    colour.
+    """Hold a table cell with a level.
+
+    Attributes
+    ----------
+    text : str
+        Content.
+    level : str
+        Colours the cell: good, warn, bad or empty.
+    small : str
+        Second line in small type.
+    code : bool
+        Whether the text is set in a fixed-width font.
+    mark : str
+        Mark instead of that of the level.
     """
 
     text: str
@@ -75,15 +90,15 @@ class Cell:
 
     @property
     def sign(self) -> str:
-        """The mark in the cell."""
+        """Mark of the cell."""
         return self.mark or SIGNS[self.level]
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text or cells under a caption; the first column heads its row.
+    """Hold a table of text or cells; the first column heads its row.
 
-    ``key``: a terminal shows it too.
+    With ``key`` a terminal shows it too.
     """
 
     kind: ClassVar[str] = "table"
@@ -94,15 +109,16 @@ class Table:
 
     @property
     def cells(self) -> tuple[tuple[Cell, ...], ...]:
-        """Rows of cells, plain texts made into cells."""
+        """Rows of cells; plain texts are wrapped."""
         return tuple(tuple(Cell(c) if isinstance(c, str) else c for c in row) for row in self.rows)
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing with its caption.
+    """Hold a drawing with its caption.
 
-    ``cursor`` is what the page's script reads out under the pointer; None for no cursor.
+    ``cursor`` holds the data that the page's script reads out under the pointer; None for no
+    cursor.
     """
 
     name: str
@@ -113,10 +129,19 @@ class Figure:
 
 @dataclass(frozen=True)
 class Figures:
-    """Drawings side by side; ``legend`` (class of figure.css, words) holds for all of them.
+    """Hold drawings side by side.
 
-    file: name without ending of the file in figures/ that holds them all; empty: each has one of
-    its own name; None: no file."""
+    Attributes
+    ----------
+    items : tuple of Figure
+        The drawings.
+    legend : tuple of (str, str)
+        Class of figure.css and words, for all drawings.
+    narrow : bool
+        Whether three fit in a row.
+    file : str or None
+        Name in figures/ of the file that holds them all; empty: one file each; None: no file.
+    """
 
     kind: ClassVar[str] = "figures"
     items: tuple[Figure, ...]
@@ -127,7 +152,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Facts:
-    """Names and what they are; ``code`` for what is to be read letter by letter."""
+    """Hold names and values."""
 
     kind: ClassVar[str] = "facts"
     items: tuple[tuple[str, str], ...]
@@ -135,7 +160,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class Code:
-    """Lines as they stand in a file or on a command line."""
+    """Hold lines of a file or a command line."""
 
     kind: ClassVar[str] = "code"
     label: str
@@ -147,9 +172,7 @@ Block = Words | Bullets | Sentences | Table | Figures | Facts | Code
 
 @dataclass(frozen=True)
 class Section:
-    """A heading with what stands under it, and the sections within it; ``folded`` until the reader
-    opens it.
-    """
+    """Hold a heading, its blocks and subsections; ``folded`` sections are closed at first."""
 
     title: str
     blocks: tuple[Block, ...]
@@ -159,11 +182,21 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report: the verdict is shown first, then ``first``, then what was asked (where that
-    is not the title), then sections.
+    """Hold a report.
 
-    With ``first`` the verdict is the answer and its reasons, in larger letters, and page and
-    ``first`` make one screen."""
+    Attributes
+    ----------
+    title, question : str
+        Heading, and the question that the report answers (empty if the title is the question).
+    verdict : tuple of Sentence
+        Answer, shown first.
+    sections : tuple of Section
+        Sections.
+    first : tuple of Block
+        Figures next to the verdict. With them the verdict is set in larger letters and both fill
+        one
+        screen.
+    """
 
     title: str
     question: str
@@ -173,15 +206,13 @@ class Page:
 
 
 def is_wanted(title: str, only: Collection[str] | None) -> bool:
-    """Whether a section is among those that are shown (None: all): what is not need not be
-    drawn.
-    """
+    """Return whether a section is displayed; ``only`` lists the titles, None means all."""
     return only is None or title in only
 
 
 @cache
 def _template() -> jinja2.Template:
-    """The page's template, compiled once a process."""
+    """Return the compiled page template."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("uqharness.report", "templates"),
         autoescape=True,
@@ -193,7 +224,7 @@ def _template() -> jinja2.Template:
 
 
 def render(page: Page) -> str:
-    """The page as one HTML file that needs no other. Same page, same bytes."""
+    """Return the page as one HTML file that needs no other; the same page gives the same bytes."""
     blocks = (
         *page.first,
         *(block for section in every_section(page.sections) for block in section.blocks),
@@ -205,21 +236,19 @@ def render(page: Page) -> str:
     rendered = _template().render(
         page=page, style=Markup("".join(sheets)), script=Markup(_text("page.js")) if cursors else ""
     )
-    # A control character in a file's or a flight's name has no meaning on a page.
+    # Control characters in names of files or flights must not reach the page.
     return visible(rendered)
 
 
 def every_section(sections: Iterable[Section]) -> Iterator[Section]:
-    """Sections and those within them, as a reader meets them."""
+    """Yield sections and their subsections in reading order."""
     for section in sections:
         yield section
         yield from every_section(section.parts)
 
 
 def first_lines(page: Page) -> list[str]:
-    """What a terminal shows of a page: the sentences of its verdict, then its key tables
-    and lists.
-    """
+    """Return what a terminal shows: the verdict, then key tables and lists."""
     lines = [item.text for item in page.verdict]
     for block in (block for section in every_section(page.sections) for block in section.blocks):
         if isinstance(block, Table) and block.key and block.rows:
@@ -238,6 +267,7 @@ def first_lines(page: Page) -> list[str]:
 
 @cache
 def _text(name: str) -> str:
+    """Read a file of the templates folder."""
     return (
         resources.files("uqharness.report")
         .joinpath(f"templates/{name}")
@@ -246,22 +276,29 @@ def _text(name: str) -> str:
 
 
 def format_value(value: float | None, form: str = ".3g") -> str:
-    """A figure as text. What is undefined says so and is never a 0; what has no end is open."""
+    """Format a number; "undefined" for None and NaN, "open" for infinity.
+
+    Examples
+    --------
+    >>> format_value(0.12345), format_value(float("nan")), format_value(float("inf"))
+    ('0.123', 'undefined', 'open')
+    """
     if value is None or math.isnan(value):
         return "undefined"
     return "open" if math.isinf(value) else format(value, form)
 
 
 def percent(value: float | None, form: str = ".3g") -> str:
-    """A share as a number of percent."""
+    """Format a share as a number of percent."""
     return format_value(None if value is None else 100.0 * value, form)
 
 
 def remarks(
     document: Mapping[str, Any], key: Iterable[str] = ("warnings", "notes")
 ) -> tuple[Section, ...]:
-    """The section of a document's warnings and notes, none where there are none; a terminal shows
-    those named in ``key``.
+    """Return the section of a document's warnings and notes; empty without any.
+
+    A terminal shows the lists named in ``key``.
     """
     remarks_by_name = {name: tuple(document.get(name, ())) for name in ("warnings", "notes")}
     blocks = tuple(Bullets(items, name in key) for name, items in remarks_by_name.items() if items)
@@ -269,5 +306,5 @@ def remarks(
 
 
 def provenance(*facts: tuple[str, str]) -> Section:
-    """The provenance of a page: its last section."""
+    """Return the last section of a page: where its content comes from."""
     return Section("Provenance", (Facts(facts),))

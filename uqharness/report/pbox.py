@@ -1,9 +1,9 @@
-"""P-boxes as charts of a page, one alone with its corners or several over each other, and what the
-cursor reads in them.
+"""Draw p-boxes, alone with their corners or several in one chart, and their convergence.
 
-A step of an empirical distribution function is as high as one flight's share, so 40 flights make a
-staircase. A kernel estimate has the same flights without the steps. What is claimed rests on the
-staircases; :func:`farthest` says how far a curve lies from them."""
+An empirical distribution function has steps as high as one flight's share, so 40 flights give a
+staircase. A kernel estimate shows the same flights without steps. Claims rest on the staircases;
+`smoothing_error` measures how far a smooth curve lies from them.
+"""
 
 from __future__ import annotations
 
@@ -32,10 +32,20 @@ _BOX_CLASSES = ("first", "fill1"), ("second", "fill2")
 
 @dataclass(frozen=True)
 class LabelledBox:
-    """One p-box of a figure. ``title`` names it among several, empty where it is alone; ``words``:
-    corner id -> levels.
+    """Hold a p-box of a figure.
 
-    ``smooth``: drawn and read as smooth curves; the words of the figure stay those of ``box``.
+    Attributes
+    ----------
+    title : str
+        Name among several boxes; empty for one.
+    box : PBox
+        The p-box.
+    samples : sequence of Sample
+        Its epistemic samples.
+    words : mapping of str to str
+        Description of each epistemic id.
+    smooth : bool
+        Whether smooth curves are drawn; numbers in the caption remain those of ``box``.
     """
 
     title: str
@@ -53,18 +63,28 @@ def pbox_figure(
     caption: str,
     mark: tuple[float, str] | None = None,
 ) -> Figure:
-    """One p-box (corners thin, envelope bold, band dashed) or two over each other (filled);
-    ``mark``: a value to mark.
+    """Draw one p-box with its corners, or several boxes in one chart.
 
-    The caption of smooth curves tells how far they lie from the flights' own steps.
+    Parameters
+    ----------
+    name : str
+        Name of the figure.
+    quantity, unit : str
+        Label of the axis.
+    boxes : sequence of LabelledBox
+        One: corners thin, envelope bold, band dashed. Several: filled.
+    caption : str
+        Caption; for smooth curves their distance from the flights' steps is added.
+    mark : tuple of (float, str), optional
+        Value to mark, with its label.
     """
     is_single = len(boxes) == 1
     values = [b.box.value for b in boxes] + ([np.array([mark[0]])] if mark else [])
     x = scale(f"{quantity} [{unit}]", values, minimum=0.0)
     halves = "; ".join(f"{b.title + ': ' if b.title else ''}{_half(b.box, unit)}" for b in boxes)
     label = (
-        f"P-box{'es' if not is_single else ''} of {quantity} [{unit}]. Half of the flights stay below"
-        f" {halves}."
+        f"P-box{'es' if not is_single else ''} of {quantity} [{unit}]. Half of the flights stay"
+        f" below {halves}."
     )
     chart = Chart(name, label, x, Scale(PROBABILITY, -0.01, 1.01), height=250)
     curves = [
@@ -87,8 +107,8 @@ def pbox_figure(
         chart.line(at, upper, line, words, steps=steps)
         chart.line(at, lower, line, steps=steps)
         if is_single:
-            # Outside the values flown, the band still says something: at least its first and at
-            # most its last step.
+            # Outside the observed values the band is still informative: at least its first, at most
+            # its last step.
             above = (
                 box.band_upper
                 if labelled_box.smooth
@@ -103,7 +123,10 @@ def pbox_figure(
         smoothing_error(b.samples, box) for b, box in zip(boxes, curves, strict=True) if b.smooth
     ]
     if smoothing_errors:
-        caption += f" Curves are smoothed: within {100.0 * max(smoothing_errors):.0f} % of the flights' own steps."
+        caption += (
+            f" Curves are smoothed: within {100.0 * max(smoothing_errors):.0f} % of the flights'"
+            " own steps."
+        )
     cursor = {
         "quantity": quantity,
         "unit": unit,
@@ -113,7 +136,7 @@ def pbox_figure(
 
 
 def _draw_samples(chart: Chart, labelled_box: LabelledBox, box: PBox, number: int) -> None:
-    """A thin curve for each sample; those behind a side of ``box`` are named for the cursor."""
+    """Draw a thin curve per sample; those that set a side of the box are named for the cursor."""
     place = {name: k for k, name in enumerate(_samples_on_sides(box))}
     shown_samples = _curves(labelled_box, box)
     few = len(shown_samples) < len(labelled_box.samples)
@@ -136,10 +159,10 @@ def _draw_samples(chart: Chart, labelled_box: LabelledBox, box: PBox, number: in
 def _sides(
     labelled_box: LabelledBox, box: PBox, x: Scale
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Values and both sides from one end of the axis to the other."""
+    """Return values and both sides of a box over the complete axis."""
     if labelled_box.smooth:
         return box.value, box.lower, box.upper
-    # Unknown flights may lie below every value that was seen.
+    # Flights without a value may lie below every value observed.
     unseen = max(sample.unknown / sample.size for sample in labelled_box.samples)
     return (
         np.concatenate([[x.low], box.value, [x.high]]),
@@ -149,14 +172,26 @@ def _sides(
 
 
 def smooth_share(values: FloatArray, at: FloatArray) -> FloatArray:
-    """Share (m,) of ``values`` (n,) that are at most each of ``at`` (m,), as a Gaussian kernel
-    estimate; values are 0 or larger.
+    """Return a Gaussian kernel estimate of a distribution function.
 
-    The bandwidth is s n^(-1/3) with the standard deviation s: the rate of the smallest mean squared
-    error of a distribution function (Azzalini 1981), and less than the (4/n)^(1/3) s that is best
-    for a normal one, since smoothing makes a curve flatter. The part that a kernel puts below 0 is
-    reflected. Without a spread the steps remain. Of more than 1000 values 1000 quantiles carry a
-    kernel."""
+    The bandwidth is s n^(-1/3) with the standard deviation s: the rate that minimises the mean
+    squared error of a distribution function (Azzalini 1981), and smaller than (4/n)^(1/3) s, the
+    optimum for normal data, because smoothing flattens the curve. The part of a kernel below 0 is
+    reflected. Without scatter the steps remain. More than 1000 values are represented by 1000
+    quantiles.
+
+    Parameters
+    ----------
+    values : array
+        Non-negative values (n,).
+    at : array
+        Arguments (m,).
+
+    Returns
+    -------
+    array
+        Share of ``values`` at most each argument (m,).
+    """
     width = float(values.std(ddof=1)) * values.size ** (-1.0 / 3.0) if values.size > 1 else 0.0
     if not width > 0.0:
         return np.asarray(
@@ -169,17 +204,18 @@ def smooth_share(values: FloatArray, at: FloatArray) -> FloatArray:
         middles = np.sort(values)[places.astype(int)]
 
     def below(ends: FloatArray) -> FloatArray:
+        """Return the kernel estimate without reflection."""
         return np.asarray(normal_tail((middles - ends[:, None]) / width).mean(axis=1))
 
     return np.where(at < 0.0, 0.0, below(at) - below(-at))
 
 
 def smooth_pbox(samples: Sequence[Sample], box: PBox, at: FloatArray) -> PBox:
-    """The p-box ``box`` of ``samples`` with smooth sides at ``at`` (m,), ascending; flights without
-    a value as in the box.
+    """Return a p-box with smooth sides at ``at`` (m,), ascending.
 
-    The band is as wide around the curves as it is around the steps, and wider by the distance
-    between the two."""
+    The band is as wide around the curves as around the steps, plus the distance between the two.
+    Flights without a value are treated as in ``box``.
+    """
     shares = np.stack([smooth_share(s.values, at) * (s.values.size / s.size) for s in samples])
     unknown = np.array([s.unknown / s.size for s in samples])[:, None]
     lower, upper = shares.min(axis=0), (shares + unknown).max(axis=0)
@@ -200,8 +236,8 @@ def smooth_pbox(samples: Sequence[Sample], box: PBox, at: FloatArray) -> PBox:
 
 
 def smoothing_error(samples: Sequence[Sample], curve: PBox) -> float:
-    """Largest difference in probability between the sides of ``curve`` and those that the samples'
-    steps make.
+    """Return the largest difference in probability between the sides of ``curve`` and the stepped
+    sides.
     """
     ends = envelope(samples, curve.value)
     return max(
@@ -211,7 +247,13 @@ def smoothing_error(samples: Sequence[Sample], curve: PBox) -> float:
 
 
 def metric_label(metric: str) -> str:
-    """A column of cases.parquet as the label of an axis: quantity and unit."""
+    """Return the axis label of a column of cases.parquet: quantity and unit.
+
+    Examples
+    --------
+    >>> metric_label("cross_track_median_m")
+    'cross track median [m]'
+    """
     name, measured = (
         metric.removesuffix("_measured"),
         ", measured" if metric.endswith("_measured") else "",
@@ -226,10 +268,9 @@ def metric_label(metric: str) -> str:
 
 
 def corner_words(frame: pd.DataFrame) -> dict[str, str]:
-    """Epistemic id -> the levels that make it, such as ``CX− CY+ CZ=0.5``: − the lower bound, + the
-    upper one.
+    """Return the levels behind each epistemic id, such as ``CX− CY+ CZ=0.5``.
 
-    Ids whose levels do not stand still (walks) or that have none stay as they are.
+    − is the lower bound, + the upper one. Ids without constant levels (walks) stay as they are.
     """
     columns = [
         name for name in frame if str(name).startswith("level_") and frame[name].notna().any()
@@ -246,14 +287,13 @@ def corner_words(frame: pd.DataFrame) -> dict[str, str]:
 
 
 def _half(box: PBox, unit: str) -> str:
+    """Return the interval of the median as text."""
     low, high = box.quantile(0.5)
     return f"{format_value(low)} to {format_value(high)} {unit}"
 
 
 def _cursor(number: int, labelled_box: LabelledBox, box: PBox, is_single: bool) -> dict[str, Any]:
-    """What the page's script reads out; without the samples' names where smooth curves lie over
-    each other.
-    """
+    """Return what the page's script reads out under the pointer."""
     names = _samples_on_sides(box) if is_single or not labelled_box.smooth else []
     place = {name: k for k, name in enumerate(names)}
     sides = {
@@ -276,16 +316,14 @@ def _cursor(number: int, labelled_box: LabelledBox, box: PBox, is_single: bool) 
 
 
 def _samples_on_sides(box: PBox) -> list[str]:
-    """Ids of the samples that set a side somewhere, in order of appearance."""
+    """Return the ids of samples that set a side of the box, in order of appearance."""
     return list(
         dict.fromkeys(str(name) for side in (box.corner_lower, box.corner_upper) for name in side)
     )
 
 
 def _curves(labelled_box: LabelledBox, box: PBox) -> list[Sample]:
-    """Samples to draw one by one: all if they are few, else those that set a side and some of the
-    others, evenly chosen.
-    """
+    """Return the samples to draw: all if few, else those on a side and an even selection."""
     if len(labelled_box.samples) <= _MAX_CURVES:
         return list(labelled_box.samples)
     selected = set(_samples_on_sides(box)[: _MAX_CURVES // 2])
@@ -298,7 +336,7 @@ def _curves(labelled_box: LabelledBox, box: PBox) -> list[Sample]:
 
 
 def _steps(sample: Sample, x: Scale) -> tuple[FloatArray, FloatArray]:
-    """Steps of one corner's distribution function, few enough to keep a page small."""
+    """Return the steps of a sample's distribution function, thinned to keep the page small."""
     values = np.sort(sample.values)
     if not values.size:
         return np.empty(0), np.empty(0)
@@ -312,16 +350,16 @@ def _steps(sample: Sample, x: Scale) -> tuple[FloatArray, FloatArray]:
 
 
 def _between(first: float, steps: FloatArray) -> FloatArray:
+    """Return steps with a first value added and the last one repeated."""
     return np.concatenate([[first], steps, steps[-1:]])
 
 
-# Charts of a convergence study: repeats of a distribution function after Hale (2016, Fig 3.5),
-# and p-boxes that grow.
+# Convergence: repeats of a distribution function after Hale (2016, Fig 3.5), and growing p-boxes.
 
 
 def convergence_section(item: MetricConvergence) -> Section:
-    """Repeats, and the area of the p-box against the number of epistemic samples, whichever there
-    are.
+    """Return the charts of a convergence study: repeats, and the area of the p-box over its
+    samples.
     """
     condition = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}"
     place = f"{item.metric.replace('_', '-')}-{condition}"
@@ -333,6 +371,7 @@ def convergence_section(item: MetricConvergence) -> Section:
 
 
 def _repeats(item: MetricConvergence, place: str) -> Figure | None:
+    """Draw the distribution functions of the repeats; None without them."""
     study = item.repeats
     if study is None:
         return None
@@ -351,6 +390,7 @@ def _repeats(item: MetricConvergence, place: str) -> Figure | None:
 
 
 def _growth(item: MetricConvergence, place: str) -> Figure | None:
+    """Draw the area of the p-box over the number of epistemic samples; None without growth."""
     if not item.growth:
         return None
     at = np.log2([float(part.samples) for part in item.growth])

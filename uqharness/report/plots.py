@@ -1,8 +1,9 @@
-"""Figures for notebooks and papers, by matplotlib: each function takes a result, draws it into
-given axes and returns them.
+"""Draw figures for notebooks and papers with matplotlib.
 
-Reports draw their own charts (svg.py); nothing but a caller of these functions loads matplotlib. No
-function sets anything that other figures share, and none writes a file."""
+Each function takes a result, draws it into the given axes and returns them. Report pages use their
+own charts (`uqharness.report.svg`), so matplotlib is loaded only by callers of these functions. No
+function changes settings shared with other figures, and none writes a file.
+"""
 
 from __future__ import annotations
 
@@ -76,6 +77,7 @@ def plot_pbox(
     """
     instance("box", box, PBox, "a PBox, as pbox gives it,")
     ax = _axes(ax)
+    # Extend the steps a little beyond the smallest and largest flight.
     room = 0.04 * float(np.ptp(box.value)) or 1.0
     x = np.concatenate([[box.value[0] - room], box.value, [box.value[-1] + room]])
     lower, upper, low_band, high_band = (
@@ -319,7 +321,7 @@ def plot_model_form(
 
 
 def _axes(ax: Axes | None) -> Axes:
-    """The axes given, or those of a new figure that a notebook shows."""
+    """Return the given axes, or those of a new figure."""
     if ax is not None:
         return instance("ax", ax, Axes, "matplotlib's Axes, or None,")
     import matplotlib.pyplot as plt
@@ -327,10 +329,10 @@ def _axes(ax: Axes | None) -> Axes:
     return plt.subplots(layout="constrained")[1]
 
 
-# What a notebook shows of a campaign: HTML with the report's own p-box charts.
+# Notebook view of a campaign: HTML with the p-box charts of the report.
 
 _MAX_CHARTS = 4
-"""Conditions whose p-box is drawn; ``pboxes()`` has all."""
+"""Number of conditions whose p-box is drawn; ``pboxes()`` returns all."""
 _STATEMENT_COLUMNS = (
     "condition",
     "radius_m",
@@ -346,7 +348,7 @@ _STATEMENT_COLUMNS = (
 def campaign_view(
     folder: Path, manifest: Mapping[str, Any], cases: pd.DataFrame, statements: pd.DataFrame
 ) -> str:
-    """Aircraft and size, statements, and the p-box of the first metric in the first conditions."""
+    """Return HTML for a notebook: aircraft, size, statements and first p-boxes of a campaign."""
     failed = int((cases["status"] != "ok").sum())
     facts = {
         "aircraft": manifest["campaign"]["campaign"]["aircraft"],
@@ -363,6 +365,7 @@ def campaign_view(
 
 
 def _charts(manifest: Mapping[str, Any], cases: pd.DataFrame) -> str:
+    """Return an image of the p-box of the first metric in the first conditions."""
     charts: list[tuple[Any, str]] = []
     first = None
     for metric, condition, box in pboxes(cases, band_confidence(manifest["campaign"], CONFIDENCE)):
@@ -381,6 +384,6 @@ def _charts(manifest: Mapping[str, Any], cases: pd.DataFrame) -> str:
         charts.append((figure.svg, f"{quantity}, {condition.words}"))
     if not charts:
         return ""
-    # As an image: a style sheet inside a drawing would count for the whole notebook.
+    # An image, because a style sheet inside the drawing would apply to the whole notebook.
     content = base64.b64encode(standalone(charts, columns=2).encode()).decode()
     return f'<img alt="p-boxes" src="data:image/svg+xml;base64,{content}">'

@@ -1,10 +1,10 @@
-"""Small charts as SVG text for report pages: axes, lines, bands, dots. Pure: arrays in, text out,
-same arrays, same bytes.
+"""Draw the charts of report pages as SVG text: axes, lines, bands, dots, legends.
 
-Nothing here has a colour of its own: every mark has a class of templates/figure.css, whose
-variables follow the reader's light or dark scheme. Each class has a dash or a shape besides its
-colour. A chart is drawn 360 units wide, so that its text stays legible on a phone; wide screens set
-several side by side."""
+The functions are pure: the same arrays give the same bytes. No mark has a colour of its own; each
+has a class of templates/figure.css, whose variables follow the reader's light or dark scheme, and a
+dash or a shape in addition to its colour. A chart is 360 units wide, so that its text stays legible
+on a phone; wide screens show several side by side.
+"""
 
 from __future__ import annotations
 
@@ -24,19 +24,29 @@ from sysid.arrays import FloatArray
 from sysid.display import visible
 
 WIDTH = 360
+"""Width of a chart in drawing units."""
 _GAP = 16
 _MIN_LEFT, _RIGHT, _TOP, _BOTTOM = 34, 12, 24, 38
 _CHARACTER = 6.9
-"""Width to reserve for a character of the 11-unit text, whichever font the reader has."""
+"""Width reserved for a character of the 11-unit text, for any font."""
 _MAX_POINTS = 400
 _MAX_LOG_TICKS = 9
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Range of an axis, its label with the unit, and its ticks: numbers, or names at given places.
+    """Describe an axis.
 
-    ``log``: logarithmic.
+    Attributes
+    ----------
+    label : str
+        Quantity and unit.
+    low, high : float
+        Range of the axis.
+    names : tuple of (float, str)
+        Named ticks at given values; empty for numbers.
+    log : bool
+        Whether the axis is logarithmic.
     """
 
     label: str
@@ -46,10 +56,11 @@ class Scale:
     log: bool = False
 
     def place(self, value: FloatArray | float) -> FloatArray:
-        """Share of the axis' length at which a value stands; NaN for one that a logarithmic axis
-        does not have.
+        """Return the position of values along the axis, 0 to 1; NaN where a logarithmic axis has
+        none.
         """
         value, low, high = np.asarray(value, dtype=float), self.low, self.high
+        # Logarithms of the ends and of positive values; others become NaN.
         if self.log:
             value, low, high = (
                 np.log(np.where(value > 0.0, value, np.nan)),
@@ -59,7 +70,7 @@ class Scale:
         return np.asarray((value - low) / ((high - low) or 1.0))
 
     def ticks(self) -> list[tuple[float, str]]:
-        """Values and labels of the axis' ticks."""
+        """Return values and labels of the ticks."""
         if self.names:
             return list(self.names)
         if self.log:
@@ -81,8 +92,18 @@ class Scale:
 def scale(
     label: str, values: Sequence[FloatArray], margin: float = 0.06, minimum: float | None = None
 ) -> Scale:
-    """A scale around all finite values, ``minimum`` its smallest end at most where it is given; 0 to
-    1 where there is none.
+    """Return a linear scale around all finite values.
+
+    Parameters
+    ----------
+    label : str
+        Quantity and unit.
+    values : sequence of array
+        Data; without a finite value the scale is 0 to 1.
+    margin : float
+        Room on both sides as a share of the range.
+    minimum : float, optional
+        The axis does not go below it.
     """
     finite = (
         np.concatenate([np.ravel(v)[np.isfinite(np.ravel(v))] for v in values])
@@ -98,7 +119,7 @@ def scale(
 
 
 def log_scale(label: str, values: Sequence[FloatArray], margin: float = 0.06) -> Scale:
-    """A logarithmic scale around all finite values above 0; 0.1 to 1 where there is none."""
+    """Return a logarithmic scale around all finite positive values; 0.1 to 1 if there are none."""
     positive = np.concatenate([np.ravel(v) for v in values]) if values else np.empty(0)
     positive = positive[np.isfinite(positive) & (positive > 0.0)]
     if not positive.size:
@@ -109,7 +130,7 @@ def log_scale(label: str, values: Sequence[FloatArray], margin: float = 0.06) ->
 
 
 def _log_ticks(low: float, high: float) -> list[tuple[float, str]]:
-    """At 1, 2 and 5 times the powers of ten, or at the powers alone where there are many."""
+    """Return ticks at 1, 2 and 5 times the powers of ten, or fewer if there are too many."""
     powers = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
     for factors in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
         values = [
@@ -124,6 +145,7 @@ def _log_ticks(low: float, high: float) -> list[tuple[float, str]]:
 
 
 def _step(rough: float) -> float:
+    """Return a round step (1, 2, 2.5 or 5 times a power of ten) of at least the given size."""
     if not 0.0 < rough < math.inf:
         return rough  # of numbers near the largest there are: one tick
     power = 10.0 ** math.floor(math.log10(rough))
@@ -132,6 +154,7 @@ def _step(rough: float) -> float:
 
 
 def _number(value: float, step: float) -> str:
+    """Format a tick with the decimals that its step needs."""
     if value != 0.0 and (abs(value) >= 1e5 or step < 1e-4):
         return f"{value:.3g}".replace("-", "−")
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
@@ -142,9 +165,22 @@ def _number(value: float, step: float) -> str:
 
 @dataclass
 class Chart:
-    """A chart that is being drawn.
+    """Collect the marks of a chart and write it as SVG.
 
-    ``name`` is unique in the page; ``label`` says in words what the picture shows.
+    Attributes
+    ----------
+    name : str
+        Unique name within the page.
+    label : str
+        Description of the picture for screen readers.
+    x, y : Scale
+        Axes.
+    height : int
+        Height in drawing units, without the legend.
+    marks : list of str
+        SVG elements inside the axes.
+    legend : list of (str, str)
+        Class and words of the entries.
     """
 
     name: str
@@ -157,7 +193,7 @@ class Chart:
 
     @cached_property
     def left_margin(self) -> int:
-        """Room for the widest tick."""
+        """Width reserved for the widest tick label."""
         widest = max((len(words) for _, words in self.y.ticks()), default=0)
         return max(_MIN_LEFT, min(190, 9 + math.ceil(_CHARACTER * widest)))
 
@@ -172,10 +208,10 @@ class Chart:
         )
 
     def at(self, x: FloatArray | float, y: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-        """Places of data in the drawing."""
+        """Return the drawing coordinates of data."""
         x0, top, width, height = self.plot
         u, v = x0 + width * self.x.place(x), top + height * (1.0 - self.y.place(y))
-        # Far beyond the frame a browser's arithmetic fails before the clip does.
+        # Far outside the frame the arithmetic of browsers fails before clipping.
         u, v = (np.where(np.isfinite(w), np.clip(w, -5000.0, 5000.0), np.nan) for w in (u, v))
         return u, v
 
@@ -188,8 +224,20 @@ class Chart:
         steps: bool = False,
         data: str = "",
     ) -> None:
-        """A line through finite points; a gap where one is not. steps: each value holds until the
-        next.
+        """Draw a line through finite points, with a gap at NaN.
+
+        Parameters
+        ----------
+        x, y : array
+            Points (n,).
+        kind : str
+            Class of figure.css.
+        words : str
+            Legend entry; empty for none.
+        steps : bool
+            Whether each value holds until the next.
+        data : str
+            Further attributes of the SVG element.
         """
         x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
         if not steps:
@@ -200,7 +248,7 @@ class Chart:
             self._entry(kind, words)
 
     def path(self, x: FloatArray, y: FloatArray, kind: str, words: str = "") -> None:
-        """A line through points in any order, all of them drawn."""
+        """Draw a line through all points in their order, without thinning."""
         self.marks.append(f'<path class="line {kind}" d="{_path(*self.at(x, y))}"/>')
         self._entry(kind, words)
 
@@ -213,7 +261,7 @@ class Chart:
         words: str = "",
         steps: bool = False,
     ) -> None:
-        """The area between two lines, where both are finite."""
+        """Fill the area between two lines where both are finite."""
         x, low, high = (np.asarray(v, dtype=float) for v in (x, low, high))
         for run in _runs(np.isfinite(x) & np.isfinite(low) & np.isfinite(high)):
             u, v = self.at(x[run], low[run])
@@ -228,18 +276,18 @@ class Chart:
             self._entry(kind, words)
 
     def area(self, x: FloatArray, y: FloatArray, kind: str, words: str = "") -> None:
-        """The inside of a closed outline, all of whose points are finite."""
+        """Fill a closed outline of finite points."""
         self.marks.append(f'<path class="band {kind}" d="{_path(*self.at(x, y))}Z"/>')
         self._entry(kind, words)
 
     def dots(
         self, x: FloatArray, y: FloatArray, kind: str, words: str = "", radius: float = 1.3
     ) -> None:
-        """Small discs at finite points, one path for all of them."""
+        """Draw small discs at finite points, as one SVG path."""
         u, v = self.at(x, y)
         finite = np.isfinite(u) & np.isfinite(v)
         if finite.any():
-            # A line of no length with round ends is a disc, and the shortest there is to write.
+            # A line of zero length with round caps is a disc, in the fewest bytes.
             path = _format_pairs("M%.1f %.1fh0" * int(finite.sum()), u[finite], v[finite])
             self.marks.append(
                 f'<path class="dots {kind}" stroke-width="{2 * radius:g}" d="{path}"/>'
@@ -247,7 +295,7 @@ class Chart:
             self._entry(kind, words)
 
     def marker(self, x: float, y: float, kind: str, shape: str, words: str = "") -> None:
-        """One disc, ring, square, bar or cross."""
+        """Draw one marker; ``shape`` is disc, ring, square, bar or cross."""
         (u,), (v,) = (np.atleast_1d(w) for w in self.at(x, y))
         if not (math.isfinite(u) and math.isfinite(v)):
             return
@@ -272,8 +320,18 @@ class Chart:
         anchor: str = "start",
         shift: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Words at a point, moved by ``shift`` units right and down; ``anchor``: which end of them,
-        start, middle or end.
+        """Write words at a point.
+
+        Parameters
+        ----------
+        x, y : float
+            Point in data coordinates.
+        words : str
+            Text.
+        anchor : str
+            Which end of the text is at the point: start, middle or end.
+        shift : tuple of float
+            Offset to the right and downwards in drawing units.
         """
         (u,), (v,) = (np.atleast_1d(w) for w in self.at(x, y))
         if math.isfinite(u) and math.isfinite(v):
@@ -283,8 +341,16 @@ class Chart:
             )
 
     def cells(self, x: FloatArray, y: FloatArray, share: FloatArray, kind: str) -> None:
-        """A map: cells between the edges ``x`` (n + 1,) and ``y`` (m + 1,), as dense as ``share``
-        (n, m) of 0 to 1; none for 0.
+        """Draw a map of cells.
+
+        Parameters
+        ----------
+        x, y : array
+            Edges (n + 1,) and (m + 1,).
+        share : array
+            Opacity (n, m), 0 to 1; cells of 0 are left out.
+        kind : str
+            Class of figure.css.
         """
         u, v = self.at(x, y[0])[0], self.at(x[0], y)[1]
         for i, j in zip(*np.nonzero(share), strict=True):
@@ -297,24 +363,26 @@ class Chart:
             )
 
     def upright(self, x: float, kind: str, words: str = "") -> None:
-        """A line from bottom to top at ``x``."""
+        """Draw a vertical line at ``x``."""
         self.line(np.array([x, x]), np.array([self.y.low, self.y.high]), kind, words)
 
     def level(self, y: float, kind: str, words: str = "") -> None:
-        """A line from left to right at ``y``."""
+        """Draw a horizontal line at ``y``."""
         self.across(self.x.low, self.x.high, y, kind, words)
 
     def across(self, low: float, high: float, y: float, kind: str, words: str = "") -> None:
-        """A level line from ``low`` to ``high``."""
+        """Draw a horizontal line from ``low`` to ``high``."""
         self.line(np.array([low, high]), np.array([y, y], dtype=float), kind, words)
 
     def _entry(self, kind: str, words: str) -> None:
+        """Add a legend entry once."""
         if words and (kind, words) not in self.legend:
             self.legend.append((kind, words))
 
     def svg(self) -> Markup:
-        """The drawing, to stand in a page that has templates/figure.css."""
+        """Return the SVG element, for a page that contains templates/figure.css."""
         x0, top, width, height = self.plot
+        # The legend grows the drawing downwards.
         entries, rows = _legend(self.legend, WIDTH)
         total = self.height + (16 * rows + 4 if rows else 0)
         out = [
@@ -349,6 +417,7 @@ class Chart:
         return Markup("".join([*out, "</svg>"]))
 
     def _grid(self) -> list[str]:
+        """Return grid lines and tick labels."""
         x0, top, width, height = self.plot
         out = []
         for value, words in self.x.ticks():
@@ -370,9 +439,7 @@ class Chart:
 
 
 def rows_chart(name: str, label: str, x: Scale, rows: Sequence[str], height: int = 17) -> Chart:
-    """A chart with a row, ``height`` units high, for each of the names: row k at the height k, the
-    first on top.
-    """
+    """Return a chart with a named row per entry; row k lies at y = k, the first on top."""
     names = tuple((float(k), row) for k, row in enumerate(rows))
     return Chart(name, label, x, Scale("", len(rows) - 0.5, -0.5, names), 68 + height * len(rows))
 
@@ -383,8 +450,18 @@ def standalone(
     legend: Sequence[tuple[str, str]] = (),
     columns: int = 1,
 ) -> str:
-    """Charts with their captions as one file of its own, row by row, light and without any
-    reference to another file.
+    """Return charts with captions as one SVG file that refers to no other file.
+
+    Parameters
+    ----------
+    charts : sequence of (Markup, str)
+        SVG elements and their captions.
+    title : str
+        Heading.
+    legend : sequence of (str, str)
+        Class and words of entries that hold for all charts.
+    columns : int
+        Charts per row.
     """
     columns = min(columns, len(charts))
     width = columns * (WIDTH + _GAP) + _GAP
@@ -424,7 +501,7 @@ def standalone(
 
 
 def _placed(svg: Markup, x: int, y: int) -> tuple[int, str]:
-    """Height of a chart, and the chart at a place of another drawing."""
+    """Return the height of a chart and the chart moved to a place in another drawing."""
     view_box = re.search(r'viewBox="0 0 (\d+) (\d+)"', svg)
     assert view_box is not None
     height = int(view_box[2])
@@ -435,7 +512,7 @@ def _placed(svg: Markup, x: int, y: int) -> tuple[int, str]:
 
 @cache
 def style() -> str:
-    """The style sheet of all charts, which is that of the page too."""
+    """Return the style sheet of all charts, which pages use as well."""
     return (
         resources.files("uqharness.report")
         .joinpath("templates/figure.css")
@@ -445,7 +522,7 @@ def style() -> str:
 
 @cache
 def _plain_style() -> str:
-    """The same with each colour in its place: drawing programs know no variables."""
+    """Return the style sheet with colours in place of variables, for drawing programs."""
     colours = dict(re.findall(r"--([\w-]+): (#\w+)", style()))
     rules = style().partition("}\n")[2]
     return re.sub(r"var\(--([\w-]+)\)", lambda found: colours[found[1]], rules)
@@ -454,15 +531,16 @@ def _plain_style() -> str:
 def thin_line(
     x: FloatArray, y: FloatArray, max_points: int = _MAX_POINTS
 ) -> tuple[FloatArray, FloatArray]:
-    """A line of at most about ``max_points`` points that keeps every bucket's smallest and largest value,
-    so no peak is lost.
+    """Thin a line to about ``max_points`` points and keep the extremes of every bucket.
+
+    Peaks and gaps survive: each bucket keeps its smallest and largest value and its first NaN.
     """
     if x.size <= max_points:
         return x, y
     edges = np.linspace(0, x.size, max_points // 2 + 1).astype(int)
     first, sizes = edges[:-1], np.diff(edges)
     bucket, missing = np.repeat(np.arange(first.size), sizes), np.isnan(y)
-    # The first sample without a value keeps the gap; without any value it stands for its bucket.
+    # The first NaN keeps the gap; a bucket without values is represented by it.
     keep = [_first_of(bucket, missing)]
     for extreme in (np.fmin, np.fmax):
         keep.append(_first_of(bucket, y == np.repeat(extreme.reduceat(y, first), sizes)))
@@ -471,13 +549,14 @@ def thin_line(
 
 
 def _first_of(bucket: NDArray[np.intp], is_selected: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Place of the first wanted sample of each bucket that has one; ``bucket`` ascends."""
+    """Return the place of the first selected sample of each bucket; ``bucket`` ascends."""
     places = np.flatnonzero(is_selected)
     bucket_of_place = bucket[places]
     return places[np.append(True, bucket_of_place[1:] != bucket_of_place[:-1])[: places.size]]
 
 
 def _runs(is_finite: NDArray[np.bool_]) -> list[slice]:
+    """Return slices of consecutive True values, at least two long."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_finite, [False]]).astype(int)))
     return [
         slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1
@@ -485,6 +564,7 @@ def _runs(is_finite: NDArray[np.bool_]) -> list[slice]:
 
 
 def _path(u: FloatArray, v: FloatArray, steps: bool = False) -> str:
+    """Return the path data of a line with gaps at NaN."""
     is_finite = np.isfinite(u) & np.isfinite(v)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_finite, [False]]).astype(int)))
     going_on = "H%.1fV%.1f" if steps else "L%.1f %.1f"
@@ -495,14 +575,14 @@ def _path(u: FloatArray, v: FloatArray, steps: bool = False) -> str:
 
 
 def _format_pairs(form: str, u: FloatArray, v: FloatArray) -> str:
-    """Pairs of numbers in a form of one decimal, which is left out where it is 0."""
+    """Format pairs of numbers with one decimal, without a trailing ".0"."""
     return (form % tuple(np.column_stack([u, v]).ravel().tolist())).replace(".0", "")
 
 
 def _legend(
     items: Sequence[tuple[str, str]], width: float
 ) -> tuple[list[tuple[str, str, float, int]], int]:
-    """Entries with their place, and the number of rows."""
+    """Return legend entries with their places, and the number of rows."""
     out, x, row = [], 8.0, 0
     for kind, words in items:
         needed = 28 + _CHARACTER * len(words) + 12
@@ -514,6 +594,7 @@ def _legend(
 
 
 def _swatch(kind: str, x: float, y: float) -> str:
+    """Return the sample mark of a legend entry."""
     shape, _, css_class = kind.partition(" ")
     if shape == "mark-disc":
         return f'<circle class="mark {css_class}" cx="{x + 11:g}" cy="{y:g}" r="4"/>'

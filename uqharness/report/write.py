@@ -1,5 +1,7 @@
-"""report.html of any folder of results, and figures/*.svg beside it: the drawings of the page as
-files.
+"""Write report.html of a folder of results, its drawings, and the files of a refinement.
+
+`kind_of` recognises a folder by its files; the page module of that kind builds the page. The same
+folder gives the same bytes. A page begins with a warning if files of the folder have changed.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from uqharness.report.parts import (
 )
 from uqharness.report.svg import standalone
 
-# The page of any folder of results: what the folder is, is told by its files.
+# Recognition of folders.
 
 KINDS = (
     ("study.json", "study"),
@@ -38,18 +40,18 @@ KINDS = (
     ("compare.json", "compare"),
     ("coverage.json", "validate-bounds"),
 )
-"""File that marks a folder, and the command that writes it; the first that is there counts."""
+"""File that identifies a folder, and the command that writes it; the first match counts."""
 
 SEGMENTED = ("identify", "compare")
-"""Kinds whose page shows the worst segments alone, unless all are asked for."""
+"""Kinds whose page displays only the worst segments by default."""
 
 _NEXT_FLIGHT = "next-flight.json"
 
 
 def kind_of(folder: Path) -> str:
-    """Command whose results ``folder`` holds.
+    """Return the command that wrote a folder of results.
 
-    Raises BadInputError for none, with what was looked for.
+    Raises BadInputError, with the files that were looked for, if it is not recognised.
     """
     if not folder.is_dir():
         raise BadInputError(f"{folder}: is no folder; report takes the --out of another command")
@@ -66,13 +68,12 @@ def kind_of(folder: Path) -> str:
 
 
 def page_of(folder: Path, every_segment: bool = False) -> Page:
-    """The page of a folder of results; ``every_segment``: with the histories of all segments, not
-    of the worst alone.
+    """Return the page of a folder of results.
 
-    Raises BadInputError.
+    ``every_segment`` includes the histories of all segments. Raises BadInputError.
     """
     kind = kind_of(folder)
-    # Imported here: a page needs what its folder's kind needs and no more.
+    # Imported here so that a page loads only what its kind needs.
     if kind == "study":
         from uqharness.report.pages.study import study_page
 
@@ -102,13 +103,25 @@ def page_of(folder: Path, every_segment: bool = False) -> Page:
 
 REPORT = "report.html"
 _MAX_NAMED = 5
-"""Damaged files that a page names."""
+"""Number of damaged files that a page names."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What was written. ``damaged``: files of the folder that are not as they were written;
-    ``rewritten``: those that now are.
+    """Report what was written.
+
+    Attributes
+    ----------
+    path : Path
+        report.html.
+    figures : tuple of Path
+        Drawings.
+    page : Page
+        Content.
+    damaged : tuple of Fault
+        Files that are not as they were written.
+    rewritten : tuple of str
+        Files that were damaged and are now new.
     """
 
     path: Path
@@ -124,7 +137,7 @@ class Report:
 
     @property
     def text(self) -> str:
-        """What a terminal shows: the page's first lines and where the rest is."""
+        """The summary that a terminal shows."""
         return "\n".join(
             [
                 *first_lines(self.page),
@@ -135,10 +148,19 @@ class Report:
 
 
 def write_report(folder: Path, figures: bool = False) -> Report:
-    """Write ``folder``/report.html from the folder's own files. Same folder, same bytes. Raises
-    BadInputError.
+    """Write ``folder``/report.html.
 
-    ``figures``: write its drawings into figures/ as well. Those of a campaign always are.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    figures : bool
+        Whether drawings are written to figures/; those of a campaign always are.
+
+    Raises
+    ------
+    BadInputError
+        If the folder is not recognised or cannot be read.
     """
     page, kind = page_of(folder), kind_of(folder)
     figure_page = page if figures or kind == "campaign run" else None
@@ -148,7 +170,7 @@ def write_report(folder: Path, figures: bool = False) -> Report:
 
 
 def write_campaign_report(folder: Path) -> Report:
-    """The same for the folder of a complete campaign and no other."""
+    """Write the report of a complete campaign; other folders are refused."""
     from uqharness.report.campaign import read_campaign_report
     from uqharness.report.pages.campaign import campaign_page
 
@@ -157,7 +179,7 @@ def write_campaign_report(folder: Path) -> Report:
 
 
 def write_page(folder: Path, page: Page, figure_page: Page | None = None) -> Report:
-    """Write a page as ``folder``/report.html, and the drawings of ``figure_page`` into figures/.
+    """Write a page as ``folder``/report.html and the drawings of ``figure_page`` into figures/.
 
     Raises BadInputError.
     """
@@ -177,7 +199,7 @@ def write_page(folder: Path, page: Page, figure_page: Page | None = None) -> Rep
 
 
 def _damage_words(damaged: Sequence[Fault]) -> str:
-    """Say on the page that files are not as they were written, and how many."""
+    """Return the warning that files are not as they were written."""
     listed = "; ".join(f"{fault.name}: {fault.problem}" for fault in damaged[:_MAX_NAMED])
     more = f"; and {len(damaged) - _MAX_NAMED} more" if len(damaged) > _MAX_NAMED else ""
     return (
@@ -187,17 +209,19 @@ def _damage_words(damaged: Sequence[Fault]) -> str:
 
 
 def write_html(path: Path, page: Page) -> None:
-    """Write a page as a file of its own. Raises BadInputError."""
+    """Write a page as a file. Raises BadInputError."""
     write_bytes(path, render(page).encode("utf-8", errors="replace"))
 
 
 def write_figures(folder: Path, sections: Iterable[Section], title: str) -> list[Path]:
-    """Write the drawings of sections that name a file into ``folder``/figures; ``title`` heads
-    those that share one.
+    """Write the drawings of sections that name a file into ``folder``/figures and return the paths.
+
+    ``title`` heads the files that hold several drawings.
     """
     place, paths = inner_folder(folder, "figures"), []
 
     def write(name: str, text: str) -> None:
+        """Write one drawing."""
         paths.append(place / f"{name}.svg")
         write_bytes(paths[-1], text.encode("utf-8", errors="replace"))
 
@@ -220,7 +244,7 @@ def write_figures(folder: Path, sections: Iterable[Section], title: str) -> list
     return paths
 
 
-# What a refinement leaves on disk.
+# Files of a refinement.
 
 FIGURES = (
     "gap.svg",
@@ -231,11 +255,11 @@ FIGURES = (
     "coefficients.svg",
     "unnamed.svg",
 )
-"""Figures of a refinement: those of an earlier run are not left beside a later one's."""
+"""Figures of a refinement; those of an earlier run are removed."""
 
 
 def write_results(done: Refinement, out: Path) -> None:
-    """refinement.json, model.diff and histories.parquet, from which report.html is written."""
+    """Write refinement.json, model.diff and histories.parquet of a refinement."""
     for key, value in finite(done.document).items():
         done.document[key] = value
     write_json(out / "refinement.json", done.document)
@@ -256,7 +280,7 @@ def write_results(done: Refinement, out: Path) -> None:
 
 
 def model_diff(done: Refinement) -> str:
-    """Unified difference of every XML file of the two aircraft folders."""
+    """Return the unified difference of all XML files of two aircraft folders."""
     old, new = done.given.folder, done.aircraft.folder
     names = sorted({p.relative_to(f).as_posix() for f in (old, new) for p in f.rglob("*.xml")})
     out: list[str] = []

@@ -532,7 +532,7 @@ def read_engine_check(folder: Path, manifest: Mapping[str, Any]) -> list[CheckRo
 
 
 def record_table(folder: Path, name: str, content: bytes) -> None:
-    """Write a table that a command adds to a complete campaign, and its digest into the manifest."""
+    """Write a table of another command into a complete campaign, and its digest."""
     write_bytes(folder / name, content)
     manifest = read_manifest(folder)
     if has_digests(manifest):

@@ -1,4 +1,4 @@
-"""A campaign's page: p-boxes, the grid of answers, rates, sensitivity, failures and provenance."""
+"""Build the page of a campaign: p-boxes, answers, rates, sensitivity, failures, provenance."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ from uqharness.report.pbox import LabelledBox, corner_words, pbox_figure
 from uqharness.statistics import ExcursionRate, best_and_worst, poisson_upper
 
 CONDITIONS_DRAWN = 4
-"""Conditions whose p-boxes are drawn in the page, the hardest; the tables hold all."""
+"""Number of conditions, the hardest, whose p-boxes are drawn; the tables hold all."""
 
 PBOXES = "P-boxes of the median errors"
 _FAILURES_LISTED = 40
@@ -60,9 +60,16 @@ _MARKS = {"yes": "✓", "no": "✕", "open": "?"}
 def campaign_page(
     report: CampaignReport, prefix: str = "", only: Collection[str] | None = None
 ) -> Page:
-    """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page.
+    """Return the page of a campaign.
 
-    ``only``: titles of the sections that are shown, if not all.
+    Parameters
+    ----------
+    report : CampaignReport
+        Complete campaign.
+    prefix : str
+        Prefix of figure names, unique if several campaigns share a page.
+    only : collection of str, optional
+        Titles of the sections to build; default: all.
     """
     kind = kind_of(report.campaign["epistemic"])
     sections = [with_sample_noun(grid_section(report.signed), kind)]
@@ -84,7 +91,7 @@ def campaign_page(
 
 
 def pbox_section(report: CampaignReport, prefix: str = "") -> Section:
-    """P-boxes of the medians in the first conditions, and the table of their middles in all."""
+    """Return the p-boxes of the medians in the hardest conditions, and a table of all."""
     displayed = hardest_first(conditions(report.frame))[:CONDITIONS_DRAWN]
     words = corner_words(report.frame)
     figures = tuple(
@@ -148,6 +155,7 @@ def pbox_section(report: CampaignReport, prefix: str = "") -> Section:
 
 
 def _figure(item: Finding, words: dict[str, str], prefix: str) -> Figure:
+    """Draw the p-box of one median."""
     place = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}"
     name = f"{prefix}pbox-{item.metric.replace('_', '-')}-{place}".replace(".", "p")
     mark = (
@@ -164,6 +172,7 @@ def _figure(item: Finding, words: dict[str, str], prefix: str) -> Figure:
 def _median_row(
     item: Finding, words: dict[str, str], between: bool, published: bool
 ) -> tuple[str, ...]:
+    """Return the table row of one median."""
     band = " to ".join(format_value(end) for end in item.box.band_quantile(0.5))
     ends = [words.get(name, name) for name in item.box.set_by(0.5)]
     row = [
@@ -185,9 +194,7 @@ def _median_row(
 def grid_section(
     signed: Sequence[Statement], title: str = "Where the answer is yes, no or inconclusive"
 ) -> Section:
-    """One grid a radius: wind across, turbulence down, each cell the answer and the worst corner's
-    rate.
-    """
+    """Return a grid of answers per radius: wind across, turbulence down."""
     acceptable = f"{signed[0].acceptable_per_h:g}" if signed else ""
     text = (
         f"The question of each cell: at most {acceptable} excursions per flight hour at every"
@@ -223,6 +230,7 @@ def grid_section(
 
 
 def _grid_cell(item: Statement | None) -> Cell:
+    """Return the answer of a condition with the rate at the worst corner."""
     if item is None:
         return Cell("not flown")
     limits = f"{item.worst.lower:.2g} to {format_value(item.worst.upper)}"
@@ -241,7 +249,7 @@ def _grid_cell(item: Statement | None) -> Cell:
 
 
 def rate_sections(report: CampaignReport) -> list[Section]:
-    """Supportable claims, and the counts behind it."""
+    """Return the supportable claims, and the counts behind them."""
     signed = report.signed
     acceptable = f"{report.campaign['metrics']['acceptable_per_h']:g}"
     text = (
@@ -310,6 +318,7 @@ def rate_sections(report: CampaignReport) -> list[Section]:
 def _signed_row(
     item: Statement, words: dict[str, str], kinds: Sequence[str]
 ) -> tuple[str | Cell, ...]:
+    """Return the row of a claim."""
     row = report_statements.row(item)
     worst = Cell(row["worst"], small=words.get(row["worst_corner"], row["worst_corner"]))
     answer = Cell(item.answer, answer_level(item), item.reason, mark=_MARKS[item.answer])
@@ -328,6 +337,7 @@ def _signed_row(
 
 
 def _excursion_row(cell: ExcursionCell, words: dict[str, str]) -> tuple[str | Cell, ...]:
+    """Return the row of counted excursions, best and worst corner."""
     best, worst = best_and_worst(cell.rates)
     return (
         cell.condition.label,
@@ -347,6 +357,7 @@ def _excursion_row(cell: ExcursionCell, words: dict[str, str]) -> tuple[str | Ce
 
 
 def _rate(item: ExcursionRate, rate: float, events: int) -> str:
+    """Format a rate with its exact Poisson limits."""
     if math.isnan(rate):
         return "undefined: no hours"
     if events == 0:
@@ -355,7 +366,7 @@ def _rate(item: ExcursionRate, rate: float, events: int) -> str:
 
 
 def failure_section(frame: pd.DataFrame) -> Section:
-    """Flights that failed, the first of them by name."""
+    """Return the list of failed flights."""
     failed = frame[frame["status"] != "ok"]
     if failed.empty:
         return Section("Failed flights", (Words("None."),))
@@ -378,7 +389,7 @@ def failure_section(frame: pd.DataFrame) -> Section:
 
 
 def _provenance(report: CampaignReport) -> Section:
-    """Commands, seed, versions and hashes: what it takes to do it again."""
+    """Return commands, seed, versions and hashes with which the campaign can be repeated."""
     manifest, settings = report.manifest, report.campaign["campaign"]
     names = {"aircraft": settings["aircraft"], "script": settings["mission"]}
     hashes = [

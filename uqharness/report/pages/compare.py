@@ -1,4 +1,6 @@
-"""The page of a comparison of a flight with a model, from compare.json and histories.parquet."""
+"""Build the page of a comparison of a flight with a model, from compare.json and
+histories.parquet.
+"""
 
 from __future__ import annotations
 
@@ -37,17 +39,29 @@ from uqharness.result_documents import Compare, read_document
 
 COMPARE = "compare.json"
 LIMIT = 1.15
+"""Largest ratio of residual rms to noise at which a channel counts as "at the noise"."""
 
 
 def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEGMENTS) -> Page:
-    """The page of the folder that ``uqharness compare`` wrote, with so many segments' histories
-    (None: all).
+    """Return the page of a folder that ``uqharness compare`` wrote.
 
-    Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    prefix : str
+        Prefix of figure names.
+    segments : int, optional
+        Number of segments with histories; None for all.
+
+    Raises
+    ------
+    BadInputError
+        If the folder cannot be read.
     """
     document = read_document(folder / COMPARE, Compare)
     histories = read_histories(folder / HISTORIES)
-    # What is not judged (height, heading) may have a noise that says nothing.
+    # The noise of channels that are not compared (height, heading) may be meaningless.
     noise = {
         c: row["noise"] if row.get("judged", True) else None
         for c, row in document["channels"].items()
@@ -80,8 +94,8 @@ def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEG
     )
     sections.append(provenance(*facts))
     question = (
-        f"Does {document['aircraft']} fly {document['flight']} as it was flown, to within the sensors'"
-        " noise?"
+        f"Does {document['aircraft']} fly {document['flight']} as it was flown, to within the"
+        " sensors' noise?"
     )
     return Page(
         f"{document['flight']} beside {document['aircraft']}",
@@ -92,8 +106,9 @@ def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEG
 
 
 def noise_floor(reached: bool, above: Mapping[str, float], rule: str = "") -> str:
-    """Whether a model reaches the noise floor, in a sentence. above: channel -> rms over noise of
-    those that do not.
+    """Return one sentence on whether a model reaches the noise floor.
+
+    ``above`` maps the channels that do not to their ratio of residual rms to noise.
     """
     by = f" ({rule})" if rule else ""
     if reached:
@@ -103,6 +118,7 @@ def noise_floor(reached: bool, above: Mapping[str, float], rule: str = "") -> st
 
 
 def _verdict(document: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    """Return the verdict and the largest residual of a coefficient."""
     reached = bool(document["reached_noise_floor"])
     above = {c: document["channels"][c]["ratio"] for c in document.get("above", ())}
     text = with_shown_names(document.get("verdict") or noise_floor(reached, above), CHANNELS)
@@ -124,8 +140,9 @@ def _verdict(document: Mapping[str, Any]) -> tuple[Sentence, ...]:
 
 
 def in_shown_unit(name: str, row: Mapping[str, Any], *keys: str) -> tuple[str, list[float | None]]:
-    """``q [deg/s]`` of a channel or coefficient, and numbers of its row in that unit; None for one
-    that is not known.
+    """Return a label such as ``q [deg/s]`` and numbers of a row in that unit.
+
+    None where unknown.
     """
     quantity, unit, factor = shown_channel(name)
     return f"{quantity} [{unit}]", [
@@ -134,13 +151,14 @@ def in_shown_unit(name: str, row: Mapping[str, Any], *keys: str) -> tuple[str, l
 
 
 def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> Section:
+    """Return the residuals by channel."""
     rows = []
     for name, row in channels.items():
         label, (rms, noise) = in_shown_unit(name, row, "rms", "noise")
         ratio = row["ratio"]
         is_judged = row.get("judged", True)
         level: Level = "" if not is_judged or ratio is None else "good" if ratio <= LIMIT else "bad"
-        # The noise of what is not judged says nothing, and neither does a ratio to it.
+        # Neither noise nor ratio is meaningful for channels that are not compared.
         sizes = (format_value(noise), format_value(ratio, ".2f")) if is_judged else ("-", "-")
         answer = "undefined" if ratio is None else "at the noise" if level == "good" else "above"
         answer = answer if is_judged else _why_not_judged(name)
@@ -172,13 +190,15 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
 
 
 def _why_not_judged(channel: str) -> str:
+    """Return why a channel is not compared with its noise."""
     if channel in OUTPUTS:
         return "not judged: the log's own estimate"
     return "not judged: integral of other channels, drifts"
 
 
 def _milli(value: float | None) -> str:
-    # Adding 0 takes the sign off what rounds to zero.
+    # Adding 0 removes the sign of a rounded zero.
+    """Format seconds as milliseconds."""
     return format_value(None if value is None else round(1e3 * value, 1) + 0.0, ".1f")
 
 
@@ -188,9 +208,18 @@ def ratio_figure(
     series: Sequence[tuple[str, str, str]],
     subject: str,
 ) -> Figure | None:
-    """rms over noise by row, one mark a series (key, class, shape); 1 is the noise itself.
+    """Draw the ratio of residual rms to noise by row.
 
-    None without rows.
+    Parameters
+    ----------
+    name : str
+        Name of the figure.
+    ratios : mapping
+        Row -> key -> ratio; without rows the result is None.
+    series : sequence of (str, str, str)
+        Key, class and shape of each mark.
+    subject : str
+        What the rows are, for the caption.
     """
     if not ratios:
         return None
@@ -222,6 +251,7 @@ def ratio_figure(
 def _coefficient_section(
     rows: Mapping[str, Mapping[str, Any]], histories: Sequence[History], prefix: str
 ) -> Section:
+    """Return the residuals by coefficient."""
     cells = []
     for name, row in rows.items():
         ratio = (
@@ -268,6 +298,7 @@ def _coefficient_section(
 
 
 def _manoeuvre_section(document: Mapping[str, Any]) -> Section:
+    """Return the residuals by manoeuvre and the largest deviations."""
     manoeuvres = document.get("manoeuvres", {})
     blocks: list[Any] = []
     if manoeuvres:

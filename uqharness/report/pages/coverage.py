@@ -1,4 +1,4 @@
-"""The page of a validation of model-form bounds, from coverage.json and residuals.parquet."""
+"""Build the page of a validation of model-form bounds, from coverage.json and residuals.parquet."""
 
 from __future__ import annotations
 
@@ -27,10 +27,9 @@ from uqharness.result_documents import Coverage, read_document
 
 
 def coverage_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
-    """The page of the folder that ``uqharness validate-bounds --out`` wrote. ``only``: titles of
-    the sections shown, if not all.
+    """Return the page of a folder that ``uqharness validate-bounds --out`` wrote.
 
-    Raises BadInputError.
+    ``only`` lists titles of the sections to build. Raises BadInputError.
     """
     return coverage_page_of(
         read_document(folder / COVERAGE, Coverage), read_histories(folder / RESIDUALS), prefix, only
@@ -43,7 +42,7 @@ def coverage_page_of(
     prefix: str = "",
     only: Collection[str] | None = None,
 ) -> Page:
-    """The page of a validation from its document and its residuals."""
+    """Return the page of a validation from its document and residuals."""
     sections = [_coverage_section(document)]
     if is_wanted(title := "The new flight within the bounds", only):
         sections += within_section(pieces, list(document["coverage"]), title, "coverage", prefix)
@@ -86,6 +85,7 @@ _LEVELS: Mapping[str, Level] = {"holds": "good", "fails": "bad", "inconclusive":
 
 
 def _coverage_section(document: Mapping[str, Any]) -> Section:
+    """Return the coverage by coefficient."""
     rows = []
     for c, row in document["coverage"].items():
         level = _LEVELS[
@@ -124,6 +124,7 @@ def _coverage_section(document: Mapping[str, Any]) -> Section:
 
 
 def _manoeuvre_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
+    """Return the coverage by manoeuvre; empty if it was not recorded."""
     names = tuple(document["coverage"])
     rows = tuple(
         (
@@ -142,6 +143,7 @@ def _manoeuvre_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
 
 
 def _bin_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
+    """Return the coverage by thirds of speed and incidence; empty if it was not recorded."""
     names = tuple(document["coverage"])
     rows = []
     for row in (*document.get("by_speed", ()), *document.get("by_incidence", ())):
@@ -159,6 +161,7 @@ def _bin_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
 
 
 def _conformal_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
+    """Return the conformal factors; empty if there are none."""
     rows = tuple(
         (
             c,

@@ -1,6 +1,4 @@
-"""The page of two models flown side by side: what differs, when first, and the histories of
-both.
-"""
+"""Build the page of two models flown with the same controls: differences, histories, XML."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ from uqharness.report.parts import (
 from uqharness.report.svg import Chart, Scale, scale
 
 MAX_HISTORIES = 8
-"""Channels whose histories are drawn."""
+"""Number of channels whose histories are drawn."""
 _LEGEND = (("first", "A"), ("second", "B"))
 
 
@@ -35,7 +33,23 @@ def difference_page(
     terms: Sequence[Term],
     command: str,
 ) -> Page:
-    """The page of what `uqharness.differences` found; ``differences`` one row a channel, ranked."""
+    """Return the page of a comparison of two models.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Names of the models A and B.
+    channels : sequence of Channel
+        Channels compared.
+    flights : sequence of Matched
+        Flights of both models.
+    differences : sequence of Difference
+        One per channel that differs, ranked.
+    terms : sequence of Term
+        XML elements that differ.
+    command : str
+        Command line.
+    """
     a, b = names
     question = f"Does {b} fly as {a} does, with the same controls in the same air?"
     sections = [
@@ -51,6 +65,7 @@ def difference_page(
 def _verdict(
     flights: Sequence[Matched], differences: Sequence[Difference], terms: Sequence[Term]
 ) -> tuple[Sentence, ...]:
+    """Return whether the models differ, first where, and the likeliest cause."""
     sentences = [Sentence(f"{f.name}: {f.reason}.", "bad") for f in flights if f.reason]
     for f in flights:
         sentences += [
@@ -62,8 +77,8 @@ def _verdict(
         d = differences[0]
         sentences.append(
             Sentence(
-                f"The models differ in {len(differences)} channels, first in {d.channel} at {d.from_s:g}"
-                f" s of {d.flight}.",
+                f"The models differ in {len(differences)} channels, first in {d.channel} at"
+                f" {d.from_s:g} s of {d.flight}.",
                 "bad",
             )
         )
@@ -82,6 +97,7 @@ def _verdict(
 
 
 def _channels(differences: Sequence[Difference]) -> Section:
+    """Return the table of channels that differ."""
     if not differences:
         return Section("Channels", (Words("None differs."),))
     rows = tuple(
@@ -116,6 +132,7 @@ def _channels(differences: Sequence[Difference]) -> Section:
 
 
 def _histories(flights: Sequence[Matched], differences: Sequence[Difference]) -> list[Section]:
+    """Return the histories of the first channels that differ."""
     by_name = {f.name: f for f in flights}
     figures = [
         _history(by_name[d.flight], d, number)
@@ -127,6 +144,7 @@ def _histories(flights: Sequence[Matched], differences: Sequence[Difference]) ->
 
 
 def _history(flight: Matched, d: Difference, number: int) -> Figure:
+    """Draw one channel of both models."""
     a, b = flight.a[d.channel], flight.b[d.channel]
     label = f"{d.channel} [{d.unit}] against time [s], {flight.name}: A and B."
     time = Scale("time [s]", float(flight.time_s[0]), float(flight.time_s[-1]))
@@ -145,6 +163,7 @@ def _history(flight: Matched, d: Difference, number: int) -> Figure:
 
 
 def _elements(terms: Sequence[Term], differences: Sequence[Difference]) -> Section:
+    """Return the table of XML elements that differ."""
     if not terms:
         return Section(
             "XML that differs",
@@ -163,6 +182,7 @@ def _elements(terms: Sequence[Term], differences: Sequence[Difference]) -> Secti
 
 
 def _flights(flights: Sequence[Matched], channels: Sequence[Channel]) -> Section:
+    """Return the flights and the channels compared."""
     frame_counts = tuple(f"{f.name}: {len(f.time_s)} frames" for f in flights)
     compared = tuple(f"{c.name} [{c.unit}]" + _range(c, flights) for c in channels)
     parts = (Section("Channels compared", (Bullets(compared),)),)
@@ -170,13 +190,16 @@ def _flights(flights: Sequence[Matched], channels: Sequence[Channel]) -> Section
 
 
 def _range(channel: Channel, flights: Sequence[Matched]) -> str:
+    """Return the range of a channel as text."""
     reach = [scale_of(channel, f.a[channel.name]) for f in flights if channel.name in f.a]
     return f", range {max(reach):.3g}" if reach else ""
 
 
 def _with_unit(d: Difference) -> str:
+    """Format the size of a difference with its unit."""
     return f"{d.size:.3g}" if d.unit == "-" else f"{d.size:.3g} {d.unit}"
 
 
 def _where(term: Term) -> str:
+    """Return the line of an XML element."""
     return f"B {term.b_where}" if term.b_where else f"A {term.a_where}"

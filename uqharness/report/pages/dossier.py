@@ -1,5 +1,8 @@
-"""The dossier of a folder of results: evidence as those who judge a model read it, in one document
-that can be printed.
+"""Build the dossier of a folder of results: the evidence for a model, as one printable document.
+
+It lists provenance, a proof of match against the tolerances for flight simulators, credibility
+factors, statements with their assumptions, the validity envelope, what was not done, and all source
+files with their hashes. It claims no compliance.
 """
 
 from __future__ import annotations
@@ -56,8 +59,7 @@ from uqharness.report.parts import (
 from uqharness.report.svg import Chart, Scale, scale
 from uqharness.simulator import folder_hash
 
-# The proof of match in a dossier: tests, tolerances, segments, and the worst of each test drawn
-# with its band.
+# Proof of match: tests, tolerances, segments, and the worst segment of each test.
 
 _LEVELS: dict[str, Level] = {PASS: "good", FAIL: "bad", UNSURE: "warn", ABSENT: ""}
 _MOST_ROWS = 60
@@ -66,8 +68,20 @@ _MOST_DOTS = 250
 
 @dataclass(frozen=True)
 class LogComparison:
-    """Log and model of a step: which model (the ending of its columns), and in words on which
-    flights.
+    """Hold log and model of a step.
+
+    Attributes
+    ----------
+    step : Step
+        Step of the evidence.
+    segments : sequence of History
+        Time histories.
+    suffix : str
+        Ending of the model's columns.
+    model : str
+        Which model on which flights, in words.
+    match : Match
+        Results of the tests.
     """
 
     step: Step
@@ -78,8 +92,9 @@ class LogComparison:
 
 
 def compare_with_log(evidence: Evidence) -> LogComparison | None:
-    """What the proof of match is made from: the last refinement's hold-out flights, else a
-    comparison, else the identification.
+    """Return the basis of the proof of match; None without time histories.
+
+    Hold-out flights of the last refinement come first, then a comparison, then the identification.
     """
     for kind, suffix, model in (
         (
@@ -112,6 +127,7 @@ def compare_with_log(evidence: Evidence) -> LogComparison | None:
 
 
 def _noise(step: Step) -> dict[str, float | None]:
+    """Return the noise of each channel from the document of a step."""
     document = step.document or {}
     if step.kind == "refine":
         return {c: r.get("noise_rms") for c, r in document["gap"]["test"]["channels"].items()}
@@ -120,9 +136,7 @@ def _noise(step: Step) -> dict[str, float | None]:
 
 
 def match_section(title: str, source: LogComparison | None) -> Section:
-    """The section: what was compared, a line for each test of the table, a line for each segment,
-    the figures.
-    """
+    """Return the section on the proof of match: basis, tests, segments and figures."""
     if source is None:
         text = (
             "Not in the data: the folder has no time histories of log and model, so none of the"
@@ -156,6 +170,7 @@ def match_section(title: str, source: LogComparison | None) -> Section:
 
 
 def _summary(match: Match) -> Table:
+    """Return the table of tests with their answers."""
     rows = []
     for test in TESTS:
         results = match.of(test.entry)
@@ -180,6 +195,7 @@ def _summary(match: Match) -> Table:
 
 
 def _details(match: Match) -> list[Block]:
+    """Return the table of segments, the largest difference over tolerance first."""
     segments = sorted(match.judged, key=lambda j: (j.test.entry, -_worst(j)))
     if not segments:
         return []
@@ -200,23 +216,32 @@ def _details(match: Match) -> list[Block]:
 
 
 def _worst(result: Judged) -> float:
+    """Return the largest ratio of difference to tolerance; infinite if none is finite."""
     ratios = [r.ratio for r in result.rows if math.isfinite(r.ratio)]
     return max(ratios, default=math.inf)
 
 
 def _row_words(row: Row) -> str:
+    """Return one compared quantity as text."""
     quantity, unit, factor = shown_channel(row.quantity)
     unit = "" if unit == "-" else f" {unit}"
     if math.isfinite(row.measured):
-        values = f"measured {format_value(factor * row.measured)}, model {format_value(factor * row.model)}"
+        values = (
+            f"measured {format_value(factor * row.measured)}, model"
+            f" {format_value(factor * row.model)}"
+        )
         return (
             f"{quantity} {values}, tolerance {format_value(factor * row.band)}{unit}: {row.answer}"
         )
     share = "" if row.share == 1.0 else f", {100.0 * row.share:.1f} % inside"
-    return f"{quantity} {format_value(factor * abs(row.worst))} / {format_value(factor * row.band)}{unit}{share}"
+    return (
+        f"{quantity} {format_value(factor * abs(row.worst))} /"
+        f" {format_value(factor * row.band)}{unit}{share}"
+    )
 
 
 def _figures(source: LogComparison) -> tuple[Figure, ...]:
+    """Draw the worst segment of each test."""
     out = []
     for test in TESTS:
         results = source.match.of(test.entry)
@@ -238,9 +263,7 @@ def _figures(source: LogComparison) -> tuple[Figure, ...]:
 def _test_figures(
     result: Judged, channel: str, band: Tolerance | None, suffix: str, segment_count: int
 ) -> list[Figure]:
-    """Measured and model with the tolerance; beside it their difference, on which the tolerance is
-    large enough to be seen.
-    """
+    """Draw measurement and model with the tolerance, and their difference on a scale of its own."""
     segment = result.segment
     quantity, unit, factor = shown_channel(channel)
     measured, model = (factor * segment.columns[c] for c in (channel, f"{channel}{suffix}"))
@@ -303,6 +326,7 @@ def _chart(
     axis: str,
     caption: str,
 ) -> Figure:
+    """Draw series of a segment with an optional band."""
     t = segment.time_s
     curves = [*(y for _, y in series), *(band or ())]
     chart = Chart(
@@ -321,7 +345,7 @@ def _chart(
         else:
             chart.line(t, y, kind)
     if band is not None and len(series) == 1:
-        # Few samples are drawn, but none that lies outside is left out.
+        # The line of dots is thinned, but samples outside the band are all drawn.
         out = (series[0][1] < band[0]) | (series[0][1] > band[1])
         chart.dots(t[out], series[0][1][out], "dotout", radius=1.6)
     return Figure(name, chart.svg(), caption)
@@ -355,9 +379,7 @@ _TITLES = (
 
 @dataclass(frozen=True)
 class Dossier:
-    """The page, the proof of match that it holds (None: the folder has no time histories), and what
-    is missing.
-    """
+    """Hold the page, the proof of match (None without time histories) and what is missing."""
 
     page: Page
     source: LogComparison | None
@@ -365,7 +387,7 @@ class Dossier:
 
 
 def dossier_of(evidence: Evidence) -> Dossier:
-    """The dossier of a folder's evidence; same folder, same bytes."""
+    """Return the dossier of a folder's evidence; the same folder gives the same bytes."""
     source = compare_with_log(evidence)
     match = Match((), {}) if source is None else source.match
     campaigns = _campaigns(evidence)
@@ -384,7 +406,7 @@ def dossier_of(evidence: Evidence) -> Dossier:
         _not_done(numbered[5], evidence, source),
         _sources(numbered[6], evidence),
     ]
-    # Last, for what is missing is met on the way.
+    # Last, because building the sections reveals what is missing.
     missing = tuple(evidence.missing)
     front = [Section("Contents", (Bullets(tuple(numbered)),))]
     if missing:
@@ -402,6 +424,7 @@ def dossier_of(evidence: Evidence) -> Dossier:
 
 
 def _name(evidence: Evidence) -> str:
+    """Return the name of aircraft or study."""
     for step in reversed(evidence.steps):
         document = step.document or {}
         if step.kind == "campaign" and step.document is not None:
@@ -412,6 +435,7 @@ def _name(evidence: Evidence) -> str:
 
 
 def _verdict(match: Match, missing: Sequence[str], evidence: Evidence) -> tuple[Sentence, ...]:
+    """Return the verdict: missing files, simulated flights, and tests passed, failed or absent."""
     sentences = [
         Sentence(
             "This dossier lays out evidence. It claims no compliance with any regulation or"
@@ -459,10 +483,12 @@ def _verdict(match: Match, missing: Sequence[str], evidence: Evidence) -> tuple[
 
 
 def _list(names: Sequence[str]) -> str:
+    """Join names; "none" for an empty list."""
     return ", ".join(names) if names else "none"
 
 
 def _provenance(title: str, evidence: Evidence) -> Section:
+    """Return the steps and the models they wrote or used."""
     rows = []
     for number, step in enumerate(evidence.steps, start=1):
         model = _model(step)
@@ -484,7 +510,7 @@ def _provenance(title: str, evidence: Evidence) -> Section:
 
 
 def _parameters(evidence: Evidence) -> list[Block]:
-    """Each parameter at the beginning and after every step that estimated it."""
+    """Return each parameter at the beginning and after every step that estimated it."""
     fits = [
         s for s in evidence.steps if s.kind in ("identify", "refine") and s.document is not None
     ]
@@ -511,6 +537,7 @@ def _parameters(evidence: Evidence) -> list[Block]:
 
 
 def _estimate(row: Mapping[str, Any] | None) -> str:
+    """Format an estimate with its standard error."""
     if row is None:
         return "not estimated"
     if row.get("status", "identified") != "identified":
@@ -519,6 +546,7 @@ def _estimate(row: Mapping[str, Any] | None) -> str:
 
 
 def _model(step: Step) -> str:
+    """Return the hash of the model that a step wrote or used; empty if there is none."""
     document = step.document or {}
     if step.kind in ("bounds", "campaign"):
         return str(
@@ -527,7 +555,7 @@ def _model(step: Step) -> str:
     if step.kind not in ("identify", "refine"):
         return ""
     try:
-        # identify writes its aircraft there, refine one folder further down.
+        # identify writes the aircraft there, refine one folder further down.
         home = step.folder / "aircraft"
         places = [home, *(p for p in sorted(home.glob("*")) if p.is_dir())]
         return next(
@@ -543,6 +571,7 @@ def _model(step: Step) -> str:
 
 
 def _outcome(step: Step) -> str:
+    """Return the outcome of a step as text."""
     document = step.document
     if document is None:
         return "cannot be read"
@@ -577,6 +606,7 @@ def _outcome(step: Step) -> str:
 
 
 def _effects(step: Step) -> list[Block]:
+    """Return the table of effects that a refinement added or withdrew."""
     document = step.document or {}
     rows = []
     for decision, effects in (
@@ -628,6 +658,7 @@ def _effects(step: Step) -> list[Block]:
 
 
 def _lines(path: Path) -> int:
+    """Return the number of changed lines of a difference."""
     if not path.is_file():
         return 0
     text = path.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -635,6 +666,7 @@ def _lines(path: Path) -> int:
 
 
 def _credibility(title: str, evidence: Evidence, match: Match) -> Section:
+    """Return the evidence by credibility factor."""
     text = (
         f"Factors of credibility after {STANDARD}, with the evidence that this folder holds. No"
         " level is given: that is for those who decide with the model's results. The names of the"
@@ -654,7 +686,7 @@ def _credibility(title: str, evidence: Evidence, match: Match) -> Section:
 
 
 def _campaigns(evidence: Evidence) -> list[tuple[Step, CampaignReport]]:
-    """The complete campaigns that can be read."""
+    """Return the complete campaigns that can be read; errors are added to the evidence."""
     out = []
     for step in evidence.of("campaign"):
         try:
@@ -667,9 +699,7 @@ def _campaigns(evidence: Evidence) -> list[tuple[Step, CampaignReport]]:
 def _statements(
     evidence: Evidence, campaigns: Sequence[tuple[Step, CampaignReport]]
 ) -> list[tuple[str, tuple[Sentence, ...]]]:
-    """Sentences that the results allow, by where they stand: a study's own where it has drawn them,
-    else each campaign's.
-    """
+    """Return the conclusions of the study, or else the verdicts of the campaigns, by place."""
     statements: list[tuple[str, tuple[Sentence, ...]]] = []
     for study in evidence.of("study"):
         conclusions = tuple(
@@ -681,6 +711,7 @@ def _statements(
 
 
 def _verdict_of(study: Step) -> Sequence[Mapping[str, Any]]:
+    """Return the verdict of a study."""
     return (study.document or {}).get("verdict") or ()
 
 
@@ -690,6 +721,7 @@ def _statement_section(
     campaigns: Sequence[tuple[Step, CampaignReport]],
     source: LogComparison | None,
 ) -> Section:
+    """Return the statements and their assumptions."""
     blocks: list[Block] = []
     statements = _statements(evidence, campaigns)
     for where, sentences in statements:
@@ -720,6 +752,7 @@ def _statement_section(
 
 
 def _assumptions(evidence: Evidence, source: LogComparison | None) -> list[str]:
+    """Return the assumptions on which the statements rest."""
     lines = [
         "The aircraft is as it was in the flights: mass, centre of gravity, configuration, servos."
     ]
@@ -750,6 +783,7 @@ def _envelope(
     histories: Mapping[str, Sequence[History]],
     campaigns: Sequence[tuple[Step, CampaignReport]],
 ) -> Section:
+    """Return the range of flight states that flights cover."""
     shares = _extrapolated(campaigns)
     columns = [
         (s, histories.get(s.place, ()))
@@ -793,7 +827,7 @@ def _envelope(
 
 
 def _extrapolated(campaigns: Sequence[tuple[Step, CampaignReport]]) -> list[Block]:
-    """How much of each campaign's time was flown outside the states of its bounds."""
+    """Return the share of each campaign's time outside the flight states of its bounds."""
     rows: dict[tuple[str, str], str] = {}
     for step, campaign in campaigns:
         for statement in campaign.signed:
@@ -813,6 +847,7 @@ def _extrapolated(campaigns: Sequence[tuple[Step, CampaignReport]]) -> list[Bloc
 
 
 def _range(name: str, segments: Sequence[History]) -> str:
+    """Format the range of a channel over segments; empty if it is not recorded."""
     factor = shown_channel(name)[2]
     values = [s.columns[name][np.isfinite(s.columns[name])] for s in segments if name in s.columns]
     finite = np.concatenate(values) if values else np.empty(0)
@@ -820,6 +855,7 @@ def _range(name: str, segments: Sequence[History]) -> str:
 
 
 def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> Section:
+    """Return the list of tests, steps and assessments that are missing."""
     lines = [
         f"{t.entry} {t.title}: {source.match.missing[t.entry]}."
         for t in TESTS
@@ -865,6 +901,7 @@ def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> S
 
 
 def _sources(title: str, evidence: Evidence) -> Section:
+    """Return commands and source files with hashes."""
     commands = tuple(
         (f"S{k}", Cell(s.command or "not recorded", code=True), s.version or "not recorded")
         for k, s in enumerate(evidence.steps, start=1)
@@ -897,7 +934,7 @@ def _sources(title: str, evidence: Evidence) -> Section:
 
 
 def _step_of(evidence: Evidence, file: str) -> str:
-    """The step in whose folder a file lies, the deepest first."""
+    """Return the step in whose folder a file lies, the deepest first."""
     best, name = -1, ""
     for number, step in enumerate(evidence.steps, start=1):
         depth = 0 if step.place == "." else len(Path(step.place).parts)

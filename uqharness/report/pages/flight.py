@@ -1,4 +1,4 @@
-"""The page of one recorded flight: ground track, every channel over time, manoeuvres shaded."""
+"""Build the page of a recorded flight: ground track, every channel over time, manoeuvres."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from uqharness.report.parts import (
 
 Columns = Mapping[str, NDArray[Any]]
 MAX_LISTED = 60
-"""Manoeuvres in the table; all are shaded."""
+"""Number of manoeuvres in the table; all are shaded."""
 
 
 @dataclass(frozen=True)
 class FlightRequest:
-    """What was flown: aircraft, script or mission, conditions in words, the record's file, the
-    command that flies it again.
+    """Describe a flight: aircraft, script, conditions, record file, and the command that repeats
+    it.
     """
 
     aircraft: str
@@ -43,8 +43,16 @@ class FlightRequest:
 
 
 def flight_page(request: FlightRequest, columns: Columns, status: str, reason: str) -> Page:
-    """The page of a record, name -> (n,) with ``time_s``; ``status`` ok or what ended the flight,
-    for which ``reason``.
+    """Return the page of a record.
+
+    Parameters
+    ----------
+    request : FlightRequest
+        What was flown.
+    columns : mapping of str to array
+        Channels (n,) by name, ``time_s`` included.
+    status, reason : str
+        ok, or what ended the flight and why.
     """
     time_s = np.asarray(columns["time_s"], dtype=float)
     length = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
@@ -72,6 +80,7 @@ def flight_page(request: FlightRequest, columns: Columns, status: str, reason: s
 
 
 def _verdict(length: float, columns: Columns, status: str, reason: str) -> tuple[Sentence, ...]:
+    """Return how the flight ended and its distance from the commanded path."""
     level: Level = "good" if status == "ok" else "bad"
     end = (
         "The flight ended as planned"
@@ -92,14 +101,14 @@ def _verdict(length: float, columns: Columns, status: str, reason: str) -> tuple
 
 
 def manoeuvre_shades(stretches: Sequence[tuple[float, float, str]]) -> list[Shade]:
-    """Shading of manoeuvres, numbered as in `manoeuvre_section`."""
+    """Return shades of manoeuvres, numbered as in `manoeuvre_section`."""
     return [
         Shade(start, end, "fill1", str(k)) for k, (start, end, _) in enumerate(stretches, start=1)
     ]
 
 
 def manoeuvre_section(stretches: Sequence[tuple[float, float, str]]) -> tuple[Section, ...]:
-    """The table of manoeuvres by number; none without any."""
+    """Return the numbered table of manoeuvres; empty without any."""
     if not stretches:
         return ()
     rows = tuple(
@@ -118,14 +127,13 @@ def manoeuvre_section(stretches: Sequence[tuple[float, float, str]]) -> tuple[Se
 def track_section(
     columns: Columns, words: str = "", circles: Sequence[Circle] = ()
 ) -> tuple[Section, ...]:
-    """The ground track, with circles that it was to keep where they are known; none where the
-    position is not recorded.
-    """
+    """Return the ground track with commanded circles; empty without a recorded position."""
     figure = flight_track("ground-track", columns, words, circles)
     return () if figure is None else (Section("Ground track", (Figures((figure,), file=""),)),)
 
 
 def _ranges(columns: Columns) -> Section:
+    """Return smallest, median and largest value of each channel."""
     rows = []
     for name, values in columns.items():
         if name == "time_s" or np.asarray(values).dtype.kind not in "fiub":

@@ -1,4 +1,8 @@
-"""The page of an identification, from fit.json and histories.parquet."""
+"""Build the page of an identification and write its files.
+
+The page comes from fit.json and histories.parquet; `write_results` writes fit.json, the parameter
+table, histories and the aircraft with the estimates.
+"""
 
 from __future__ import annotations
 
@@ -62,10 +66,23 @@ def identify_page(
     segments: int | None = MOST_SEGMENTS,
     only: Collection[str] | None = None,
 ) -> Page:
-    """The page of the folder that ``uqharness identify`` wrote, with so many segments' histories
-    (None: all).
+    """Return the page of a folder that ``uqharness identify`` wrote.
 
-    ``only``: titles of the sections that are shown, if not all. Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    prefix : str
+        Prefix of figure names.
+    segments : int, optional
+        Number of segments with histories; None for all.
+    only : collection of str, optional
+        Titles of the sections to build; default: all.
+
+    Raises
+    ------
+    BadInputError
+        If the folder cannot be read.
     """
     fit = read_document(folder / FIT, Fit)
     parameters = fit["parameters"]
@@ -97,6 +114,7 @@ def identify_page(
 
 
 def _verdict(fit: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    """Return convergence, the number of identified parameters, and the quality of the fit."""
     parameters = fit["parameters"]
     identified = [n for n, row in parameters.items() if row["status"] == _IDENTIFIED]
     missing = [n for n in parameters if n not in identified]
@@ -124,7 +142,7 @@ def _verdict(fit: Mapping[str, Any]) -> tuple[Sentence, ...]:
 
 
 def _output_residual_sentences(channels: Mapping[str, Mapping[str, Any]]) -> list[Sentence]:
-    """Whether output error's residuals are the sensors' noise."""
+    """Return whether the residuals of output error are at the noise of the sensors."""
     ratios = {c: _ratio(row) for c, row in channels.items()}
     above = {c: r for c, r in ratios.items() if r is not None and r > LIMIT}
     if above:
@@ -153,9 +171,9 @@ def _output_residual_sentences(channels: Mapping[str, Mapping[str, Any]]) -> lis
 def _filter_residual_sentences(
     channels: Mapping[str, Mapping[str, Any]], identified: bool
 ) -> list[Sentence]:
-    """Whether filter error's innovations are white.
+    """Return whether the innovations of filter error are white.
 
-    Their size says nothing: the gusts of a sample are in it.
+    Their size is not a criterion, because it contains the gusts of a sample.
     """
     level = WHITENESS_LEVEL / max(len(channels), 1)
     coloured = {
@@ -180,8 +198,7 @@ def _filter_residual_sentences(
             )
         ]
     if not identified:
-        # White innovations do not vouch for a model whose estimates were refused for another
-        # reason.
+        # White innovations do not confirm a model whose estimates were refused for another reason.
         return [Sentence("Filter error's innovations are white.")]
     return [
         Sentence(
@@ -193,10 +210,12 @@ def _filter_residual_sentences(
 
 
 def _ratio(row: Mapping[str, Any]) -> float | None:
+    """Return residual rms over noise; None if one of them is unknown."""
     return row["rms"] / row["noise"] if row.get("rms") is not None and row.get("noise") else None
 
 
 def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Section:
+    """Return the table of parameters and the chart of their changes."""
     rows = []
     notes = _shared_reasons(parameters)
     for name, row in parameters.items():
@@ -241,9 +260,7 @@ def _shared_reasons(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure | None:
-    """Change of each identified parameter from its initial value, in percent of that, with its 95 %
-    interval.
-    """
+    """Draw the change of each identified parameter from its initial value [%], with 95 % limits."""
     rows = [
         (
             name.removeprefix("aero/"),
@@ -273,6 +290,7 @@ def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure 
 
 
 def _fit_section(fit: Mapping[str, Mapping[str, Any]]) -> Section:
+    """Return the residuals by channel."""
     rows = []
     for channel, row in fit.items():
         quantity, unit, factor = shown_channel(channel)
@@ -303,6 +321,7 @@ def _fit_section(fit: Mapping[str, Mapping[str, Any]]) -> Section:
 
 
 def _provenance(fit: Mapping[str, Any]) -> Section:
+    """Return command, method, hashes of the flights, and effort."""
     items = [
         ("Command", fit.get("command") or "not recorded"),
         ("Method", fit.get("method", "not recorded")),
@@ -331,8 +350,7 @@ def _provenance(fit: Mapping[str, Any]) -> Section:
     return provenance(*items)
 
 
-# What an identification leaves on disk: fit.json, the parameter table, the aircraft with the
-# estimates.
+# Files of an identification.
 
 
 def fit_document(
@@ -341,8 +359,8 @@ def fit_document(
     command: Sequence[str],
     hashes: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """fit.json as a dictionary (docs/identification.md describes it); figures that are not finite
-    are null.
+    """Return the content of fit.json (docs/identification.md); numbers that are not finite are
+    null.
     """
     names = identification.identified
     residual = [
@@ -405,8 +423,10 @@ def fit_document(
 
 
 def parameter_rows(identification: Identification) -> list[dict[str, str]]:
-    """The table as text, columns as Table 2.6: initial value, estimate, corrected standard error,
-    Cramer-Rao bound, status.
+    """Return the table of parameters as text.
+
+    The columns are those of Table 2.6 of the dissertation: initial value, estimate, corrected
+    standard error, Cramér-Rao bound, status.
     """
     rows = []
     for i, name in enumerate(identification.names):
@@ -433,17 +453,34 @@ def write_results(
     out: Path,
     hashes: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """fit.json, parameters.csv, histories.parquet and aircraft/ in ``out``; the document. Raises
-    BadInputError.
+    """Write fit.json, parameters.csv, histories.parquet and aircraft/; return the document.
 
-    hashes: SHA-256 of the flights' files, by which bounds know a flight that the model was
-    identified from."""
+    Parameters
+    ----------
+    identification : Identification
+        Result.
+    aircraft : Aircraft
+        Aircraft whose XML receives the estimates.
+    flights : sequence of str
+        Names of the flights.
+    command : sequence of str
+        Command line.
+    out : Path
+        Folder.
+    hashes : sequence of str
+        SHA-256 of the flight files; bounds use them to recognise flights of the identification.
+
+    Raises
+    ------
+    BadInputError
+        If a file cannot be written.
+    """
     document = fit_document(identification, flights, command, hashes)
     estimates = {
         n: Estimate(
             float(identification.theta[i]),
-            f"{identification.theta[i]:.4g} +/- {identification.std[i]:.2g} by {identification.method} from"
-            f" {', '.join(flights)}: uqharness identify",
+            f"{identification.theta[i]:.4g} +/- {identification.std[i]:.2g} by"
+            f" {identification.method} from {', '.join(flights)}: uqharness identify",
         )
         for i, n in enumerate(identification.names)
         if identification.status[n] == "identified"

@@ -1,5 +1,5 @@
-"""The page of an instrumented aircraft: the bounds of each delta coefficient over the envelope, and
-where the deltas act.
+"""Build the page of an instrumented aircraft: bounds of each delta coefficient, and where deltas
+act.
 """
 
 from __future__ import annotations
@@ -36,10 +36,20 @@ Constant = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Instrumentation:
-    """What was done: aircraft, (coefficient, axis, place) of each delta, notes, the check (None:
-    not made), the command.
+    """Describe what was done to an aircraft.
 
-    check: whether the result flies as it should, and that in a sentence.
+    Attributes
+    ----------
+    aircraft : str
+        Name.
+    rows : sequence of (str, str, str)
+        Coefficient, axis and place of each delta.
+    notes : tuple of str
+        Remarks.
+    check : tuple of (bool, str) or None
+        Whether the result flies as it should, with a sentence; None if it was not checked.
+    command : str
+        Command line.
     """
 
     aircraft: str
@@ -50,8 +60,8 @@ class Instrumentation:
 
 
 def instrument_page(done: Instrumentation, form: ModelForm | None, constant: Constant) -> Page:
-    """The page of bounds from a model form, or ``constant`` (lower, upper) by coefficient; of
-    neither, where all are zero.
+    """Return the page of bounds from a model form, or of ``constant`` (lower, upper) by
+    coefficient.
     """
     question = (
         f"By how much may the coefficients of {done.aircraft} be off in a campaign? Each delta"
@@ -88,6 +98,7 @@ def instrument_page(done: Instrumentation, form: ModelForm | None, constant: Con
 def _verdict(
     done: Instrumentation, form: ModelForm | None, constant: Constant
 ) -> tuple[Sentence, ...]:
+    """Return the origin of the bounds, coefficients without uncertainty, and the check."""
     if form is not None:
         flights = ", ".join(f.name for f in form.flights) or "no flight named"
         sentences = [
@@ -113,11 +124,10 @@ def _verdict(
 
 
 def main_state(b: CoefficientBounds, form: ModelForm) -> str:
-    """The state along whose range in the data the bounds move most, the other states at their
-    medians.
-    """
+    """Return the state along which the bounds vary most, the others at their medians."""
 
     def range_of_bounds(k: int) -> float:
+        """Return by how much both bounds vary along a state."""
         at = np.linspace(float(b.hull.low[k]), float(b.hull.high[k]), _SLICE)
         ends = b.bounds(slice_states(b, b.states[k], at), form.confidence, form.outside)
         return sum(float(np.ptp(end)) for end in ends)
@@ -126,6 +136,7 @@ def main_state(b: CoefficientBounds, form: ModelForm) -> str:
 
 
 def _sizes(form: ModelForm | None, constant: Constant) -> Section:
+    """Return the table of bounds."""
     if form is None:
         rows = tuple(
             (f"{c} [-]", *(format_value(end) for end in constant.get(c, (0.0, 0.0))))
@@ -172,6 +183,7 @@ def _sizes(form: ModelForm | None, constant: Constant) -> Section:
 
 
 def _constant(constant: Constant) -> Section:
+    """Draw constant bounds."""
     names = [c for c in COEFFICIENTS if c in constant]
     ends = np.array([constant[c] for c in names])
     bounds_text = ", ".join(

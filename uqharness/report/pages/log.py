@@ -1,6 +1,4 @@
-"""The quick look at a log: what it serves, its findings flagged in the channels they concern,
-phases and manoeuvres shaded.
-"""
+"""Build the page of a log: purposes, findings in their channels, phases, manoeuvres."""
 
 from __future__ import annotations
 
@@ -39,15 +37,25 @@ from uqharness.report.parts import (
 _LEVELS: Mapping[str, Level] = {"error": "bad", "warning": "warn", "info": ""}
 _ORDER = ("error", "warning", "info")
 _MAX_MODES = 12
-"""Flight modes whose changes are drawn; the table lists more."""
+"""Number of flight modes whose changes are drawn; the table lists more."""
 _MAX_CIRCLES = 6
-"""Commanded circles that are drawn."""
+"""Number of commanded circles that are drawn."""
 _MAX_CHANNELS = 6
-"""Channels of one kind of finding that are named in a row."""
+"""Number of channels named for one kind of finding."""
 
 
 def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
-    """The page of a whole log as `import_log` returns it, and of what `log_info` said of it."""
+    """Return the page of a complete log.
+
+    Parameters
+    ----------
+    info : LogInfo
+        Result of `log_info`.
+    record : FlightRecord
+        The log as `import_log` returns it.
+    command : str
+        Command line.
+    """
     modes = named_stretches(record["time_s"], record["mode"]) if "mode" in record else []
     names = named_stretches(record["time_s"], record["manoeuvre"]) if "manoeuvre" in record else []
     changes = (
@@ -85,6 +93,7 @@ def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
 
 
 def _verdict(info: LogInfo) -> tuple[Sentence, ...]:
+    """Return vehicle and length, purposes served, and the number of findings."""
     flight = (
         "no free flight"
         if info.flight_s is None
@@ -118,7 +127,7 @@ def _verdict(info: LogInfo) -> tuple[Sentence, ...]:
 
 
 def _phases(record: FlightRecord) -> list[Shade]:
-    """What lies before, between and after the stretches of free flight."""
+    """Return shades for the times outside free flight."""
     time_s = record["time_s"]
     free = record.metadata.free_flight_s
     if not free:
@@ -128,6 +137,7 @@ def _phases(record: FlightRecord) -> list[Shade]:
 
 
 def _purposes(info: LogInfo) -> Section:
+    """Return the purposes of the log with reasons."""
     rows = tuple(
         (p.name, Cell("yes" if p.serves else "no", "good" if p.serves else "warn"), p.reason)
         for p in info.purposes
@@ -139,6 +149,7 @@ def _purposes(info: LogInfo) -> Section:
 
 
 def _findings(record: FlightRecord) -> Section:
+    """Return the table of findings, one row per kind."""
     findings = record.metadata.findings
     if not findings:
         return Section("Findings", (Words("None."),))
@@ -172,7 +183,7 @@ def _findings(record: FlightRecord) -> Section:
 
 
 def _where(members: Sequence[Finding], record: FlightRecord) -> str:
-    """Channels of findings of one kind, or their message, and the times where they are known."""
+    """Return the channels of findings of one kind and the times where they hold."""
     names = list(
         dict.fromkeys(n for f in members for n in channels_of(f, record) or (f.channel,) if n)
     )
@@ -190,6 +201,7 @@ def _where(members: Sequence[Finding], record: FlightRecord) -> str:
 
 
 def _mends(info: LogInfo) -> tuple[Section, ...]:
+    """Return lines of a signal map that correct findings; empty if there are none."""
     mends = [f for f in info.findings if f.mend]
     if not mends:
         return ()
@@ -199,6 +211,7 @@ def _mends(info: LogInfo) -> tuple[Section, ...]:
 
 
 def _modes(modes: Sequence[tuple[float, float, str]]) -> tuple[Section, ...]:
+    """Return the table of flight modes; empty if they were not logged."""
     if not modes:
         return ()
     rows = tuple((f"{start:.2f}", f"{end:.2f}", name) for start, end, name in modes[:MAX_LISTED])
@@ -213,6 +226,7 @@ def _modes(modes: Sequence[tuple[float, float, str]]) -> tuple[Section, ...]:
 
 
 def _channels(info: LogInfo) -> Section:
+    """Return the source and rate of each channel."""
     rows = tuple(
         (name, f"{info.rates_hz[name]:.4g}" if name in info.rates_hz else "-", label)
         for name, label in info.channels.items()

@@ -1,6 +1,4 @@
-"""The page of an autopilot's stability margins: each loop's frequency response in Bode's and
-Nichols' charts, margins marked.
-"""
+"""Build the page of an autopilot's stability margins: Bode and Nichols charts of each loop."""
 
 from __future__ import annotations
 
@@ -26,11 +24,22 @@ from uqharness.report.svg import Chart, Scale, log_scale, scale
 
 _TURN = 360.0
 _SPACED_DEG = (30.0, 45.0, 90.0, 180.0, 360.0)
+"""Tick distances of a phase axis [deg]."""
 _MOST_TICKS = 8
 
 
 def margins_page(aircraft: str, flight: str, measured: Sequence[LoopMargins], command: str) -> Page:
-    """The page of loops measured on the ``flight`` (loiter or straight) of an aircraft."""
+    """Return the page of loops measured in a flight.
+
+    Parameters
+    ----------
+    aircraft, flight : str
+        Name, and loiter or straight.
+    measured : sequence of LoopMargins
+        Responses and margins.
+    command : str
+        Command line.
+    """
     question = (
         f"How far are the loops of {aircraft}'s autopilot from instability? Measured in flight"
         f" ({flight}, calm air, no sensor noise): each loop is opened at its controller's output,"
@@ -58,10 +67,12 @@ def margins_page(aircraft: str, flight: str, measured: Sequence[LoopMargins], co
 
 
 def _decibel(value: float) -> str:
+    """Format a gain margin."""
     return f"{value:.1f} dB" if math.isfinite(value) else "none in the measured band"
 
 
 def _sentence(item: LoopMargins) -> str:
+    """Return the margins of a loop as a sentence."""
     m = item.margins
     phase = f"{m.phase_deg:.1f} deg" if math.isfinite(m.phase_deg) else "none"
     delay = f"{1000.0 * m.delay_s:.0f} ms" if math.isfinite(m.delay_s) else "none"
@@ -73,7 +84,10 @@ def _sentence(item: LoopMargins) -> str:
 
 
 def _table(measured: Sequence[LoopMargins]) -> Section:
+    """Return the table of margins."""
+
     def at(value: float, form: str, radps: float) -> str:
+        """Format a margin with its frequency."""
         return f"{value:{form}} at {radps:.3g}" if math.isfinite(value) else "none"
 
     rows = []
@@ -110,6 +124,7 @@ def _table(measured: Sequence[LoopMargins]) -> Section:
 
 
 def _loop(item: LoopMargins) -> Section:
+    """Return the charts of one loop."""
     response = _Response(item)
     figures = (_gain(response), _phase(response), _nichols(response))
     return Section(
@@ -119,11 +134,13 @@ def _loop(item: LoopMargins) -> Section:
 
 
 class _Response:
-    """A loop's gain [dB] and phase [deg] at its reliable frequencies, on the branch whose phase
-    margin is read at -180 deg.
+    """Hold a loop's gain [dB] and phase [deg] at its reliable frequencies.
+
+    The branch of the phase is the one on which the phase margin is read at -180 deg.
     """
 
     def __init__(self, item: LoopMargins) -> None:
+        """Unwrap the phase and shift it to that branch."""
         self.item, self.margins = item, item.margins
         is_reliable = item.reliable
         self.w = item.frequency_radps[is_reliable]
@@ -138,7 +155,7 @@ class _Response:
         )
         lag = (margin_phase + 180.0) % _TURN
         self.phase = phase + ((lag if lag <= 180.0 else lag - _TURN) - 180.0 - margin_phase)
-        # Lines that were not read: their phase on the branch nearest to the curve.
+        # Frequencies without a reliable response: their phase on the branch next to the curve.
         self.bad_w = item.frequency_radps[~is_reliable]
         self.bad_gain = 20.0 * np.log10(np.abs(item.response[~is_reliable]))
         raw = np.degrees(np.angle(item.response[~is_reliable]))
@@ -146,7 +163,9 @@ class _Response:
         self.bad_phase = raw + _TURN * np.round((curve_phase - raw) / _TURN)
 
     def at(self, radps: float) -> tuple[float, float]:
-        """Gain [dB] and phase [deg] at a frequency."""
+        """Return gain [dB] and phase [deg] at a frequency [rad/s], interpolated over its
+        logarithm.
+        """
         x = math.log(radps)
         return float(np.interp(x, self.log_w, self.gain)), float(
             np.interp(x, self.log_w, self.phase)
@@ -154,13 +173,13 @@ class _Response:
 
     @property
     def delayed(self) -> FloatArray | None:
-        """The phase [deg] with the delay margin added; None where there is no such margin."""
+        """Phase [deg] with the delay margin added; None without such a margin."""
         delay = self.margins.delay_s
         return self.phase - np.degrees(self.w * delay) if math.isfinite(delay) else None
 
     @property
     def gain_margins(self) -> list[tuple[float, str, str]]:
-        """Frequency [rad/s], class and words of each gain margin that there is."""
+        """Frequency [rad/s], class and words of each gain margin."""
         m = self.margins
         margins = [
             (m.gain_up_radps, "second", f"gain up {m.gain_up_dB:.1f} dB"),
@@ -170,7 +189,7 @@ class _Response:
 
 
 def _critical(low: float, high: float) -> list[float]:
-    """Phases [deg] of the point -1 within a range."""
+    """Return the phases [deg] of the point -1 within a range."""
     return [
         _TURN * k - 180.0
         for k in range(math.ceil((low + 180.0) / _TURN), math.floor((high + 180.0) / _TURN) + 1)
@@ -178,6 +197,7 @@ def _critical(low: float, high: float) -> list[float]:
 
 
 def _phase_scale(values: Sequence[FloatArray]) -> Scale:
+    """Return a phase axis with round ticks."""
     axis = scale("phase of L [deg]", [*values, np.array([-180.0])])
     step = next((s for s in _SPACED_DEG if (axis.high - axis.low) / s <= _MOST_TICKS), 720.0)
     ticks = [step * k for k in range(math.ceil(axis.low / step), math.floor(axis.high / step) + 1)]
@@ -187,10 +207,12 @@ def _phase_scale(values: Sequence[FloatArray]) -> Scale:
 
 
 def _gain_scale(r: _Response) -> Scale:
+    """Return a gain axis."""
     return scale("gain of L [dB]", [r.gain, r.bad_gain, np.zeros(1)])
 
 
 def _gain(r: _Response) -> Figure:
+    """Draw the gain over frequency."""
     loop = r.item.loop
     label = f"Gain of the {loop} loop [dB] over frequency [rad/s]; {_sentence(r.item)}"
     chart = Chart(
@@ -212,6 +234,7 @@ def _gain(r: _Response) -> Figure:
 
 
 def _phase(r: _Response) -> Figure:
+    """Draw the phase over frequency."""
     loop, m = r.item.loop, r.margins
     delayed = r.delayed
     y = _phase_scale([r.phase, r.bad_phase])
@@ -239,6 +262,7 @@ def _phase(r: _Response) -> Figure:
 
 
 def _nichols(r: _Response) -> Figure:
+    """Draw gain over phase, with the circle of the smallest distance from -1."""
     loop, m = r.item.loop, r.margins
     x = _phase_scale([r.phase])
     y = _gain_scale(r)

@@ -1,5 +1,7 @@
-"""The page of model-form bounds and of their validation, from model-form.json, bounds.json,
-coverage.json, residuals.parquet.
+"""Build the page of model-form bounds and write the files of bounds and their validation.
+
+The page comes from model-form.json, bounds.json and residuals.parquet. Coefficients are
+dimensionless and refer to body axes; a residual is flight minus model.
 """
 
 from __future__ import annotations
@@ -72,19 +74,18 @@ FORM, DETAILS, COVERAGE, RESIDUALS = (
     "residuals.parquet",
 )
 NEAR_SIGMA = 1.0
-"""A residual is near a slice when each of the other states is within so many standard deviations of
-the slice's.
+"""Distance from a slice, in standard deviations of each other state, within which a residual is
+drawn.
 """
 SLICE_MARGIN = 0.3
-"""Share of the data's width that a slice goes on beyond them."""
+"""Share of the width of the data by which a slice extends beyond them."""
 _MOST_DOTS = 220
 
 
 def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
-    """The page of the folder that ``uqharness bounds`` wrote. ``only``: titles of the sections that
-    are shown, if not all.
+    """Return the page of a folder that ``uqharness bounds`` wrote.
 
-    Raises BadInputError.
+    ``only`` lists titles of the sections to build. Raises BadInputError.
     """
     form = load_form(folder / FORM)
     details = read_document(folder / DETAILS, Bounds) if (folder / DETAILS).is_file() else {}
@@ -121,6 +122,7 @@ def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
 
 
 def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Sentence, ...]:
+    """Return the size of the model error, the left-out coverage, and the states of the bounds."""
     rows = details.get("coefficients", {})
     sentences = []
     parts = {c: b.parts for c, b in form.coefficients.items() if b.parts is not None}
@@ -143,8 +145,8 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Sentence, ...
         worst = min(coverage, key=lambda c: coverage[c])
         level: Any = "good" if coverage[worst] >= HOLDS_FROM else "warn"
         text = (
-            f"Bounds made without a manoeuvre hold {100 * coverage[worst]:.0f} % of its samples or more"
-            f" ({worst} least)."
+            f"Bounds made without a manoeuvre hold {100 * coverage[worst]:.0f} % of its samples or"
+            f" more ({worst} least)."
         )
         sentences.append(Sentence(text, level))
     max_states, name = max((len(b.states), c) for c, b in form.coefficients.items())
@@ -159,18 +161,19 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Sentence, ...
 
 
 def _limit(parts: Parts) -> float:
-    """What 95 % of a normal model error of the largest likely size do not exceed [-]."""
+    """Return the 95 % limit of a normal model error of the largest plausible size [-]."""
     return 1.96 * parts.not_above
 
 
 def _beside_noise(parts: Parts) -> str:
-    """Write the size of the model error beside the sensors' noise in a sample."""
+    """Return the size of the model error relative to the sensor noise, as text."""
     if not parts.noise > 0.0:
         return "no sensor noise"
     return f"{significant(_limit(parts) / (1.96 * parts.noise))} times that of the sensor noise"
 
 
 def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Section:
+    """Return the table of widths and parts by coefficient."""
     table = []
     for c, b in form.coefficients.items():
         r = rows.get(c, {})
@@ -236,8 +239,18 @@ def slice_section(
     prefix: str = "",
     baseline: Mapping[str, CoefficientBounds] | None = None,
 ) -> Section:
-    """Each coefficient's bounds along each of its states, the others at the data's medians;
-    ``baseline``: others beside them.
+    """Return the bounds of each coefficient along each of its states.
+
+    Parameters
+    ----------
+    form : ModelForm
+        Bounds.
+    pieces : sequence of History
+        Residuals; those near a slice are drawn.
+    prefix : str
+        Prefix of figure names.
+    baseline : mapping of str to CoefficientBounds, optional
+        Bounds to draw for comparison.
     """
     text = (
         "Along each state the others stand at the medians of the data. Solid: "
@@ -283,6 +296,7 @@ def _slice(
     prefix: str,
     baseline: CoefficientBounds | None,
 ) -> Figure:
+    """Draw the bounds of a coefficient along one state."""
     state = b.states[k]
     quantity, unit, factor = shown_channel(state)
     low, high = float(b.hull.low[k]), float(b.hull.high[k])
@@ -320,8 +334,8 @@ def _slice(
 
 
 def slice_states(b: CoefficientBounds, state: str, at: FloatArray) -> dict[str, FloatArray]:
-    """States along a slice: ``state`` runs through ``at``, the others stand at the medians of the
-    data.
+    """Return the states of a slice: ``state`` runs through ``at``, the others are at their
+    medians.
     """
     middle = dict(zip(b.states, b.hull.middle[:, 1], strict=True))
     return {s: at if s == state else np.full(len(at), middle[s]) for s in b.states}
@@ -330,7 +344,7 @@ def slice_states(b: CoefficientBounds, state: str, at: FloatArray) -> dict[str, 
 def near_slice(
     b: CoefficientBounds, state: str, states: Mapping[str, FloatArray]
 ) -> NDArray[np.bool_]:
-    """(n,) which samples of the states lie near the slice along ``state``."""
+    """Return which samples (n,) lie near the slice along ``state``."""
     is_near = np.ones(len(states[state]), dtype=bool)
     for k, other in enumerate(b.states):
         if other != state:
@@ -339,8 +353,8 @@ def near_slice(
 
 
 def variation_section(variations: Mapping[str, Variation]) -> Section:
-    """Density of the level's changes over 0.02 s, the normal fitted to it, and the rates that other
-    steps would give.
+    """Draw the density of changes of the level within 0.02 s, the fitted normal, and rates of other
+    lags.
     """
     figures = []
     for c, variation in variations.items():
@@ -379,8 +393,9 @@ def variation_section(variations: Mapping[str, Variation]) -> Section:
 def within_section(
     pieces: Sequence[History], names: Sequence[str], title: str, file: str, prefix: str = ""
 ) -> tuple[Section, ...]:
-    """Flight minus model within the bounds, pieces end to end; none where it was not kept. file: of
-    its figures.
+    """Draw residuals within their bounds, pieces end to end; empty without residuals.
+
+    ``file`` is the name of the file of figures.
     """
     if not pieces:
         return ()
@@ -431,6 +446,7 @@ def within_section(
 
 
 def _left_out_section(details: Mapping[str, Any]) -> Section:
+    """Return the leave-one-manoeuvre-out coverage."""
     rows = details.get("left_out", {})
     if not rows:
         return Section(
@@ -445,6 +461,7 @@ def _left_out_section(details: Mapping[str, Any]) -> Section:
 
 
 def _hull_section(form: ModelForm) -> Section:
+    """Return the range and quartiles of each state."""
     rows = {}
     for b in form.coefficients.values():
         for k, state in enumerate(b.states):
@@ -467,7 +484,7 @@ def _hull_section(form: ModelForm) -> Section:
 
 
 def _filter_section(form: ModelForm, details: Mapping[str, Any]) -> tuple[Section, ...]:
-    """Mean width by filter, the one in use first; none where other filters were not tried."""
+    """Return the mean width by filter, the one in use first; empty if no other was tried."""
     if not details.get("cutoffs"):
         return ()
     filtering, used = form.filtering, details["coefficients"]
@@ -490,6 +507,7 @@ def _filter_section(form: ModelForm, details: Mapping[str, Any]) -> tuple[Sectio
 
 
 def _share(value: float | None) -> Cell:
+    """Return a share with its level."""
     return Cell(
         format_value(value, ".2f"),
         "" if value is None else "good" if value >= HOLDS_FROM else "warn",
@@ -497,6 +515,7 @@ def _share(value: float | None) -> Cell:
 
 
 def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
+    """Return command, version, hashes and filters."""
     filtering = form.filtering
     airspeed = (
         "none" if np.isinf(filtering.airspeed_cutoff_hz) else f"{filtering.airspeed_cutoff_hz:g} Hz"
@@ -525,18 +544,18 @@ def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
     return provenance(*items)
 
 
-# What bounds and their validation leave on disk.
+# Files of bounds and of their validation.
 
 
 def forced_width(noise: float, confidence: float) -> float:
-    """Width of the interval that noise of this standard deviation forces: twice the normal quantile
-    times it.
+    """Return the width of an interval due to noise alone: twice the normal quantile times
+    ``noise``.
     """
     return float(2.0 * normal_quantile(0.5 + 0.5 * confidence) * noise)
 
 
 def bounds_document(made_bounds: MadeBounds) -> dict[str, Any]:
-    """What ``bounds --json`` prints; figures that are not finite are null."""
+    """Return the document of ``bounds --json``; numbers that are not finite are null."""
     form = made_bounds.form
     left_out_shares = mean_left_out(made_bounds.residuals, made_bounds.left_out)
     rows = {}
@@ -572,6 +591,7 @@ def bounds_document(made_bounds: MadeBounds) -> dict[str, Any]:
 
 
 def _parts(parts: Parts) -> dict[str, float]:
+    """Return the parts of the model error."""
     return {
         "persistent": parts.persistent,
         "transient": parts.transient,
@@ -585,12 +605,13 @@ def _parts(parts: Parts) -> dict[str, float]:
 
 
 def _cutoff(row: CutoffRow) -> dict[str, Any]:
+    """Return the mean widths of another filter."""
     cutoffs = {"cutoff_hz": row.cutoffs.all_hz, "airspeed_cutoff_hz": row.cutoffs.airspeed_hz}
     return {**finite(cutoffs), "mean_width": finite(row.width)}
 
 
 def validation_document(validation: Validation) -> dict[str, Any]:
-    """What ``validate-bounds --json`` prints."""
+    """Return the document of ``validate-bounds --json``."""
     return {
         "coverage": {
             c: {
@@ -631,7 +652,7 @@ def validation_document(validation: Validation) -> dict[str, Any]:
 
 
 def _bins(validation: Validation, kind: str, state: str) -> list[dict[str, Any]]:
-    """Rows of a state's thirds, each with the share inside by coefficient."""
+    """Return the coverage by thirds of a state."""
     out: list[dict[str, Any]] = []
     for c, row in validation.coverage.items():
         for k, item in enumerate(getattr(row, kind)):
@@ -650,11 +671,11 @@ def _bins(validation: Validation, kind: str, state: str) -> list[dict[str, Any]]
 
 
 def write_residuals(form: ModelForm, residuals: Residuals, flights: str, out: Path) -> None:
-    """residuals.parquet in ``out``: by piece the states, flight minus model per coefficient and the
-    bounds of its samples there.
+    """Write residuals.parquet: states, residuals and bounds of each piece.
 
-    Where the form keeps noise apart, the samples' bounds hold the sensors' noise;
-    ``<C>_model_lower``, ``_upper`` do not."""
+    If the form separates noise, the bounds of samples contain the sensor noise; ``<C>_model_lower``
+    and ``<C>_model_upper`` do not.
+    """
     columns = {state: [piece.states[state] for piece in residuals.pieces] for state in form.states}
     for name, bounds in form.coefficients.items():
         columns[name] = residuals.columns(name)

@@ -1,5 +1,5 @@
-"""The page of an aircraft's modes: eigenvalues between the Levels of MIL-F-8785C, and how they move
-with airspeed.
+"""Build the page of an aircraft's modes: eigenvalues, Levels of MIL-F-8785C, root locus over
+airspeed.
 """
 
 from __future__ import annotations
@@ -52,6 +52,7 @@ _PARAGRAPHS = {
     "roll": "3.3.1.2",
     "spiral": "3.3.1.3",
 }
+"""Paragraphs of MIL-F-8785C by mode."""
 _LEVELS: Mapping[int, Level] = {1: "good", 2: "warn", 3: "warn", 4: "bad"}
 _EDGES = ("level1", "level2", "level3")
 _TALL = 250
@@ -59,9 +60,7 @@ _TALL = 250
 
 @dataclass(frozen=True)
 class ModesRequest:
-    """What the page is of: aircraft, category and class, facts of the trim (name, text), the
-    command that makes it again.
-    """
+    """Describe the analysis: aircraft, flight-phase category, class, trim and command line."""
 
     aircraft: str
     category: str
@@ -71,11 +70,11 @@ class ModesRequest:
 
 
 def modes_page(request: ModesRequest, point: LocusPoint, locus: Locus) -> Page:
-    """The page of the modes at one speed and of ``locus``, which holds that ``point`` too."""
+    """Return the page of the modes at one speed, and of a root locus that contains that speed."""
     category_text = f"category {request.category}, class {request.aircraft_class}"
     question = (
-        f"Which Levels of MIL-F-8785C do the modes of {request.aircraft} reach ({category_text}), and how do"
-        " they move with airspeed?"
+        f"Which Levels of MIL-F-8785C do the modes of {request.aircraft} reach ({category_text}),"
+        " and how do they move with airspeed?"
     )
     sections = [
         _eigenvalues(point),
@@ -100,6 +99,7 @@ def modes_page(request: ModesRequest, point: LocusPoint, locus: Locus) -> Page:
 
 
 def _verdict(request: ModesRequest, point: LocusPoint, locus: Locus) -> tuple[Sentence, ...]:
+    """Return the Levels reached at the requested speed, and the range of trimmed speeds."""
     worst = max(a.level for a in point.levels)
     reached = "a mode is worse than Level 3" if worst == 4 else f"all modes reach Level {worst}"
     or_better = " or better" if 1 < worst < 4 else ""
@@ -128,19 +128,24 @@ def _verdict(request: ModesRequest, point: LocusPoint, locus: Locus) -> tuple[Se
 
 
 def criterion_words(assessment: Assessment) -> str:
-    """A criterion with its value and unit."""
+    """Return a criterion with its value and unit."""
     if math.isinf(assessment.value):
         return "stable"
     if math.isnan(assessment.value):
         return f"{assessment.criterion} undefined"
-    return f"{assessment.criterion} {assessment.value:.3g} {'' if assessment.unit == '1' else assessment.unit}".rstrip()
+    return (
+        f"{assessment.criterion} {assessment.value:.3g}"
+        f" {'' if assessment.unit == '1' else assessment.unit}".rstrip()
+    )
 
 
 def _level_words(level: int) -> str:
+    """Return a Level as text; 4 means worse than Level 3."""
     return "worse than Level 3" if level == 4 else f"Level {level}"
 
 
 def _eigenvalues(point: LocusPoint) -> Section:
+    """Return the table of eigenvalues."""
     rows = []
     for m in point.modes:
         period = 2.0 * math.pi / m.imag if m.imag else math.inf
@@ -173,6 +178,7 @@ def _eigenvalues(point: LocusPoint) -> Section:
 
 
 def _maps(request: ModesRequest, point: LocusPoint, locus: Locus) -> Section:
+    """Return the charts of the root locus."""
     figures = [_all(point, locus), *_cap(request, point, locus)]
     mode_names = {m.name for p in locus.points for m in p.modes}
     figures += [_pair(mode, request, point, locus) for mode in OSCILLATORY if mode in mode_names]
@@ -191,8 +197,8 @@ def _maps(request: ModesRequest, point: LocusPoint, locus: Locus) -> Section:
 
 
 def _branches(locus: Locus, mode: str) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Speed, real and imaginary part of a mode's roots along the speeds, NaN where there is no such
-    root; one branch a root.
+    """Return speed, real and imaginary part of each root of a mode along the speeds; NaN where
+    absent.
     """
     mode_roots = [
         sorted((m for m in p.modes if m.name == mode), key=lambda m: m.real) for p in locus.points
@@ -213,9 +219,7 @@ def _ends(
     locus: Locus,
     place: Mapping[float, Sequence[tuple[float, float]]],
 ) -> None:
-    """The markers of slowest, fastest and asked speed; ``place``: where each speed's roots are in
-    the chart.
-    """
+    """Mark the slowest, fastest and requested speed; ``place`` holds the roots by speed."""
     slow, fast = locus.points[0].V_mps, locus.points[-1].V_mps
     for V, shape, kind, words in (
         (slow, "ring", "first", f"{slow:.4g} m/s"),
@@ -229,13 +233,14 @@ def _ends(
 
 
 def _roots(locus: Locus, mode: str) -> dict[float, list[tuple[float, float]]]:
+    """Return the roots of a mode by speed."""
     return {p.V_mps: [(m.real, m.imag) for m in p.modes if m.name == mode] for p in locus.points}
 
 
 def _plane(
     name: str, label: str, roots: Sequence[tuple[float, float]], height: int = _TALL
 ) -> Chart:
-    """A chart of the plane's upper half that holds these roots and the origin."""
+    """Return a chart of the upper half plane that contains the roots and the origin."""
     real, imag = (np.array([r[k] for r in roots]) for k in (0, 1))
     x = scale("real part [1/s]", [real, np.zeros(1)], margin=0.12)
     top = 1.15 * max(float(imag.max()), 1e-3)
@@ -243,13 +248,15 @@ def _plane(
 
 
 def _all(point: LocusPoint, locus: Locus) -> Figure:
+    """Draw all modes in the complex plane."""
     roots = [root for mode in NAMES for pairs in _roots(locus, mode).values() for root in pairs]
     eigenvalue_text = ", ".join(
         f"{NAMES[m.name]} {m.real:.3g} + {m.imag:.3g}i" for m in point.modes
     )
     chart = _plane(
         "locus-all",
-        f"Eigenvalues in the complex plane, real [1/s] and imaginary part [rad/s]: {eigenvalue_text}.",
+        "Eigenvalues in the complex plane, real [1/s] and imaginary part [rad/s]:"
+        f" {eigenvalue_text}.",
         roots,
     )
     chart.upright(0.0, "zero")
@@ -271,7 +278,7 @@ def _all(point: LocusPoint, locus: Locus) -> Figure:
 def _labels(
     chart: Chart, point: LocusPoint
 ) -> list[tuple[str, tuple[float, float], tuple[float, float], str]]:
-    """Where the modes' names stand: beside their markers, inside the frame, none over another."""
+    """Place the names of modes next to their markers, inside the frame and without overlap."""
     x_left, top, width, height = chart.plot
     occupied: list[tuple[float, float, float, float]] = []
     out: list[tuple[str, tuple[float, float], tuple[float, float], str]] = []
@@ -303,6 +310,7 @@ def _labels(
 
 
 def _pair(mode: str, request: ModesRequest, point: LocusPoint, locus: Locus) -> Figure:
+    """Draw the root locus of an oscillatory mode with the limits of the Levels."""
     place = _roots(locus, mode)
     roots = [root for pairs in place.values() for root in pairs]
     criteria = ", ".join(
@@ -339,10 +347,10 @@ def _pair(mode: str, request: ModesRequest, point: LocusPoint, locus: Locus) -> 
 
 
 def _cap(request: ModesRequest, point: LocusPoint, locus: Locus) -> list[Figure]:
-    """Draw natural frequency over n/alpha with lines of equal CAP, as the specification's figures 1
-    to 3.
+    """Draw natural frequency over n/alpha with lines of equal CAP (figures 1 to 3 of the
+    specification).
 
-    Empty where CAP is defined at no speed, as for a statically unstable aircraft.
+    Empty if CAP is undefined at all speeds, as for a statically unstable aircraft.
     """
     place: dict[float, list[tuple[float, float]]] = {}
     for p in locus.points:
@@ -390,6 +398,7 @@ def _cap(request: ModesRequest, point: LocusPoint, locus: Locus) -> list[Figure]
 
 
 def _root(mode: str, request: ModesRequest, point: LocusPoint, locus: Locus) -> Figure:
+    """Draw a real root over airspeed with the limits of the Levels."""
     limits = root_limits(mode, request.category, request.aircraft_class)
     branches = _branches(locus, mode)
     speeds, values = np.array([p.V_mps for p in locus.points]), [real for _, real, _ in branches]
@@ -398,7 +407,8 @@ def _root(mode: str, request: ModesRequest, point: LocusPoint, locus: Locus) -> 
     criteria_text = ", ".join(criterion_words(a) for a in point.levels if a.mode == mode)
     chart = Chart(
         f"locus-{mode}",
-        f"Real root of the {mode} mode [1/s] over airspeed [m/s]; at {point.V_mps:g} m/s {criteria_text}.",
+        f"Real root of the {mode} mode [1/s] over airspeed [m/s]; at {point.V_mps:g} m/s"
+        f" {criteria_text}.",
         x,
         y,
         220,
@@ -425,6 +435,7 @@ def _root(mode: str, request: ModesRequest, point: LocusPoint, locus: Locus) -> 
 
 
 def _by_speed(locus: Locus) -> Section:
+    """Return the table of criteria and Levels by airspeed."""
     units = {
         (a.mode, a.criterion): "-" if a.unit == "1" else a.unit
         for p in locus.points
@@ -453,11 +464,13 @@ def _by_speed(locus: Locus) -> Section:
 
 
 def _cell(assessment: Assessment) -> Cell:
+    """Return a criterion with its Level."""
     text = "stable" if math.isinf(assessment.value) else format_value(assessment.value)
     return Cell(text, _LEVELS[assessment.level], small=_level_words(assessment.level))
 
 
 def _refused(locus: Locus) -> tuple[Section, ...]:
+    """Return the speeds without a trim; empty if there are none."""
     if not locus.refused:
         return ()
     rows = tuple((f"{V:.4g}", reason) for V, reason in locus.refused)

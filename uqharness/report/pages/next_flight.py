@@ -1,4 +1,8 @@
-"""The page of a planned test flight: what it brings, where the mission lacks data, what to fly."""
+"""Build the page of a planned test flight and write its files.
+
+It shows what the flight brings, in which flight states the mission lacks data, and what to fly. The
+files are next-flight.json and test-points.csv.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +41,18 @@ _BINS, _CELLS, _MOST_DOTS = 16, 24, 1500
 def next_flight_page(
     plan: NextFlight, document: Mapping[str, Any], figures: Sequence[Figure], command: str
 ) -> Page:
-    """The page of a plan. document: next-flight.json; figures: of :func:`uncertainty_figures`, none
-    to leave them out.
+    """Return the page of a plan.
+
+    Parameters
+    ----------
+    plan : NextFlight
+        Planned flight.
+    document : mapping
+        Content of next-flight.json.
+    figures : sequence of Figure
+        Figures of `uncertainty_figures`; empty to leave them out.
+    command : str
+        Command line.
     """
     name = document["aircraft"]["name"]
     quartile_text = (
@@ -81,6 +95,7 @@ def next_flight_page(
 
 
 def _where_table(plan: NextFlight) -> Table:
+    """Return quartiles of each state: data, mission, mission weighted by variance."""
     rows = []
     for w in plan.where:
         quantity, unit, factor = shown_channel(w.state)
@@ -98,6 +113,7 @@ def _where_table(plan: NextFlight) -> Table:
 
 
 def _point_table(plan: NextFlight) -> Table:
+    """Return the test points in the order of the flight."""
     rows = []
     for k, p in enumerate(plan.plan, start=1):
         unit = ", ".join(f"{s.unit_s:g} s" for s in p.point.steps) or "-"
@@ -118,10 +134,18 @@ def uncertainty_figures(
     outside: Outside,
     coefficient: str,
 ) -> list[Figure]:
-    """Half-width from the uncertainty of the polynomial along each state, and occupancy times
-    variance over two states.
+    """Draw the half-width due to parameter uncertainty along each state, and maps over two states.
 
-    mission: states (n,) of the mission; flown: of the planned flight.
+    Parameters
+    ----------
+    current, updated : CoefficientBounds
+        Bounds before and after the flight.
+    mission, planned_flight : mapping of str to array
+        States (n,) of the mission and of the planned flight.
+    outside : str
+        Behaviour of the bounds outside the data.
+    coefficient : str
+        Name of the coefficient.
     """
     before, after = (
         b.t * np.sqrt(parameter_variance(b, mission, outside)) for b in (current, updated)
@@ -152,6 +176,7 @@ def _profile(
     after: FloatArray,
     coefficient: str,
 ) -> Figure:
+    """Draw the half-width along one state, before and after the flight."""
     quantity, unit, factor = shown_channel(state)
     low, high = (float(v) for v in np.quantile(values, [0.002, 0.998]))
     edges = np.linspace(low, high, _BINS + 1)
@@ -202,6 +227,7 @@ def _maps(
     planned_flight: Mapping[str, FloatArray],
     curves: tuple[FloatArray, FloatArray],
 ) -> list[Figure]:
+    """Draw occupancy times variance over two states, before and after the flight."""
     factors = [shown_channel(s)[2] for s in pair]
     x, y = (f * mission[s] for f, s in zip(factors, pair, strict=True))
     dots = [
@@ -243,9 +269,7 @@ def _maps(
 
 
 def _reach(box: FloatArray, values: FloatArray) -> tuple[float, float]:
-    """Axis limits: the mission, and the flight as far as it lies within as much again on either
-    side.
-    """
+    """Return axis limits: the mission, and the flight within one width on either side."""
     span = float(box[1] - box[0])
     low, high = np.quantile(values, [0.01, 0.99])
     return max(min(float(box[0]), float(low)), float(box[0]) - span), min(
@@ -255,24 +279,33 @@ def _reach(box: FloatArray, values: FloatArray) -> tuple[float, float]:
 
 # What `next-flight` leaves: next-flight.json and the table of test points.
 
-# The answer of next-flight in sentences: what it is about, what a flight brings, or why none
-# does.
+# The answer as sentences.
 
 MAIN_SHARE = 0.9
-"""Share of a flight's gain that its few most telling points have together."""
+"""Share of a flight's gain that its most informative points have together."""
 
 
 def words(
     plan: NextFlight, winner: Winner, missing: Sequence[MissingTerm] | None = None
 ) -> list[str]:
-    """The answer in sentences."""
+    """Return the answer as sentences.
+
+    Parameters
+    ----------
+    plan : NextFlight
+        Planned flight.
+    winner : Winner
+        Coefficient and its share of the p-box.
+    missing : sequence of MissingTerm, optional
+        Terms that explain residual scatter; None if the flights were not given.
+    """
     c, p = plan.coefficient, plan.prospect
     low, high = (100.0 * s for s in winner.share)
     sure = "certain" if winner.certain else "not certain"
     out = [
         (
-            f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric} ({winner.condition};"
-            f" its lead is {sure})."
+            f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric}"
+            f" ({winner.condition}; its lead is {sure})."
         )
     ]
     out.append(
@@ -294,8 +327,8 @@ def words(
     if abs(redone_narrowing - p.narrowing) > 0.01:
         flight += (
             f" Bounds made again will come out {_percent(abs(redone_narrowing))}"
-            f" {'narrower' if redone_narrowing >= 0.0 else 'wider'}, because residuals scatter differently at"
-            " the speeds of these points; that difference is no information."
+            f" {'narrower' if redone_narrowing >= 0.0 else 'wider'}, because residuals scatter"
+            " differently at the speeds of these points; that difference is no information."
         )
     out.append(flight)
     out += _first_points(plan)
@@ -313,7 +346,9 @@ def words(
 
 
 def _first_points(plan: NextFlight) -> list[str]:
-    """How few of the points bring most of it; nothing where it takes more than half of them."""
+    """Return a sentence on how few points bring most of the gain; empty if more than half are
+    needed.
+    """
     order = sorted(range(len(plan.plan)), key=lambda k: -plan.plan[k].gain)
     total, gained, few = sum(p.gain for p in plan.plan), 0.0, list[int]()
     for k in order:
@@ -327,13 +362,14 @@ def _first_points(plan: NextFlight) -> list[str]:
     subject = f"point {numbers} brings" if len(few) == 1 else f"points {numbers} bring"
     return [
         (
-            f"Of what the flight takes off the mean width {subject} {_percent(gained / total)}; a short"
-            " flight would be those."
+            f"Of what the flight takes off the mean width {subject} {_percent(gained / total)}; a"
+            " short flight would be those."
         )
     ]
 
 
 def _reason_not_to_fly(plan: NextFlight, p: Prospect) -> str:
+    """Return why the flight is not worth flying."""
     if p.at_most >= WORTH:
         return (
             f"Not worth flying for {plan.coefficient} alone ({_percent(WORTH)} is asked for): more"
@@ -360,7 +396,7 @@ def _reason_not_to_fly(plan: NextFlight, p: Prospect) -> str:
 
 
 def _form_sentences(plan: NextFlight, missing: Sequence[MissingTerm] | None) -> list[str]:
-    """What the scatter is made of, where the flights behind the bounds were given."""
+    """Return what the scatter consists of, if the flights behind the bounds were given."""
     c = plan.coefficient
     if missing is None:
         if plan.worth_flying and not plan.form_is_short:
@@ -374,8 +410,8 @@ def _form_sentences(plan: NextFlight, missing: Sequence[MissingTerm] | None) -> 
     if not missing:
         return [
             (
-                f"In the flights given no term of second order is missing from the bounds of {c}: what"
-                " scatters is noise and air."
+                f"In the flights given no term of second order is missing from the bounds of {c}:"
+                " what scatters is noise and air."
             )
         ]
     listed = ", ".join(f"{m.name} ({_percent(m.share)})" for m in missing)
@@ -392,6 +428,7 @@ def _form_sentences(plan: NextFlight, missing: Sequence[MissingTerm] | None) -> 
 
 
 def _percent(value: float) -> str:
+    """Format a share."""
     return percent(value)
 
 
@@ -422,8 +459,9 @@ def document(
     units: Mapping[str, str],
     warnings: Sequence[str],
 ) -> dict[str, Any]:
-    """next-flight.json. air: aircraft, bounds and conditions of the simulated flight, as they are
-    to be written.
+    """Return the content of next-flight.json.
+
+    ``air`` holds aircraft, bounds and conditions of the simulated flight.
     """
     return {
         "format": FORMAT,
@@ -463,7 +501,7 @@ def document(
 
 
 def prospect_row(p: Prospect) -> dict[str, Any]:
-    """Widths and narrowings of one coefficient."""
+    """Return widths and narrowings of one coefficient."""
     return {
         "width": p.now.total,
         "width_after": p.then.total,
@@ -480,7 +518,7 @@ def prospect_row(p: Prospect) -> dict[str, Any]:
 
 
 def point_row(plan: NextFlight, k: int, units: Mapping[str, str]) -> dict[str, Any]:
-    """One test point; its steps by control."""
+    """Return one test point with its steps."""
     item = plan.plan[k]
     return {
         "number": k + 1,
@@ -505,7 +543,7 @@ def point_row(plan: NextFlight, k: int, units: Mapping[str, str]) -> dict[str, A
 
 
 def points_csv(plan: NextFlight, units: Mapping[str, str]) -> bytes:
-    """test-points.csv: one row a control that a point moves, one row for steady flight."""
+    """Return test-points.csv: a row per control that a point moves, one for steady flight."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(COLUMNS)

@@ -1,4 +1,8 @@
-"""The page of a refinement, from refinement.json, model.diff and histories.parquet."""
+"""Build the page of a refinement, from refinement.json, model.diff and histories.parquet.
+
+It shows residuals before and after, the effects with their evidence and alternatives, what remains
+unexplained and where, intervals, a mission flown with both models, and the changes of the XML.
+"""
 
 from __future__ import annotations
 
@@ -38,11 +42,10 @@ from uqharness.report.parts import (
 from uqharness.report.svg import Chart, Scale, rows_chart, scale
 from uqharness.result_documents import Refinement, read_document
 
-# The chart of a refinement's candidates: every one that the page names, and the likeliest of
-# the others.
+# Chart of the candidates.
 
 MAX_UNLISTED = 8
-"""Candidates in the chart that the page does not name."""
+"""Candidates in the chart that the page does not list elsewhere."""
 LEGEND = (("wide", "alone, beside the parameters"), ("thick", "the same of a chosen effect"))
 _MARKS = {
     "chosen": "\N{BLACK CIRCLE}",
@@ -54,8 +57,14 @@ _MARKS = {
 
 @dataclass(frozen=True)
 class ListedCandidate:
-    """A candidate that the page names: as what (chosen, withdrawn, alternative, left), and its |t|
-    there; None where unknown.
+    """Hold a candidate that the page lists.
+
+    Attributes
+    ----------
+    part : str
+        chosen, withdrawn, alternative or left.
+    t : float or None
+        Absolute t value in that role; None if unknown.
     """
 
     part: str
@@ -63,11 +72,12 @@ class ListedCandidate:
 
 
 def listed_candidates(done: Mapping[str, Any]) -> dict[str, ListedCandidate]:
-    """Candidates that a refinement names, by coefficient or subsystem and term; one that is named
-    twice as the first of `Named`.
+    """Return the candidates that a refinement lists, by coefficient or subsystem and term.
 
-    An alternative's |t| is that in the effect's place, the root of what it gains in twice the log
-    likelihood."""
+    A candidate with several roles has the first of chosen, withdrawn, alternative, left. The |t|
+    of an alternative is the square root of the gain in twice the log likelihood in place of the
+    effect.
+    """
     rows: list[tuple[str, Mapping[str, Any], float | None]] = []
     for part, effects in (("chosen", done["effects"]), ("withdrawn", done.get("withdrawn", ()))):
         rows += [(part, e, e.get("evidence", {}).get("t")) for e in effects]
@@ -92,16 +102,17 @@ def listed_candidates(done: Mapping[str, Any]) -> dict[str, ListedCandidate]:
 
 
 def _short(e: Mapping[str, Any]) -> str:
+    """Return the short name of a candidate."""
     return f"{e.get('coefficient') or e.get('subsystem') or ''} {e['term']}".strip()
 
 
 def _as_scored(key: str) -> str:
-    """An effect's key, as a refused candidate has it, as the scores name it."""
+    """Return the key of a refused candidate in the form used by the scores."""
     return key.replace("/", " ", 1)
 
 
 def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None:
-    """|t| of the candidates; None where a refinement names and scores none."""
+    """Draw |t| of the candidates; None if there are none."""
     board = done.get("candidates", {})
     single_t = {r["effect"]: abs(r["t"]) for r in board.get("scores", ()) if r.get("t") is not None}
     listed = listed_candidates(done)
@@ -138,17 +149,16 @@ def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None
     return Figure(chart.name, chart.svg(), caption)
 
 
-# refinement.json in sentences: what the test flights say of an effect, what is left, and where.
+# Sentences on tests, remaining residuals and their place.
 
 _DIVERGED = 1e9
-"""Change of twice a log likelihood that is no measure of noise any more: replays of one of the two
-models diverge.
-"""
+"""Change of twice the log likelihood from which replays of one of the models diverge."""
 
 
 def place_words(place: Mapping[str, Any]) -> list[str]:
-    """Where the strongest of what is left sits, in at most three lines; none where nothing
-    is left.
+    """Return where the strongest remaining residual is, in at most three lines.
+
+    Empty without any.
     """
     if place["channel"] is None:
         return []
@@ -177,8 +187,9 @@ def place_words(place: Mapping[str, Any]) -> list[str]:
     if dependence is not None:
         state, unit, factor = shown_channel(dependence["state"])
         first += (
-            f"; its {dependence['of']} goes with {state}, most at {factor * dependence['low']:.3g} to"
-            f" {factor * dependence['high']:.3g} {unit} ({100.0 * dependence['share']:.0f} % of its variance)"
+            f"; its {dependence['of']} goes with {state}, most at {factor * dependence['low']:.3g}"
+            f" to {factor * dependence['high']:.3g} {unit} ({100.0 * dependence['share']:.0f} % of"
+            " its variance)"
         )
     candidates = ", ".join(
         f"{c['name']} {c['leaves']:.2f} (|t| {abs(c['t']):.1f})" for c in place["candidates"]
@@ -189,7 +200,7 @@ def place_words(place: Mapping[str, Any]) -> list[str]:
 
 
 def smooth_words(smooth: Mapping[str, Any]) -> str:
-    """What is said of a smooth term that is offered for naming, in a line."""
+    """Return one line on the smooth term that is offered for interpretation."""
     channel, _, _ = shown_channel(smooth["channel"])
     replaced = (
         f", in place of {' and '.join(smooth['in_place_of'])}," if smooth["in_place_of"] else ""
@@ -202,9 +213,7 @@ def smooth_words(smooth: Mapping[str, Any]) -> str:
 
 
 def no_region_words(document: Mapping[str, Any]) -> str:
-    """What is said where no region stands out: nothing at all is missing, or what is missing shows
-    over whole flights alone.
-    """
+    """Return the sentence for residuals without a distinct region."""
     t_values = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
     t_values += [abs(w["t"]) for w in document["remaining"]["where"] if "t" in w]
     if t_values:
@@ -221,7 +230,7 @@ def no_region_words(document: Mapping[str, Any]) -> str:
 
 
 def remaining_words(remaining: Mapping[str, Any]) -> list[str]:
-    """What is left, in sentences; none where nothing is."""
+    """Return what remains unexplained as sentences; empty if nothing does."""
     if not remaining["unexplained"]:
         return [w["words"] for w in remaining["where"] if "words" in w]
     out = []
@@ -246,7 +255,7 @@ def remaining_words(remaining: Mapping[str, Any]) -> list[str]:
 
 
 def test_words(effect: Mapping[str, Any]) -> str:
-    """What the test flights say of one effect."""
+    """Return what the hold-out flights show for one effect."""
     test = effect["test"]
     change, std = test["change_of_twice_log_likelihood"], test["std"]
     number = f"twice the log likelihood {_with_error(change, std)} with it"
@@ -257,7 +266,7 @@ def test_words(effect: Mapping[str, Any]) -> str:
             " leaves the flights altogether"
         )
     share, share_std = test.get("share_of_estimate"), test.get("share_std")
-    # A standard error of half the way between none and all tells neither from the other.
+    # With a standard error above 0.5 the share distinguishes neither none nor all of the estimate.
     if share is not None and share_std is not None and math.isfinite(share) and share_std < 0.5:
         number += f", {share:.2f} ± {share_std:.2f} of the estimate fits them best"
     if test["gap"] == "shrank":
@@ -277,9 +286,7 @@ def test_words(effect: Mapping[str, Any]) -> str:
 
 
 def _with_error(value: float, std: float) -> str:
-    """``value ± std`` with three significant figures of the standard error, and as many places of
-    the value.
-    """
+    """Format ``value ± std`` with three significant digits of the standard error."""
     if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
         return f"{value:+.4g} ± {std:.3g}"
     places = 2 - math.floor(math.log10(std))
@@ -287,34 +294,37 @@ def _with_error(value: float, std: float) -> str:
 
 
 def location_of_effect(effect: Mapping[str, Any]) -> str:
-    """Where an effect of refinement.json stands: its property, a number of the XML, or a sensor."""
+    """Return where an effect is in the model: its property, a number of the XML, or a sensor."""
     sensor = str(effect.get("subsystem", "")).startswith("sensor.")
     return str(effect.get("property") or ("a sensor's" if sensor else "a number in the XML"))
 
 
-# The effects of a refinement as a section of its page: value and error bar, change of the XML,
-# what else it may be, evidence.
+# Section of effects.
 
 
 def headline(e: Mapping[str, Any]) -> str:
-    """Name, value and standard error of an effect."""
-    return f"{capital(e['name'])}: {format_value(e['value'], '.5g')} ± {format_value(e['std'], '.2g')}{_unit(e)}"
+    """Return name, value and standard error of an effect."""
+    return (
+        f"{capital(e['name'])}: {format_value(e['value'], '.5g')} ±"
+        f" {format_value(e['std'], '.2g')}{_unit(e)}"
+    )
 
 
 def _unit(e: Mapping[str, Any]) -> str:
+    """Return the unit of an effect with a leading space; empty if it has none."""
     return "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
 
 
 def capital(text: str) -> str:
-    """The text with a capital first letter; the rest as it is."""
+    """Return text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
 def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") -> Section:
-    """The effects: value with its error bar, what changed in the XML, alternatives, evidence; and
-    who else was asked.
+    """Return the effects: value, change of the XML, alternatives, evidence, and rejected
+    candidates.
 
-    diff: the text of model.diff
+    ``diff`` is the text of model.diff.
     """
     off = {s["property"]: s["off"] for s in done.get("switch", ())}
     parts = [
@@ -345,7 +355,7 @@ def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") ->
 
 
 def _value(e: Mapping[str, Any], off: Mapping[str, float], name: str) -> list[Block]:
-    """What the hold-out flights say, and the 95 % interval beside the value without the effect."""
+    """Return the result on the hold-out flights and a chart of the 95 % interval."""
     out: list[Block] = [Words(f"{capital(test_words(e))}.")] if e.get("test") else []
     low, high = e.get("evidence", {}).get("interval_95") or (None, None)
     if low is None or high is None or e["value"] is None:
@@ -380,16 +390,14 @@ def _value(e: Mapping[str, Any], off: Mapping[str, float], name: str) -> list[Bl
 
 
 def _change(e: Mapping[str, Any], diff: str) -> list[Block]:
-    """The lines of model.diff that name the effect or its property, with what stands around
-    them.
-    """
+    """Return the lines of model.diff that name the effect, with their context."""
     text = lines_naming(diff, [w for w in (e.get("property"), e["name"]) if w])
     return [Code(f"Change of the XML for {e['name']}", text)] if text else []
 
 
 def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
-    """Changed lines of a unified difference in which one of the words stands, with ``around`` lines
-    on either side.
+    """Return changed lines of a difference that contain one of the words, with ``around`` lines of
+    context.
     """
     lines = [line for line in diff.splitlines() if not line.startswith(("--- ", "+++ ", "@@"))]
     matches = [
@@ -405,7 +413,7 @@ def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
 
 
 def _alternatives(e: Mapping[str, Any]) -> list[Block]:
-    """What the effect is confounded with, and which alternatives the flights exclude."""
+    """Return which alternatives are confounded with the effect and which are excluded."""
     sentences = [
         (
             f"Distinguished from {a['name']}."
@@ -418,6 +426,7 @@ def _alternatives(e: Mapping[str, Any]) -> list[Block]:
 
 
 def _evidence(e: Mapping[str, Any]) -> list[Block]:
+    """Return the table of evidence for an effect."""
     evidence = e.get("evidence", {})
     low, high = evidence.get("interval_95") or (None, None)
     rows = [
@@ -435,7 +444,10 @@ def _evidence(e: Mapping[str, Any]) -> list[Block]:
         ),
         (
             "Held-out estimate differs by",
-            f"{format_value(evidence.get('held_out_estimate_differs_by_std'), '.2f')} standard errors",
+            (
+                f"{format_value(evidence.get('held_out_estimate_differs_by_std'), '.2f')} standard"
+                " errors"
+            ),
         ),
         ("Property", location_of_effect(e)),
     ]
@@ -444,14 +456,17 @@ def _evidence(e: Mapping[str, Any]) -> list[Block]:
 
 
 def _abs(value: float | None) -> float | None:
+    """Return the absolute value; None for None."""
     return None if value is None else abs(value)
 
 
-# What a refinement did to the model's intervals and to a mission, as sections of its page.
+# Sections of intervals and mission.
 
 
 def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
-    """Width and coverage of the model-form intervals on the test flights, before and after."""
+    """Return width and coverage of the model-form intervals on the hold-out flights, before and
+    after.
+    """
     title = "Model-form intervals on the test flights"
     intervals = gap.get("intervals") or {
         "reason": "this folder was written before they were computed"
@@ -496,9 +511,7 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
 
 
 def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure, ...]:
-    """Mean width after over before, and the share of the test samples inside with its 95 %
-    limits.
-    """
+    """Draw the ratio of widths, and the coverage with 95 % limits."""
     rows = intervals["coefficients"]
     widths = {
         c: r["width_after"] / r["width_before"]
@@ -536,8 +549,8 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
     ]
     if rows_with_coverage:
         label = (
-            f"Test samples inside the intervals [%], {min(row[3] for row in rows_with_coverage):.1f} at the"
-            " least."
+            "Test samples inside the intervals [%],"
+            f" {min(row[3] for row in rows_with_coverage):.1f} at the least."
         )
         lowest = min(share - half for *_, share, half in rows_with_coverage)
         x = Scale("test samples inside [%], with 95 % limits", max(0.0, lowest - 2.0), 101.0)
@@ -557,17 +570,18 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
 
 
 def _share(row: Mapping[str, Any], when: str) -> str:
+    """Format a coverage with its standard error."""
     share, std = row[f"coverage_{when}"], row[f"coverage_std_{when}"]
     return "undefined" if share is None else f"{percent(share, '.1f')} ± {percent(std, '.1f')}"
 
 
 def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> Section:
-    """P-boxes of the mission flown with both models inside their own intervals."""
+    """Return p-boxes of a mission flown with both models within their own intervals."""
     title = "The mission before and after"
     mission = gap.get("pbox") or {"reason": "this folder was written before it was flown"}
     if mission.get("reason") is not None:
         return Section(title, (Words(f"Not shown: {mission['reason']}."),))
-    # With these pandas is loaded, and not every refinement flies a mission.
+    # Imported here because it loads pandas, and not every refinement flies a mission.
     from uqharness.report.campaign import overlay_section, read_campaign_report
 
     folders = mission["folders"]
@@ -601,22 +615,20 @@ def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> S
     return Section(title, tuple(blocks))
 
 
-# A smooth term that is offered for naming, as a section of a refinement's page.
+# Section of a smooth term that is offered for interpretation.
 
 RMS = ("rms_before", "rms_after", "noise_rms")
-"""What a refinement says of a channel or a coefficient."""
+"""Keys of the residual rms before and after, and of the noise."""
 
 
 def smooth_lines(done: Mapping[str, Any]) -> tuple[Sentence, ...]:
-    """The line of the page's head, where a term is offered."""
+    """Return the sentence of the verdict on a smooth term; empty if none is offered."""
     smooth = done["remaining"].get("smooth")
     return (Sentence(f"{capital(smooth_words(smooth))}.", "warn"),) if smooth else ()
 
 
 def smooth_sections(done: Mapping[str, Any], prefix: str = "") -> list[Section]:
-    """The term with its curve, what it does to the flights, and the forms that it resembles; none
-    where none is offered.
-    """
+    """Return a smooth term with its curve, its effect on the residuals, and similar forms."""
     smooth = done["remaining"].get("smooth")
     if not smooth:
         return []
@@ -637,6 +649,7 @@ def smooth_sections(done: Mapping[str, Any], prefix: str = "") -> list[Section]:
 
 
 def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
+    """Draw the smooth term with its band and the density of the data."""
     at, value, low, high, samples = (
         np.array(smooth["curve"][k], dtype=float) for k in ("at", "value", "low", "high", "samples")
     )
@@ -672,6 +685,7 @@ def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
 
 
 def _gap_table(smooth: Mapping[str, Any]) -> Table:
+    """Return residuals with and without the term."""
     rows = []
     for side, flights in (("train", "Train"), ("test", "Test")):
         gap = smooth["gap"][side]
@@ -692,6 +706,7 @@ def _gap_table(smooth: Mapping[str, Any]) -> Table:
 
 
 def _shape_table(smooth: Mapping[str, Any]) -> Table:
+    """Return forms that resemble the term, with the residual that each leaves."""
     name, _, _ = shown_channel(smooth["channel"])
     rows = tuple(
         (
@@ -715,10 +730,9 @@ _DIFF_LINES = 400
 
 
 def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
-    """The page of the folder that ``uqharness refine`` wrote. ``only``: titles of the sections that
-    are shown, if not all.
+    """Return the page of a folder that ``uqharness refine`` wrote.
 
-    Raises BadInputError.
+    ``only`` lists titles of the sections to build. Raises BadInputError.
     """
     done = read_document(folder / REFINEMENT, Refinement)
     histories = read_histories(folder / HISTORIES)
@@ -804,6 +818,9 @@ _UNEXPLAINED_REMAINDER = (
 
 
 def _verdict(done: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    """Return the verdict: effects with their tests, confounded alternatives, the largest
+    improvement.
+    """
     is_confirmed = [(e.get("test") or {}).get("gap") == "shrank" for e in done["effects"]]
     effect_verdict = {"effects-found": _SHRANK if any(is_confirmed) else _INCONCLUSIVE}
     text, level = {**_VERDICTS, **effect_verdict}.get(done["verdict"], (done["verdict"], "warn"))
@@ -841,6 +858,7 @@ def _verdict(done: Mapping[str, Any]) -> tuple[Sentence, ...]:
 
 
 def _largest_fall(gap: Mapping[str, Any]) -> str:
+    """Return a sentence on the channel whose residual fell most, relative to its noise."""
     rows = {c: r for c, r in gap["channels"].items() if all(r.get(k) for k in RMS)}
     if not rows:
         return ""
@@ -858,13 +876,15 @@ def _largest_fall(gap: Mapping[str, Any]) -> str:
 
 
 def _diff(folder: Path) -> str:
+    """Return the text of model.diff; empty if there is none."""
     path = folder / "model.diff"
     return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
 
 
 def _place_sections(done: Mapping[str, Any]) -> list[Section]:
-    """Where the strongest of what is left sits; none where nothing is left, or where the folder is
-    older than that.
+    """Return where the strongest remaining residual is.
+
+    Empty without any, or in an older folder.
     """
     place = done["remaining"].get("place")
     if not place or place["channel"] is None:
@@ -876,12 +896,16 @@ def _place_sections(done: Mapping[str, Any]) -> list[Section]:
         for c in place["candidates"]
     )
     current = format_value(place["channel_on_train"], ".3f")
-    caption = f"Nearest candidates: what each leaves of {name} on the train flights, {current} without any."
+    caption = (
+        f"Nearest candidates: what each leaves of {name} on the train flights, {current} without"
+        " any."
+    )
     table = Table(caption, ("Candidate", "|t| [-]", "Rms over noise left [-]"), rows)
     return [Section("Where something is left", (Bullets(lines, key=True), table))]
 
 
 def _where_section(done: Mapping[str, Any]) -> Section:
+    """Return the table of disagreements of the training flights."""
     rows = []
     for d in done["disagreement"]:
         region = "; ".join(_region(s, ends) for s, ends in d.get("region", {}).items())
@@ -898,6 +922,7 @@ def _where_section(done: Mapping[str, Any]) -> Section:
 
 
 def _region(state: str, ends: Sequence[float | None]) -> str:
+    """Return a range of a state as text."""
     quantity, unit, factor = shown_channel(state)
     low, high = (None if v is None else factor * v for v in ends)
     label = f"|{quantity.removeprefix('abs ')}|" if quantity.startswith("abs ") else quantity
@@ -905,7 +930,7 @@ def _region(state: str, ends: Sequence[float | None]) -> str:
 
 
 def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
-    """Gap on the test flights before and after, by channel and coefficient."""
+    """Return the residuals on the hold-out flights before and after, by channel and coefficient."""
     figures, rows = [], []
     for kind in ("channels", "coefficients"):
         ratios = {}
@@ -960,6 +985,7 @@ _TURBULENT = (
 
 
 def _prediction_table(predictions: Mapping[str, Any]) -> Table:
+    """Return the errors of predictions one sample ahead."""
     rows = []
     for name, r in predictions.items():
         label, values = in_shown_unit(name, r, *RMS)
@@ -973,6 +999,7 @@ def _prediction_table(predictions: Mapping[str, Any]) -> Table:
 def _coefficient_figures(
     histories: Sequence[History], names: Sequence[str], gap: Mapping[str, Any], prefix: str
 ) -> tuple[Figure, ...]:
+    """Draw demanded minus modelled coefficients before and after."""
     out = []
     for c in names:
         if not have(histories, (f"{c}_gap_before", f"{c}_gap_after")):
@@ -1002,6 +1029,7 @@ def _coefficient_figures(
 
 
 def _remaining_section(done: Mapping[str, Any]) -> Section:
+    """Return what remains unexplained."""
     lines = tuple(remaining_words(done["remaining"]))
     if lines:
         return Section("What is left", (Bullets(lines, key=True),))
@@ -1017,6 +1045,7 @@ def _remaining_section(done: Mapping[str, Any]) -> Section:
 
 
 def _parameter_section(done: Mapping[str, Any]) -> Section:
+    """Return the parameters of the refined model."""
     rows = tuple(
         (Cell(n, code=True), format_value(r["value"], ".6g"), format_value(r["std"], ".2g"))
         for n, r in done.get("parameters", {}).items()
@@ -1029,6 +1058,7 @@ def _parameter_section(done: Mapping[str, Any]) -> Section:
 
 
 def _model_section(done: Mapping[str, Any], diff: str) -> Section:
+    """Return the changes of the XML and how to switch off each effect."""
     blocks: list[Block] = [Facts((("Refined model", str(done.get("model", "not recorded"))),))]
     switch = [
         f"{s['property']} = {s['off']:g} restores the model without it"

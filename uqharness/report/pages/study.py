@@ -1,5 +1,7 @@
-"""The page of a whole study: answer, ground track, p-box, effect and cells; folded, all findings
-and what each stage found.
+"""Build the page of a study: answer, ground track, p-box, effect and conditions.
+
+All findings and the pages of the stages follow in closed sections. Campaigns are read once; what
+cannot be read is listed on the page.
 """
 
 from __future__ import annotations
@@ -53,8 +55,7 @@ from uqharness.report.parts import (
 from uqharness.report.pbox import LabelledBox, corner_words, pbox_figure
 from uqharness.result_documents import Refinement, Study, read_document
 
-# What a study's page shows before anything is unfolded: the answer, the ground track, one
-# p-box, the effect found, the cells.
+# Open part of the page: answer, ground track, p-box, effect, conditions.
 
 _SURE = f"{100 * CONFIDENCE:g} %"
 _MARKS = {"yes": "✓", "no": "✕", "open": "?"}
@@ -67,9 +68,7 @@ Sides = Mapping[str, CampaignReport]
 
 
 def answer_sentences(answer: Mapping[str, Any]) -> tuple[Sentence, ...]:
-    """The answer with its level, then why, what the model lacked, and what to do next as plain
-    facts.
-    """
+    """Return the answer with its level, then reason, model deficiency and next step."""
     level: Level = answer["level"] if answer["level"] in ("good", "warn", "bad") else ""
     facts = (answer[part] for part in ("why", "lacked", "next"))
     return Sentence(answer["answer"], level), *(Sentence(text) for text in facts if text)
@@ -78,10 +77,9 @@ def answer_sentences(answer: Mapping[str, Any]) -> tuple[Sentence, ...]:
 def first_figures(
     folder: Path, study: Mapping[str, Any], sides: Sides, missing: list[str]
 ) -> tuple[Block, ...]:
-    """One lap as ground track and as distance over time, and the p-box, all of the hardest
-    condition; those of them that there are.
+    """Return the lap as ground track and distance, and the p-box, all in the hardest condition.
 
-    Damage is told in ``missing``.
+    Damaged files are reported in ``missing``.
     """
     try:
         figures = _lap(folder / "tracks.parquet", study.get("tracks") or {})
@@ -94,6 +92,7 @@ def first_figures(
 
 
 def _lap(path: Path, tracks: Mapping[str, Any]) -> list[Figure]:
+    """Draw one lap; empty if the study has no tracks. Raises BadInputError."""
     if "radius_m" not in tracks:
         return []
     frame = read_table(path).to_pandas()
@@ -109,7 +108,7 @@ def _lap(path: Path, tracks: Mapping[str, Any]) -> list[Figure]:
 
 
 def _pbox(sides: Sides) -> Figure | None:
-    """The first quantity that all campaigns have in the hardest condition, over each other."""
+    """Draw the first quantity that all campaigns have in the hardest condition."""
     if not sides:
         return None
     *_, last = sides.values()
@@ -147,7 +146,7 @@ def _pbox(sides: Sides) -> Figure | None:
 
 
 def effect_section(folder: Path) -> Section:
-    """Which effects were found, and log against simulation on the held-out flights.
+    """Return the effects found, and log against simulation on the hold-out flights.
 
     Raises BadInputError.
     """
@@ -189,9 +188,7 @@ def effect_section(folder: Path) -> Section:
 
 
 def cells_section(sides: Sides) -> Section:
-    """A row per condition and radius: the answer before and after, with the rate and its limits at
-    the worst corner.
-    """
+    """Return a row per condition and radius with the answers before and after."""
     *_, last = sides.values()
     if not last.signed:
         return Section(
@@ -231,10 +228,12 @@ def cells_section(sides: Sides) -> Section:
 
 
 def _place(item: Statement) -> tuple[Condition, float, str]:
+    """Return the key of a statement: condition, radius, distance."""
     return item.cell.condition, item.cell.radius_m, item.cell.distance
 
 
 def _answer(item: Statement | None) -> Cell:
+    """Return the answer of a statement with the rate at the worst corner."""
     if item is None:
         return Cell("not flown")
     worst = item.worst
@@ -252,7 +251,7 @@ def _answer(item: Statement | None) -> Cell:
 
 
 def read_side(folder: Path, missing: list[str], read: Any) -> CampaignReport | None:
-    """A campaign of the study; None, and told in ``missing``, where it cannot be read."""
+    """Return a campaign of the study; None, with a message in ``missing``, if it cannot be read."""
     try:
         report: CampaignReport = read(folder)
     except BadInputError as error:
@@ -262,7 +261,7 @@ def read_side(folder: Path, missing: list[str], read: Any) -> CampaignReport | N
 
 
 def folded(sections: Sequence[Section]) -> list[Section]:
-    """The same sections, each closed until it is opened."""
+    """Return the sections closed."""
     return [Section(s.title, s.blocks, s.parts, folded=True) for s in sections]
 
 
@@ -288,7 +287,7 @@ _STAGE_SECTIONS: Mapping[str, tuple[str, ...]] = {
         "What changed in the XML",
     ),
 }
-"""Sections that a study shows of a stage's page; the rest stands in the stage's own."""
+"""Sections of a stage's page that the study displays; the stage's own page has all."""
 _SHOWN_ABOVE = _STAGE_SECTIONS["campaign"][:2]
 _PAGES: Mapping[str, Callable[[Path, str], Page]] = {
     "identify": partial(identify_page, segments=1, only=_STAGE_SECTIONS["identify"]),
@@ -300,7 +299,7 @@ _PAGES: Mapping[str, Callable[[Path, str], Page]] = {
 
 
 def study_page(folder: Path) -> Page:
-    """The page of the folder that ``uqharness study`` wrote, finished or not.
+    """Return the page of a folder that ``uqharness study`` wrote, finished or not.
 
     Raises BadInputError.
     """
@@ -343,9 +342,7 @@ def study_page(folder: Path) -> Page:
 
 
 def _one_campaign(study: Mapping[str, Any]) -> dict[str, str]:
-    """Folder of the first campaign of a study without refinement, under no name; empty
-    without one.
-    """
+    """Return the folder of the first campaign of a study without refinement; empty without one."""
     done = [
         s["folder"]
         for s in study["stages"]
@@ -357,9 +354,7 @@ def _one_campaign(study: Mapping[str, Any]) -> dict[str, str]:
 def _answered(
     folder: Path, study: Mapping[str, Any], sides: Mapping[str, CampaignReport], missing: list[str]
 ) -> tuple[list[Section], tuple[Block, ...]]:
-    """The sections that stand open, and the figures beside the answer; no figure for a study
-    without an answer.
-    """
+    """Return the open sections, and the figures next to the answer."""
     sections: list[Section] = []
     refined = [
         s["folder"]
@@ -375,6 +370,7 @@ def _answered(
 
 
 def _verdict(study: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    """Return the answer or the findings, with the state of an unfinished study."""
     sentences = (
         [*answer_sentences(study["answer"])] if study.get("answer") else [*_sentences(study)]
     )
@@ -408,16 +404,19 @@ def _verdict(study: Mapping[str, Any]) -> tuple[Sentence, ...]:
 
 
 def _sentences(study: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    """Return the sentences of the study's verdict."""
     return tuple(
         Sentence(item["text"], _level(item.get("level"))) for item in study.get("verdict") or ()
     )
 
 
 def _level(value: Any) -> Level:
+    """Return a valid level, or the empty one."""
     return value if value in ("good", "warn", "bad") else ""
 
 
 def _stage_section(study: Mapping[str, Any]) -> Section:
+    """Return the table of stages with their commands."""
     rows = []
     for stage in study["stages"]:
         state = Cell(
@@ -448,7 +447,7 @@ def _stage_page(
     overlaid: Sequence[str | None],
     read: Callable[[Path], CampaignReport],
 ) -> Section | None:
-    """What a finished stage found, shortened; None for a stage that leaves nothing to show here."""
+    """Return selected sections of a finished stage's page; None if it has nothing to display."""
     if stage["state"] != "done" or not stage.get("folder"):
         return None
     place, prefix = folder / stage["folder"], f"s{number}-"
@@ -477,6 +476,7 @@ def _stage_page(
 
 
 def _provenance(study: Mapping[str, Any]) -> Section:
+    """Return command, version and hashes of study file and inputs."""
     inputs = dict.fromkeys(
         item for stage in study["stages"] for item in (stage.get("inputs") or {}).items()
     )
