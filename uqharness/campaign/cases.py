@@ -111,6 +111,7 @@ def uq_properties(spec: CampaignSpec, sample: Epistemic) -> dict[str, float]:
     uncertain gets the bounds (0, 0). If the aircraft computes its bounds itself, they stay, and
     such a coefficient is switched off by ``uq/<C>/active = 0``.
     """
+    # A driver moves its coefficients in flight; without one the levels are constant.
     varied = sample.driver.coefficients if sample.driver is not None else tuple(sample.levels)
     if not varied:
         return {}
@@ -194,10 +195,13 @@ def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
         # numbers.
         seed_turbulence = flight_seed(root_seed, aleatory_id, "turbulence")
         seed_noise = flight_seed(root_seed, aleatory_id, "noise")
+        # One draw per variable and aleatory sample: all corners fly with the same payload, for
+        # example.
         draws = {
             name: unit_draw(root_seed, aleatory_id, name, item)
             for name, item in air.variables.items()
         }
+        # The transient error has its own stream per aleatory id, common to all corners.
         transient = _transient(spec, aleatory_id)
         for wind_mps, turbulence in part.conditions:
             for sample, properties in samples:
@@ -221,6 +225,7 @@ def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
                     excursion_radius_m=radii,
                     rearm_m=float(spec.metrics.rearm_m),
                     levels=sample.driver,
+                    # The nominal model flies without any model error.
                     transient=None if sample.epistemic_id.startswith(NOMINAL) else transient,
                 )
                 yield Case(
@@ -343,6 +348,7 @@ def lanes_per_group(cases: Sequence[Case], workers: int) -> int:
     enough cases.
     """
     flight = cases[0].flight
+    # Lanes that fill the target time of a group, and lanes that give each worker several groups.
     by_time = GROUP_S * FLIGHT_S_PER_CORE_S / (flight.duration_s + flight.burn_in_s)
     by_worker = math.ceil(len(cases) / (_GROUPS_PER_WORKER * max(workers, 1)))
     return min(MAX_LANES, max(1, int(by_time)), max(MIN_LANES, by_worker))
@@ -382,4 +388,5 @@ def group_cases(cases: Sequence[Case], workers: int) -> list[Group]:
         for members in by_condition.values()
         for first in range(0, len(members), lanes)
     ]
+    # Longest first; ties in case order, so that the order is reproducible.
     return sorted(groups, key=lambda group: (-len(group.cases), place[group.cases[0][0]]))

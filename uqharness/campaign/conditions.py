@@ -170,6 +170,7 @@ def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
     aleatory_ids = frame["aleatory_id"].to_numpy() if "aleatory_id" in frame else None
     result = []
     for name, rows in zip(names, corner_rows, strict=True):
+        # Known values first, then the flights without one.
         valid_rows, invalid_rows = rows[is_valid[rows]], rows[~is_valid[rows]]
         flight_airs = (
             None
@@ -219,10 +220,13 @@ def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[Excur
             (str(name), np.asarray(places[name], dtype=np.intp))
             for name in rows["epistemic_id"].unique()
         ]
+        # Counts are NaN for flights without them; the corner's hours and failures are common to all
+        # radii.
         corners = [
             _Corner(name, at, int(failed[at].sum()), float(scored_s[at].sum()) / 3600.0)
             for name, at in by_corner
         ]
+        # 3-D distances are separate columns with a suffix.
         for distance, suffix in (("horizontal", ""), ("3d", "_3d")):
             for radius in radii_m:
                 column = f"excursions_{radius:g}m{suffix}"

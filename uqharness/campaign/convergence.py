@@ -170,6 +170,7 @@ def metric_convergence(
         repeats_by_sample = {
             name: repeats(values, repeat_count, CONFIDENCE)
             for name, values in groups.items()
+            # A repeat needs at least two flights.
             if values.size >= 2 * repeat_count
         }
         name = (
@@ -177,6 +178,8 @@ def metric_convergence(
             if repeats_by_sample
             else ""
         )
+        # Growth needs independent epistemic draws: at least four, with a finite value in one of
+        # them.
         has_growth = (
             is_random
             and len(groups) >= 4
@@ -262,6 +265,7 @@ def sentences(results: Sequence[MetricConvergence]) -> list[str]:
                 f" medians {part.medians.min():.4g} to {part.medians.max():.4g}"
             )
         if item.growth:
+            # Compare the last two sizes, which differ by a factor of two.
             half_size, full = item.growth[-2], item.growth[-1]
             gained = 1.0 - half_size.area / full.area if full.area > 0 else 0.0
             lines.append(
@@ -408,6 +412,7 @@ def compare_flights(folder: Path, flights: pd.DataFrame) -> list[AreaComparison]
     """
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
+    # Use the band of the report, which accounts for sequential looks.
     confidence = band_confidence(manifest["campaign"], CONFIDENCE)
     comparisons, compared_metrics = [], set()
     for metric, condition, box in pboxes(frame, confidence):
@@ -415,6 +420,7 @@ def compare_flights(folder: Path, flights: pd.DataFrame) -> list[AreaComparison]
         rows = _flights_in(flights, condition)
         if metric in rows:
             values = pd.to_numeric(rows[metric], errors="coerce").to_numpy(dtype=float)
+            # Real flights without a value of the metric are left out.
             values = values[np.isfinite(values)]
             if values.size:
                 comparisons.append(

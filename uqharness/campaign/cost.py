@@ -187,6 +187,7 @@ def size_of(spec: CampaignSpec, shards: int = 1) -> Size:
     """
     air, samples = spec.aleatory, epistemic_count(spec)
     conditions = len(air.wind_mps) * len(air.turbulence)
+    # Round up: the largest shard determines the run time.
     flights = -(-air.flights * conditions * samples // shards)
     flight_s = float(air.duration_s) + float(air.burn_in_s)
     at_most = spec.stop.rule == "decide"
@@ -207,6 +208,7 @@ def epistemic_count(spec: CampaignSpec) -> int:
     section = spec.epistemic
     if section.method in SAMPLED:
         return int(section.samples or 0)
+    # Corners, interior points and the nominal model; each with every draw of parameters.
     points = spec.corner_count + spec.interior_samples + section.flies_nominal
     return points * _draws(spec)
 
@@ -248,6 +250,7 @@ def trial_conditions(
     """
     winds_per_turbulence = max(2, TRIAL_CONDITIONS // len(turbulences))
     sorted_winds = sorted(winds_mps)
+    # Select evenly spaced places of the sorted winds, both ends included.
     if len(sorted_winds) > winds_per_turbulence:
         last = len(sorted_winds) - 1
         places = {
@@ -305,12 +308,14 @@ def measure_pace(
     brief_s = _flight_time(fly, brief)
     if brief_s is None:
         return None
+    # A slow or short flight is measured well enough by the check flight alone.
     if brief_s > _SLOW_S or length_s < 2.0 * brief.duration_s:
         return Pace(0.0, brief_s / brief.duration_s)
     long_s = _flight_time(fly, dataclasses.replace(brief, duration_s=length_s))
     if long_s is None:
         return None
     per_second = max(long_s - brief_s, 0.0) / (length_s - brief.duration_s)
+    # The intercept is the time per flight, which cannot be negative.
     return Pace(max(brief_s - per_second * brief.duration_s, 0.0), per_second)
 
 

@@ -217,6 +217,7 @@ def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
 def _copy_aircraft(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
     """Copy the aircraft below ``root`` and apply bounds and start; return the copied folder."""
     copy = root / _COPIED / aircraft.folder.name
+    # The aircraft with what JSBSim needs next to it (engine, systems).
     copy_folder(aircraft.folder, copy)
     copy_beside(aircraft, root, engine.default_root())
     if spec.inputs.model_form is not None:
@@ -242,6 +243,7 @@ def system_file(aircraft: Aircraft) -> Path:
 
     Raises BadInputError if there is none.
     """
+    # JSBSim looks for a system file below Systems/ first, then in the aircraft's folder.
     for system in parse_xml(aircraft.xml).getroot().iter("system"):
         system_name = system.get("file", "").removesuffix(".xml")
         if system_name == SYSTEM:
@@ -374,6 +376,7 @@ def choose_engine(
         If the batch engine is requested, or flew before, and cannot fly the campaign here.
     """
     requested = spec.campaign.engine
+    # A campaign that has begun keeps its engine unless the file names another one.
     continues = previous is not None and requested in ("auto", previous.engine)
     engine_name, given_reasons = (
         (previous.engine, previous.reasons)
@@ -391,6 +394,7 @@ def choose_engine(
                 " it began"
             )
         return EngineChoice(spec.with_engine(BATCH), requested, given_reasons)
+    # Ask the batch engine whether it understands aircraft and mission.
     reasons = reasons_against(spec, mission, engines)
     if engine_name == BATCH:
         if reasons:
@@ -536,6 +540,7 @@ class EngineComparison:
         finished: Iterable[CaseOutcome] = (),
     ) -> None:
         self._folder, self._refly = folder, refly
+        # Conditions and sizes, cases to compare, and values for the scales.
         self._condition = {case.case_id: condition_of(case) for case in cases}
         self._in_condition = dict.fromkeys(self._condition.values(), 0)
         for condition in self._condition.values():
@@ -589,6 +594,7 @@ class EngineComparison:
             if case_id not in self._batch or case_id not in self._jsbsim:
                 continue
             condition = self._condition[case_id]
+            # The scale is usable once enough flights of the condition are there.
             is_scale_known = self._flown[condition] >= min(
                 _FLIGHTS_FOR_SCALE, self._in_condition[condition]
             )
@@ -599,6 +605,7 @@ class EngineComparison:
                     name: difference_scale(values)
                     for name, values in self._values[condition].items()
                 }
+            # Both outcomes are there: compare them and store the rows.
             pair = (self._batch[case_id], self._jsbsim[case_id])
             self._rows[FULL_FLIGHT, case_id] = compare_outcomes(
                 FULL_FLIGHT, case, pair, scales[condition], self._refly
@@ -675,6 +682,7 @@ def difference_scale(values: Sequence[float]) -> float:
     finite = finite[np.isfinite(finite)]
     if finite.size == 0:
         return MIN_SCALE
+    # Interquartile range, limited from below.
     low, middle, high = np.percentile(finite, (25.0, 50.0, 75.0))
     return float(max(high - low, MIN_SHARE_OF_MEDIAN * abs(middle), MIN_SCALE))
 
@@ -716,6 +724,7 @@ def compare_outcomes(
             part, condition_of(case).label, case.case_id, metric, ours, theirs, *share, *verdict
         )
 
+    # The first row compares how the flight ended.
     is_equal = batch.status == jsbsim.status
     is_excused = not is_equal and (timed_out or perturbed_outcome().status != jsbsim.status)
     excuse = _NOT_COMPARED if timed_out else "JSBSim's own differs after one ulp"
@@ -727,6 +736,7 @@ def compare_outcomes(
         if name.startswith(NEAREST):
             rows.append(row(name, "", as_text(theirs), ("", ""), (_EQUAL, "")))
             continue
+        # Counts are compared exactly, other metrics relative to their scale.
         scale = 1.0 if is_count(name) else scales.get(name, MIN_SCALE)
         share = (
             0.0
@@ -768,6 +778,7 @@ def _excuse(
     batch, jsbsim = pair
     if is_count(name) and jsbsim.metrics.get(NEAREST + name, math.inf) <= RADIUS_MARGIN_M:
         return f"the flight came within {RADIUS_MARGIN_M:g} m of the radius"
+    # Only after loss of control may rounding explain a difference.
     lost_control = any(outcome.metrics.get(_LOSS_OF_CONTROL, 0.0) != 0.0 for outcome in pair)
     if not lost_control:
         return ""
@@ -789,6 +800,7 @@ def refuse_difference(folder: Path, rows: Sequence[CheckRow]) -> None:
     differing = [row for row in rows if row.verdict == _DIFFERS]
     if not differing:
         return
+    # Report the largest difference; undefined values count as infinite.
     worst = max(
         differing,
         key=lambda row: math.inf if row.difference in ("", "nan") else float(row.difference),
@@ -849,6 +861,7 @@ def compare_start(
         Condition(*pair) for pair in trial_conditions(winds, turbulences)
     } & by_condition.keys()
     for members in (by_condition[air] for air in by_condition if air in trial):
+        # Evenly spaced cases of the condition, cut to their first seconds.
         picked = [
             _brief(case) for case in members[:: max(1, len(members) // CASES_EACH)][:CASES_EACH]
         ]
@@ -936,6 +949,7 @@ def batch_pace(engines: Engines, cases: Sequence[Case], process: ProcessExecutor
     """Measure the pace of one process in the batch engine; None if a flight does not end well."""
     full = cases[0].flight
     length = min(_PACE_S, full.duration_s + full.burn_in_s)
+    # Short flights side by side, cycling through the conditions.
     lanes = tuple(
         (f"{number}", dataclasses.replace(case.flight, duration_s=length, burn_in_s=0.0))
         for number, case in zip(range(_PACE_LANES), itertools.cycle(cases), strict=False)

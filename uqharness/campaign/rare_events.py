@@ -165,6 +165,7 @@ class LoiterPaths:
             source.factor,
         )
         self._course = Course.begun(prepared, specs)
+        # Burn in, and discard its rows.
         self._course.fly(row_counts(first, self._row_s)[0] * self._stride)
         self._course.taken()
         self._ids = np.asarray(aleatory_ids)
@@ -185,9 +186,11 @@ class LoiterPaths:
             return None
         start_frame = course.frame
         course.fly(min(start_frame + self._step, course.last))
+        # Paths that ended early get the score -inf and are never selected.
         ended = np.array([end.status != "ok" for end in course.ends])
         distance = self._distances(course.taken())
         events = np.zeros(self._outside.shape, dtype=np.int64)
+        # Count excursions row by row with hysteresis, as the campaign's tables do.
         for row in range(distance.shape[1]):
             row_distance = distance[:, row, None]
             is_outside = row_distance > self._radii
@@ -200,6 +203,7 @@ class LoiterPaths:
             self._outside = is_outside | (
                 self._outside & ~(row_distance < self._radii - self._rearm)
             )
+        # Rate of change of the distance from the last two rows.
         closing_mps = (distance[:, -1] - distance[:, -2]) / self._row_s
         score_inputs = {name: course.watched(name) for name in self._watch.score.properties}
         score = self._watch.score.of(score_inputs, distance[:, -1], closing_mps)
@@ -217,6 +221,7 @@ class LoiterPaths:
         ]
         self._course.follow(parents, keys)
         chosen = list(parents)
+        # Bookkeeping follows the paths.
         self._ids, self._outside, self._had = (
             self._ids[chosen],
             self._outside[chosen],
@@ -225,6 +230,7 @@ class LoiterPaths:
 
     def _key(self, aleatory_id: int, level: int) -> Branch:
         """Return the key of the next branch of a flight at a level."""
+        # Branches of the same flight and level are numbered, so each has its own streams.
         number = self._numbers.get((aleatory_id, level), 0)
         self._numbers[aleatory_id, level] = number + 1
         return Branch(self._root, aleatory_id, level, number)
@@ -360,6 +366,7 @@ def fit_predictors(
             f" {tuple(horizons_s)}"
         )
     coefficients, constants, sigmas = [], [], []
+    # One regression per horizon: the regressors now, the distance ``rows`` later.
     for rows in rows_ahead.values():
         x = regressors[:, :-rows].reshape(-1, regressors.shape[2])
         y = distance_m[:, rows:].ravel()
@@ -371,6 +378,7 @@ def fit_predictors(
             np.linalg.solve(z.T @ z + RIDGE * len(z) * np.eye(z.shape[1]), z.T @ (y - y.mean()))
             / scale
         )
+        # Back to the units of the regressors.
         constants.append(float(y.mean() - centre @ slopes))
         coefficients.append(tuple(map(float, slopes)))
         sigmas.append(float((y - x @ slopes - constants[-1]).std()))

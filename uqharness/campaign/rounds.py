@@ -128,6 +128,7 @@ def count_aborted(groups: Sequence[Any], duration_s: float) -> AbortedFlights:
     kinds = dict.fromkeys(KINDS, 0)
     for row, group in enumerate(groups):
         end_kinds = [_BY_STATUS.get(str(status), "") for status in group["status"]]
+        # Aircraft without the metric never report loss of control.
         control_lost = [0.0] * len(group)
         if LOSS_OF_CONTROL in group:
             control_lost = np.nan_to_num(
@@ -141,6 +142,7 @@ def count_aborted(groups: Sequence[Any], duration_s: float) -> AbortedFlights:
             kinds[kind] += 1
         flown_shares = np.clip(group["duration_s"].to_numpy(dtype=float) / duration_s, 0.0, 1.0)
         is_aborted[row, : len(group)] = [float(bool(kind)) for kind in flight_kinds]
+        # Only flights that ended early miss time; loss of control alone does not end a flight.
         missing[row, : len(group)] = np.where(
             [bool(kind) for kind in end_kinds], 1.0 - flown_shares, 0.0
         )
@@ -236,6 +238,7 @@ def rule_of(campaign: Mapping[str, Any], corners: int) -> Rule | None:
         return None
     acceptable, flights = float(metrics["acceptable_per_h"]), int(air["flights"])
     every_corner = stop.get("answer_for") == "corner"
+    # Bonferroni: the error rate is divided by the number of simultaneous questions.
     questions = (
         len(air["wind_mps"]) * len(air["turbulence"])
         if stop.get("simultaneous_over") == "campaign"
@@ -309,6 +312,8 @@ class Rounds:
             return
         order = {case.case_id: place for place, case in enumerate(self._cases)}
         first, flown_cases, flights = 0, 0, 1 + max(case.aleatory_id for case in self._cases)
+        # Fly the next block of aleatory ids at every corner that is still open, then look at the
+        # evidence.
         while first < flights and any(cell.evidence.open.any() for cell in self._cells):
             ids = range(first, min(first + self._rule.look_every, flights))
             round_cases = sorted(
@@ -318,6 +323,7 @@ class Rounds:
             flown_cases += len(round_cases)
             yield round_cases
             outcomes = {case.case_id: _outcome(store, case) for case in round_cases}
+            # Update the evidence of each condition.
             for cell in self._cells:
                 cell.learn(ids, outcomes)
             first = ids.stop
@@ -374,6 +380,7 @@ class _Cell:
     def learn(self, ids: range, outcomes: Mapping[str, CaseOutcome]) -> None:
         """Add the flights ``ids`` of the open corners to the evidence and test it."""
         low, high, is_aborted, missing = np.full((4, len(self._corners), len(ids)), np.nan)
+        # Rows of answered corners stay NaN and add no evidence.
         for row in np.flatnonzero(self.evidence.open):
             for column, number in enumerate(ids):
                 case = self._by_place[self._corners[row], number]
@@ -395,6 +402,7 @@ class _Cell:
             self.first.turbulence,
         ]
         question = [f"{rule.radius_m:g}", f"{rule.acceptable_per_h:g}"]
+        # Rates per hour from the upper counts; the worst corner represents the condition.
         rate = evidence.total / np.maximum(evidence.flights, 1.0) / hours
         worst = int(rate.argmax())
         totals = [

@@ -237,9 +237,11 @@ def run_campaign(
     KeyboardInterrupt
         Passed on; everything finished so far is kept.
     """
+    # Resolve files and engine first: they decide what is flown and how fast.
     engines = Engines.of(fly)
     has_mission = mission is not None
     folder = Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder
+    # An executor that flies case by case cannot use the batch engine.
     if executor is not None and not hasattr(executor, "run_groups"):
         engines = dataclasses.replace(
             engines, batch=None, no_batch="the executor flies case by case (it has no run_groups)"
@@ -248,6 +250,7 @@ def run_campaign(
     mission = mission or find_mission(spec, folder)
     from uqharness.campaign.engines import with_default_noise
 
+    # From here on the specification is complete: sensor noise, engine, number of flights.
     spec = with_default_noise(spec, mission)
     engine_choice = choose_engine_by_flight(spec, mission, engines, previous_engine(folder))
     spec = engine_choice.spec
@@ -265,6 +268,7 @@ def run_campaign(
             with naming_keys(spec):
                 pace = _trial_pace(engine_choice, mission, engines)
             report_cost(pace, 0)
+    # All cases, then those of the shard.
     cases = build_cases(spec, mission)
     rounds = Rounds(spec, cases, folder)
     if shard is not None:
@@ -282,10 +286,12 @@ def run_campaign(
             _refuse_foreign(folder)
     # From here on no other run may change the folder.
     with run_lock(_make_folder(folder)):
+        # Compare with what the folder holds, before anything is written.
         manifest = describe(spec, mission, len(cases), command) | (
             {} if shard is None else {"shard": str(shard)}
         )
         old, finished = _previous_run(folder, manifest)
+        # The copy of the aircraft is made only now that the folder is accepted.
         if not has_mission:
             from uqharness.campaign.engines import make_copy, needs_copy
 
@@ -303,6 +309,7 @@ def run_campaign(
         }
         previous_sums = checksums.take_away(folder)
         write_manifest(folder, manifest)
+        # Fly what is missing into the journal.
         with Store(folder) as store:
             try:
                 judge = None
@@ -330,6 +337,7 @@ def run_campaign(
                 if shard is not None
                 else make_tables(spec, cases, store.outcomes(), rounds.decisions)
             )
+            # Tables first, then the manifest with their digests, then the checksums of all files.
             write_tables(folder, tables)
             write_manifest(folder, sealed(manifest | {"cases": summary.cases}, store, tables))
         seal_files(folder, previous_sums)
@@ -432,6 +440,7 @@ def validate_model(fly: FlightFunction, case: Case) -> Pace | None:
     BadInputError
         With the reason, if the model cannot be flown.
     """
+    # The check flight has no burn-in and at most five seconds.
     brief = dataclasses.replace(
         case.flight, duration_s=min(VALIDATION_S, case.flight.duration_s), burn_in_s=0.0
     )
@@ -572,10 +581,12 @@ def _fly_missing(
         )
 
     for round_cases in rounds(store):
+        # Cases of this round that are not stored yet.
         missing = [case for case in round_cases if case.case_id not in finished]
         comparison_groups = [] if judge is None else judge.groups(round_cases)
         if not missing and not comparison_groups:
             continue
+        # Check the model and measure the pace once, before the first case.
         if not start_checked:
             pace = (
                 validate_model(engines.fly, _most_turbulent(missing))
@@ -594,6 +605,7 @@ def _fly_missing(
         try:
             for outcomes in batches:
                 batch = outcomes if judge is None else judge.take(outcomes)
+                # Stored first, then counted and reported.
                 store.add(batch)
                 statuses.update(outcome.status for outcome in batch)
                 flown_s += sum(outcome.flown_s for outcome in batch)

@@ -164,6 +164,7 @@ def read_corner_campaign(folder: Path) -> CornerCampaign:
     """
     campaign = _read_campaign(folder)
     epistemic = campaign.manifest["campaign"]["epistemic"]
+    # Corners are combinations of the levels 0 and 1.
     method, levels = epistemic["method"], epistemic.get("levels")
     if method not in _RANKS_BY or (method == "levels" and not {0.0, 1.0} <= set(levels or ())):
         description = f'method = "{method}"' + (
@@ -197,6 +198,7 @@ def read_interior_campaign(folder: Path, corners: CornerCampaign) -> CornerCampa
             f'{folder}: not a campaign of levels; fly one with method = "levels", levels = [0.5]'
         )
     mine, theirs = interior.manifest["campaign"], corners.manifest["campaign"]
+    # Both campaigns must share random streams, air, bounds and files.
     different = [key for key in ("seed",) if mine["campaign"][key] != theirs["campaign"][key]]
     different += [
         key
@@ -298,6 +300,7 @@ def _analyse(
     campaign = table.campaign
     names = campaign.coefficients
     d = len(names)
+    # Values by combination of levels; the corners are taken out in standard order.
     values = dict(zip(table.levels.keys, table.levels.values(campaign, metric), strict=True))
     ends = box_corners(np.zeros(d), np.ones(d))
     try:
@@ -306,6 +309,7 @@ def _analyse(
         raise BadInputError(
             f"{campaign.folder}: the corner {missing} was not flown in {condition.words}"
         ) from None
+    # What remains are levels between the bounds.
     inside = np.array(list(values.values())) if values else None
     if between is not None:
         interior_values = zip(
@@ -322,10 +326,12 @@ def _analyse(
         is_valid &= np.all(np.isfinite(inside), axis=0)
     inside = _with_points(inside, list(table.points.values(campaign, metric)), is_valid)
     left_out = int(np.count_nonzero(~is_valid))
+    # Leave out incomplete aleatory samples, unless they are too many: then the result is undefined.
     if left_out <= MAX_LEFT_OUT * is_valid.size:
         y, inside = y[:, is_valid], None if inside is None else inside[:, is_valid]
     zero, one = np.zeros(d), np.ones(d)
     study = Study(names, zero, one, 0.5 * one, 0.01 * one, np.empty((0, d)), True, {})
+    # The study has unit bounds; only its corner pairs are used.
     result = corner_pairs(study, Evaluations(corners=y, interior=inside), seed)
     ranking = rank(result, left_out)
     text = words(result, metric, ranking, left_out, is_valid.size)
@@ -356,6 +362,7 @@ def _group_by_levels(
     rows = rows[rows["epistemic_id"].str.startswith(INTERIOR_MARK) == interior]
     # The nominal model has no place in the box of levels.
     rows = rows[~rows["epistemic_id"].str.startswith(NOMINAL)]
+    # Group flights by their combination of levels.
     level_names = [f"level_{name}" for name in campaign.coefficients]
     ids = np.sort(rows["aleatory_id"].unique())
     keys, places, complete = [], [], []
@@ -367,6 +374,7 @@ def _group_by_levels(
                 " samples"
             )
         ok = (ordered["status"] == "ok").to_numpy()
+        # Counts of flights of different length cannot be compared.
         durations = ordered["duration_s"].to_numpy()[ok]
         if durations.size and np.ptp(durations) > 1e-6:
             raise BadInputError(
@@ -570,6 +578,7 @@ def find_winner(
     """
     campaign = read_corner_campaign(folder)
     available = metrics_of(campaign)
+    # Default: cross-track error if there is one, else the first metric.
     chosen = metric or (DEFAULT_METRIC if DEFAULT_METRIC in available else (available or ("",))[0])
     if chosen not in available:
         raise BadInputError(
@@ -593,6 +602,7 @@ def find_winner(
             # Weight the middle of the share by the width of the p-box of the condition.
             middle = 0.5 * (index.minimum.value + index.maximum.value)
             parts[name] = parts.get(name, 0.0) + middle * float(item.result.details["area"])
+    # The winner has the largest sum of share times width.
     largest = max(parts, key=lambda name: parts[name])
     name = coefficient or largest
     if name not in parts:

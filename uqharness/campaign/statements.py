@@ -132,15 +132,18 @@ def bound_dispersion(
         level
         for all corners together.
     """
+    # Start from the assumed dispersion at every corner.
     corners = flown_h.size
     bound, measured_at, lower_bound = (
         np.full(corners, float(assumed)),
         np.full(corners, np.nan),
         np.zeros(corners),
     )
+    # From the smallest radius to the largest: a larger one replaces what smaller ones measured.
     for radius in sorted(radius for radius in counts if radius <= radius_m):
         events = np.nansum(counts[radius], axis=1)
         rare = events < RARE_PER_H * flown_h
+        # A lower limit for all corners together, to test the bound against.
         low = dispersion_limits(counts[radius], error / corners)[0]
         # A radius is left out only if its excursions are shown to be frequent, not for a count that
         # is above the limit by chance.
@@ -154,6 +157,7 @@ def bound_dispersion(
             enough = (events >= ENOUGH_EXCURSIONS) & rare
             bound = np.where(enough, dispersion_limits(counts[radius], error)[1], bound)
             measured_at = np.where(enough, radius, measured_at)
+    # Where the dispersion is assumed, the largest lower limit of any corner counts against it.
     contradicting = np.where(np.isnan(measured_at), lower_bound.max(), lower_bound)
     return DispersionBound(bound, measured_at, bool(np.any(contradicting > bound)))
 
@@ -399,6 +403,7 @@ def statements(
     decisions : sequence of mapping
         Rows of decisions.csv; their answers take precedence.
     """
+    # Only campaigns with the rule *decide* have decisions.
     rule = rule_of(campaign, frame["epistemic_id"].nunique())
     answers = {
         (row["condition"], row["radius_m"]): row["answer"]
@@ -473,6 +478,7 @@ def _statement(
     """Compute the statement of one condition, radius and distance."""
     rows, losses, flown_h = flights_flown.rows, flights_flown.losses, flights_flown.hours
     metrics, hours = campaign["metrics"], float(campaign["aleatory"]["duration_s"]) / 3600.0
+    # Smallest and largest counts bracket what failed flights may have done.
     low, high = _count_ranges(flights_flown, excursion_column(cell.radius_m, cell.distance))
     flights, total = np.isfinite(high).sum(axis=1).astype(float), np.nansum(high, axis=1)
     assumed = float(metrics["dispersion"])
@@ -492,6 +498,8 @@ def _statement(
     clusters = bound_dispersion(
         counts_at_smaller_radii | {cell.radius_m: high}, cell.radius_m, flown_h, assumed, error
     )
+    # Limits allow for the largest of three: measured or assumed, observed, and single early-ended
+    # flights.
     observed = observed_dispersion(high)
     # Limits on partly flown time need a dispersion of at least the largest count of a flight that
     # ended early.
@@ -512,6 +520,7 @@ def _statement(
     best_rates, worst_rates = (
         _per_hour(np.nansum(counts, axis=1), flown_h) for counts in (low, high)
     )
+    # The best corner by its smallest possible rate, the worst by its largest.
     at_best, at_worst = (
         int(np.where(np.isnan(best_rates), np.inf, best_rates).argmin()),
         int(worst_rates.argmax()),
@@ -521,6 +530,7 @@ def _statement(
     acceptable_loss = float(metrics.get("acceptable_loss_per_h") or acceptable)
     # Ratios of variance to mean are noise below MIN_EXCURSIONS.
     informative = observed[total >= MIN_EXCURSIONS]
+    # Yes if both upper limits pass at every corner; no if some corner is shown to exceed a limit.
     answer, reason = OPEN, ""
     if np.all(upper <= acceptable) and np.all(loss_upper <= acceptable_loss):
         answer, reason = (OPEN, DISPERSION_EXCEEDED) if clusters.is_contradicted else (YES, "")
@@ -614,6 +624,7 @@ def _is_above(
         )
         for count, mean in zip(counts, acceptable, strict=True)
     )
+    # Average the e-values of excursions and aborted flights over the corners.
     evidence = evidence_of_either(excursions, losses)
     return bool(np.logaddexp.reduce(evidence) - np.log(evidence.size) >= -np.log(error))
 

@@ -85,6 +85,7 @@ class DaskExecutor:
         self, fly: GroupFunction, groups: Iterable[Group]
     ) -> Iterator[list[CaseOutcome]]:
         """Fly groups of cases, see `Executor.run_groups`."""
+        # Orders in transit by key, suspects to repeat, and how often an order was lost.
         orders = _make_orders(fly, groups)
         suspects: deque[Order] = deque()
         flying: dict[str, tuple[Any, Order]] = {}
@@ -110,14 +111,18 @@ class DaskExecutor:
                     future = self._submit(f"{prefix}-{number}", order)
                     flying[future.key] = (future, order)
                     future.add_done_callback(finished.put)
+                # All orders are answered.
                 if not flying:
                     break
+                # An answer holds outcomes; None means that every worker that had the order was
+                # lost.
                 for future, answer in self._answers(_drain(finished)):
                     _, order = flying.pop(future.key)
                     if answer is not None:
                         batch += answer_from(answer, order.case_ids)
                         continue
                     rounds[order.case_ids] = rounds.get(order.case_ids, 0) + 1
+                    # Divide a lost group to isolate the failing case.
                     if len(order.case_ids) > 1:
                         parts = [replace(order, group=part) for part in order.group.parts(PARTS)]
                         rounds |= {part.case_ids: 0 for part in parts}

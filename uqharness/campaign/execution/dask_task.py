@@ -264,6 +264,7 @@ def fly_order(text: str) -> str:
 
 def _fly_group(order: Order) -> list[CaseOutcome]:
     """Validate an order and fly its group in a child process."""
+    # Check the order before anything is flown.
     fly = group_function(order)
     _refuse_unfit(order.group)
     _, flight = order.group.cases[0]
@@ -325,6 +326,7 @@ _idle: list[tuple[str, ProcessExecutor]] = []
 
 def _take_executor(fly: str) -> ProcessExecutor:
     """Return an idle executor of that flight function, or a new one."""
+    # Reuse an idle executor of the same function; close those of others.
     while _idle:
         try:
             name, executor = _idle.pop()
@@ -350,6 +352,7 @@ def _refuse_other_versions(
 ) -> None:
     """Raise BadInputError if versions or files of this machine are not those of the campaign."""
     campaign_versions, local_versions = dict(versions), dict(_versions_here())
+    # Versions of programs, then content of the files.
     unlike = [
         f"{name} {campaign_versions.get(name, 'unknown')} there,"
         f" {local_versions.get(name, 'unknown')} here"

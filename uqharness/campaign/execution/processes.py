@@ -189,6 +189,7 @@ class ProcessExecutor:
         self, fly: GroupFunction, groups: Iterable[Group]
     ) -> Iterator[list[CaseOutcome]]:
         """Fly groups in worker processes, see `Executor.run_groups`."""
+        # New tasks come from ``source``; tasks of dead workers wait in ``retry_queue``.
         source = (_Task(group) for group in groups)
         retry_queue: deque[_Task] = deque()
         pool: list[_Worker] = self._kept
@@ -222,7 +223,9 @@ class ProcessExecutor:
         batch: list[CaseOutcome] = []
         handed_on = time.monotonic()
         while True:
+            # Keep every worker supplied.
             self._feed(fly, source, retry_queue, pool)
+            # Done when no worker has a task.
             busy = [worker for worker in pool if worker.tasks]
             if not busy:
                 break
@@ -235,9 +238,11 @@ class ProcessExecutor:
                     worker.process.is_alive()
                 )  # asked before reading, so that nothing sent before death is missed
                 batch += self._receive(worker)
+                # The worker died: its tasks are scheduled again or counted as crashed.
                 if not is_alive:
                     pool.remove(worker)
                     batch += self._bury(worker, retry_queue)
+                # The worker is alive: has the task at its head exceeded its limit?
                 elif worker.tasks:
                     limit = self._limit_s(worker.tasks[0].group) if worker.ready else _START_S
                     if time.monotonic() - worker.head_since > limit:
@@ -308,6 +313,7 @@ class ProcessExecutor:
         worker.process.join()
         code = worker.process.exitcode
         worker.pipe.close()
+        # A worker that never became ready points to a broken installation, not to a flight.
         if not worker.ready:
             self._start_failures += 1
             if (
@@ -354,6 +360,7 @@ class ProcessExecutor:
             return []
         failed_task = worker.tasks.popleft()
         retry_queue.extendleft(reversed(worker.tasks))
+        # Divide the group to isolate the failing case.
         if len(failed_task.group.cases) > 1:
             retry_queue.extendleft(_Task(part) for part in reversed(failed_task.group.parts(PARTS)))
             return []

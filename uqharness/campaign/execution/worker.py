@@ -96,6 +96,7 @@ def attempt_group(fly: GroupFunction, group: Group) -> list[CaseOutcome]:
             for (case_id, _), result in zip(group.cases, results, strict=True)
         ]
     except Exception as error:
+        # Bisect the group to find the failing case.
         if len(group.cases) > 1:
             return [outcome for part in group.parts(2) for outcome in attempt_group(fly, part)]
         ((case_id, _),) = group.cases
@@ -223,6 +224,7 @@ def with_distances(result: FlightResult, flight: FlightSpec) -> FlightResult:
     for radius in flight.excursion_radius_m:
         for distance_name, suffix in (("cross_track", ""), ("distance_3d", "_3d")):
             distance = np.abs(result.signals.get(distance_name, np.zeros(0)))
+            # Distance of the record to the radius and to the re-arm limit.
             gaps = [
                 np.min(np.abs(distance - limit))
                 for limit in (radius, radius - flight.rearm_m)

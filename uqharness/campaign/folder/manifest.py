@@ -300,6 +300,7 @@ def _parsed(content: bytes, path: Path) -> dict[str, Any]:
         or file_format not in readable_formats
     ):
         raise BadInputError(f"{path}: written by another version of uqharness, or not by uqharness")
+    # The digest covers everything but itself.
     digest = manifest.pop("digest", None)
     if digest != (digest_of_text(manifest) if file_format == FORMAT else None):
         raise ValueError("its content does not fit its digest")
@@ -350,6 +351,7 @@ def refuse_if_different(
         if name not in ignore and old["versions"].get(name) != new["versions"].get(name)
     ]
     old_settings, new_settings = _flatten(old["campaign"]), _flatten(new["campaign"])
+    # Settings, except paths and an engine that was chosen automatically.
     for key in sorted(old_settings.keys() | new_settings.keys()):
         if key == "campaign.engine" and new_settings.get(key, "auto") == "auto":
             continue  # whichever flew before
@@ -369,6 +371,7 @@ def refuse_if_different(
                 f"the content of the {name} ({setting_value}) has changed: {old_hash[:12]} then,"
                 f" {new_hash[:12]} now"
             )
+    # Further input files: bounds and fit.
     for role in sorted((old["hashes"].keys() | new["hashes"].keys()) - {"aircraft", "script"}):
         old_hash, new_hash = (
             hashes.get(role, "absent")[:12] for hashes in (old["hashes"], new["hashes"])

@@ -102,6 +102,7 @@ class RecordedFlight:
             if mission.aircraft.has_card
             else {name: table.pop(name) for name in set(table) - set(properties.STANDARD)}
         )
+        # Signals beyond the card are recorded if the aircraft has them.
         optional |= properties.standard_positions() | _extra_signals(mission.aircraft.card.metrics)
         rate_hz = min(RECORD_HZ, 1.0 / mission.aircraft.dt_s)
         full = record_mission(mission, _at_rate(spec, rate_hz), table, optional, keep_burn_in=True)
@@ -131,6 +132,7 @@ def rerun_case(folder: Path, case_id: str) -> RerunResult:
     spec = spec_of(manifest)
     mission = find_mission(spec, folder)
     refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""))
+    # The case is built from the manifest, so its flight is the stored one.
     case = _find_case(build_cases(spec, mission), case_id, folder)
     reason = unavailable_reason(case.engine)
     if reason is not None:
@@ -157,6 +159,7 @@ def rerun_case(folder: Path, case_id: str) -> RerunResult:
     ]
     if outcome.bad_input:
         raise BadInputError(outcome.reason)
+    # Compare with the stored outcome, bit by bit.
     differences = () if stored is None else tuple(_differences(stored, outcome))
     same = None if stored is None else not differences
     files = _write(target, case, outcome, same, differences, record)

@@ -107,6 +107,7 @@ def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
         every = csv_rows(
             content, folder / STATEMENTS, ("radius_m", "acceptable_per_h", "hours"), texts
         )
+        # Answer for the smallest radius, the one that the campaign asks about.
         smallest = min((float(row["radius_m"]) for row in every), default=0.0)
         rows = [
             row
@@ -219,6 +220,7 @@ def rewrite_damaged_tables(
     if not damaged:
         return ()
     rounds = Rounds(spec, cases, None)
+    # Replay the rounds to obtain decisions.csv.
     for _ in rounds(store):
         pass
     tables = make_tables(spec, cases, store.outcomes(), rounds.decisions)
@@ -337,6 +339,7 @@ def merge(folder: Path) -> MergeResult:
         name: first[name] for name in ("versions", "engine") if name in first
     }
     with run_lock(folder):
+        # An earlier merge in the folder must be of the same campaign.
         old = _previous_merge(folder, manifest)
         for part in folders:
             part_manifest = read_manifest(part)
@@ -353,6 +356,7 @@ def merge(folder: Path) -> MergeResult:
                 rewritten = rewrite_damaged_tables(folder, old, spec, cases, store)
                 return _merged(folder, cases, store.statuses(), 0, folders, rewritten)
         manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
+        # Check every journal before anything is written.
         for part in (*folders, *([folder] if old is not None else [])):
             _refuse_damage(part, read_manifest(part))
         previous_sums = checksums.take_away(folder)
@@ -363,6 +367,7 @@ def merge(folder: Path) -> MergeResult:
                     store.add(
                         outcome for outcome in part_store.outcomes() if outcome.case_id in case_ids
                     )
+            # Tables are written only when all flights are there.
             missing = len(case_ids - store.finished())
             if not missing:
                 tables = make_tables(spec, cases, store.outcomes())

@@ -142,6 +142,7 @@ class Store:
         statements = [
             row[0] for row in self._database.execute("select sql from sqlite_master order by name")
         ]
+        # No table: an empty file, or one whose creation was interrupted.
         if not statements:
             # Tables are created in one transaction: without them the file has no page.
             if self._database.execute("pragma page_count").fetchone() != (0,):
@@ -185,6 +186,7 @@ class Store:
             if not self._schema():
                 return
             counted, total = Counter[str](), 0
+            # A read transaction: rows and tally belong to the same state.
             self._database.execute("begin")
             try:
                 expected = self._tally()
@@ -261,6 +263,7 @@ class Store:
         except sqlite3.Error as error:
             # Errors without a code come from Python, e.g. for text that is not UTF-8.
             code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
+            # A read-only error with write permission means that the file is damaged.
             forbidden = code == sqlite3.SQLITE_READONLY and os.access(self._path, os.W_OK)
             if code not in _MACHINE_ERRORS or (forbidden and os.access(self.folder, os.W_OK)):
                 raise self._damage(" ".join(str(error).split())) from None
@@ -322,6 +325,7 @@ def add_rows(
 
     ``statuses`` and ``total`` are the tally so far.
     """
+    # A row that replaces another one is subtracted from the tally first.
     statuses, added, removed = statuses.copy(), [], []
     for row in rows:
         query = "select status, digest from outcome where case_id = ?"
@@ -543,6 +547,7 @@ class JournalScan:
     ) -> Iterator[tuple[Any, ...]]:
         """Yield intact rows of one variant of the file."""
         visited = set[Any]()
+        # Forwards up to the damage, then backwards from the end.
         for direction in ("asc", "desc"):
             yield from self._sound_rows(
                 database,
@@ -618,6 +623,7 @@ def _replace_first_page(path: Path, empty: Path) -> bool:
     with closing(sqlite3.connect(empty)) as database:
         database.execute("pragma page_size = 8192")
         create_tables(database)
+    # The first page names the roots of the tables, which are the same in all journals.
     page = bytearray(empty.read_bytes()[:8192])
     pages, remainder = divmod(path.stat().st_size, len(page))
     if remainder or not pages:

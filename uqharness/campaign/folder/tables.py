@@ -80,6 +80,7 @@ def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Ta
     so far.
     """
     by_id = {outcome.case_id: outcome for outcome in outcomes}
+    # Columns follow from the campaign: radii, uncommanded metrics, inputs.
     radii = cases[0].flight.excursion_radius_m if cases else ()
     metric_names = {name for outcome in by_id.values() for name in outcome.metrics}
     uncommanded = tuple(name for name in UNCOMMANDED_METRICS if name in metric_names)
@@ -106,6 +107,7 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
     )
     types = {field.name: field.type for field in table.schema}
     for field in _schema(counted_radii(campaign["metrics"]), (), means):
+        # Tables of older versions have no engine column.
         if field.name == _ENGINE and field.name not in types:
             continue  # a table from before there was another engine than JSBSim
         if field.name not in types or len(table.schema.get_all_field_indices(field.name)) != 1:
@@ -115,6 +117,7 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
                 f"{path}: column {field.name} is of type {types[field.name]}, not {field.type}; run"
                 " the campaign again"
             )
+    # No flight leaves these columns empty or with other values.
     bad_columns = [name for name in _ALWAYS if table[name].null_count]
     allowed: dict[str, tuple[str, ...]] = {
         "status": STATUSES,
@@ -290,6 +293,7 @@ def _excursions_csv(frame: pd.DataFrame, claims: Sequence[Statement]) -> bytes:
     writer.writerow(_EXCURSION_COLUMNS)
     for statement in claims:
         cell = statement.cell
+        # Mark the best and the worst corner of each condition.
         best, worst = best_and_worst(cell.rates)
         shares = (
             in_condition(frame, cell.condition)

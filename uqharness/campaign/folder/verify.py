@@ -142,6 +142,7 @@ def verify(folder: Path) -> FolderCheck:
             f"{folder}: not a folder of a campaign, a study or a refinement (no {MANIFEST}, no "
             f"{JOURNAL}, no {SHARDS}/, no {SUMS})"
         )
+    # Manifest, journal and tables first; other files by SHA256SUMS.
     complete, items = _verify_campaign(folder) if is_campaign else (None, ())
     # An incomplete campaign has no SHA256SUMS, or those of an earlier completion.
     files = _file_items(folder, items) if sealed and complete is not False else ()
@@ -232,6 +233,7 @@ def scan_journal(folder: Path, manifest: Mapping[str, Any] | None) -> JournalSca
                 # Opening the journal itself would undo an incomplete write; that is left to the
                 # next run.
                 copy_of(folder, scratch.path / "opened")
+                # First as every command opens it, then row by row.
                 problem, expected = _opened(scratch.path / "opened", folder)
             else:
                 problem, expected = _opened(folder, folder)
@@ -363,6 +365,7 @@ def salvage(
     parts = part_folders(folder)
     if not parts:
         return _salvage_campaign(folder, flying, campaign, command)
+    # Shards first: merging needs them intact.
     done = tuple(
         _salvage_campaign(part, flying, campaign, command) for part in parts if not _is_whole(part)
     )
@@ -447,6 +450,7 @@ def _salvage_campaign(
             f"{folder}: not a campaign folder (no {MANIFEST}, no {JOURNAL}); nothing to salvage"
         )
     with run_lock(folder):
+        # Identify the campaign, then replace what is damaged.
         spec, manifest, renamed = _identify_campaign(folder, campaign, command)
         if manifest["state"] == MIXED:
             raise BadInputError(
@@ -464,6 +468,7 @@ def _salvage_campaign(
         renamed += _rename_damaged_tables(folder, manifest)
         with Store(folder) as store:
             retained = store.statuses().total()
+    # Fly what is missing now.
     shard = None if "shard" not in manifest else parse_shard(manifest["shard"])
     summary = run_campaign(
         spec,
@@ -599,7 +604,10 @@ def _replace_journal(folder: Path, case_ids: Collection[str] | None) -> list[str
             for source in _sources(folder):
                 rows = JournalScan(source, work / "scan").rows(case_ids or ())
                 for batch in _batches(
-                    outcome_of(row) for row in rows if case_ids is None or row[0] in case_ids
+                    # Rows of other campaigns are left out.
+                    outcome_of(row)
+                    for row in rows
+                    if case_ids is None or row[0] in case_ids
                 ):
                     store.add(batch)
         renamed = _rename_journal(folder)

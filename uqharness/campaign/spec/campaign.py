@@ -161,6 +161,7 @@ class EpistemicSection(Section):
     @classmethod
     def _rates(cls, value: Any) -> Any:
         """Expand a single walk rate to all coefficients."""
+        # One number holds for all coefficients.
         rates = value if isinstance(value, dict) else dict.fromkeys(COEFFICIENTS, value)
         for name, rate in rates.items():
             if not is_number(rate) or not rate > 0:
@@ -325,6 +326,7 @@ class StopSection(Section):
     @model_validator(mode="after")
     def _of_its_rule(self) -> StopSection:
         """Refuse keys of another rule."""
+        # A key of another rule would be ignored silently, so it is refused.
         for rule, keys in _KEYS_OF_RULE.items():
             strange = [key for key in keys if getattr(self, key) is not None and rule != self.rule]
             if strange:
@@ -449,6 +451,8 @@ class Estimates:
 
     def factor(self) -> NDArray[np.float64]:
         """Return the lower triangle L (n, n) with L L' = covariance."""
+        # Factor the correlation matrix, which is better conditioned, with arithmetic that is the
+        # same everywhere.
         std = np.sqrt(np.diag(self.covariance))
         correlation = self.covariance / np.outer(std, std)
         factor: NDArray[np.float64] = std[:, None] * np.array(
@@ -509,6 +513,7 @@ def read_inputs(section: EpistemicSection, folder: Path) -> CampaignInputs:
     hashes: dict[str, str] = {}
     model_form: Path | None = None
     coefficients: tuple[str, ...] = section.coefficients
+    # Walk rates: from the file, the published one, or the model form.
     rates: dict[str, float] = {
         str(name): rate for name, rate in (section.walk_rate_per_sqrt_s or {}).items()
     }
@@ -607,6 +612,7 @@ def _estimates(path: Path, requested: tuple[str, ...] | None) -> Estimates:
         raise BadInputError(f"{path}: {error}") from None
     try:
         names = [str(name) for name in document["names"]]
+        # Validate shape, symmetry and definiteness before anything is drawn.
         covariance = np.array(document["cov"], dtype=np.float64)
         values = np.array(
             [document["parameters"][name]["value"] for name in names], dtype=np.float64
@@ -797,6 +803,7 @@ class CampaignSpec:
         epistemic = settings["epistemic"]
         epistemic["coefficients"] = list(self.inputs.coefficients)
         for name in ("interior", "nominal", "transient"):
+            # Keys that do not apply are absent, so that equal campaigns give equal dictionaries.
             epistemic.pop(name, None)
         if self.epistemic.method == "corners":
             epistemic["interior"] = self.interior_samples

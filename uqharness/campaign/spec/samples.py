@@ -82,6 +82,7 @@ def joint_radius(dof: int, confidence: float) -> float:
             f"dof = {dof}, confidence = {confidence}: at least 1, and a number above 0 and below 1"
             " are needed"
         )
+    # Bisection to the last bit: no library function with other rounding is involved.
     low, high = 0.0, _MAX_SIGMA
     while True:
         middle = 0.5 * (low + high)
@@ -124,6 +125,7 @@ def _chi_distribution(r: float, dof: int) -> float:
     everywhere.
     """
     factor = random_numbers.exp(-0.5 * r * r) * (math.sqrt(2.0 / math.pi) if dof % 2 else 1.0)
+    # Leading term r^dof exp(-r^2/2) over the double factorial, then the series.
     for n in range(dof, 0, -2):
         factor *= r * r / n if n > 1 else r
     term = total = 1.0
@@ -176,12 +178,14 @@ def epistemic_samples(spec: CampaignSpec) -> tuple[Epistemic, ...]:
     ``a..1...`` the end of an axis, with ``.`` for a coefficient in the middle of its interval.
     ``nominal`` has zero deltas and uncertain means in the middle of their intervals.
     """
+    # Uncertain means are a further dimension of every combination.
     means = [
         name for name, item in spec.aleatory.variables.items() if item.mean_interval is not None
     ]
     draws = _parameter_draws(spec)
     if spec.epistemic.method in SAMPLED:
         return tuple(_drawn_samples(spec, means, draws))
+    # Corners, interior points, and last the nominal model.
     points = [*_combined(spec, means), *_interior(spec, means)]
     if spec.epistemic.flies_nominal:
         points.append(Epistemic(NOMINAL, {}, None, dict.fromkeys(means, 0.5)))
@@ -283,6 +287,7 @@ def _inside(spec: CampaignSpec, columns: Mapping[str, FloatArray], number: int) 
     """Return the levels of one point of a Latin hypercube, mapped into the ellipsoid if that is the
     set.
     """
+    # A point of the unit box; for an ellipsoid it is mapped into the ball.
     levels = [float(columns[name][number]) for name in spec.inputs.coefficients]
     if spec.epistemic.set == "ellipsoid":
         levels = list(levels_at(box_to_ball(levels), _reach(spec)))
@@ -296,6 +301,7 @@ def _drawn_samples(
     section, root_seed = spec.epistemic, spec.campaign.seed
     moved = spec.inputs.coefficients
     assert section.samples is not None
+    # One column per coefficient and per uncertain mean.
     columns = {name: latin_column(root_seed, name, section.samples) for name in (*moved, *means)}
     for number in range(section.samples):
         name = f"{section.method}-{number:06d}"
@@ -405,6 +411,7 @@ def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignS
     try:
         document = Document.model_validate(without_flights(data))
     except ValidationError as error:
+        # Report all mistakes at once, in the order of their lines.
         problems = [explain(Document, text, data, dict(item)) for item in error.errors()]
         lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
         raise BadInputError(*dict.fromkeys(lines)) from None
