@@ -894,6 +894,7 @@ def choose_engine_by_flight(
     reason.
     """
     choice = choose_engine(spec, mission, engines, previous)
+    # Only an automatic choice is verified by a flight.
     if choice.requested != "auto" or choice.engine != BATCH or previous is not None:
         return choice
     with (
@@ -901,6 +902,7 @@ def choose_engine_by_flight(
         contextlib.closing(throwaway_process()) as process,
     ):
         case = _brief(one_case_each(choice.spec, staged)[-1])
+        # The last condition is the most severe of those tried out.
         ours, theirs = (
             next(iter(_outcomes(engines, process, [Group(engine, ((case.case_id, case.flight),))])))
             for engine in (BATCH, JUDGE)

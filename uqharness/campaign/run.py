@@ -329,6 +329,7 @@ def run_campaign(
                 with contextlib.suppress(BadInputError):
                     write_manifest(folder, manifest | {"state": INTERRUPTED})
                 raise
+            # Hash the files again: an edit during the run invalidates the folder.
             _refuse_if_edited(
                 folder, manifest, mission if has_mission else find_mission(spec, folder)
             )
@@ -393,6 +394,7 @@ def _previous_run(
     refuse_without_digests(folder, old)
     complete = old["state"] == COMPLETE
     finished = set() if complete else _finished_cases(folder)
+    # A folder without a flight may be used for another campaign.
     if not complete and not finished:
         return None, finished
     refuse_if_different(folder, old, manifest)

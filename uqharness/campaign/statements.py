@@ -193,8 +193,10 @@ def joint_words(manifest: Mapping[str, Any]) -> list[str]:
         return []
     epistemic, confidence = manifest["campaign"]["epistemic"], float(bounds["confidence"])
     names = epistemic["coefficients"]
+    # Half-width of one interval in standard deviations.
     radius_of_one = samples.marginal_radius(confidence)
     if epistemic["set"] == "ellipsoid":
+        # Points of the ellipsoid lie farther out than the ends of the intervals.
         radius = samples.joint_reach(len(names), confidence) * radius_of_one
         text = (
             f"joint {_percent(confidence)} ellipsoid of {len(names)} intervals, {radius:.2f}"
@@ -220,6 +222,7 @@ def points_flown(epistemic: Mapping[str, Any]) -> str:
         return "combinations of levels"
     if method != "corners":
         return ""
+    # Corners, interior points and nominal model, as far as they were flown.
     points = ["corners"]
     points += [f"{interior} interior points"] if interior else []
     points += ["nominal model"] if epistemic.get("nominal") else []

@@ -90,6 +90,7 @@ def answer_words(item: Statement) -> str:
 def sentence(item: Statement) -> str:
     """Return one statement as sentences for the verdict."""
     cell = item.cell
+    # Rates at the best and worst corner with limits, then the answer.
     text = f"Excursions beyond {cell.radius_m:g} m per flight hour: "
     if all(math.isnan(rate.rate) for rate in cell.rates):
         return text + "undefined, for no flight was scored."
@@ -107,6 +108,7 @@ def sentence(item: Statement) -> str:
         f"At most {item.acceptable_per_h:g} per hour at every corner?"
         f" {answer_words(item).capitalize()}."
     )
+    # The share of flights is known only for a fixed number of flights.
     share = item.flight_share
     return text + (f" {share.capitalize()}." if share else "")
 
@@ -135,6 +137,7 @@ def row(item: Statement) -> dict[str, str]:
 
 def aborted_kinds(claims: Sequence[Statement]) -> tuple[str, ...]:
     """Return the kinds of aborted flights that get a column; empty if no flight was aborted."""
+    # Count by kind over all statements.
     totals = {kind: sum(item.aborted[kind] for item in claims) for kind in _KIND_WORDS}
     return (
         tuple(kind for kind in _KIND_WORDS if kind != _OTHER or totals[kind])
@@ -167,6 +170,7 @@ def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tu
 
 def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> list[str]:
     """Return the assumptions of the statements, and where the flights contradict them."""
+    # What the limits assume on clustering.
     allowed = float(campaign["metrics"]["dispersion"])
     allowance = (
         f"Upper limits allow for a variance of the excursions per flight of {allowed:g} times their"
@@ -192,6 +196,7 @@ def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> lis
             " outside them."
         ),
     ]
+    # One statement per condition and radius.
     horizontal = {
         (item.cell.condition.words, item.cell.radius_m): item
         for item in claims
@@ -205,6 +210,7 @@ def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> lis
             f" With them a corner without an excursion needs {quickest.quiet_hours_needed:.3g} h to"
             f" be a yes in {quickest.cell.condition.words} beyond {quickest.cell.radius_m:g} m."
         )
+    # Tell the user if flights cluster more than the limits allow for.
     contradicted = [item for item in claims if item.dispersion_observed > item.dispersion_allowed]
     if contradicted:
         worst = max(contradicted, key=lambda item: item.dispersion_observed)
@@ -219,6 +225,7 @@ def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> lis
 def _dispersion_words(item: Statement) -> str:
     """Return the dispersion that limits allow for, its origin, and the quiet hours it needs."""
     corners = len(item.cell.rates)
+    # Where the dispersion comes from.
     origin = "assumed"
     if item.dispersion.measured:
         origin = f"from {item.dispersion.nearest_m:g} m"
@@ -249,6 +256,7 @@ def kind_of(epistemic: Mapping[str, Any]) -> str:
     """Return the method of a campaign for `with_sample_noun`; "samples" if others than corners
     flew.
     """
+    # "corner" would be wrong for interior points, the nominal model and ellipsoids.
     mixed = epistemic["method"] == "corners" and (
         epistemic.get("interior") or epistemic.get("nominal") or epistemic["set"] != "box"
     )
@@ -385,6 +393,7 @@ class CampaignReport:
 
 def read_campaign_report(folder: Path) -> CampaignReport:
     """Read a complete campaign. Raises BadInputError."""
+    # Tables first, then what follows from them.
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
     campaign = manifest["campaign"]
@@ -410,6 +419,7 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]
     findings = []
     for condition in conditions(frame):
         rows = in_condition(frame, condition)
+        # True and measured error of each quantity.
         for quantity, words, unit in _QUANTITIES:
             for measured in (True, False):
                 metric = f"{quantity}_median_{unit}" + ("_measured" if measured else "")
@@ -418,6 +428,7 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]
                     c.values.size for c in corners
                 ):
                     continue
+                # The band allows for sequential looks.
                 box = pbox(corners, band_confidence(campaign, CONFIDENCE))
                 published = _published(campaign, condition, quantity) if measured else None
                 interior_widening = _interior_widening(corners)
@@ -464,6 +475,7 @@ def _question(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
     ends = "points of the joint ellipsoid" if epistemic["set"] == "ellipsoid" else "corners"
     interior_text = f" and {between} points between them" if between else ""
     intervals = f"within the intervals of {', '.join(epistemic['coefficients'])}"
+    # What was flown at each epistemic sample, by method.
     samples_text = {
         "none": "the model as it is, without model-form uncertainty",
         "corners": (
@@ -475,6 +487,7 @@ def _question(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
         "white": f"{corners} samples of levels redrawn at every step {intervals}",
         "walk": f"{corners} random walks {intervals}",
     }[epistemic["method"]]
+    # Walk rates belong to the description.
     if epistemic["method"] == "walk":
         rates = epistemic["walk_rate_per_sqrt_s"]
         samples_text += (
@@ -506,6 +519,7 @@ def _verdict(
 ) -> list[Sentence]:
     """Return the verdict: hardest condition, its excursions and medians, and failures."""
     kind = kind_of(campaign["epistemic"])
+    # The verdict is about the hardest condition.
     hardest = hardest_condition(conditions(frame))
     duration = campaign["aleatory"]["duration_s"]
     sentences = [Sentence(f"Hardest condition flown: {hardest.words}.")]
@@ -527,6 +541,7 @@ def _verdict(
         ]
         if pair:
             sentences.append(Sentence(with_sample_noun(_median_sentence(pair, duration), kind)))
+    # Failed flights are counted as the worst outcome.
     failed = int((frame["status"] != "ok").sum())
     counted = (
         f"{failed} failed; they are bounded at the worst, not dropped"
@@ -534,6 +549,7 @@ def _verdict(
         else "all ended as planned"
     )
     sentences.append(Sentence(f"Of {len(frame)} flights, {counted}.", "warn" if failed else ""))
+    # Loss of control in flights that ended on time counts as well.
     losses = int(frame["loss_of_control"].fillna(0).sum())
     loss_text = f"{losses} of them lost control." if losses else "No scored flight lost control."
     sentences.append(
@@ -561,6 +577,7 @@ def _median_sentence(pair: Sequence[Finding], duration_s: float) -> str:
     flight.
     """
     parts = []
+    # True before measured.
     for item in sorted(pair, key=lambda finding: finding.measured):
         low, high = item.box.quantile(0.5)
         parts.append(
@@ -613,6 +630,7 @@ def sensitivity_section(
 
     Raises BadInputError if the table is damaged.
     """
+    # Display the hardest condition; the table file has all.
     table_rows = read_sensitivity(folder, manifest)
     if not table_rows:
         return ()
@@ -770,11 +788,13 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
     """
     if _WORST not in frame or not frame[_WORST].notna().any():
         return ()
+    # Farthest flight first; flights without a value count as farthest.
     rows = frame.assign(far=frame[_WORST].fillna(np.inf)).sort_values(
         ["far", "case_id"], ascending=[False, True]
     )
     figures: list[Figure] = []
     notes: list[Block] = []
+    # Records of repeated flights.
     records = {
         path.parent.name: path
         for path in (folder / "rerun").glob("*/record.parquet")
@@ -859,6 +879,7 @@ _NAMES: Mapping[str, str] = {"batch": "the batch engine", "jsbsim": "JSBSim"}
 
 def engine_section(manifest: Mapping[str, Any], rows: Sequence[CheckRow]) -> Section:
     """Return which engine flew, why, and how far it is from JSBSim."""
+    # Engine and reasons from the manifest.
     engine = manifest["campaign"]["campaign"]["engine"]
     reasons = tuple(manifest.get("engine", {}).get("why", ()))
     engine_text = engine_words(_NAMES[engine], reasons)
@@ -919,10 +940,12 @@ def overlay_section(
 ) -> Section:
     """Draw the p-boxes of two campaigns in one chart wherever both have the same quantity."""
     titles = ("before", "after")
+    # Draw the hardest conditions that both campaigns flew.
     displayed = hardest_first(
         [c for c in conditions(before.frame) if c in conditions(after.frame)]
     )[:_OVERLAID]
     words = [corner_words(side.frame) for side in (before, after)]
+    # Findings of the second campaign by metric and condition.
     updated = {(item.metric, item.condition): item for item in after.findings}
     figures, rows = [], []
     for item in sorted(
@@ -945,6 +968,7 @@ def overlay_section(
                     name, item.axis, item.unit, boxes, f"{item.title}; {item.condition.words}."
                 )
             )
+        # Width at the median before and after.
         ends = [f.box.quantile(0.5) for f in (item, other)]
         widths = [high - low for low, high in ends]
         ratio = (
@@ -976,6 +1000,7 @@ def overlay_section(
         " means that the model was wrong. The cursor names the epistemic sample behind each side."
     )
     notes: list[Block] = [Words(text, note=True)]
+    # A change of settings makes the comparison ambiguous.
     unlike = _differences(before, after)
     if unlike:
         notes.append(

@@ -92,6 +92,7 @@ def named_stretches(time_s: FloatArray, labels: NDArray[Any]) -> list[tuple[floa
     """
     if not len(time_s):
         return []
+    # Places where the label changes.
     edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1).tolist(), len(labels)]
     out = []
     for first, last in pairwise(edges):
@@ -133,6 +134,7 @@ def channel_sections(
     legend : sequence of (str, str)
         Class and words of the shades.
     """
+    # Numeric channels only; labels and time are not drawn.
     available = [
         n
         for n in columns
@@ -141,6 +143,7 @@ def channel_sections(
     grouped = {name for group in GROUPS.values() for name in group} | {
         other for name, (other, _) in _COMPANIONS.items() if name in available
     }
+    # Channels without a group come last.
     groups = {**GROUPS, _OTHER: tuple(n for n in available if n not in grouped)}
     sections = []
     for title, names in groups.items():
@@ -171,7 +174,9 @@ def _channel(
     values = factor * np.asarray(columns[name], dtype=float)
     other, words = _COMPANIONS.get(name, ("", ""))
     companion = factor * np.asarray(columns[other], dtype=float) if other in columns else None
+    # One axis for the channel and its companion.
     y = _axis(f"{quantity} [{unit}]", [values, *([] if companion is None else [companion])])
+    # The vocabulary gives the meaning; angles are displayed in degrees.
     meaning = SIGNALS[name].meaning.replace("2 pi", "360 deg") if name in SIGNALS else quantity
     channel_flags = flags.get(name, ())
     findings = [f.words for f in channel_flags]
@@ -186,7 +191,9 @@ def _channel(
         y,
         170,
     )
+    # Shades first, so that lines lie on top.
     _shade(chart, shades)
+    # Findings with a known time are shaded.
     for flag in channel_flags:
         for start, end in flag.spans:
             # Widen short intervals: a gap of some samples in an hour would be invisible.
@@ -197,6 +204,7 @@ def _channel(
                 np.full(2, y.high),
                 "fillbad",
             )
+    # Commands hold between samples, measurements are joined by lines.
     steps = name in SIGNALS and SIGNALS[name].kind == "command"
     line_words = ("command" if steps else "recorded") if companion is not None else ""
     if name in SIGNALS and SIGNALS[name].kind == "heading":
@@ -222,6 +230,7 @@ def _channel(
 
 def _axis(label: str, values: Sequence[FloatArray]) -> Scale:
     """Return a scale that is not narrower than `_MIN_HEIGHT`."""
+    # Widen an axis that is too narrow for a constant channel.
     axis = scale(label, values)
     middle, half = 0.5 * (axis.low + axis.high), 0.5 * (axis.high - axis.low)
     min_half = _MIN_HEIGHT * max(abs(middle), 1e-6)
@@ -236,6 +245,7 @@ def _shade(chart: Chart, shades: Sequence[Shade]) -> None:
             continue
         ends = np.array([shade.start_s, shade.end_s])
         chart.band(ends, np.full(2, chart.y.low), np.full(2, chart.y.high), shade.kind)
+        # Write a mark only where it fits inside its interval.
         x0, _, width, _ = chart.plot
         u, v = (float(w) for w in chart.at(ends, np.zeros(2))[0])
         if (
@@ -283,11 +293,13 @@ def spans_of(
     unknown.
     """
     numbers = finding.numbers
+    # The finding itself names the interval.
     if "start_s" in numbers and "end_s" in numbers:
         return ((numbers["start_s"], numbers["end_s"]),)
     time_s = record["time_s"]
     if channel in LABELS:
         return ()
+    # Otherwise the interval follows from the data.
     values = record[channel]
     if finding.code in ("gap", "dropouts"):
         return _runs(time_s, ~np.isfinite(values))
@@ -319,6 +331,7 @@ def _runs(time_s: NDArray[np.float64], mask: NDArray[np.bool_]) -> tuple[tuple[f
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     runs = [(float(time_s[a]), float(time_s[b - 1])) for a, b in edges.reshape(-1, 2)]
     distance_s = 0.0
+    # Double the distance over which neighbours are merged until few enough remain.
     while len(runs) > MOST_SPANS:
         distance_s = 2.0 * distance_s or 1e-3 * float(time_s[-1] - time_s[0])
         merged = [runs[0]]

@@ -131,6 +131,7 @@ def moment_rows(comparison: Comparison) -> list[dict[str, str]]:
 
 def write_tables(comparison: Comparison, document: dict[str, Any], out: Path) -> None:
     """Write compare.json, histories.parquet and the CSV tables."""
+    # CSV tables as on the screen.
     tables = {
         "channels": channel_rows(comparison),
         "coefficients": coefficient_rows(comparison),
@@ -156,12 +157,14 @@ def write_tables(comparison: Comparison, document: dict[str, Any], out: Path) ->
 
 def verdict(comparison: Comparison) -> str:
     """Return one sentence on whether the model reaches the noise floor, and if not, why."""
+    # Wrong signs or scales come first: delays and residuals mean nothing before they are corrected.
     if not comparison.reached and comparison.slips:
         return (
             "Signs or scales differ between record and model, which comes before any delay:"
             f" {'; '.join(comparison.slips)}. Correct the channel's map or the servo table (see"
             " uqharness log info), or the model."
         )
+    # Next, a common delay of the controls.
     if not comparison.reached and not comparison.aligned:
         when = "early" if comparison.controls_late_s < 0.0 else "late"
         return (

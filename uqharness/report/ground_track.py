@@ -62,9 +62,11 @@ def circle_of(north_m: FloatArray, east_m: FloatArray, distance_m: FloatArray) -
         None if the distances are not measured from a circle.
     """
     is_known = np.isfinite(north_m) & np.isfinite(east_m) & np.isfinite(distance_m)
+    # Four unknowns need more points than a few.
     n, e, d = north_m[is_known], east_m[is_known], distance_m[is_known]
     if n.size < 8:
         return None
+    # Linear least squares in c_n, c_e, R and the constant.
     rows = np.column_stack([2.0 * n, 2.0 * e, 2.0 * d, np.ones(n.size)])
     (cn, ce, radius, _), _, rank, _ = np.linalg.lstsq(rows, n**2 + e**2 - d**2, rcond=1e-10)
     if (
@@ -80,11 +82,13 @@ def equal_scales(east: FloatArray, north: FloatArray, height: int) -> tuple[Scal
     """Return axes east and north [m] with equal scales around the points, for a chart of that
     height.
     """
+    # Centre of the points; an empty chart gives the size of the plot area.
     middle = [0.5 * float(np.nanmin(v) + np.nanmax(v)) for v in (east, north)]
     blank = Chart(
         "blank", "", Scale("", 0.0, 1.0), Scale("", middle[1] - 1e3, middle[1] + 1e3), height
     )
     _, _, across, down = blank.plot
+    # Metres per drawing unit: the larger of both directions, with a margin.
     metres = 1.1 * max(float(np.ptp(east)) / across, float(np.ptp(north)) / down, 1e-3)
     ends = [
         (m - 0.5 * metres * size, m + 0.5 * metres * size)
@@ -138,10 +142,12 @@ def lap_of(track_rows: pd.DataFrame) -> Lap | None:
     If they do not differ, it is the lap in which the worst corner is farthest from its path.
     ``track_rows`` is tracks.parquet of a study. None without a worst corner with known distances.
     """
+    # Rows of tracks.parquet by version and model.
     tracks = {
         (str(when), str(model)): rows
         for (when, model), rows in track_rows.groupby(["when", "model"], sort=False)
     }
+    # The last worst corner that has known distances.
     worst_flight = next(
         (
             key
@@ -156,6 +162,7 @@ def lap_of(track_rows: pd.DataFrame) -> Lap | None:
         tracks[worst_flight][c].to_numpy(dtype=float)
         for c in ("time_s", "north_m", "east_m", "distance_m")
     )
+    # The lap lies around the largest separation, or around the largest distance from the path.
     separation_m = _largest_separation(time_s, list(tracks.values()))
     at = (
         int(np.argmax(separation_m))
@@ -182,7 +189,9 @@ def lap_of(track_rows: pd.DataFrame) -> Lap | None:
 
 def ground_track(name: str, lap: Lap, radius_m: float, condition: str) -> Figure:
     """Draw the tracks of a lap, the commanded circle, and the radius in question [m] around it."""
+    # Commanded circle and the circles at the radius in question.
     rings = list(_rings(lap.circle, radius_m)) if lap.circle else []
+    # Axes contain all tracks and circles.
     east = np.concatenate(
         [*(rows["east_m"] for rows in lap.tracks.values()), *(ring[0] for ring in rings)]
     )
@@ -196,6 +205,7 @@ def ground_track(name: str, lap: Lap, radius_m: float, condition: str) -> Figure
         rings, ("commanded path", f"{radius_m:g} m from it", ""), strict=False
     ):
         chart.path(ring_east, ring_north, kind, words)
+    # Dashed and thin lines last, so that coinciding lines stay visible.
     for key, rows in _in_order(lap):
         chart.path(
             rows["east_m"].to_numpy(dtype=float),
@@ -220,6 +230,7 @@ def track_distance(name: str, lap: Lap, radius_m: float) -> Figure:
     question.
     """
     sides = {key: rows["distance_m"].to_numpy(dtype=float) for key, rows in lap.tracks.items()}
+    # Distances of all flights set the axis.
     distances = np.concatenate(list(sides.values()))
     # A limit far from all lines would only compress them.
     limits = [radius_m] + ([-radius_m] if np.nanmin(distances) < -0.5 * radius_m else [])
@@ -281,6 +292,7 @@ def _largest_separation(time_s: FloatArray, tracks: Sequence[pd.DataFrame]) -> F
             at, distance = (
                 known_rows[column].to_numpy(dtype=float) for column in ("time_s", "distance_m")
             )
+            # Interpolate to common instants; unknown outside the record.
             distances.append(np.interp(time_s, at, distance, left=np.nan, right=np.nan))
     separation = np.max(distances, axis=0) - np.min(distances, axis=0)
     return np.nan_to_num(separation)
@@ -313,6 +325,7 @@ def flight_track(
         return None
     north, east = place
     is_known = np.isfinite(north) & np.isfinite(east)
+    # Circles given by the caller, else the one that the cross-track error implies.
     commanded = list(circles) or _commanded(north, east, columns)
     rings = [next(_rings(circle, 0.0)) for circle in commanded]
     ends = [
@@ -329,6 +342,7 @@ def flight_track(
             kind,
             "" if k else f"commanded circle, radius {commanded[0].radius_m:.4g} m",
         )
+    # Thin long tracks.
     few = max(1, math.ceil(len(east) / _MOST_POINTS))
     chart.path(east[::few], north[::few], "first thin", "flown")
     at = np.flatnonzero(is_known)
@@ -351,6 +365,7 @@ def _places(columns: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray] 
         north, east = (np.asarray(columns[n], dtype=float) for n in ("north_m", "east_m"))
     elif {"vn_mps", "ve_mps", "time_s"} <= set(columns):
         time_s = np.asarray(columns["time_s"], dtype=float)
+        # Integrate the velocities; NaN counts as no motion.
         step = np.diff(time_s, append=time_s[-1])
         north, east = (
             np.nancumsum(np.asarray(columns[n], dtype=float) * step) for n in ("vn_mps", "ve_mps")
@@ -369,6 +384,7 @@ def _commanded(
     if "cross_track_m" not in columns:
         return []
     distance = np.asarray(columns["cross_track_m"], dtype=float)
+    # The sign convention of the error is not known.
     circle = circle_of(north, east, distance) or circle_of(north, east, -distance)
     # A circle much larger than the track would appear as a line and hide the track.
     reach = max(float(np.nanmax(v) - np.nanmin(v)) for v in (north, east))
@@ -377,6 +393,7 @@ def _commanded(
 
 def _turn(time_s: FloatArray, north: FloatArray, east: FloatArray, at: int) -> tuple[float, float]:
     """Return start and end [s] of one turn of the course around the instant ``at``."""
+    # Course angle, continuous over turns.
     course = np.unwrap(np.arctan2(np.gradient(east), np.gradient(north)))
     low, high = float(course.min()) + math.pi, float(course.max()) - math.pi
     is_in_turn = (

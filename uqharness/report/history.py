@@ -77,6 +77,7 @@ def history_section(
         return ()
     # The reader sees the worst segments first.
     ranked = sorted(histories, key=lambda h: -_worst(h, noise, models[0])[0])[:max_segments]
+    # Name the models only if there are several.
     first, last = ((f" {m.words}" if len(models) > 1 else "") for m in (models[0], models[-1]))
     selection = "All segments"
     if len(ranked) < len(histories):
@@ -109,6 +110,7 @@ def farthest_figure(
     """Draw the channel and segment in which the first model is farthest from the log; None if
     unknown.
     """
+    # Search all segments for the largest residual relative to noise.
     ratio, channel, history = max(
         ((*_worst(h, noise, models[0]), h) for h in histories),
         key=lambda item: item[0],
@@ -135,6 +137,7 @@ def _segment(
     file: str | None,
 ) -> Section:
     """Return the section of one segment: a chart per channel and control."""
+    # One chart per channel with a known noise, then the controls.
     figures = [
         _channel(history, c, noise[c], models, prefix) for c in noise if c in history.columns
     ]
@@ -164,6 +167,7 @@ def _channel(
 ) -> Figure:
     """Draw the log and the models of one channel; with ``legend`` the chart has its own legend."""
     quantity, unit, factor = shown_channel(name)
+    # Log and models in displayed units.
     measured = factor * history.columns[name]
     simulated = [
         (m, factor * history.columns[f"{name}{m.suffix}"])
@@ -172,6 +176,7 @@ def _channel(
     ]
     band = None if noise is None or not simulated else Z95 * factor * noise
     curves = [measured, *(y for _, y in simulated)]
+    # The band is drawn around the last model.
     if band is not None:
         curves += [simulated[-1][1] - band, simulated[-1][1] + band]
     label = (
@@ -196,6 +201,7 @@ def _channel(
             "fill1",
             "95 % band of the noise" if legend else "",
         )
+    # A few hundred dots are enough for a chart.
     few = np.unique(np.linspace(0, measured.size - 1, min(measured.size, 250)).round().astype(int))
     chart.dots(history.time_s[few], measured[few], "dot", "log" if legend else "")
     for model, y in simulated:
@@ -213,6 +219,7 @@ def _control(history: History, name: str, prefix: str) -> Figure:
     unit = shown_channel(name)[1]
     y = history.columns[name]
     label = f"{name} [{unit}] against time [s], {history.title}."
+    # A control at rest must look at rest: widen its axis.
     axis = scale(axis_label(name), [y])
     if axis.high - axis.low < _LEAST_CONTROL:
         middle = 0.5 * (axis.low + axis.high)
@@ -244,6 +251,7 @@ def _ratio(history: History, name: str, std: float | None, model: Model) -> floa
     y = history.columns.get(f"{name}{model.suffix}")
     if y is None or name not in history.columns or not std:
         return None
+    # Residual where both are known.
     gap = history.columns[name] - y
     finite = gap[np.isfinite(gap)]
     return float(np.sqrt(np.mean(finite**2))) / std if finite.size else None
@@ -276,6 +284,7 @@ def end_to_end(
     outside : bool
         Whether samples of the first column outside the band are marked.
     """
+    # Place the pieces one after the other with half a second between them.
     start, piece_times = 0.0, []
     for h in histories:
         piece_times.append(start + h.time_s - h.time_s[0])
@@ -289,8 +298,10 @@ def end_to_end(
         for t, low, high in zip(piece_times, *band[:2], strict=True):
             chart.band(t, low, high, "fill1", band[2])
     chart.level(0.0, "zero")
+    # A joint marks the gap between pieces.
     for t in piece_times[1:]:
         chart.upright(float(t[0]) - 0.25, "joint")
+    # NaN between pieces interrupts the line.
     for column, kind, words in series:
         x_all = np.concatenate([v for t in piece_times for v in (t, [np.nan])])
         y_all = np.concatenate([v for h in histories for v in (h.columns[column], [np.nan])])
@@ -312,6 +323,7 @@ _SURFACES = ("elevator", "aileron", "rudder")
 
 def draw_rerun(rerun: RerunResult) -> list[Path]:
     """Draw a repeated case next to its record and return the file; empty without a record."""
+    # The repeated flight left a Parquet record if it flew.
     record = next((path for path in rerun.files if path.suffix == ".parquet"), None)
     if record is None:
         return []
@@ -329,6 +341,7 @@ def draw_rerun(rerun: RerunResult) -> list[Path]:
 
 def flight_figures(record: pd.DataFrame, flight: FlightSpec) -> list[Figure]:
     """Return charts of a flight's record; the time before scoring is shaded."""
+    # Track first, then the charts over time.
     figures = [_track(record)]
     for name, axis, lines, factor in _panels(record):
         series = {
@@ -348,6 +361,7 @@ def _panels(record: pd.DataFrame) -> Iterator[tuple[str, str, Mapping[str, str],
     supports.
     """
     errors = {f"error_{n}": n.replace("_", "-") for n in ("cross_track", "altitude", "speed")}
+    # Positions are preferred to commands.
     surfaces, throttle = (
         {c: c for s in _SURFACES for c in _rerun_control(record, s)},
         {c: c for c in _rerun_control(record, "throttle")},
@@ -386,6 +400,7 @@ def _over_time(
     radii: Sequence[float],
 ) -> Figure:
     """Draw columns over time, with excursion radii on the error chart."""
+    # Radii far beyond the flight would compress the chart.
     cross_track = series.get("cross-track", np.zeros(1))
     reach = 2.0 * max(5.0, float(np.nanmax(np.abs(cross_track), initial=0.0)))
     visible_radii = [radius for radius in radii if "cross-track" in series and radius <= reach]
@@ -405,6 +420,7 @@ def _over_time(
         y,
         190,
     )
+    # Shade the burn-in, which is not scored.
     if burn_in_s:
         ends = np.array([time_s[0], min(burn_in_s, time_s[-1])])
         chart.band(ends, np.full(2, y.low), np.full(2, y.high), "fillrange", "not scored")
@@ -421,6 +437,7 @@ def _track(record: pd.DataFrame) -> Figure:
     if {"north_m", "east_m"} <= set(record.columns):
         east, north = (record[n].to_numpy(dtype=float) for n in ("east_m", "north_m"))
     else:
+        # Integrate velocities if the record has no position.
         step = np.diff(record["time_s"], append=record["time_s"].iloc[-1])
         east, north = (
             np.cumsum(record[n].to_numpy(dtype=float) * step) for n in ("ve_mps", "vn_mps")

@@ -229,9 +229,11 @@ def render(page: Page) -> str:
         *page.first,
         *(block for section in every_section(page.sections) for block in section.blocks),
     )
+    # The script is included only if a figure has a cursor.
     cursors = any(
         figure.cursor for block in blocks if isinstance(block, Figures) for figure in block.items
     )
+    # Style sheets and script are part of the page, so it needs no other file.
     sheets = [_text(name) for name in ("figure.css", "page.css")]
     rendered = _template().render(
         page=page, style=Markup("".join(sheets)), script=Markup(_text("page.js")) if cursors else ""
@@ -252,6 +254,7 @@ def first_lines(page: Page) -> list[str]:
     lines = [item.text for item in page.verdict]
     for block in (block for section in every_section(page.sections) for block in section.blocks):
         if isinstance(block, Table) and block.key and block.rows:
+            # Small print of a cell follows in parentheses.
             cells = [
                 [f"{c.text} ({c.small})" if c.small else c.text for c in row] for row in block.cells
             ]

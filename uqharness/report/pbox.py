@@ -80,6 +80,7 @@ def pbox_figure(
     """
     is_single = len(boxes) == 1
     values = [b.box.value for b in boxes] + ([np.array([mark[0]])] if mark else [])
+    # The axis contains all boxes and the mark; errors are not negative.
     x = scale(f"{quantity} [{unit}]", values, minimum=0.0)
     halves = "; ".join(f"{b.title + ': ' if b.title else ''}{_half(b.box, unit)}" for b in boxes)
     label = (
@@ -87,6 +88,7 @@ def pbox_figure(
         f" below {halves}."
     )
     chart = Chart(name, label, x, Scale(PROBABILITY, -0.01, 1.01), height=250)
+    # Smooth boxes are evaluated over the complete axis.
     curves = [
         (
             smooth_pbox(b.samples, b.box, np.linspace(x.low, x.high, _SMOOTH_POINTS))
@@ -95,6 +97,7 @@ def pbox_figure(
         )
         for b in boxes
     ]
+    # Corners first, then the filled box, then its sides.
     for number, (labelled_box, box, (line, fill)) in enumerate(
         zip(boxes, curves, _BOX_CLASSES, strict=False)
     ):
@@ -106,6 +109,7 @@ def pbox_figure(
         chart.band(at, lower, upper, fill, steps=steps)
         chart.line(at, upper, line, words, steps=steps)
         chart.line(at, lower, line, steps=steps)
+        # A single box shows its band; several boxes would be cluttered.
         if is_single:
             # Outside the observed values the band is still informative: at least its first, at most
             # its last step.
@@ -127,6 +131,7 @@ def pbox_figure(
             f" Curves are smoothed: within {100.0 * max(smoothing_errors):.0f} % of the flights'"
             " own steps."
         )
+    # Data for the page's script.
     cursor = {
         "quantity": quantity,
         "unit": unit,
@@ -137,6 +142,7 @@ def pbox_figure(
 
 def _draw_samples(chart: Chart, labelled_box: LabelledBox, box: PBox, number: int) -> None:
     """Draw a thin curve per sample; those that set a side of the box are named for the cursor."""
+    # Samples on a side are tagged, so that the cursor can name them.
     place = {name: k for k, name in enumerate(_samples_on_sides(box))}
     shown_samples = _curves(labelled_box, box)
     few = len(shown_samples) < len(labelled_box.samples)
@@ -192,12 +198,15 @@ def smooth_share(values: FloatArray, at: FloatArray) -> FloatArray:
     array
         Share of ``values`` at most each argument (m,).
     """
+    # Bandwidth of the kernel.
     width = float(values.std(ddof=1)) * values.size ** (-1.0 / 3.0) if values.size > 1 else 0.0
+    # All values are equal: keep the step.
     if not width > 0.0:
         return np.asarray(
             np.searchsorted(np.sort(values), at, side="right") / max(values.size, 1), dtype=float
         )
 
+    # Kernel centres: the values, or quantiles of many values.
     middles = values
     if values.size > _MAX_KERNELS:
         places = (np.arange(_MAX_KERNELS) + 0.5) * values.size / _MAX_KERNELS
@@ -207,6 +216,7 @@ def smooth_share(values: FloatArray, at: FloatArray) -> FloatArray:
         """Return the kernel estimate without reflection."""
         return np.asarray(normal_tail((middles - ends[:, None]) / width).mean(axis=1))
 
+    # Reflection at 0: what lies below 0 is added above.
     return np.where(at < 0.0, 0.0, below(at) - below(-at))
 
 
@@ -216,6 +226,7 @@ def smooth_pbox(samples: Sequence[Sample], box: PBox, at: FloatArray) -> PBox:
     The band is as wide around the curves as around the steps, plus the distance between the two.
     Flights without a value are treated as in ``box``.
     """
+    # Curves count the flights with a value; those without may lie anywhere.
     shares = np.stack([smooth_share(s.values, at) * (s.values.size / s.size) for s in samples])
     unknown = np.array([s.unknown / s.size for s in samples])[:, None]
     lower, upper = shares.min(axis=0), (shares + unknown).max(axis=0)
@@ -229,6 +240,7 @@ def smooth_pbox(samples: Sequence[Sample], box: PBox, at: FloatArray) -> PBox:
         names[shares.argmin(axis=0)],
         names[(shares + unknown).argmax(axis=0)],
     )
+    # Half-width of the band, plus the distance between curves and steps.
     half = max(float((box.lower - box.band_lower).max()), float((box.band_upper - box.upper).max()))
     half += smoothing_error(samples, curve)
     band = (np.clip(lower - half, 0.0, 1.0), np.clip(upper + half, 0.0, 1.0))
@@ -258,6 +270,7 @@ def metric_label(metric: str) -> str:
         metric.removesuffix("_measured"),
         ", measured" if metric.endswith("_measured") else "",
     )
+    # The last part of a column name is its unit.
     quantity, _, unit = name.rpartition("_")
     unit_text = {"m": "m", "mps": "m/s", "deg": "deg", "s": "s"}.get(unit)
     return (
@@ -277,6 +290,7 @@ def corner_words(frame: pd.DataFrame) -> dict[str, str]:
     ]
     out = {}
     for row in frame[["epistemic_id", *columns]].drop_duplicates("epistemic_id").to_dict("records"):
+        # Levels of the uncertain coefficients; 0 and 1 are the bounds.
         levels = {str(c).removeprefix("level_"): float(row[c]) for c in columns if pd.notna(row[c])}
         words = " ".join(
             f"{c}{'−' if v == 0.0 else '+' if v == 1.0 else f'={v:.3g}'}" for c, v in levels.items()
@@ -326,6 +340,7 @@ def _curves(labelled_box: LabelledBox, box: PBox) -> list[Sample]:
     """Return the samples to draw: all if few, else those on a side and an even selection."""
     if len(labelled_box.samples) <= _MAX_CURVES:
         return list(labelled_box.samples)
+    # Samples on a side first, then an even selection of the others.
     selected = set(_samples_on_sides(box)[: _MAX_CURVES // 2])
     remaining = [sample for sample in labelled_box.samples if sample.epistemic_id not in selected]
     places = np.unique(
@@ -340,6 +355,7 @@ def _steps(sample: Sample, x: Scale) -> tuple[FloatArray, FloatArray]:
     values = np.sort(sample.values)
     if not values.size:
         return np.empty(0), np.empty(0)
+    # A few quantiles are enough for a thin curve.
     keep = np.unique(
         np.linspace(0, values.size - 1, min(values.size, _CURVE_POINTS)).round().astype(int)
     )
@@ -383,6 +399,7 @@ def _repeats(item: MetricConvergence, place: str) -> Figure | None:
         x,
         Scale(PROBABILITY, -0.01, 1.01),
     )
+    # Each repeat is a staircase with equal steps.
     share = np.arange(study.flights + 1) / study.flights
     for curve in study.curves:
         chart.line(np.insert(curve, 0, x.low), share, "first thin", steps=True)
@@ -393,6 +410,7 @@ def _growth(item: MetricConvergence, place: str) -> Figure | None:
     """Draw the area of the p-box over the number of epistemic samples; None without growth."""
     if not item.growth:
         return None
+    # Sizes double, so the axis is logarithmic to base 2.
     at = np.log2([float(part.samples) for part in item.growth])
     area, low, high = (
         np.array([getattr(part, name) for part in item.growth])

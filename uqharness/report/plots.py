@@ -80,6 +80,7 @@ def plot_pbox(
     # Extend the steps a little beyond the smallest and largest flight.
     room = 0.04 * float(np.ptp(box.value)) or 1.0
     x = np.concatenate([[box.value[0] - room], box.value, [box.value[-1] + room]])
+    # The sides start at 0; the band already has its first step on the left.
     lower, upper, low_band, high_band = (
         np.concatenate([[first], side, side[-1:]])
         for first, side in (
@@ -93,6 +94,7 @@ def plot_pbox(
     colour = line.get_color()
     ax.step(x, lower, where="post", color=colour)
     ax.fill_between(x, lower, upper, step="post", color=colour, alpha=0.15, linewidth=0)
+    # One legend entry for both sides of the band.
     for side, words in ((low_band, "band of chance"), (high_band, "")):
         ax.step(
             x, side, where="post", color=_SOFT, linestyle="--", linewidth=0.9, label=words or None
@@ -176,6 +178,7 @@ def plot_overlay(
     for suffix in suffixes:
         ax.plot(history.time_s, factor * history.columns[channel + suffix], label=suffix.strip("_"))
     if noise is not None and suffixes:
+        # The band belongs to the last model.
         last, half = factor * history.columns[channel + suffixes[-1]], Z95 * factor * noise
         ax.fill_between(
             history.time_s,
@@ -215,6 +218,7 @@ def plot_sensitivity(found: MetricSensitivity, ax: Axes | None = None) -> Axes:
     )
     for k, (_, index) in enumerate(rows):
         low, high = index.minimum.value, index.maximum.value
+        # An undefined limit ends at the share itself.
         ends = [
             inner if np.isnan(outer) else outer
             for outer, inner in ((index.minimum.low, low), (index.maximum.high, high))
@@ -290,6 +294,7 @@ def plot_model_form(
         )
     ax, factor = _axes(ax), shown_channel(state)[2]
     k = bounds.states.index(state)
+    # The slice extends beyond the data on both sides.
     low, high = float(bounds.hull.low[k]), float(bounds.hull.high[k])
     reach = SLICE_MARGIN * max(high - low, 1e-9)
     at = np.linspace(low - reach, high + reach, 121)
@@ -305,6 +310,7 @@ def plot_model_form(
             markersize=3,
             label="flight minus model",
         )
+    # Bounds at the confidence of the form, and at 68 % for comparison.
     for confidence, colour, style in ((bounds.confidence, _FIRST, "-"), (0.68, _SECOND, ":")):
         for number, end in enumerate(
             bounds.bounds(slice_states(bounds, state, at), confidence, outside)
@@ -349,6 +355,7 @@ def campaign_view(
     folder: Path, manifest: Mapping[str, Any], cases: pd.DataFrame, statements: pd.DataFrame
 ) -> str:
     """Return HTML for a notebook: aircraft, size, statements and first p-boxes of a campaign."""
+    # Facts for the heading of the view.
     failed = int((cases["status"] != "ok").sum())
     facts = {
         "aircraft": manifest["campaign"]["campaign"]["aircraft"],
@@ -373,6 +380,7 @@ def _charts(manifest: Mapping[str, Any], cases: pd.DataFrame) -> str:
         if metric != first or len(charts) == _MAX_CHARTS:
             break
         quantity, _, unit = metric_label(metric).rpartition(" [")
+        # Corners thin, envelope bold.
         labelled_box = LabelledBox("", box, samples(in_condition(cases, condition), metric), {})
         figure = pbox_figure(
             f"notebook-{len(charts)}",

@@ -112,6 +112,7 @@ def scale(
     )
     if not finite.size:
         return Scale(label, 0.0, 1.0)
+    # Room on both sides; a constant gets a tenth of its size.
     low, high = float(finite.min()), float(finite.max())
     room = margin * (high - low) or 0.1 * abs(high) or 1.0
     low, high = low - room, high + room
@@ -132,6 +133,7 @@ def log_scale(label: str, values: Sequence[FloatArray], margin: float = 0.06) ->
 def _log_ticks(low: float, high: float) -> list[tuple[float, str]]:
     """Return ticks at 1, 2 and 5 times the powers of ten, or fewer if there are too many."""
     powers = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
+    # Take the densest set of ticks that is not too many.
     for factors in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
         values = [
             f * 10.0**k
@@ -148,6 +150,7 @@ def _step(rough: float) -> float:
     """Return a round step (1, 2, 2.5 or 5 times a power of ten) of at least the given size."""
     if not 0.0 < rough < math.inf:
         return rough  # of numbers near the largest there are: one tick
+    # The smallest round step that is not below the rough one.
     power = 10.0 ** math.floor(math.log10(rough))
     steps = (m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= rough * 0.999999)
     return next(steps, rough)  # the power of a denormal number may be 0
@@ -157,6 +160,7 @@ def _number(value: float, step: float) -> str:
     """Format a tick with the decimals that its step needs."""
     if value != 0.0 and (abs(value) >= 1e5 or step < 1e-4):
         return f"{value:.3g}".replace("-", "−")
+    # One decimal more for steps such as 2.5.
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     if abs(step * 10**decimals - round(step * 10**decimals)) > 1e-6:
         decimals += 1
@@ -240,6 +244,7 @@ class Chart:
             Further attributes of the SVG element.
         """
         x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+        # Lines are thinned, steps are not: every value counts.
         if not steps:
             x, y = thin_line(x, y)
         path = _path(*self.at(x, y), steps)
@@ -266,6 +271,7 @@ class Chart:
         for run in _runs(np.isfinite(x) & np.isfinite(low) & np.isfinite(high)):
             u, v = self.at(x[run], low[run])
             _, w = self.at(x[run], high[run])
+            # Double the points so that each value holds until the next.
             if steps:
                 u, v, w = np.repeat(u, 2)[1:], np.repeat(v, 2)[:-1], np.repeat(w, 2)[:-1]
             elif u.size > _MAX_POINTS:
@@ -352,6 +358,7 @@ class Chart:
         kind : str
             Class of figure.css.
         """
+        # Edges in drawing coordinates.
         u, v = self.at(x, y[0])[0], self.at(x[0], y)[1]
         for i, j in zip(*np.nonzero(share), strict=True):
             place = (
@@ -385,6 +392,7 @@ class Chart:
         # The legend grows the drawing downwards.
         entries, rows = _legend(self.legend, WIDTH)
         total = self.height + (16 * rows + 4 if rows else 0)
+        # The root element carries plot area and ranges for the page's script.
         out = [
             (
                 f'<svg class="chart" role="img" aria-label="{escape(self.label)}" viewBox="0 0'
@@ -420,6 +428,7 @@ class Chart:
         """Return grid lines and tick labels."""
         x0, top, width, height = self.plot
         out = []
+        # Keep the last tick label inside the drawing.
         for value, words in self.x.ticks():
             u = x0 + width * float(self.x.place(value))
             out.append(f'<path class="grid" d="M{u:.1f} {top}v{height}"/>')
@@ -466,6 +475,7 @@ def standalone(
     columns = min(columns, len(charts))
     width = columns * (WIDTH + _GAP) + _GAP
     parts, y = [], 0
+    # Title, legend, then the charts row by row.
     for line in textwrap.wrap(title, int(width / 9.5)):
         y += 20
         parts.append(f'<text class="title" x="{_GAP}" y="{y}">{escape(line)}</text>')
@@ -478,6 +488,7 @@ def standalone(
     y += 16 * rows + _GAP
     for first in range(0, len(charts), columns):
         tallest = 0
+        # Chart and caption; the tallest of a row sets its height.
         for column, (svg, caption) in enumerate(charts[first : first + columns]):
             x = _GAP + column * (WIDTH + _GAP)
             height, placed = _placed(svg, x, y)
@@ -489,6 +500,7 @@ def standalone(
                 )
             tallest = max(tallest, height)
         y += tallest + _GAP
+    # A single chart is shown at twice its size.
     size = f'width="{2 * width if columns == 1 else width}" viewBox="0 0 {width} {y}"'
     head = (
         '<svg xmlns="http://www.w3.org/2000/svg" class="chart" role="img"'
@@ -523,6 +535,7 @@ def style() -> str:
 @cache
 def _plain_style() -> str:
     """Return the style sheet with colours in place of variables, for drawing programs."""
+    # Take the colours of the light scheme and put them in place of the variables.
     colours = dict(re.findall(r"--([\w-]+): (#\w+)", style()))
     rules = style().partition("}\n")[2]
     return re.sub(r"var\(--([\w-]+)\)", lambda found: colours[found[1]], rules)
@@ -537,11 +550,13 @@ def thin_line(
     """
     if x.size <= max_points:
         return x, y
+    # Two points per bucket.
     edges = np.linspace(0, x.size, max_points // 2 + 1).astype(int)
     first, sizes = edges[:-1], np.diff(edges)
     bucket, missing = np.repeat(np.arange(first.size), sizes), np.isnan(y)
     # The first NaN keeps the gap; a bucket without values is represented by it.
     keep = [_first_of(bucket, missing)]
+    # fmin and fmax ignore NaN.
     for extreme in (np.fmin, np.fmax):
         keep.append(_first_of(bucket, y == np.repeat(extreme.reduceat(y, first), sizes)))
     order = np.unique(np.concatenate(keep))
@@ -585,6 +600,7 @@ def _legend(
     """Return legend entries with their places, and the number of rows."""
     out, x, row = [], 8.0, 0
     for kind, words in items:
+        # An entry that does not fit starts a new row.
         needed = 28 + _CHARACTER * len(words) + 12
         if x > 8.0 and x + needed > width:
             x, row = 8.0, row + 1

@@ -55,6 +55,7 @@ def kind_of(folder: Path) -> str:
     """
     if not folder.is_dir():
         raise BadInputError(f"{folder}: is no folder; report takes the --out of another command")
+    # A study contains campaigns, so the order of the kinds matters.
     for name, kind in KINDS:
         if (folder / name).is_file():
             return kind
@@ -163,6 +164,7 @@ def write_report(folder: Path, figures: bool = False) -> Report:
         If the folder is not recognised or cannot be read.
     """
     page, kind = page_of(folder), kind_of(folder)
+    # Drawings of the page, or of a page with all segments.
     figure_page = page if figures or kind == "campaign run" else None
     if figures and kind in SEGMENTED:
         figure_page = page_of(folder, every_segment=True)
@@ -190,6 +192,7 @@ def write_page(folder: Path, page: Page, figure_page: Page | None = None) -> Rep
         else tuple(write_figures(folder, figure_page.sections, figure_page.title))
     )
     new_files = {item.relative_to(folder).as_posix() for item in (path, *drawings)}
+    # Files that are rewritten now are intact again.
     damaged = tuple(fault for fault in file_faults if fault.name not in new_files)
     if damaged:
         page = replace(page, verdict=(Sentence(_damage_words(damaged), "bad"), *page.verdict))
@@ -229,6 +232,7 @@ def write_figures(folder: Path, sections: Iterable[Section], title: str) -> list
         for block in section.blocks:
             if not isinstance(block, Figures) or block.file is None:
                 continue
+            # One file for all drawings of the block.
             if block.file and block.items:
                 columns = 3 if block.narrow else 2
                 charts = [(figure.svg, figure.caption) for figure in block.items]
@@ -266,6 +270,7 @@ def write_results(done: Refinement, out: Path) -> None:
     write_bytes(out / "model.diff", model_diff(done).encode("utf-8", errors="surrogateescape"))
     for name in FIGURES:
         remove(out / "figures" / name)
+    # Histories of the hold-out flights: measurement, controls, and both models.
     setup, before, after = done.judged.test
     models = {"_before": before, "_after": after}
     columns = columns_of(setup.outputs, setup.measured) | columns_of(
@@ -282,6 +287,7 @@ def write_results(done: Refinement, out: Path) -> None:
 def model_diff(done: Refinement) -> str:
     """Return the unified difference of all XML files of two aircraft folders."""
     old, new = done.given.folder, done.aircraft.folder
+    # Compare every XML file that exists in either folder.
     names = sorted({p.relative_to(f).as_posix() for f in (old, new) for p in f.rglob("*.xml")})
     out: list[str] = []
     for name in names:

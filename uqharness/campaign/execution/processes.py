@@ -364,6 +364,7 @@ class ProcessExecutor:
         if len(failed_task.group.cases) > 1:
             retry_queue.extendleft(_Task(part) for part in reversed(failed_task.group.parts(PARTS)))
             return []
+        # Deaths by an outside signal have a larger allowance.
         failed_task.failures += not killed_from_outside
         failed_task.outside_kills += killed_from_outside
         if (

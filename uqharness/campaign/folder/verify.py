@@ -503,6 +503,7 @@ def _identify_campaign(
             ) from None
         _refuse_other_versions(folder)
         shard = _shard_of(folder)
+        # Rebuild the manifest from the campaign file.
         mission = find_mission(campaign, folder)
         campaign = with_default_noise(campaign, mission)
         campaign = _with_engine_of_journal(folder, campaign, mission)

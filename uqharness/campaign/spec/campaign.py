@@ -820,6 +820,7 @@ class CampaignSpec:
     def corner_count(self) -> int:
         """Number of combinations of bounds (or levels) and ends of uncertain means."""
         section = self.epistemic
+        # Every combination of bounds (or levels) with both ends of every uncertain mean.
         means = sum(item.mean_interval is not None for item in self.aleatory.variables.values())
         coefficients = 0 if section.method == "none" else len(self.inputs.coefficients)
         values = len(section.levels) if section.method == "levels" and section.levels else 2
