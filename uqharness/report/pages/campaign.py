@@ -71,6 +71,7 @@ def campaign_page(
     only : collection of str, optional
         Titles of the sections to build; default: all.
     """
+    # Texts are written for corners and adapted to the samples that were flown.
     kind = kind_of(report.campaign["epistemic"])
     sections = [with_sample_noun(grid_section(report.signed), kind)]
     if is_wanted(PBOXES, only):
@@ -91,7 +92,21 @@ def campaign_page(
 
 
 def pbox_section(report: CampaignReport, prefix: str = "") -> Section:
-    """Return the p-boxes of the medians in the hardest conditions, and a table of all."""
+    """Return the p-boxes of the medians in the hardest conditions, and a table of all.
+
+    Parameters
+    ----------
+    report : CampaignReport
+        Complete campaign.
+    prefix : str
+        Prefix of figure names.
+
+    Returns
+    -------
+    Section
+        Drawings of at most `CONDITIONS_DRAWN` conditions and the table of medians.
+    """
+    # Draw the hardest conditions only.
     displayed = hardest_first(conditions(report.frame))[:CONDITIONS_DRAWN]
     words = corner_words(report.frame)
     figures = tuple(
@@ -115,6 +130,7 @@ def pbox_section(report: CampaignReport, prefix: str = "") -> Section:
             " curves are measured too."
         )
     blocks: list[Block] = [Words(intro, note=True), Figures(figures, file="")]
+    # Say how many conditions are not drawn.
     undrawn = len(conditions(report.frame)) - len(displayed)
     if undrawn > 0:
         text = (
@@ -173,6 +189,7 @@ def _median_row(
     item: Finding, words: dict[str, str], between: bool, published: bool
 ) -> tuple[str, ...]:
     """Return the table row of one median."""
+    # Median of the p-box with its band, and the samples that set its ends.
     band = " to ".join(format_value(end) for end in item.box.band_quantile(0.5))
     ends = [words.get(name, name) for name in item.box.set_by(0.5)]
     row = [
@@ -194,7 +211,20 @@ def _median_row(
 def grid_section(
     signed: Sequence[Statement], title: str = "Where the answer is yes, no or inconclusive"
 ) -> Section:
-    """Return a grid of answers per radius: wind across, turbulence down."""
+    """Return a grid of answers per radius: wind across, turbulence down.
+
+    Parameters
+    ----------
+    signed : sequence of Statement
+        Claims on excursions.
+    title : str
+        Heading.
+
+    Returns
+    -------
+    Section
+        Each cell holds the answer and the rate at the worst corner.
+    """
     acceptable = f"{signed[0].acceptable_per_h:g}" if signed else ""
     text = (
         f"The question of each cell: at most {acceptable} excursions per flight hour at every"
@@ -207,6 +237,7 @@ def grid_section(
         return Section(title, (Words("This campaign counts no excursions.", note=True),))
     tables: list[Block] = []
     for radius in dict.fromkeys(item.cell.radius_m for item in signed):
+        # Cells of this radius, horizontal distance only.
         cells = {
             (item.cell.condition.turbulence, item.cell.condition.wind_mps): item
             for item in signed
@@ -261,6 +292,7 @@ def rate_sections(report: CampaignReport) -> list[Section]:
         " above; each is wrong with "
         "a probability of at most the error rate of its condition."
     )
+    # Columns of aborted flights only if there are some.
     kinds = report_statements.aborted_kinds(signed)
     head = (
         "Condition",
@@ -360,6 +392,7 @@ def _rate(item: ExcursionRate, rate: float, events: int) -> str:
     """Format a rate with its exact Poisson limits."""
     if math.isnan(rate):
         return "undefined: no hours"
+    # Without an event only the one-sided limit is meaningful.
     if events == 0:
         return f"0 (< {poisson_upper(0, item.hours, CONFIDENCE):.2g})"
     return f"{format_value(rate)} [{item.limits[0]:.2g}, {format_value(item.limits[1])}]"
@@ -370,6 +403,7 @@ def failure_section(frame: pd.DataFrame) -> Section:
     failed = frame[frame["status"] != "ok"]
     if failed.empty:
         return Section("Failed flights", (Words("None."),))
+    # List the first failures by name.
     more = (
         f", the first {_FAILURES_LISTED} are listed; all are in cases.parquet"
         if len(failed) > _FAILURES_LISTED
@@ -392,6 +426,7 @@ def _provenance(report: CampaignReport) -> Section:
     """Return commands, seed, versions and hashes with which the campaign can be repeated."""
     manifest, settings = report.manifest, report.campaign["campaign"]
     names = {"aircraft": settings["aircraft"], "script": settings["mission"]}
+    # Hash of each input with its name.
     hashes = [
         (f"{role.capitalize()} (SHA-256)", " ".join([digest, str(names.get(role, ""))]).strip())
         for role, digest in manifest["hashes"].items()

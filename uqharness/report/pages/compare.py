@@ -111,6 +111,7 @@ def noise_floor(reached: bool, above: Mapping[str, float], rule: str = "") -> st
     ``above`` maps the channels that do not to their ratio of residual rms to noise.
     """
     by = f" ({rule})" if rule else ""
+    # The rule is quoted where it was recorded.
     if reached:
         return f"The model reaches the noise floor{by}."
     worst = ", ".join(f"{c} {ratio:.2f}" for c, ratio in above.items())
@@ -155,6 +156,7 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
     rows = []
     for name, row in channels.items():
         label, (rms, noise) = in_shown_unit(name, row, "rms", "noise")
+        # Ratio of residual rms to noise, with the limit of "at the noise".
         ratio = row["ratio"]
         is_judged = row.get("judged", True)
         level: Level = "" if not is_judged or ratio is None else "good" if ratio <= LIMIT else "bad"
@@ -162,6 +164,7 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
         sizes = (format_value(noise), format_value(ratio, ".2f")) if is_judged else ("-", "-")
         answer = "undefined" if ratio is None else "at the noise" if level == "good" else "above"
         answer = answer if is_judged else _why_not_judged(name)
+        # A delay that cannot be estimated carries its reason.
         delay = f"{_milli(row.get('delay_s'))} ± {_milli(row.get('delay_std_s'))}"
         if row.get("delay_s") is None:
             delay = f"undefined: {row.get('delay_undefined') or 'no reason recorded'}"
@@ -223,6 +226,7 @@ def ratio_figure(
     """
     if not ratios:
         return None
+    # Axis from 0 to the largest ratio, at least beyond the limit.
     largest = max(v for row in ratios.values() for v in row.values())
     label = "; ".join(
         f"{row}: {' to '.join(f'{v:.2f}' for v in values.values())}"
@@ -235,6 +239,7 @@ def ratio_figure(
     chart.upright(LIMIT, "limit", f"limit {LIMIT:g}")
     for k, row in enumerate(ratios):
         values = [ratios[row][key] for key, _, _ in series if key in ratios[row]]
+        # A line joins the values of a row.
         if len(values) > 1:
             chart.across(min(values), max(values), k, "link")
         for key, kind, shape in series:
@@ -257,6 +262,7 @@ def _coefficient_section(
         ratio = (
             row["rms"] / row["noise"] if row.get("rms") is not None and row.get("noise") else None
         )
+        # Residual of the coefficient, and what noise alone would give.
         measured = format_value(row.get("rms")), format_value(row.get("noise"))
         cells.append(
             (
@@ -302,6 +308,7 @@ def _manoeuvre_section(document: Mapping[str, Any]) -> Section:
     manoeuvres = document.get("manoeuvres", {})
     blocks: list[Any] = []
     if manoeuvres:
+        # All manoeuvres have the same channels and coefficients.
         first = next(iter(manoeuvres.values()))
         names = [*first["channels"], *first["coefficients"]]
         head = ("Manoeuvre", *(shown_channel(n)[0] for n in names))

@@ -42,7 +42,24 @@ def coverage_page_of(
     prefix: str = "",
     only: Collection[str] | None = None,
 ) -> Page:
-    """Return the page of a validation from its document and residuals."""
+    """Return the page of a validation from its document and residuals.
+
+    Parameters
+    ----------
+    document : mapping
+        Content of coverage.json.
+    pieces : sequence of History
+        Residuals of the new flight.
+    prefix : str
+        Prefix of figure names.
+    only : collection of str, optional
+        Titles of the sections to build; default: all.
+
+    Returns
+    -------
+    Page
+        The verdict says whether the bounds hold, fail, or the flight is too short to tell.
+    """
     sections = [_coverage_section(document)]
     if is_wanted(title := "The new flight within the bounds", only):
         sections += within_section(pieces, list(document["coverage"]), title, "coverage", prefix)
@@ -53,6 +70,7 @@ def coverage_page_of(
         *remarks(document, key=("notes",)),
     ]
     sections.append(provenance(("Command", document.get("command") or "not recorded")))
+    # Older documents have no verdicts; they follow from the coverage.
     verdicts = document.get("verdicts") or {
         c: "holds" if row["0.95"] >= HOLDS_FROM else "fails"
         for c, row in document["coverage"].items()
@@ -91,6 +109,7 @@ def _coverage_section(document: Mapping[str, Any]) -> Section:
         level = _LEVELS[
             document.get("verdicts", {}).get(c, "holds" if row["0.95"] >= HOLDS_FROM else "fails")
         ]
+        # Coverage with its standard error, at both confidences.
         errors = document.get("errors", {}).get(c, {})
         first, second = (
             f"{100 * row[k]:.1f} ± {percent(errors.get(k), '.1f')}" for k in ("0.95", "0.68")
@@ -148,6 +167,7 @@ def _bin_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
     rows = []
     for row in (*document.get("by_speed", ()), *document.get("by_incidence", ())):
         quantity, unit, factor = shown_channel(row["state"])
+        # Range of the state in displayed units.
         ends = f"{quantity} {factor * row['from']:.3g} to {factor * row['to']:.3g} {unit}"
         rows.append(
             (ends, str(row["samples"]), *(percent(row["share"].get(c), ".0f") for c in names))
@@ -178,6 +198,7 @@ def _conformal_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
         " level given, whatever the distributions are, if manoeuvres are alike."
     )
     words = [Words(text, note=True)]
+    # With one flight the variation between flights cannot be estimated.
     unknown = [c for c, std in document.get("flight_variance", {}).items() if std is None]
     if unknown:
         words.append(

@@ -67,6 +67,7 @@ def _verdict(
 ) -> tuple[Sentence, ...]:
     """Return whether the models differ, first where, and the likeliest cause."""
     sentences = [Sentence(f"{f.name}: {f.reason}.", "bad") for f in flights if f.reason]
+    # Channels that only one model has count as a difference.
     for f in flights:
         sentences += [
             Sentence(f"{f.name}: only {s} has {', '.join(n)}.", "bad")
@@ -74,6 +75,7 @@ def _verdict(
             if n
         ]
     if differences:
+        # The first difference in time is the most informative.
         d = differences[0]
         sentences.append(
             Sentence(
@@ -154,6 +156,7 @@ def _history(flight: Matched, d: Difference, number: int) -> Figure:
     chart.line(flight.time_s, a, "first")
     chart.line(flight.time_s, b, "second")
     unit = "" if d.unit == "-" else f" {d.unit}"
+    # Root mean square of B minus A.
     rms = float(np.sqrt(np.nanmean((b - a) ** 2)))
     return Figure(
         chart.name,
@@ -169,6 +172,7 @@ def _elements(terms: Sequence[Term], differences: Sequence[Difference]) -> Secti
             "XML that differs",
             (Words("None: comments, spaces and the order of attributes do not count."),),
         )
+    # The likeliest cause first, if there is a difference.
     ordered = differences[0].terms if differences else terms
     rows = tuple((_where(t), t.path, t.a or "nothing", t.b or "nothing") for t in ordered)
     first = (

@@ -96,6 +96,7 @@ def compare_with_log(evidence: Evidence) -> LogComparison | None:
 
     Hold-out flights of the last refinement come first, then a comparison, then the identification.
     """
+    # Prefer flights that were not used for choosing or fitting the model.
     for kind, suffix, model in (
         (
             "refine",
@@ -129,14 +130,29 @@ def compare_with_log(evidence: Evidence) -> LogComparison | None:
 def _noise(step: Step) -> dict[str, float | None]:
     """Return the noise of each channel from the document of a step."""
     document = step.document or {}
+    # The noise is stored under different keys by each command.
     if step.kind == "refine":
         return {c: r.get("noise_rms") for c, r in document["gap"]["test"]["channels"].items()}
+    # identify stores channels under "fit", compare under "channels".
     rows = document["fit"] if step.kind == "identify" else document["channels"]
     return {c: r.get("noise") for c, r in rows.items()}
 
 
 def match_section(title: str, source: LogComparison | None) -> Section:
-    """Return the section on the proof of match: basis, tests, segments and figures."""
+    """Return the section on the proof of match.
+
+    Parameters
+    ----------
+    title : str
+        Heading.
+    source : LogComparison or None
+        Basis of the proof; None without time histories.
+
+    Returns
+    -------
+    Section
+        Basis, a row per test, a row per segment, and the worst segment of each test drawn.
+    """
     if source is None:
         text = (
             "Not in the data: the folder has no time histories of log and model, so none of the"
@@ -172,6 +188,7 @@ def match_section(title: str, source: LogComparison | None) -> Section:
 def _summary(match: Match) -> Table:
     """Return the table of tests with their answers."""
     rows = []
+    # A test fails if one of its segments fails.
     for test in TESTS:
         results = match.of(test.entry)
         answers = [j.answer for j in results]
@@ -196,6 +213,7 @@ def _summary(match: Match) -> Table:
 
 def _details(match: Match) -> list[Block]:
     """Return the table of segments, the largest difference over tolerance first."""
+    # Worst segment of each test first.
     segments = sorted(match.judged, key=lambda j: (j.test.entry, -_worst(j)))
     if not segments:
         return []
@@ -225,6 +243,7 @@ def _row_words(row: Row) -> str:
     """Return one compared quantity as text."""
     quantity, unit, factor = shown_channel(row.quantity)
     unit = "" if unit == "-" else f" {unit}"
+    # Oscillation periods and dampings are compared as two numbers.
     if math.isfinite(row.measured):
         values = (
             f"measured {format_value(factor * row.measured)}, model"
@@ -247,6 +266,7 @@ def _figures(source: LogComparison) -> tuple[Figure, ...]:
         results = source.match.of(test.entry)
         if not results:
             continue
+        # Draw the segment with the largest difference over tolerance.
         worst = max(results, key=_worst)
         bands: list[tuple[str, Tolerance | None]] = [(b.channel, b) for b in test.bands]
         if test.oscillation is not None:
@@ -276,6 +296,7 @@ def _test_figures(
         f"the worst of {segment_count} segments" if segment_count > 1 else "the only segment"
     )
     caption = f"{result.test.entry}, {quantity}: {segment.manoeuvre}, {selection}"
+    # Without a tolerance band both curves share one chart.
     if band is None:
         return [
             _chart(
@@ -288,6 +309,7 @@ def _test_figures(
                 caption,
             )
         ]
+    # The tolerance around the measurement, possibly relative to its size.
     half = factor * limits(band, segment.columns[channel])
     row = next((r for r in result.rows if r.quantity == channel), None)
     share = (
@@ -387,10 +409,23 @@ class Dossier:
 
 
 def dossier_of(evidence: Evidence) -> Dossier:
-    """Return the dossier of a folder's evidence; the same folder gives the same bytes."""
+    """Return the dossier of a folder's evidence; the same folder gives the same bytes.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Steps, documents and source files of the folder. Errors met while the sections are built are
+        added to its list of missing items.
+
+    Returns
+    -------
+    Dossier
+        Page, proof of match, and what is missing.
+    """
     source = compare_with_log(evidence)
     match = Match((), {}) if source is None else source.match
     campaigns = _campaigns(evidence)
+    # Build all sections, then the list of what is missing.
     numbered = [f"{k}. {title}" for k, title in enumerate(_TITLES, start=1)]
     histories = {
         s.place: evidence.histories(s)
@@ -455,6 +490,7 @@ def _verdict(match: Match, missing: Sequence[str], evidence: Evidence) -> tuple[
                 "warn",
             )
         )
+    # Answer of each test: fail before inconclusive before pass.
     tests: dict[str, str] = {}
     for test in TESTS:
         answers = [j.answer for j in match.of(test.entry)]
@@ -490,6 +526,7 @@ def _list(names: Sequence[str]) -> str:
 def _provenance(title: str, evidence: Evidence) -> Section:
     """Return the steps and the models they wrote or used."""
     rows = []
+    # One row per step with the model that it wrote or used.
     for number, step in enumerate(evidence.steps, start=1):
         model = _model(step)
         digest = Cell(model[:16], code=True) if model else Cell("")
@@ -518,6 +555,7 @@ def _parameters(evidence: Evidence) -> list[Block]:
     names = list(dict.fromkeys(n for table in tables for n in table))
     if not names:
         return []
+    # Initial values are those of the first identification.
     initial = next((t for s, t in zip(fits, tables, strict=True) if s.kind == "identify"), {})
     rows: list[tuple[str | Cell, ...]] = []
     for name in names[:_MOST_PARAMETERS]:
@@ -557,6 +595,7 @@ def _model(step: Step) -> str:
     try:
         # identify writes the aircraft there, refine one folder further down.
         home = step.folder / "aircraft"
+        # The aircraft folder itself, or the one below it.
         places = [home, *(p for p in sorted(home.glob("*")) if p.is_dir())]
         return next(
             (
@@ -619,6 +658,7 @@ def _effects(step: Step) -> list[Block]:
             value = (
                 f"{format_value(e.get('value'), '.4g')} ± {format_value(e.get('std'), '.2g')}{unit}"
             )
+            # Alternatives that the flights cannot separate from the effect.
             alike = [
                 a["name"].removesuffix(" off")
                 for a in e.get("alternatives", ())
@@ -767,6 +807,7 @@ def _assumptions(evidence: Evidence, source: LogComparison | None) -> list[str]:
             " model's error are extrapolated."
         )
     for step in evidence.of("campaign"):
+        # Turbulence model, flight length and uncertainty of each campaign.
         campaign = (step.document or {})["campaign"]
         air, unknown = campaign["aleatory"], campaign["epistemic"]
         lines.append(
@@ -803,6 +844,7 @@ def _envelope(
         )
     rows = []
     for name in (*_STATES, *_CONTROLS):
+        # Range of each state in the segments of each step.
         cells = [_range(name, segments) for _, segments in columns]
         if any(cells):
             quantity, unit, _ = shown_channel(name)
@@ -832,6 +874,7 @@ def _extrapolated(campaigns: Sequence[tuple[Step, CampaignReport]]) -> list[Bloc
     for step, campaign in campaigns:
         for statement in campaign.signed:
             where = step.place if step.place != "." else step.kind
+            # Constant bounds have no envelope, so nothing is recorded.
             share = statement.extrapolated_share
             words = (
                 "not recorded: its bounds are constants or have no envelope"
@@ -937,6 +980,7 @@ def _step_of(evidence: Evidence, file: str) -> str:
     """Return the step in whose folder a file lies, the deepest first."""
     best, name = -1, ""
     for number, step in enumerate(evidence.steps, start=1):
+        # A deeper folder is more specific.
         depth = 0 if step.place == "." else len(Path(step.place).parts)
         if depth > best and (depth == 0 or Path(file).is_relative_to(step.place)):
             best, name = depth, f"S{number}"

@@ -56,6 +56,7 @@ def flight_page(request: FlightRequest, columns: Columns, status: str, reason: s
     """
     time_s = np.asarray(columns["time_s"], dtype=float)
     length = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
+    # Manoeuvres of the record; a single one over the whole flight is not worth shading.
     names = (
         named_stretches(time_s, np.asarray(columns["manoeuvre"])) if "manoeuvre" in columns else []
     )
@@ -89,6 +90,7 @@ def _verdict(length: float, columns: Columns, status: str, reason: str) -> tuple
     )
     sentences = [Sentence(f"{end}; {length:.1f} s, {len(columns['time_s'])} rows.", level)]
     if "cross_track_m" in columns:
+        # Median and largest distance from the commanded path, if it was recorded.
         error = np.abs(np.asarray(columns["cross_track_m"], dtype=float))
         if np.isfinite(error).any():
             sentences.append(
@@ -127,7 +129,17 @@ def manoeuvre_section(stretches: Sequence[tuple[float, float, str]]) -> tuple[Se
 def track_section(
     columns: Columns, words: str = "", circles: Sequence[Circle] = ()
 ) -> tuple[Section, ...]:
-    """Return the ground track with commanded circles; empty without a recorded position."""
+    """Return the ground track; empty without a recorded position.
+
+    Parameters
+    ----------
+    columns : mapping of str to array
+        Channels (n,) by name.
+    words : str
+        Addition to the caption.
+    circles : sequence of Circle
+        Commanded circles, if known.
+    """
     figure = flight_track("ground-track", columns, words, circles)
     return () if figure is None else (Section("Ground track", (Figures((figure,), file=""),)),)
 
@@ -139,6 +151,7 @@ def _ranges(columns: Columns) -> Section:
         if name == "time_s" or np.asarray(values).dtype.kind not in "fiub":
             continue
         quantity, unit, factor = shown_signal(name)
+        # Values in displayed units, without NaN.
         finite = factor * np.asarray(values, dtype=float)
         finite = finite[np.isfinite(finite)]
         low, middle, high = (

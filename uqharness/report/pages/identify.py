@@ -86,6 +86,7 @@ def identify_page(
     """
     fit = read_document(folder / FIT, Fit)
     parameters = fit["parameters"]
+    # Parameters and fit first, then the segments with the largest residuals.
     sections = [_parameter_section(parameters, prefix), _fit_section(fit["fit"])]
     noise = {c: row.get("noise") for c, row in fit["fit"].items()}
     model = Model("_model", "first", "model with the estimates")
@@ -116,6 +117,7 @@ def identify_page(
 def _verdict(fit: Mapping[str, Any]) -> tuple[Sentence, ...]:
     """Return convergence, the number of identified parameters, and the quality of the fit."""
     parameters = fit["parameters"]
+    # Estimates that were refused keep their initial values.
     identified = [n for n, row in parameters.items() if row["status"] == _IDENTIFIED]
     missing = [n for n in parameters if n not in identified]
     sentences = [
@@ -143,6 +145,7 @@ def _verdict(fit: Mapping[str, Any]) -> tuple[Sentence, ...]:
 
 def _output_residual_sentences(channels: Mapping[str, Mapping[str, Any]]) -> list[Sentence]:
     """Return whether the residuals of output error are at the noise of the sensors."""
+    # Channels whose residuals exceed the noise point to a missing term.
     ratios = {c: _ratio(row) for c, row in channels.items()}
     above = {c: r for c, r in ratios.items() if r is not None and r > LIMIT}
     if above:
@@ -175,6 +178,7 @@ def _filter_residual_sentences(
 
     Their size is not a criterion, because it contains the gusts of a sample.
     """
+    # Bonferroni over the channels.
     level = WHITENESS_LEVEL / max(len(channels), 1)
     coloured = {
         c: row["predictable_share"]
@@ -220,6 +224,7 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
     notes = _shared_reasons(parameters)
     for name, row in parameters.items():
         is_identified = row["status"] == _IDENTIFIED
+        # A reason that several parameters share becomes a numbered note.
         reason = row.get("reason") or ""
         text = f"{row['status']} ({notes.index(reason) + 1})" if reason in notes else row["status"]
         status = Cell(text, "" if is_identified else "warn", "" if reason in notes else reason)
@@ -272,6 +277,7 @@ def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure 
     ]
     if not rows:
         return None
+    # Symmetric axis; huge changes are left to the table.
     reach = min(150.0, max(5.0, 1.1 * max(abs(change) + half for _, change, half in rows)))
     outside_frame = sum(abs(change) > reach for _, change, _ in rows)
     label = f"Change of {len(rows)} parameters from their initial values [%], with 95 % intervals."
@@ -361,8 +367,20 @@ def fit_document(
 ) -> dict[str, Any]:
     """Return the content of fit.json (docs/identification.md); numbers that are not finite are
     null.
+
+    Parameters
+    ----------
+    identification : Identification
+        Result.
+    flights : sequence of str
+        Names of the flights.
+    command : sequence of str
+        Command line.
+    hashes : sequence of str
+        SHA-256 of the flight files.
     """
     names = identification.identified
+    # Residuals of all segments, channel by channel.
     residual = [
         np.concatenate([block[:, k] for block in identification.residual])
         for k in range(len(identification.outputs))
@@ -476,6 +494,7 @@ def write_results(
         If a file cannot be written.
     """
     document = fit_document(identification, flights, command, hashes)
+    # Only identified parameters are written into the XML.
     estimates = {
         n: Estimate(
             float(identification.theta[i]),
@@ -485,6 +504,7 @@ def write_results(
         for i, n in enumerate(identification.names)
         if identification.status[n] == "identified"
     }
+    # Parameters that the XML does not declare are reported.
     unwritten = write_estimates(aircraft, estimates, out / "aircraft")
     if unwritten:
         document["warnings"].append(

@@ -60,8 +60,16 @@ class Instrumentation:
 
 
 def instrument_page(done: Instrumentation, form: ModelForm | None, constant: Constant) -> Page:
-    """Return the page of bounds from a model form, or of ``constant`` (lower, upper) by
-    coefficient.
+    """Return the page of an instrumented aircraft.
+
+    Parameters
+    ----------
+    done : Instrumentation
+        What was done.
+    form : ModelForm or None
+        Bounds as functions of the flight state.
+    constant : mapping of str to tuple of float
+        Constant (lower, upper) by coefficient; without bounds at all every delta is 0.
     """
     question = (
         f"By how much may the coefficients of {done.aircraft} be off in a campaign? Each delta"
@@ -107,6 +115,7 @@ def _verdict(
                 f" {flights}."
             )
         ]
+        # Coefficients without bounds have no uncertainty.
         zero = [c for c in COEFFICIENTS if c not in form.coefficients]
     else:
         kind = (
@@ -155,9 +164,11 @@ def _sizes(form: ModelForm | None, constant: Constant) -> Section:
         )
     size_rows = []
     for c, b in form.coefficients.items():
+        # Bounds with all states at their medians.
         middle = {s: np.array([m]) for s, m in zip(b.states, b.hull.middle[:, 1], strict=True)}
         low, high = b.bounds(middle, form.confidence, form.outside)
         lows, highs = [], []
+        # Extremes along each slice within the data.
         for k, state in enumerate(b.states):
             at = np.linspace(float(b.hull.low[k]), float(b.hull.high[k]), _SLICE)
             ends = b.bounds(slice_states(b, state, at), form.confidence, form.outside)
@@ -196,6 +207,7 @@ def _constant(constant: Constant) -> Section:
         scale("delta coefficient [-]", [ends.ravel(), np.zeros(1)]),
         names,
     )
+    # One bar per coefficient.
     for k, (low, high) in enumerate(ends):
         chart.across(low, high, float(k), "wide")
         for end in (low, high):

@@ -58,11 +58,13 @@ def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
     """
     modes = named_stretches(record["time_s"], record["mode"]) if "mode" in record else []
     names = named_stretches(record["time_s"], record["manoeuvre"]) if "manoeuvre" in record else []
+    # Many changes of mode would hide the data.
     changes = (
         [Shade(start, start, "joint") for start, _, _ in modes[1:]]
         if len(modes) <= _MAX_MODES
         else []
     )
+    # Times outside free flight, mode changes, manoeuvres.
     shades = [*_phases(record), *changes, *manoeuvre_shades(names)]
     flags = flags_of(record)
     legend = (
@@ -76,6 +78,7 @@ def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
         else []
     )
     sections = [_purposes(info), _findings(record), *_mends(info)]
+    # Each commanded circle once.
     circles = list(dict.fromkeys(Circle(x.north_m, x.east_m, x.radius_m) for x in info.loiters))[
         :_MAX_CIRCLES
     ]
@@ -106,6 +109,7 @@ def _verdict(info: LogInfo) -> tuple[Sentence, ...]:
             f" Hz, {flight}."
         )
     ]
+    # Purposes that the log supports, and those that it does not.
     serves, unserved = ([p.name for p in info.purposes if p.serves is yes] for yes in (True, False))
     if serves:
         sentences.append(
@@ -132,6 +136,7 @@ def _phases(record: FlightRecord) -> list[Shade]:
     free = record.metadata.free_flight_s
     if not free:
         return []
+    # Complement of the intervals of free flight.
     ends = [float(time_s[0]), *(end for stretch in free for end in stretch), float(time_s[-1])]
     return [Shade(a, b, "fillrange") for a, b in zip(ends[::2], ends[1::2], strict=True) if b > a]
 
@@ -153,6 +158,7 @@ def _findings(record: FlightRecord) -> Section:
     findings = record.metadata.findings
     if not findings:
         return Section("Findings", (Words("None."),))
+    # Errors first, one row per kind of finding.
     groups: dict[tuple[str, str], list[Finding]] = {}
     for f in sorted(
         findings, key=lambda f: _ORDER.index(f.severity) if f.severity in _ORDER else len(_ORDER)
@@ -195,6 +201,7 @@ def _where(members: Sequence[Finding], record: FlightRecord) -> str:
     ]
     if not spans:
         return channels or "whole log"
+    # The longest interval.
     start, end = min(spans, key=lambda s: s[0] - s[1])
     longest = "" if len(spans) == 1 else f"{len(spans)} stretches, the longest "
     return f"{channels}: {longest}{start:.2f} to {end:.2f} s"

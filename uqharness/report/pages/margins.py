@@ -73,6 +73,7 @@ def _decibel(value: float) -> str:
 
 def _sentence(item: LoopMargins) -> str:
     """Return the margins of a loop as a sentence."""
+    # Margins in words; infinite ones are absent.
     m = item.margins
     phase = f"{m.phase_deg:.1f} deg" if math.isfinite(m.phase_deg) else "none"
     delay = f"{1000.0 * m.delay_s:.0f} ms" if math.isfinite(m.delay_s) else "none"
@@ -146,6 +147,7 @@ class _Response:
         self.w = item.frequency_radps[is_reliable]
         self.log_w = np.log(self.w)
         self.gain = 20.0 * np.log10(np.abs(item.response[is_reliable]))
+        # Continuous phase, known up to whole turns.
         phase = np.degrees(np.unwrap(np.angle(item.response[is_reliable])))
         at = self.margins.phase_radps
         margin_phase = (
@@ -153,11 +155,13 @@ class _Response:
             if math.isfinite(at)
             else float(np.median(phase))
         )
+        # Shift the curve so that the phase margin is read at -180 deg.
         lag = (margin_phase + 180.0) % _TURN
         self.phase = phase + ((lag if lag <= 180.0 else lag - _TURN) - 180.0 - margin_phase)
         # Frequencies without a reliable response: their phase on the branch next to the curve.
         self.bad_w = item.frequency_radps[~is_reliable]
         self.bad_gain = 20.0 * np.log10(np.abs(item.response[~is_reliable]))
+        # Unreliable points go to the branch next to the curve.
         raw = np.degrees(np.angle(item.response[~is_reliable]))
         curve_phase = np.interp(np.log(self.bad_w), self.log_w, self.phase)
         self.bad_phase = raw + _TURN * np.round((curve_phase - raw) / _TURN)
@@ -199,6 +203,7 @@ def _critical(low: float, high: float) -> list[float]:
 def _phase_scale(values: Sequence[FloatArray]) -> Scale:
     """Return a phase axis with round ticks."""
     axis = scale("phase of L [deg]", [*values, np.array([-180.0])])
+    # The finest tick distance that gives few enough ticks.
     step = next((s for s in _SPACED_DEG if (axis.high - axis.low) / s <= _MOST_TICKS), 720.0)
     ticks = [step * k for k in range(math.ceil(axis.low / step), math.floor(axis.high / step) + 1)]
     return Scale(
@@ -222,6 +227,7 @@ def _gain(r: _Response) -> Figure:
     chart.dots(r.bad_w, r.bad_gain, "dot", "not read", radius=1.8)
     chart.line(r.w, r.gain, "first", "L, measured")
     chart.dots(r.w, r.gain, "dotfirst", radius=1.6)
+    # Gain margins from the curve to 0 dB.
     for w, kind, words in r.gain_margins:
         chart.path(np.array([w, w]), np.array([r.at(w)[0], 0.0]), kind, words)
     if math.isfinite(r.margins.phase_radps):
@@ -270,6 +276,7 @@ def _nichols(r: _Response) -> Figure:
     chart = Chart(f"nichols-{loop}", label, x, y, 290)
     chart.level(0.0, "zero")
     angle = np.linspace(0.0, 2.0 * math.pi, 241)
+    # Circle around -1 that touches the response, as a curve of gain over phase.
     circle = -1.0 + m.modulus * np.exp(1j * angle)
     phase = np.degrees(np.unwrap(np.angle(circle)))
     if m.modulus < 1.0:  # a larger circle holds the origin and is no closed line here

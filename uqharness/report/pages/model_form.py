@@ -87,9 +87,11 @@ def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
 
     ``only`` lists titles of the sections to build. Raises BadInputError.
     """
+    # Form, details and residuals of the folder; details may be missing.
     form = load_form(folder / FORM)
     details = read_document(folder / DETAILS, Bounds) if (folder / DETAILS).is_file() else {}
     pieces = read_histories(folder / RESIDUALS)
+    # Residuals of another command or version lack columns.
     if pieces and not have(pieces, needed := [*form.states, *form.coefficients]):
         raise BadInputError(
             f"{folder / RESIDUALS}: must have the columns {', '.join(needed)}; run its command"
@@ -125,6 +127,7 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Sentence, ...
     """Return the size of the model error, the left-out coverage, and the states of the bounds."""
     rows = details.get("coefficients", {})
     sentences = []
+    # Forms that separate noise state the size of the model error.
     parts = {c: b.parts for c, b in form.coefficients.items() if b.parts is not None}
     if parts:
         errors = [f"{c} ±{_limit(p):.2g} ({_beside_noise(p)})" for c, p in parts.items() if p.found]
@@ -142,6 +145,7 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Sentence, ...
         c: r["left_out_share"] for c, r in rows.items() if r.get("left_out_share") is not None
     }
     if coverage:
+        # Lowest leave-one-manoeuvre-out coverage.
         worst = min(coverage, key=lambda c: coverage[c])
         level: Any = "good" if coverage[worst] >= HOLDS_FROM else "warn"
         text = (
@@ -179,6 +183,7 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
         r = rows.get(c, {})
         p = b.parts
         sizes = ("-",) * 4
+        # Standard deviations of the parts, if the form separates them.
         if p is not None:
             time = format_value(p.transient_time_s, ".2g")
             sizes = (
@@ -187,6 +192,7 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
                 format_value(_limit(p)),
                 "yes" if p.found else "no",
             )
+        # Rate of variation in percent of the interval.
         walk = None if not np.isfinite(b.walk_rate) else 100.0 * b.walk_rate
         table.append(
             (
@@ -269,6 +275,7 @@ def slice_section(
     ]
     if pieces:
         legend.append(("dot", "flight minus model near the slice"))
+    # Residuals are drawn near each slice.
     states = (
         {}
         if not pieces
@@ -276,6 +283,7 @@ def slice_section(
     )
     parts = []
     for c, b in form.coefficients.items():
+        # All residuals of the coefficient.
         values = np.concatenate([h.columns[c] for h in pieces]) if pieces else np.empty(0)
         other = (baseline or {}).get(c)
         figures = tuple(
@@ -300,9 +308,11 @@ def _slice(
     state = b.states[k]
     quantity, unit, factor = shown_channel(state)
     low, high = float(b.hull.low[k]), float(b.hull.high[k])
+    # Extend the slice beyond the data.
     reach = SLICE_MARGIN * max(high - low, 1e-9)
     at = np.linspace(low - reach, high + reach, 81)
     lower, upper = b.bounds(slice_states(b, state, at), form.confidence, form.outside)
+    # 68 % bounds for comparison.
     narrow = b.bounds(slice_states(b, state, at), 0.68, form.outside)
     baseline_ends = (
         baseline.bounds(slice_states(baseline, state, at), outside=form.outside)
@@ -311,6 +321,7 @@ def _slice(
     )
     dot_rows = np.zeros(0, dtype=int)
     if values.size:
+        # Thin the dots evenly.
         is_near = near_slice(b, state, states)
         dot_rows = np.flatnonzero(is_near)[:: max(1, int(is_near.sum()) // _MOST_DOTS)]
     label = (
@@ -327,6 +338,7 @@ def _slice(
     if values.size:
         chart.dots(factor * states[state][dot_rows], values[dot_rows], "dot")
     chart.level(0.0, "zero")
+    # Bounds of both confidences, and the baseline.
     for sides, kind in (((lower, upper), "first"), (narrow, "limit2"), (baseline_ends, "third")):
         for end in sides:
             chart.line(factor * at, end, kind)
@@ -360,9 +372,11 @@ def variation_section(variations: Mapping[str, Variation]) -> Section:
     for c, variation in variations.items():
         if len(variation.increments) < 2 or not variation.sigma > 0.0:
             continue
+        # Density of the changes in percent of the interval.
         density, edges = np.histogram(100.0 * variation.increments, 60, density=True)
         mean, sigma = 100.0 * variation.mean, 100.0 * variation.sigma
         at = np.linspace(edges[0], edges[-1], 200)
+        # Fitted normal.
         normal = np.exp(-0.5 * ((at - mean) / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
         steps = np.append(density, 0.0)
         label = (
@@ -393,9 +407,16 @@ def variation_section(variations: Mapping[str, Variation]) -> Section:
 def within_section(
     pieces: Sequence[History], names: Sequence[str], title: str, file: str, prefix: str = ""
 ) -> tuple[Section, ...]:
-    """Draw residuals within their bounds, pieces end to end; empty without residuals.
+    """Draw residuals within their bounds, pieces end to end.
 
-    ``file`` is the name of the file of figures.
+    Parameters
+    ----------
+    pieces : sequence of History
+        Residuals with their bounds; without any the result is empty.
+    names : sequence of str
+        Coefficients.
+    title, file, prefix : str
+        Heading, name of the file of figures, and prefix of figure names.
     """
     if not pieces:
         return ()
@@ -409,6 +430,7 @@ def within_section(
             [h.columns[f"{c}_upper"] for h in pieces],
             "",
         )
+        # Share of the samples within the bounds.
         inside = np.concatenate(
             [
                 (h.columns[c] >= low) & (h.columns[c] <= high)
@@ -416,6 +438,7 @@ def within_section(
             ]
         )
         share = 100.0 * float(np.mean(inside))
+        # Bounds without sensor noise, if the form separates it.
         ends = (f"{c}_model_lower", f"{c}_model_upper")
         model = [(end, "second", "") for end in ends] if have(pieces, ends) else []
         has_noise_apart = has_noise_apart or bool(model)
@@ -466,6 +489,7 @@ def _hull_section(form: ModelForm) -> Section:
     for b in form.coefficients.values():
         for k, state in enumerate(b.states):
             quantity, unit, factor = shown_channel(state)
+            # Range and quartiles in displayed units.
             values = (b.hull.low[k], *b.hull.middle[k], b.hull.high[k])
             rows[state] = (
                 f"{quantity} [{unit}]",
@@ -555,11 +579,24 @@ def forced_width(noise: float, confidence: float) -> float:
 
 
 def bounds_document(made_bounds: MadeBounds) -> dict[str, Any]:
-    """Return the document of ``bounds --json``; numbers that are not finite are null."""
+    """Return the document of ``bounds --json``.
+
+    Parameters
+    ----------
+    made_bounds : MadeBounds
+        Bounds with residuals, noise and checks.
+
+    Returns
+    -------
+    dict
+        Dimensionless widths and standard deviations by coefficient; numbers that are not finite are
+        null.
+    """
     form = made_bounds.form
     left_out_shares = mean_left_out(made_bounds.residuals, made_bounds.left_out)
     rows = {}
     for c, b in form.coefficients.items():
+        # Noise of a sample, and the width that it forces.
         noise = made_bounds.noise.get(c, math.nan)
         rows[c] = finite(
             {
@@ -675,10 +712,22 @@ def write_residuals(form: ModelForm, residuals: Residuals, flights: str, out: Pa
 
     If the form separates noise, the bounds of samples contain the sensor noise; ``<C>_model_lower``
     and ``<C>_model_upper`` do not.
+
+    Parameters
+    ----------
+    form : ModelForm
+        Bounds.
+    residuals : Residuals
+        Flight minus model.
+    flights : str
+        Names of the flights.
+    out : Path
+        Folder.
     """
     columns = {state: [piece.states[state] for piece in residuals.pieces] for state in form.states}
     for name, bounds in form.coefficients.items():
         columns[name] = residuals.columns(name)
+        # Bounds of measured samples contain the sensor noise.
         samples = [
             measured_bounds(bounds, name, piece, None, form.outside) for piece in residuals.pieces
         ]

@@ -70,7 +70,17 @@ class ModesRequest:
 
 
 def modes_page(request: ModesRequest, point: LocusPoint, locus: Locus) -> Page:
-    """Return the page of the modes at one speed, and of a root locus that contains that speed."""
+    """Return the page of the modes at one speed.
+
+    Parameters
+    ----------
+    request : ModesRequest
+        What was analysed.
+    point : LocusPoint
+        Modes at the requested speed.
+    locus : Locus
+        Root locus over airspeed; it contains ``point``.
+    """
     category_text = f"category {request.category}, class {request.aircraft_class}"
     question = (
         f"Which Levels of MIL-F-8785C do the modes of {request.aircraft} reach ({category_text}),"
@@ -100,10 +110,12 @@ def modes_page(request: ModesRequest, point: LocusPoint, locus: Locus) -> Page:
 
 def _verdict(request: ModesRequest, point: LocusPoint, locus: Locus) -> tuple[Sentence, ...]:
     """Return the Levels reached at the requested speed, and the range of trimmed speeds."""
+    # The worst Level of any mode decides.
     worst = max(a.level for a in point.levels)
     reached = "a mode is worse than Level 3" if worst == 4 else f"all modes reach Level {worst}"
     or_better = " or better" if 1 < worst < 4 else ""
     sentences = [Sentence(f"At {point.V_mps:g} m/s {reached}{or_better}.", _LEVELS[worst])]
+    # Criteria of each mode with their Levels.
     for mode, name in NAMES.items():
         assessments = [a for a in point.levels if a.mode == mode]
         if not assessments:
@@ -220,6 +232,7 @@ def _ends(
     place: Mapping[float, Sequence[tuple[float, float]]],
 ) -> None:
     """Mark the slowest, fastest and requested speed; ``place`` holds the roots by speed."""
+    # Ring: slowest, square: fastest, disc: requested speed.
     slow, fast = locus.points[0].V_mps, locus.points[-1].V_mps
     for V, shape, kind, words in (
         (slow, "ring", "first", f"{slow:.4g} m/s"),
@@ -241,6 +254,7 @@ def _plane(
     name: str, label: str, roots: Sequence[tuple[float, float]], height: int = _TALL
 ) -> Chart:
     """Return a chart of the upper half plane that contains the roots and the origin."""
+    # The origin belongs to the picture.
     real, imag = (np.array([r[k] for r in roots]) for k in (0, 1))
     x = scale("real part [1/s]", [real, np.zeros(1)], margin=0.12)
     top = 1.15 * max(float(imag.max()), 1e-3)
@@ -282,6 +296,7 @@ def _labels(
     x_left, top, width, height = chart.plot
     occupied: list[tuple[float, float, float, float]] = []
     out: list[tuple[str, tuple[float, float], tuple[float, float], str]] = []
+    # Place labels from top to bottom; try positions until one is free.
     for m in sorted(point.modes, key=lambda m: -m.imag):
         if any(mode == m.name for mode, *_ in out):
             continue
@@ -293,6 +308,7 @@ def _labels(
         ]:
             x0 = u + dx - {"start": 0.0, "end": wide, "middle": 0.5 * wide}[anchor]
             box = (x0, v + dy - 10.0, x0 + wide, v + dy + 2.0)
+            # No overlap with labels placed before.
             free = all(
                 box[2] < t[0] or box[0] > t[2] or box[3] < t[1] or box[1] > t[3] for t in occupied
             )
@@ -322,6 +338,7 @@ def _pair(mode: str, request: ModesRequest, point: LocusPoint, locus: Locus) -> 
     )
     chart = _plane(f"locus-{mode}", label, roots)
     imag = np.linspace(0.0, chart.y.high, 121)
+    # Limits of Levels 1 to 3 as real part over imaginary part.
     edges = level_edges(mode, request.category, request.aircraft_class, imag)
     inside = np.clip(edges[0], chart.x.low, None)
     outline = (
@@ -354,6 +371,7 @@ def _cap(request: ModesRequest, point: LocusPoint, locus: Locus) -> list[Figure]
     """
     place: dict[float, list[tuple[float, float]]] = {}
     for p in locus.points:
+        # CAP = natural frequency squared over n/alpha.
         cap = next((a.value for a in p.levels if a.criterion == "CAP"), math.nan)
         if math.isfinite(cap) and cap > 0.0 and p.n_alpha > 0.0:
             place[p.V_mps] = [(p.n_alpha, math.sqrt(cap * p.n_alpha))]
@@ -363,6 +381,7 @@ def _cap(request: ModesRequest, point: LocusPoint, locus: Locus) -> list[Figure]
     (one_low, one_high), (two_low, two_high) = cap_limits(request.category)
     x = log_scale("n/alpha [g/rad]", [n], margin=0.25)
     ends = np.array([x.low, x.high])
+    # Limits of CAP are parallel lines in logarithmic axes.
     lines = [
         (two_low, "level2", 2),
         (two_high, "level2", 2),
@@ -399,6 +418,7 @@ def _cap(request: ModesRequest, point: LocusPoint, locus: Locus) -> list[Figure]
 
 def _root(mode: str, request: ModesRequest, point: LocusPoint, locus: Locus) -> Figure:
     """Draw a real root over airspeed with the limits of the Levels."""
+    # Limits of the Levels as real roots.
     limits = root_limits(mode, request.category, request.aircraft_class)
     branches = _branches(locus, mode)
     speeds, values = np.array([p.V_mps for p in locus.points]), [real for _, real, _ in branches]
@@ -441,6 +461,7 @@ def _by_speed(locus: Locus) -> Section:
         for p in locus.points
         for a in p.levels
     }
+    # Columns in the order of the modes.
     keys = sorted(units, key=lambda key: list(NAMES).index(key[0]))
     rows: list[tuple[str | Cell, ...]] = []
     for p in locus.points:

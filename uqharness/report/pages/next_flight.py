@@ -158,6 +158,7 @@ def uncertainty_figures(
         return figures
     variance_ranges = {}
     for state in current.states:
+        # Mean variance in six bins of equal occupancy.
         bins = np.digitize(
             mission[state], np.quantile(mission[state], np.linspace(0.0, 1.0, 7)[1:-1])
         )
@@ -178,12 +179,15 @@ def _profile(
 ) -> Figure:
     """Draw the half-width along one state, before and after the flight."""
     quantity, unit, factor = shown_channel(state)
+    # Ignore the most extreme 0.2 % on either side.
     low, high = (float(v) for v in np.quantile(values, [0.002, 0.998]))
     edges = np.linspace(low, high, _BINS + 1)
     bins = np.clip(np.digitize(values, edges) - 1, 0, _BINS - 1)
     count = np.bincount(bins, minlength=_BINS)
+    # Residual scatter stays whatever is flown.
     scatter = b.t * float(np.sqrt(b.s2))
     many = count >= 3
+    # Mean half-width where the mission has at least three samples.
     means = [np.bincount(bins, curve, _BINS)[many] / count[many] for curve in (before, after)]
     y = Scale(
         f"half-width of {coefficient} [-]",
@@ -235,12 +239,14 @@ def _maps(
         for f, s in zip(factors, pair, strict=True)
     ]
     box = [np.quantile(v, [0.002, 0.998]) for v in (x, y)]
+    # Occupancy weighted by the variance, before and after.
     histograms = [np.histogram2d(x, y, _CELLS, box, weights=c**2) for c in curves]
     largest = max(float(histograms[0][0].max()), 1e-300)
     scales = [
         Scale(axis_label(s), *_reach(ends, d)) for s, ends, d in zip(pair, box, dots, strict=True)
     ]
     i, j = (b.states.index(s) for s in pair)
+    # Outline of the data.
     across = factors[0] * np.array(
         [b.hull.low[i], b.hull.high[i], b.hull.high[i], b.hull.low[i], b.hull.low[i]]
     )
@@ -300,6 +306,7 @@ def words(
         Terms that explain residual scatter; None if the flights were not given.
     """
     c, p = plan.coefficient, plan.prospect
+    # What the coefficient contributes, and how certain that is.
     low, high = (100.0 * s for s in winner.share)
     sure = "certain" if winner.certain else "not certain"
     out = [
@@ -313,6 +320,7 @@ def words(
         f" {_percent(plan.extrapolated)} of the mission lies outside the data. The polynomial's"
         f" uncertainty alone gives {p.now.parameter:.3g}, the scatter about it the rest."
     )
+    # What the planned flight brings, against repetition and unlimited data.
     flight = (
         f"The flight of {plan.end_s / 60.0:.1f} min narrows the interval by"
         f" {_percent(p.narrowing)} (its parameter part by "
@@ -324,6 +332,7 @@ def words(
         f" kind, by {_percent(p.at_most)}."
     )
     redone_narrowing = 1.0 - p.redone.total / p.now.total
+    # New bounds also reflect a different scatter; say so if it matters.
     if abs(redone_narrowing - p.narrowing) > 0.01:
         flight += (
             f" Bounds made again will come out {_percent(abs(redone_narrowing))}"
@@ -349,6 +358,7 @@ def _first_points(plan: NextFlight) -> list[str]:
     """Return a sentence on how few points bring most of the gain; empty if more than half are
     needed.
     """
+    # Most informative points first, until their sum is large enough.
     order = sorted(range(len(plan.plan)), key=lambda k: -plan.plan[k].gain)
     total, gained, few = sum(p.gain for p in plan.plan), 0.0, list[int]()
     for k in order:
@@ -379,6 +389,7 @@ def _reason_not_to_fly(plan: NextFlight, p: Prospect) -> str:
         f"More data cannot narrow this interval: {_percent(1.0 - p.at_most)} of its width is"
         " scatter about the polynomial, which stays. "
     )
+    # Scatter relative to what sensors and air alone give.
     ratio = plan.scatter / plan.simulated_scatter
     if not math.isfinite(ratio):
         return text + "A longer flight (--minutes) would show whether that is noise or model form."
@@ -561,6 +572,7 @@ def points_csv(plan: NextFlight, units: Mapping[str, str]) -> bytes:
         if not item.point.steps:
             writer.writerow([*head, "", "", "", "", "", "", f"{item.gain:.4g}"])
         for s in item.point.steps:
+            # Signs and lengths of the steps.
             pattern = " ".join(f"{'+' if sign > 0 else '-'}{n}" for n, sign in s.pattern)
             writer.writerow(
                 [

@@ -78,6 +78,7 @@ def listed_candidates(done: Mapping[str, Any]) -> dict[str, ListedCandidate]:
     of an alternative is the square root of the gain in twice the log likelihood in place of the
     effect.
     """
+    # Chosen and withdrawn effects, their alternatives, then candidates that remain.
     rows: list[tuple[str, Mapping[str, Any], float | None]] = []
     for part, effects in (("chosen", done["effects"]), ("withdrawn", done.get("withdrawn", ()))):
         rows += [(part, e, e.get("evidence", {}).get("t")) for e in effects]
@@ -92,6 +93,7 @@ def listed_candidates(done: Mapping[str, Any]) -> dict[str, ListedCandidate]:
     for part, e, t in rows:
         if e.get("term"):
             out.setdefault(_short(e), ListedCandidate(part, None if t is None else abs(t)))
+    # The best candidate that was rejected.
     refused = done.get("best_refused")
     if refused:
         out.setdefault(
@@ -117,6 +119,7 @@ def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None
     single_t = {r["effect"]: abs(r["t"]) for r in board.get("scores", ()) if r.get("t") is not None}
     listed = listed_candidates(done)
     unlisted = [n for n in single_t if n not in listed][:MAX_UNLISTED]
+    # Length of a row: the larger of both values.
     sizes = {
         n: max(single_t.get(n, 0.0), (listed[n].t or 0.0) if n in listed else 0.0)
         for n in (*listed, *unlisted)
@@ -129,6 +132,7 @@ def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None
     x = Scale("|t| of the score test [-]", 0.0, 1.08 * max(*sizes.values(), limit or 0.0, 1e-9))
     titles = [f"{n} {_MARKS[listed[n].part]}" if n in listed else n for n in order]
     chart = rows_chart(f"{prefix}candidates", label, x, titles)
+    # Bar: t alone; disc: t in the role of the candidate.
     for k, n in enumerate(order):
         if n in single_t:
             chart.across(
@@ -164,6 +168,7 @@ def place_words(place: Mapping[str, Any]) -> list[str]:
         return []
     name, _, _ = shown_channel(place["channel"])
     side = "hold-out" if place["flights"] == "test" else "train"
+    # Without an interval the record gives the reason.
     if place["from_s"] is None:
         first = (
             f"residual of {name}, {side} flights, {place['rms_over_noise']:.2f} times its noise:"
@@ -195,6 +200,7 @@ def place_words(place: Mapping[str, Any]) -> list[str]:
         f"{c['name']} {c['leaves']:.2f} (|t| {abs(c['t']):.1f})" for c in place["candidates"]
     )
     current = f"rms over noise of {name} on the train flights {place['channel_on_train']:.2f}"
+    # What the nearest candidates would leave.
     second = f"{current}; with the nearest candidates it would be: {candidates}"
     return [first, second, f"the flight that would tell: {place['would_tell']}"]
 
@@ -214,6 +220,7 @@ def smooth_words(smooth: Mapping[str, Any]) -> str:
 
 def no_region_words(document: Mapping[str, Any]) -> str:
     """Return the sentence for residuals without a distinct region."""
+    # No region, but significant effects over all samples together.
     t_values = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
     t_values += [abs(w["t"]) for w in document["remaining"]["where"] if "t" in w]
     if t_values:
@@ -234,6 +241,7 @@ def remaining_words(remaining: Mapping[str, Any]) -> list[str]:
     if not remaining["unexplained"]:
         return [w["words"] for w in remaining["where"] if "words" in w]
     out = []
+    # Channels above their noise, coloured residuals, then single findings.
     above = remaining["channels_above_noise"]
     if above:
         out.append(
@@ -259,6 +267,7 @@ def test_words(effect: Mapping[str, Any]) -> str:
     test = effect["test"]
     change, std = test["change_of_twice_log_likelihood"], test["std"]
     number = f"twice the log likelihood {_with_error(change, std)} with it"
+    # The number itself is meaningless if one model diverges.
     if abs(change) >= _DIVERGED:
         more, leaves = ("more", "without") if change > 0.0 else ("less", "with")
         number = (
@@ -289,6 +298,7 @@ def _with_error(value: float, std: float) -> str:
     """Format ``value ± std`` with three significant digits of the standard error."""
     if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
         return f"{value:+.4g} ± {std:.3g}"
+    # Decimals that show three significant digits of the standard error.
     places = 2 - math.floor(math.log10(std))
     return f"{round(value, places):+.{max(places, 0)}f} ± {round(std, places):.{max(places, 0)}f}"
 
@@ -324,8 +334,16 @@ def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") ->
     """Return the effects: value, change of the XML, alternatives, evidence, and rejected
     candidates.
 
-    ``diff`` is the text of model.diff.
+    Parameters
+    ----------
+    done : mapping
+        Content of refinement.json.
+    diff : str
+        Text of model.diff.
+    prefix : str
+        Prefix of figure names.
     """
+    # Value of each property that switches the effect off.
     off = {s["property"]: s["off"] for s in done.get("switch", ())}
     parts = [
         Section(
@@ -357,6 +375,7 @@ def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") ->
 def _value(e: Mapping[str, Any], off: Mapping[str, float], name: str) -> list[Block]:
     """Return the result on the hold-out flights and a chart of the 95 % interval."""
     out: list[Block] = [Words(f"{capital(test_words(e))}.")] if e.get("test") else []
+    # 95 % interval with the value that switches the effect off.
     low, high = e.get("evidence", {}).get("interval_95") or (None, None)
     if low is None or high is None or e["value"] is None:
         return out
@@ -396,9 +415,23 @@ def _change(e: Mapping[str, Any], diff: str) -> list[Block]:
 
 
 def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
-    """Return changed lines of a difference that contain one of the words, with ``around`` lines of
-    context.
+    """Return changed lines of a difference that contain one of the words.
+
+    Parameters
+    ----------
+    diff : str
+        Unified difference.
+    words : sequence of str
+        Words to look for.
+    around : int
+        Lines of context on either side.
+
+    Examples
+    --------
+    >>> lines_naming("+a\\n b\\n+c", ["c"], around=0)
+    '+c'
     """
+    # Changed lines that contain a word, with their context.
     lines = [line for line in diff.splitlines() if not line.startswith(("--- ", "+++ ", "@@"))]
     matches = [
         k for k, line in enumerate(lines) if line[:1] in "+-" and any(w in line for w in words)
@@ -407,6 +440,7 @@ def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
         {k for c in matches for k in range(max(c - around, 0), min(c + around + 1, len(lines)))}
     )
     out: list[str] = []
+    # Dots mark omitted lines.
     for last, k in zip([-1, *with_context], with_context, strict=False):
         out += ["..."] * (last >= 0 and k > last + 1) + [lines[k]]
     return "\n".join(out)
@@ -475,6 +509,7 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         return Section(title, (Words(f"Not shown: {intervals['reason']}."),))
     rows = []
     for name, r in intervals["coefficients"].items():
+        # A wider interval after the refinement deserves attention.
         before, after = r["width_before"], r["width_after"]
         level: Level = "warn" if before is not None and after is not None and after > before else ""
         rows.append(
@@ -513,6 +548,7 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
 def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure, ...]:
     """Draw the ratio of widths, and the coverage with 95 % limits."""
     rows = intervals["coefficients"]
+    # Ratio of widths where both are known.
     widths = {
         c: r["width_after"] / r["width_before"]
         for c, r in rows.items()
@@ -534,6 +570,7 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
         out.append(
             Figure(chart.name, chart.svg(), "Mean width of the intervals after, over before [-].")
         )
+    # Before and after slightly offset.
     sides = (("before", "second", "ring", -0.15), ("after", "first", "disc", 0.15))
     rows_with_coverage = [
         (
@@ -657,6 +694,7 @@ def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
         f" over {smooth['times']}" if smooth["times"] else ""
     )
     y = scale(axis_label_text, [value, low, high])
+    # Density of the data at the foot of the chart.
     foot = y.low + 0.25 * (y.high - y.low) * samples / max(samples.max(), 1.0)
     label = (
         f"{capital(smooth['name'])}: {value.min():.3g} to {value.max():.3g} over {smooth['state']}"
@@ -687,6 +725,7 @@ def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
 def _gap_table(smooth: Mapping[str, Any]) -> Table:
     """Return residuals with and without the term."""
     rows = []
+    # Training flights, then hold-out flights.
     for side, flights in (("train", "Train"), ("test", "Test")):
         gap = smooth["gap"][side]
         channels = gap.get("predictions") or gap["channels"]
@@ -732,7 +771,19 @@ _DIFF_LINES = 400
 def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
     """Return the page of a folder that ``uqharness refine`` wrote.
 
-    ``only`` lists titles of the sections to build. Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    prefix : str
+        Prefix of figure names.
+    only : collection of str, optional
+        Titles of the sections to build; default: all.
+
+    Raises
+    ------
+    BadInputError
+        If the folder cannot be read.
     """
     done = read_document(folder / REFINEMENT, Refinement)
     histories = read_histories(folder / HISTORIES)
@@ -744,6 +795,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
         *_place_sections(done),
     ]
     sections += [*smooth_sections(done, prefix), _where_section(done)]
+    # Coefficients with an effect; all if there is none.
     touched = list(
         dict.fromkeys(e["coefficient"] for e in done["effects"] if "coefficient" in e)
     ) or list(COEFFICIENTS)
@@ -821,6 +873,7 @@ def _verdict(done: Mapping[str, Any]) -> tuple[Sentence, ...]:
     """Return the verdict: effects with their tests, confounded alternatives, the largest
     improvement.
     """
+    # An effect is confirmed if the residuals of the hold-out flights fell.
     is_confirmed = [(e.get("test") or {}).get("gap") == "shrank" for e in done["effects"]]
     effect_verdict = {"effects-found": _SHRANK if any(is_confirmed) else _INCONCLUSIVE}
     text, level = {**_VERDICTS, **effect_verdict}.get(done["verdict"], (done["verdict"], "warn"))
@@ -859,6 +912,7 @@ def _verdict(done: Mapping[str, Any]) -> tuple[Sentence, ...]:
 
 def _largest_fall(gap: Mapping[str, Any]) -> str:
     """Return a sentence on the channel whose residual fell most, relative to its noise."""
+    # Channels with known residuals and noise.
     rows = {c: r for c, r in gap["channels"].items() if all(r.get(k) for k in RMS)}
     if not rows:
         return ""
@@ -930,9 +984,18 @@ def _region(state: str, ends: Sequence[float | None]) -> str:
 
 
 def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
-    """Return the residuals on the hold-out flights before and after, by channel and coefficient."""
+    """Return the residuals on the hold-out flights, by channel and coefficient.
+
+    Parameters
+    ----------
+    gap : mapping
+        Residual rms before and after the refinement, and noise, as refinement.json holds them.
+    prefix : str
+        Prefix of figure names.
+    """
     figures, rows = [], []
     for kind in ("channels", "coefficients"):
+        # Ratios to the noise for the figure, rms for the table.
         ratios = {}
         for name, r in gap.get(kind, {}).items():
             label, (before, after, noise) = in_shown_unit(name, r, *RMS)
@@ -1005,6 +1068,7 @@ def _coefficient_figures(
         if not have(histories, (f"{c}_gap_before", f"{c}_gap_after")):
             continue
         noise = gap["coefficients"].get(c, {}).get("noise_rms")
+        # 95 % band of the noise, if it is known.
         band = None
         if noise is not None:
             half = [np.full(len(h.time_s), Z95 * noise) for h in histories]

@@ -69,6 +69,7 @@ Sides = Mapping[str, CampaignReport]
 
 def answer_sentences(answer: Mapping[str, Any]) -> tuple[Sentence, ...]:
     """Return the answer with its level, then reason, model deficiency and next step."""
+    # Only the answer has a level; the other sentences are facts.
     level: Level = answer["level"] if answer["level"] in ("good", "warn", "bad") else ""
     facts = (answer[part] for part in ("why", "lacked", "next"))
     return Sentence(answer["answer"], level), *(Sentence(text) for text in facts if text)
@@ -79,7 +80,16 @@ def first_figures(
 ) -> tuple[Block, ...]:
     """Return the lap as ground track and distance, and the p-box, all in the hardest condition.
 
-    Damaged files are reported in ``missing``.
+    Parameters
+    ----------
+    folder : Path
+        Study folder.
+    study : mapping
+        Content of study.json.
+    sides : mapping of str to CampaignReport
+        Campaigns by when they were flown.
+    missing : list of str
+        Receives messages on files that cannot be read.
     """
     try:
         figures = _lap(folder / "tracks.parquet", study.get("tracks") or {})
@@ -113,6 +123,7 @@ def _pbox(sides: Sides) -> Figure | None:
         return None
     *_, last = sides.values()
     condition = hardest_condition(conditions(last.frame))
+    # The first metric that all campaigns have in this condition.
     for metric in _FIRST:
         items = {
             w: next((f for f in s.findings if (f.metric, f.condition) == (metric, condition)), None)
@@ -121,6 +132,7 @@ def _pbox(sides: Sides) -> Figure | None:
         findings = {when: item for when, item in items.items() if item is not None}
         if len(findings) < len(sides):
             continue
+        # The later campaign in front.
         boxes = [
             LabelledBox(
                 when if len(findings) > 1 else "",
@@ -151,6 +163,7 @@ def effect_section(folder: Path) -> Section:
     Raises BadInputError.
     """
     done = read_document(folder / "refinement.json", Refinement)
+    # Residuals of the hold-out flights.
     gap = done["gap"]["test"]["channels"]
     rows = []
     for e in done["effects"]:
@@ -170,6 +183,7 @@ def effect_section(folder: Path) -> Section:
     table = Table("Effects that refinement added to the model.", head, tuple(rows))
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
     noise = {c: row["noise_rms"] for c, row in gap.items()}
+    # Residual rms over noise, before and after.
     ratios = {
         c.rpartition("_")[0] or c: {
             when: row[f"rms_{when}"] / row["noise_rms"] for when in ("before", "after")
@@ -188,13 +202,25 @@ def effect_section(folder: Path) -> Section:
 
 
 def cells_section(sides: Sides) -> Section:
-    """Return a row per condition and radius with the answers before and after."""
+    """Return a row per condition and radius with the answers before and after.
+
+    Parameters
+    ----------
+    sides : mapping of str to CampaignReport
+        Campaigns by when they were flown; at least one.
+
+    Returns
+    -------
+    Section
+        Answer, rate at the worst corner with limits [1/h], and aborted flights.
+    """
     *_, last = sides.values()
     if not last.signed:
         return Section(
             "Cells of wind and turbulence", (Words("The campaign counts no excursions."),)
         )
     acceptable = f"{last.signed[0].acceptable_per_h:g}"
+    # Statements of each campaign by condition, radius and distance.
     by_place = {when: {_place(item): item for item in side.signed} for when, side in sides.items()}
     kinds = aborted_kinds([item for side in sides.values() for item in side.signed])
     rows: list[tuple[str | Cell, ...]] = []
@@ -305,6 +331,7 @@ def study_page(folder: Path) -> Page:
     """
     study = read_document(folder / STUDY, Study)
     missing: list[str] = []
+    # Campaigns before and after a refinement, or the only one.
     overlaid = study.get("before_after") or {}
     # Each campaign is read once, however often it is shown.
     read = cache(read_campaign_report)
@@ -318,11 +345,13 @@ def study_page(folder: Path) -> Page:
     folded_sections: list[Section] = []
     if first and study.get("verdict"):
         folded_sections.append(Section("All findings", (Sentences(_sentences(study)),)))
+    # Two campaigns are compared, each with its grid of answers.
     if len(sides) > 1:
         folded_sections += [overlay_section(sides["before"], sides["after"], overlaid)]
         folded_sections += [
             grid_section(side.signed, f"Answers {when}") for when, side in sides.items()
         ]
+    # Selected sections of every finished stage.
     for number, stage in enumerate(study["stages"]):
         section = _stage_page(
             folder, stage, number, missing, list(names.values()) if len(sides) > 1 else [], read
@@ -377,6 +406,7 @@ def _verdict(study: Mapping[str, Any]) -> tuple[Sentence, ...]:
     stages = study["stages"]
     done = sum(stage["state"] == "done" for stage in stages)
     state = study.get("state", "running")
+    # A study that stopped or is running says so first.
     if state == "failed":
         failed = (
             ", ".join(stage["name"] for stage in stages if stage["state"] == "failed") or "a stage"
@@ -451,6 +481,7 @@ def _stage_page(
     if stage["state"] != "done" or not stage.get("folder"):
         return None
     place, prefix = folder / stage["folder"], f"s{number}-"
+    # Sections that the open part already displays.
     skipped = _SHOWN_ABOVE if stage["folder"] in overlaid else ()
     titles = [title for title in _STAGE_SECTIONS.get(stage["kind"], ()) if title not in skipped]
     try:
