@@ -88,7 +88,18 @@ def answer_words(item: Statement) -> str:
 
 
 def sentence(item: Statement) -> str:
-    """Return one statement as sentences for the verdict."""
+    """Return one statement as sentences for the verdict.
+
+    Parameters
+    ----------
+    item : Statement
+        Claim on one condition, radius and distance.
+
+    Returns
+    -------
+    str
+        Rates at the best and worst corner with limits [1/h], the answer, and the share of flights.
+    """
     cell = item.cell
     # Rates at the best and worst corner with limits, then the answer.
     text = f"Excursions beyond {cell.radius_m:g} m per flight hour: "
@@ -114,7 +125,19 @@ def sentence(item: Statement) -> str:
 
 
 def row(item: Statement) -> dict[str, str]:
-    """Return one statement as texts for the table."""
+    """Return one statement as texts for the table.
+
+    Parameters
+    ----------
+    item : Statement
+        Claim on one condition, radius and distance.
+
+    Returns
+    -------
+    dict of str to str
+        Cells by column: condition, radius, best, worst, worst_corner, answer, hours, dispersion,
+        carried (dispersion allowed for) and outside (share outside the data).
+    """
     cell = item.cell
     share = item.extrapolated_share
     return {
@@ -153,8 +176,19 @@ def aborted_head(kinds: Sequence[str]) -> tuple[str, ...]:
 
 
 def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tuple[str, ...]:
-    """Return aborted flights by kind and the upper limit of their rate; several campaigns side by
-    side.
+    """Return the cells of aborted flights.
+
+    Parameters
+    ----------
+    kinds : sequence of str
+        Kinds of `aborted_kinds`; without any the result is empty.
+    items : sequence of Statement or None
+        Claims of the same condition in several campaigns; None where it was not flown.
+
+    Returns
+    -------
+    tuple of str
+        Counts by kind and the upper limit of the rate [1/h], campaigns separated by a slash.
     """
     if not kinds:
         return ()
@@ -169,7 +203,20 @@ def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tu
 
 
 def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> list[str]:
-    """Return the assumptions of the statements, and where the flights contradict them."""
+    """Return the assumptions of the statements, and where the flights contradict them.
+
+    Parameters
+    ----------
+    claims : sequence of Statement
+        Claims of a campaign.
+    campaign : mapping
+        Settings of the campaign as plain types.
+
+    Returns
+    -------
+    list of str
+        Sentences.
+    """
     # What the limits assume on clustering.
     allowed = float(campaign["metrics"]["dispersion"])
     allowance = (
@@ -266,7 +313,12 @@ def kind_of(epistemic: Mapping[str, Any]) -> str:
 def with_sample_noun(part: Part, method: str) -> Part:
     """Replace "corner" in a text, or in all texts of a page part, by the noun of the method.
 
-    Drawings stay as they are.
+    Parameters
+    ----------
+    part : str, tuple or page part
+        Drawings within it stay as they are.
+    method : str
+        Result of `kind_of`.
     """
     noun = NOUNS.get(method, "sample")
     return part if noun == "corner" else _replace_corner(part, noun)
@@ -628,7 +680,19 @@ def sensitivity_section(
 ) -> tuple[Section, ...]:
     """Return the sensitivity section; empty if ``uqharness sensitivity`` was not run.
 
-    Raises BadInputError if the table is damaged.
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    manifest : mapping
+        Its manifest.
+    prefix : str
+        Prefix of figure names.
+
+    Raises
+    ------
+    BadInputError
+        If sensitivity.csv is damaged.
     """
     # Display the hardest condition; the table file has all.
     table_rows = read_sensitivity(folder, manifest)
@@ -670,7 +734,18 @@ def sensitivity_section(
 
 
 def condition_sections(content: bytes) -> list[Section]:
-    """Return the drawings of a sensitivity.csv, one file per condition."""
+    """Return the drawings of a sensitivity.csv.
+
+    Parameters
+    ----------
+    content : bytes
+        The file.
+
+    Returns
+    -------
+    list of Section
+        One per condition; its drawings share a file.
+    """
     out = []
     for condition, condition_rows in by_condition(
         list(csv.DictReader(content.decode().splitlines()))
@@ -784,7 +859,19 @@ _COLUMNS = ("time_s", "north_m", "east_m", "error_cross_track")
 def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[Section, ...]:
     """Return the tracks of repeated flights, or the command that repeats the worst one.
 
-    ``frame`` is cases.parquet. Empty for a mission without a commanded path.
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder; records are in its subfolder rerun.
+    frame : DataFrame
+        cases.parquet.
+    prefix : str
+        Prefix of figure names.
+
+    Returns
+    -------
+    tuple of Section
+        Empty for a mission without a commanded path.
     """
     if _WORST not in frame or not frame[_WORST].notna().any():
         return ()
@@ -878,7 +965,15 @@ _NAMES: Mapping[str, str] = {"batch": "the batch engine", "jsbsim": "JSBSim"}
 
 
 def engine_section(manifest: Mapping[str, Any], rows: Sequence[CheckRow]) -> Section:
-    """Return which engine flew, why, and how far it is from JSBSim."""
+    """Return which engine flew, why, and how far it is from JSBSim.
+
+    Parameters
+    ----------
+    manifest : mapping
+        Manifest of the campaign.
+    rows : sequence of CheckRow
+        Comparison of the engines.
+    """
     # Engine and reasons from the manifest.
     engine = manifest["campaign"]["campaign"]["engine"]
     reasons = tuple(manifest.get("engine", {}).get("why", ()))
@@ -938,7 +1033,22 @@ def overlay_section(
     prefix: str = "",
     title: str = "Before and after",
 ) -> Section:
-    """Draw the p-boxes of two campaigns in one chart wherever both have the same quantity."""
+    """Draw the p-boxes of two campaigns in one chart wherever both have the same quantity.
+
+    Parameters
+    ----------
+    before, after : CampaignReport
+        Campaigns.
+    names : mapping of str to str
+        Names of the two by "before" and "after".
+    prefix, title : str
+        Prefix of figure names, and heading.
+
+    Returns
+    -------
+    Section
+        Charts of the hardest conditions, and a table of all.
+    """
     titles = ("before", "after")
     # Draw the hardest conditions that both campaigns flew.
     displayed = hardest_first(

@@ -86,9 +86,19 @@ class Flag:
 
 
 def named_stretches(time_s: FloatArray, labels: NDArray[Any]) -> list[tuple[float, float, str]]:
-    """Return start, end [s] and name of each run of equal labels (n,).
+    """Return the runs of equal labels.
 
-    Empty labels are left out.
+    Parameters
+    ----------
+    time_s : array
+        Time (n,) [s].
+    labels : array
+        Labels (n,); empty ones are left out.
+
+    Returns
+    -------
+    list of (float, float, str)
+        Start and end [s], and label.
     """
     if not len(time_s):
         return []
@@ -272,7 +282,15 @@ _SKIPPED_CODES = ("flight-phase", "slower-than-grid", "time-repeats")
 
 
 def channels_of(finding: Finding, record: FlightRecord) -> tuple[str, ...]:
-    """Return the channels of a record that a finding concerns."""
+    """Return the channels of a record that a finding concerns.
+
+    Parameters
+    ----------
+    finding : Finding
+        Its channel is a column, a group of columns, or a message of the log.
+    record : FlightRecord
+        The log.
+    """
     name = finding.channel
     if name in record:
         return (name,)
@@ -289,8 +307,21 @@ def channels_of(finding: Finding, record: FlightRecord) -> tuple[str, ...]:
 def spans_of(
     finding: Finding, channel: str, record: FlightRecord
 ) -> tuple[tuple[float, float], ...]:
-    """Return the time intervals [s] where a finding holds for a channel; empty for everywhere or
-    unknown.
+    """Return the time intervals [s] where a finding holds for a channel.
+
+    Parameters
+    ----------
+    finding : Finding
+        Finding of the log check.
+    channel : str
+        Column of the record.
+    record : FlightRecord
+        The log.
+
+    Returns
+    -------
+    tuple of (float, float)
+        Empty if it holds everywhere or the log does not tell.
     """
     numbers = finding.numbers
     # The finding itself names the interval.

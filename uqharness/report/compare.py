@@ -16,7 +16,19 @@ _RULE = f"the noise floor is reached when no judged channel's rms is above {LIMI
 
 
 def document_of(comparison: Comparison) -> dict[str, Any]:
-    """Return the content of compare.json; numbers that are not finite are null."""
+    """Return the content of compare.json.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Result of the comparison.
+
+    Returns
+    -------
+    dict
+        Residuals, delays [s] and Theil coefficients by channel; numbers that are not finite are
+        null.
+    """
     return {
         "aircraft": comparison.aircraft,
         "flight": comparison.flight,
@@ -130,7 +142,17 @@ def moment_rows(comparison: Comparison) -> list[dict[str, str]]:
 
 
 def write_tables(comparison: Comparison, document: dict[str, Any], out: Path) -> None:
-    """Write compare.json, histories.parquet and the CSV tables."""
+    """Write compare.json, histories.parquet and the CSV tables.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Result of the comparison.
+    document : dict
+        Content of compare.json.
+    out : Path
+        Folder.
+    """
     # CSV tables as on the screen.
     tables = {
         "channels": channel_rows(comparison),

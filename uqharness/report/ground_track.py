@@ -79,8 +79,19 @@ def circle_of(north_m: FloatArray, east_m: FloatArray, distance_m: FloatArray) -
 
 
 def equal_scales(east: FloatArray, north: FloatArray, height: int) -> tuple[Scale, Scale]:
-    """Return axes east and north [m] with equal scales around the points, for a chart of that
-    height.
+    """Return axes with equal scales around the points.
+
+    Parameters
+    ----------
+    east, north : array
+        Points (n,) [m].
+    height : int
+        Height of the chart in drawing units.
+
+    Returns
+    -------
+    tuple of Scale
+        East and north [m]; one metre has the same length on both.
     """
     # Centre of the points; an empty chart gives the size of the plot area.
     middle = [0.5 * float(np.nanmin(v) + np.nanmax(v)) for v in (east, north)]
@@ -140,7 +151,16 @@ def lap_of(track_rows: pd.DataFrame) -> Lap | None:
     """Select the lap in which the flights differ most.
 
     If they do not differ, it is the lap in which the worst corner is farthest from its path.
-    ``track_rows`` is tracks.parquet of a study. None without a worst corner with known distances.
+
+    Parameters
+    ----------
+    track_rows : DataFrame
+        tracks.parquet of a study.
+
+    Returns
+    -------
+    Lap or None
+        None without a worst corner with known distances from its path.
     """
     # Rows of tracks.parquet by version and model.
     tracks = {
@@ -188,7 +208,19 @@ def lap_of(track_rows: pd.DataFrame) -> Lap | None:
 
 
 def ground_track(name: str, lap: Lap, radius_m: float, condition: str) -> Figure:
-    """Draw the tracks of a lap, the commanded circle, and the radius in question [m] around it."""
+    """Draw the tracks of a lap.
+
+    Parameters
+    ----------
+    name : str
+        Name of the figure.
+    lap : Lap
+        Tracks, and the commanded circle if there is one.
+    radius_m : float
+        Radius in question [m], drawn on both sides of the circle.
+    condition : str
+        Condition in words.
+    """
     # Commanded circle and the circles at the radius in question.
     rings = list(_rings(lap.circle, radius_m)) if lap.circle else []
     # Axes contain all tracks and circles.
@@ -226,8 +258,16 @@ def ground_track(name: str, lap: Lap, radius_m: float, condition: str) -> Figure
 
 
 def track_distance(name: str, lap: Lap, radius_m: float) -> Figure:
-    """Draw the distances from the path [m] over the time of the lap [s], with the radius in
-    question.
+    """Draw the distances from the path [m] over the time of the lap [s].
+
+    Parameters
+    ----------
+    name : str
+        Name of the figure.
+    lap : Lap
+        Tracks with distances.
+    radius_m : float
+        Radius in question [m].
     """
     sides = {key: rows["distance_m"].to_numpy(dtype=float) for key, rows in lap.tracks.items()}
     # Distances of all flights set the axis.

@@ -107,8 +107,23 @@ def farthest_figure(
     models: Sequence[Model],
     name: str,
 ) -> Figure | None:
-    """Draw the channel and segment in which the first model is farthest from the log; None if
-    unknown.
+    """Draw the channel and segment in which the first model is farthest from the log.
+
+    Parameters
+    ----------
+    histories : sequence of History
+        Segments.
+    noise : mapping of str to float or None
+        Noise of each channel in its unit.
+    models : sequence of Model
+        Models to draw.
+    name : str
+        Prefix of the figure's name.
+
+    Returns
+    -------
+    Figure or None
+        None if no channel has a known noise.
     """
     # Search all segments for the largest residual relative to noise.
     ratio, channel, history = max(
@@ -322,7 +337,18 @@ _SURFACES = ("elevator", "aileron", "rudder")
 
 
 def draw_rerun(rerun: RerunResult) -> list[Path]:
-    """Draw a repeated case next to its record and return the file; empty without a record."""
+    """Draw a repeated case next to its record.
+
+    Parameters
+    ----------
+    rerun : RerunResult
+        Repeated case.
+
+    Returns
+    -------
+    list of Path
+        flight.svg; empty if the flight left no record.
+    """
     # The repeated flight left a Parquet record if it flew.
     record = next((path for path in rerun.files if path.suffix == ".parquet"), None)
     if record is None:
@@ -340,7 +366,15 @@ def draw_rerun(rerun: RerunResult) -> list[Path]:
 
 
 def flight_figures(record: pd.DataFrame, flight: FlightSpec) -> list[Figure]:
-    """Return charts of a flight's record; the time before scoring is shaded."""
+    """Return charts of a flight's record.
+
+    Parameters
+    ----------
+    record : DataFrame
+        All signals over time.
+    flight : FlightSpec
+        Burn-in [s], which is shaded, and excursion radii [m].
+    """
     # Track first, then the charts over time.
     figures = [_track(record)]
     for name, axis, lines, factor in _panels(record):

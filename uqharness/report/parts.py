@@ -250,7 +250,18 @@ def every_section(sections: Iterable[Section]) -> Iterator[Section]:
 
 
 def first_lines(page: Page) -> list[str]:
-    """Return what a terminal shows: the verdict, then key tables and lists."""
+    """Return what a terminal shows of a page.
+
+    Parameters
+    ----------
+    page : Page
+        Report.
+
+    Returns
+    -------
+    list of str
+        Sentences of the verdict, then key tables and lists.
+    """
     lines = [item.text for item in page.verdict]
     for block in (block for section in every_section(page.sections) for block in section.blocks):
         if isinstance(block, Table) and block.key and block.rows:
@@ -299,9 +310,19 @@ def percent(value: float | None, form: str = ".3g") -> str:
 def remarks(
     document: Mapping[str, Any], key: Iterable[str] = ("warnings", "notes")
 ) -> tuple[Section, ...]:
-    """Return the section of a document's warnings and notes; empty without any.
+    """Return the section of a document's warnings and notes.
 
-    A terminal shows the lists named in ``key``.
+    Parameters
+    ----------
+    document : mapping
+        Holds the lists "warnings" and "notes".
+    key : iterable of str
+        Lists that a terminal shows as well.
+
+    Returns
+    -------
+    tuple of Section
+        Empty without warnings and notes.
     """
     remarks_by_name = {name: tuple(document.get(name, ())) for name in ("warnings", "notes")}
     blocks = tuple(Bullets(items, name in key) for name, items in remarks_by_name.items() if items)

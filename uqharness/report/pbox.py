@@ -221,10 +221,19 @@ def smooth_share(values: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def smooth_pbox(samples: Sequence[Sample], box: PBox, at: FloatArray) -> PBox:
-    """Return a p-box with smooth sides at ``at`` (m,), ascending.
+    """Return a p-box with smooth sides.
 
     The band is as wide around the curves as around the steps, plus the distance between the two.
     Flights without a value are treated as in ``box``.
+
+    Parameters
+    ----------
+    samples : sequence of Sample
+        Epistemic samples.
+    box : PBox
+        Their p-box.
+    at : array
+        Values (m,), ascending.
     """
     # Curves count the flights with a value; those without may lie anywhere.
     shares = np.stack([smooth_share(s.values, at) * (s.values.size / s.size) for s in samples])
@@ -248,8 +257,19 @@ def smooth_pbox(samples: Sequence[Sample], box: PBox, at: FloatArray) -> PBox:
 
 
 def smoothing_error(samples: Sequence[Sample], curve: PBox) -> float:
-    """Return the largest difference in probability between the sides of ``curve`` and the stepped
-    sides.
+    """Return the distance of smooth sides from the stepped ones.
+
+    Parameters
+    ----------
+    samples : sequence of Sample
+        Epistemic samples.
+    curve : PBox
+        P-box with smooth sides.
+
+    Returns
+    -------
+    float
+        Largest difference in probability.
     """
     ends = envelope(samples, curve.value)
     return max(
@@ -374,8 +394,17 @@ def _between(first: float, steps: FloatArray) -> FloatArray:
 
 
 def convergence_section(item: MetricConvergence) -> Section:
-    """Return the charts of a convergence study: repeats, and the area of the p-box over its
-    samples.
+    """Return the charts of a convergence study.
+
+    Parameters
+    ----------
+    item : MetricConvergence
+        Convergence of one metric in one condition.
+
+    Returns
+    -------
+    Section
+        Repeats, and the area of the p-box over the number of epistemic samples, as far as known.
     """
     condition = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}"
     place = f"{item.metric.replace('_', '-')}-{condition}"

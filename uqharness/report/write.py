@@ -51,7 +51,20 @@ _NEXT_FLIGHT = "next-flight.json"
 def kind_of(folder: Path) -> str:
     """Return the command that wrote a folder of results.
 
-    Raises BadInputError, with the files that were looked for, if it is not recognised.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+
+    Returns
+    -------
+    str
+        Command, e.g. "identify".
+
+    Raises
+    ------
+    BadInputError
+        If the folder is not recognised; the message names the files that were looked for.
     """
     if not folder.is_dir():
         raise BadInputError(f"{folder}: is no folder; report takes the --out of another command")
@@ -71,7 +84,17 @@ def kind_of(folder: Path) -> str:
 def page_of(folder: Path, every_segment: bool = False) -> Page:
     """Return the page of a folder of results.
 
-    ``every_segment`` includes the histories of all segments. Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    every_segment : bool
+        Whether the histories of all segments are included.
+
+    Raises
+    ------
+    BadInputError
+        If the folder is not recognised or cannot be read.
     """
     kind = kind_of(folder)
     # Imported here so that a page loads only what its kind needs.
@@ -181,9 +204,26 @@ def write_campaign_report(folder: Path) -> Report:
 
 
 def write_page(folder: Path, page: Page, figure_page: Page | None = None) -> Report:
-    """Write a page as ``folder``/report.html and the drawings of ``figure_page`` into figures/.
+    """Write a page as ``folder``/report.html.
 
-    Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    page : Page
+        Report.
+    figure_page : Page, optional
+        Page whose drawings are written to figures/.
+
+    Returns
+    -------
+    Report
+        Files written, and damaged files of the folder.
+
+    Raises
+    ------
+    BadInputError
+        If a file cannot be written.
     """
     path, file_faults = folder / REPORT, faults(folder)
     drawings = (
@@ -217,9 +257,21 @@ def write_html(path: Path, page: Page) -> None:
 
 
 def write_figures(folder: Path, sections: Iterable[Section], title: str) -> list[Path]:
-    """Write the drawings of sections that name a file into ``folder``/figures and return the paths.
+    """Write the drawings of sections that name a file.
 
-    ``title`` heads the files that hold several drawings.
+    Parameters
+    ----------
+    folder : Path
+        Drawings go to its subfolder figures.
+    sections : iterable of Section
+        Sections of a page.
+    title : str
+        Heading of files that hold several drawings.
+
+    Returns
+    -------
+    list of Path
+        Files written.
     """
     place, paths = inner_folder(folder, "figures"), []
 
@@ -263,7 +315,15 @@ FIGURES = (
 
 
 def write_results(done: Refinement, out: Path) -> None:
-    """Write refinement.json, model.diff and histories.parquet of a refinement."""
+    """Write the files of a refinement.
+
+    Parameters
+    ----------
+    done : Refinement
+        Result.
+    out : Path
+        Folder for refinement.json, model.diff and histories.parquet.
+    """
     for key, value in finite(done.document).items():
         done.document[key] = value
     write_json(out / "refinement.json", done.document)

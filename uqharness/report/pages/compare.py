@@ -108,7 +108,14 @@ def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEG
 def noise_floor(reached: bool, above: Mapping[str, float], rule: str = "") -> str:
     """Return one sentence on whether a model reaches the noise floor.
 
-    ``above`` maps the channels that do not to their ratio of residual rms to noise.
+    Parameters
+    ----------
+    reached : bool
+        Whether it does.
+    above : mapping of str to float
+        Ratio of residual rms to noise of the channels that do not.
+    rule : str
+        Rule to quote.
     """
     by = f" ({rule})" if rule else ""
     # The rule is quoted where it was recorded.
@@ -141,9 +148,21 @@ def _verdict(document: Mapping[str, Any]) -> tuple[Sentence, ...]:
 
 
 def in_shown_unit(name: str, row: Mapping[str, Any], *keys: str) -> tuple[str, list[float | None]]:
-    """Return a label such as ``q [deg/s]`` and numbers of a row in that unit.
+    """Return a label with unit, and numbers of a row in that unit.
 
-    None where unknown.
+    Parameters
+    ----------
+    name : str
+        Channel or coefficient.
+    row : mapping
+        Numbers in SI units.
+    keys : str
+        Keys of the numbers.
+
+    Returns
+    -------
+    tuple of (str, list of float or None)
+        Label such as ``q [deg/s]``; None for unknown numbers.
     """
     quantity, unit, factor = shown_channel(name)
     return f"{quantity} [{unit}]", [

@@ -92,9 +92,18 @@ class LogComparison:
 
 
 def compare_with_log(evidence: Evidence) -> LogComparison | None:
-    """Return the basis of the proof of match; None without time histories.
+    """Return the basis of the proof of match.
 
-    Hold-out flights of the last refinement come first, then a comparison, then the identification.
+    Parameters
+    ----------
+    evidence : Evidence
+        Steps of the folder.
+
+    Returns
+    -------
+    LogComparison or None
+        Hold-out flights of the last refinement, else a comparison, else the identification; None
+        without time histories.
     """
     # Prefer flights that were not used for choosing or fitting the model.
     for kind, suffix, model in (
@@ -283,7 +292,21 @@ def _figures(source: LogComparison) -> tuple[Figure, ...]:
 def _test_figures(
     result: Judged, channel: str, band: Tolerance | None, suffix: str, segment_count: int
 ) -> list[Figure]:
-    """Draw measurement and model with the tolerance, and their difference on a scale of its own."""
+    """Draw measurement and model with the tolerance, and their difference on a scale of its own.
+
+    Parameters
+    ----------
+    result : Judged
+        Segment with the largest difference.
+    channel : str
+        Channel to draw.
+    band : Tolerance or None
+        Tolerance; None for tests of an oscillation.
+    suffix : str
+        Ending of the model's columns.
+    segment_count : int
+        Number of segments of the test.
+    """
     segment = result.segment
     quantity, unit, factor = shown_channel(channel)
     measured, model = (factor * segment.columns[c] for c in (channel, f"{channel}{suffix}"))

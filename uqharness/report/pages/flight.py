@@ -110,7 +110,18 @@ def manoeuvre_shades(stretches: Sequence[tuple[float, float, str]]) -> list[Shad
 
 
 def manoeuvre_section(stretches: Sequence[tuple[float, float, str]]) -> tuple[Section, ...]:
-    """Return the numbered table of manoeuvres; empty without any."""
+    """Return the numbered table of manoeuvres.
+
+    Parameters
+    ----------
+    stretches : sequence of (float, float, str)
+        Start and end [s], and name.
+
+    Returns
+    -------
+    tuple of Section
+        Empty without manoeuvres.
+    """
     if not stretches:
         return ()
     rows = tuple(

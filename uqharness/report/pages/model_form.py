@@ -85,7 +85,19 @@ _MOST_DOTS = 220
 def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
     """Return the page of a folder that ``uqharness bounds`` wrote.
 
-    ``only`` lists titles of the sections to build. Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    prefix : str
+        Prefix of figure names.
+    only : collection of str, optional
+        Titles of the sections to build; default: all.
+
+    Raises
+    ------
+    BadInputError
+        If the folder cannot be read.
     """
     # Form, details and residuals of the folder; details may be missing.
     form = load_form(folder / FORM)
@@ -346,8 +358,21 @@ def _slice(
 
 
 def slice_states(b: CoefficientBounds, state: str, at: FloatArray) -> dict[str, FloatArray]:
-    """Return the states of a slice: ``state`` runs through ``at``, the others are at their
-    medians.
+    """Return the states of a slice.
+
+    Parameters
+    ----------
+    b : CoefficientBounds
+        Bounds of one coefficient.
+    state : str
+        State along the slice.
+    at : array
+        Its values (n,).
+
+    Returns
+    -------
+    dict of str to array
+        States (n,); the others are at the medians of the data.
     """
     middle = dict(zip(b.states, b.hull.middle[:, 1], strict=True))
     return {s: at if s == state else np.full(len(at), middle[s]) for s in b.states}
@@ -356,7 +381,22 @@ def slice_states(b: CoefficientBounds, state: str, at: FloatArray) -> dict[str, 
 def near_slice(
     b: CoefficientBounds, state: str, states: Mapping[str, FloatArray]
 ) -> NDArray[np.bool_]:
-    """Return which samples (n,) lie near the slice along ``state``."""
+    """Return which samples lie near a slice.
+
+    Parameters
+    ----------
+    b : CoefficientBounds
+        Bounds of one coefficient.
+    state : str
+        State along the slice.
+    states : mapping of str to array
+        States (n,) of the samples.
+
+    Returns
+    -------
+    array of bool
+        True (n,) within `NEAR_SIGMA` standard deviations in all other states.
+    """
     is_near = np.ones(len(states[state]), dtype=bool)
     for k, other in enumerate(b.states):
         if other != state:
@@ -365,8 +405,17 @@ def near_slice(
 
 
 def variation_section(variations: Mapping[str, Variation]) -> Section:
-    """Draw the density of changes of the level within 0.02 s, the fitted normal, and rates of other
-    lags.
+    """Draw how the level of each coefficient varies within a flight.
+
+    Parameters
+    ----------
+    variations : mapping of str to Variation
+        Changes of the level within 0.02 s.
+
+    Returns
+    -------
+    Section
+        Density of the changes, the fitted normal, and rates of other lags [%/sqrt(s)].
     """
     figures = []
     for c, variation in variations.items():
@@ -648,7 +697,18 @@ def _cutoff(row: CutoffRow) -> dict[str, Any]:
 
 
 def validation_document(validation: Validation) -> dict[str, Any]:
-    """Return the document of ``validate-bounds --json``."""
+    """Return the document of ``validate-bounds --json``.
+
+    Parameters
+    ----------
+    validation : Validation
+        Coverage of a new flight.
+
+    Returns
+    -------
+    dict
+        Coverage, verdicts and conformal factors by coefficient.
+    """
     return {
         "coverage": {
             c: {

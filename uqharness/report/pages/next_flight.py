@@ -472,7 +472,22 @@ def document(
 ) -> dict[str, Any]:
     """Return the content of next-flight.json.
 
-    ``air`` holds aircraft, bounds and conditions of the simulated flight.
+    Parameters
+    ----------
+    plan : NextFlight
+        Planned flight.
+    winner : Winner
+        Coefficient and its share of the p-box.
+    mission : Occupancy
+        Flight states of the mission.
+    missing : sequence of MissingTerm, optional
+        Terms that explain residual scatter.
+    air : mapping
+        Aircraft, bounds and conditions of the simulated flight.
+    units : mapping of str to str
+        Unit of each control.
+    warnings : sequence of str
+        Warnings.
     """
     return {
         "format": FORMAT,

@@ -114,7 +114,20 @@ def _as_scored(key: str) -> str:
 
 
 def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None:
-    """Draw |t| of the candidates; None if there are none."""
+    """Draw |t| of the candidates.
+
+    Parameters
+    ----------
+    done : mapping
+        Content of refinement.json.
+    prefix : str
+        Prefix of the figure name.
+
+    Returns
+    -------
+    Figure or None
+        None if the refinement scored no candidate.
+    """
     board = done.get("candidates", {})
     single_t = {r["effect"]: abs(r["t"]) for r in board.get("scores", ()) if r.get("t") is not None}
     listed = listed_candidates(done)
@@ -498,8 +511,14 @@ def _abs(value: float | None) -> float | None:
 
 
 def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
-    """Return width and coverage of the model-form intervals on the hold-out flights, before and
-    after.
+    """Return width and coverage of the model-form intervals on the hold-out flights.
+
+    Parameters
+    ----------
+    gap : mapping
+        Part of refinement.json with the intervals before and after.
+    prefix : str
+        Prefix of figure names.
     """
     title = "Model-form intervals on the test flights"
     intervals = gap.get("intervals") or {
@@ -613,7 +632,17 @@ def _share(row: Mapping[str, Any], when: str) -> str:
 
 
 def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> Section:
-    """Return p-boxes of a mission flown with both models within their own intervals."""
+    """Return p-boxes of a mission flown with both models within their own intervals.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the refinement.
+    gap : mapping
+        Part of refinement.json with the folders of the campaigns.
+    prefix : str
+        Prefix of figure names.
+    """
     title = "The mission before and after"
     mission = gap.get("pbox") or {"reason": "this folder was written before it was flown"}
     if mission.get("reason") is not None:

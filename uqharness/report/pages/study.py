@@ -160,7 +160,15 @@ def _pbox(sides: Sides) -> Figure | None:
 def effect_section(folder: Path) -> Section:
     """Return the effects found, and log against simulation on the hold-out flights.
 
-    Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Folder of the refinement.
+
+    Raises
+    ------
+    BadInputError
+        If the folder cannot be read.
     """
     done = read_document(folder / "refinement.json", Refinement)
     # Residuals of the hold-out flights.
@@ -277,7 +285,17 @@ def _answer(item: Statement | None) -> Cell:
 
 
 def read_side(folder: Path, missing: list[str], read: Any) -> CampaignReport | None:
-    """Return a campaign of the study; None, with a message in ``missing``, if it cannot be read."""
+    """Return a campaign of the study.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    missing : list of str
+        Receives a message if it cannot be read.
+    read : callable
+        Reads a folder.
+    """
     try:
         report: CampaignReport = read(folder)
     except BadInputError as error:
@@ -327,7 +345,15 @@ _PAGES: Mapping[str, Callable[[Path, str], Page]] = {
 def study_page(folder: Path) -> Page:
     """Return the page of a folder that ``uqharness study`` wrote, finished or not.
 
-    Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Study folder.
+
+    Raises
+    ------
+    BadInputError
+        If study.json cannot be read. Stages that cannot be read are listed on the page.
     """
     study = read_document(folder / STUDY, Study)
     missing: list[str] = []
