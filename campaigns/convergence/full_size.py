@@ -23,7 +23,13 @@ from campaigns.full_size.plan import Plan
 from campaigns.full_size.sketch import FINE
 from campaigns.full_size.tables import COST, cost_table
 from uqharness.campaign.conditions import CONFIDENCE
-from uqharness.campaign.convergence import CONVERGENCE, Converged, converged, sentences, table
+from uqharness.campaign.convergence import (
+    CONVERGENCE,
+    MetricConvergence,
+    convergence_table,
+    metric_convergence,
+    sentences,
+)
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes, write_text
 from uqharness.report.parts import Figures
@@ -102,10 +108,10 @@ def tables(plan: Plan, shards: Path, out: Path) -> Sequence[str]:
         raise BadInputError(
             f"{shards}: {len(used)} repeat was flown and two are needed to compare; run the command fly"
         )
-    found: list[Converged] = []
+    found: list[MetricConvergence] = []
     for metric in MEDIANS:
-        found += converged(frame, metric, len(used), False, plan.spec.campaign.seed)
-    write_bytes(out / CONVERGENCE, table(found))
+        found += metric_convergence(frame, metric, len(used), False, plan.spec.campaign.seed)
+    write_bytes(out / CONVERGENCE, convergence_table(found))
     rows = [row for metric in MEDIANS for row in enough(frame, metric)]
     names = ("metric", "flights", "parts", "distance", "bound", "median_off")
     write_bytes(
@@ -117,7 +123,7 @@ def tables(plan: Plan, shards: Path, out: Path) -> Sequence[str]:
     return sentences(found)
 
 
-def drawing(found: Sequence[Converged]) -> str:
+def drawing(found: Sequence[MetricConvergence]) -> str:
     """The repeats' distribution functions, metric by metric, as the text of an SVG file."""
     figures = [
         f

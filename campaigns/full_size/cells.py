@@ -10,14 +10,16 @@ import pandas as pd
 from campaigns.full_size.folder import Line, cell_table
 from campaigns.full_size.plan import Plan, cell_name
 from uqharness.campaign.conditions import Condition
-from uqharness.campaign.sensitivity import Flown
+from uqharness.campaign.sensitivity import CornerCampaign
 from uqharness.errors import BadInputError
 
 
-def flown_cell(plan: Plan, shards: Path, condition: Condition) -> tuple[Flown, list[Line]]:
+def flown_cell(plan: Plan, shards: Path, condition: Condition) -> tuple[CornerCampaign, list[Line]]:
     """The flights of a condition that are there, and the lines of their shards. Raises BadInputError as ``cell_table`` does."""
     frame, used = cell_table(plan, shards, condition)
-    return Flown(shards / cell_name(condition), frame, {"campaign": plan.spec.as_dict()}), used
+    return CornerCampaign(
+        shards / cell_name(condition), frame, {"campaign": plan.spec.as_dict()}
+    ), used
 
 
 def common_airs(first: pd.DataFrame, second: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:

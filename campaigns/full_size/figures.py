@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from campaigns.full_size.sketch import RESOLUTION
 from uqharness.campaign.conditions import CONFIDENCE, samples
-from uqharness.report.pbox import DrawnBox, metric_label, pbox_figure
+from uqharness.report.pbox import LabelledBox, metric_label, pbox_figure
 from uqharness.report.svg import standalone
 from uqharness.statistics.pbox import pbox
 
@@ -37,7 +37,7 @@ def drawn_pboxes(
         for words, frame in tables.items():
             found = [replace(item, values=smoothed(item.values)) for item in samples(frame, metric)]
             boxes.append(
-                DrawnBox(words if len(tables) > 1 else "", pbox(found, CONFIDENCE), found, {})
+                LabelledBox(words if len(tables) > 1 else "", pbox(found, CONFIDENCE), found, {})
             )
         quantity, _, unit = metric_label(metric).rpartition(" [")
         figure = pbox_figure(

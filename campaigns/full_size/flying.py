@@ -17,7 +17,7 @@ from campaigns.full_size.plan import Plan, Shard, identity
 from campaigns.full_size.sketch import packed
 from sysid.digests import sha256_hex
 from uqharness.campaign.cases import Case
-from uqharness.campaign.engines import compared, refuse_difference, spread
+from uqharness.campaign.engines import compare_outcomes, difference_scale, refuse_difference
 from uqharness.campaign.execution.processes import Executor, ProcessExecutor
 from uqharness.campaign.execution.worker import (
     BATCH,
@@ -29,7 +29,7 @@ from uqharness.campaign.execution.worker import (
     fly_group,
 )
 from uqharness.campaign.folder.manifest import digest_of_rows, row_digest
-from uqharness.campaign.folder.tables import WHOLE
+from uqharness.campaign.folder.tables import FULL_FLIGHT
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightResult, FlightSpec
 from uqharness.parquet_files import table_bytes
@@ -146,7 +146,7 @@ def check(
     for outcome in flown.outcomes:
         for name, value in outcome.metrics.items():
             values.setdefault(name, array("d")).append(value)
-    spreads = {name: spread(known) for name, known in values.items()}
+    spreads = {name: difference_scale(known) for name, known in values.items()}
 
     def refly(case: Case) -> CaseOutcome:
         return fly_cases(executor, fly, ONE_ULP_OFF, [case], 1).outcomes[0]
@@ -155,7 +155,11 @@ def check(
         (case, (ours[case.case_id], other))
         for case, other in zip(wanted, theirs.outcomes, strict=True)
     ]
-    rows = [row for case, pair in pairs for row in compared(WHOLE, case, pair, spreads, refly)]
+    rows = [
+        row
+        for case, pair in pairs
+        for row in compare_outcomes(FULL_FLIGHT, case, pair, spreads, refly)
+    ]
     refuse_difference(folder / shard.cell, rows)
     excused = {row.case_id for row in rows if row.verdict == "excused"}
     told = [

@@ -20,7 +20,7 @@ from campaigns.excursions.full_size import plan
 from campaigns.full_size.cells import flown_cell, hours_each
 from campaigns.full_size.figures import MEDIANS, drawn_pboxes
 from uqharness.campaign.conditions import CONFIDENCE, samples
-from uqharness.campaign.sensitivity import Flown, MetricSensitivity, analyse_campaign
+from uqharness.campaign.sensitivity import CornerCampaign, MetricSensitivity, analyse_campaign
 from uqharness.errors import BadInputError
 from uqharness.files import PROJECT_ROOT, write_bytes, write_text
 from uqharness.sensitivity import PairRange
@@ -124,7 +124,7 @@ def share_rows(found: Sequence[Share]) -> list[dict[str, str]]:
     ]
 
 
-def write_tables(flown: Flown, out: Path) -> list[str]:
+def write_tables(flown: CornerCampaign, out: Path) -> list[str]:
     """shares.csv, pboxes.csv and pboxes.svg of a cell's flights; lines for the terminal. Raises BadInputError."""
     out.mkdir(parents=True, exist_ok=True)
     analysed = analyse_campaign(flown, metrics=METRICS)

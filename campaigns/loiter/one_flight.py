@@ -94,7 +94,7 @@ def drawing(found: Mapping[str, Mapping[str, FloatArray]]) -> str:
         x = scale(
             f"|{words} error|, measured [{unit}]",
             [*curves.values(), np.array([0.0, mark])],
-            least=0.0,
+            minimum=0.0,
         )
         chart = Chart(
             f"one-{name}",

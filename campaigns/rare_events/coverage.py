@@ -28,7 +28,7 @@ from campaigns.rare_events.reproduce import CELL, CORNER, HOME, default_study
 from campaigns.rare_events.states import LoiterScore
 from campaigns.rare_events.study import GRID, TOP, Study
 from uqharness.campaign.execution.worker import BATCH, fly_group
-from uqharness.campaign.rare_events import LoiterPaths, Watch
+from uqharness.campaign.rare_events import CheckpointPlan, LoiterPaths
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.flight import FlightSpec
@@ -68,7 +68,7 @@ def truth(study: Study, count: int) -> tuple[int, int]:
 
 
 def observed(
-    study: Study, levels: Levels, watch: Watch, repeats: int, roots: int
+    study: Study, levels: Levels, watch: CheckpointPlan, repeats: int, roots: int
 ) -> tuple[NDArray[np.float64], float]:
     """(repeats, OBSERVATIONS) estimates of the share of flights with an excursion, and the hours of paths."""
     each, found, steps = OBSERVATIONS * roots, [], 0
@@ -149,7 +149,9 @@ def _run(repeats: int, roots: int, plain: int, out: Path) -> int:
         raise BadInputError(
             f"no predictions of {study.name} under {HOME / 'shards'}: run reproduce fly first"
         )
-    watch = Watch(study.size.step_s, LoiterScore(replace(tuned.predicted, radius_m=RADIUS_M)))
+    watch = CheckpointPlan(
+        study.size.step_s, LoiterScore(replace(tuned.predicted, radius_m=RADIUS_M))
+    )
 
     def start(number: int) -> LoiterPaths:
         specs, ids = flights(study, FIRST_PILOT + number * PILOT_ROOTS, PILOT_ROOTS)

@@ -13,7 +13,7 @@ from typing import Any
 
 from campaigns.rare_events.states import NAMES
 from campaigns.rare_events.study import Counted, Tuned
-from uqharness.campaign.rare_events import Hit, Predicted
+from uqharness.campaign.rare_events import DistancePredictor, FirstExcursion
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.flight import Split
@@ -59,7 +59,7 @@ class Folder:
                 name: tuple(map(float, found[name]))
                 for name in ("horizons_s", "constants", "sigmas")
             }
-            predicted = Predicted(float(found["radius_m"]), coefficients=rows, **lists)
+            predicted = DistancePredictor(float(found["radius_m"]), coefficients=rows, **lists)
             return Tuned(levels, predicted, float(known["core_s"]), float(known["plain_h"]))
         except (ValueError, KeyError, TypeError) as error:
             raise BadInputError(
@@ -125,18 +125,20 @@ class Folder:
             )
         self._table(table, rows)
 
-    def hits(self) -> list[Hit]:
+    def hits(self) -> list[FirstExcursion]:
         """Excursions that were kept with their path, of the replicates that count."""
         found = []
         for number in self.lines(REPLICATES):
             known = json.loads((self.path / "hits" / f"{number:03d}.json").read_bytes())
             found += [
-                Hit(**{**each, "splits": tuple(Split(**split) for split in each["splits"])})
+                FirstExcursion(
+                    **{**each, "splits": tuple(Split(**split) for split in each["splits"])}
+                )
                 for each in known
             ]
         return found
 
-    def keep_hits(self, number: int, hits: Sequence[Hit]) -> None:
+    def keep_hits(self, number: int, hits: Sequence[FirstExcursion]) -> None:
         """Write those of one replicate."""
         self._write(f"hits/{number:03d}.json", [asdict(hit) for hit in hits])
 

@@ -22,7 +22,7 @@ from campaigns.full_size.plan import Plan, identity
 from campaigns.rare_events.folder import JSBSIM, LEVELS, PLAIN, REPLICATES, Folder, Line
 from campaigns.rare_events.rates import Limits, Rate, rates, shown
 from campaigns.rare_events.study import Size, Study, chosen_hits
-from uqharness.campaign.rare_events import Hit
+from uqharness.campaign.rare_events import FirstExcursion
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.text_tables import csv_text
@@ -210,7 +210,7 @@ def jsbsim(study: Study, folder: Folder, paths: int) -> int:
     )
 
 
-def _path(study: Study, hit: Hit) -> dict[str, str]:
+def _path(study: Study, hit: FirstExcursion) -> dict[str, str]:
     return {
         "aleatory_id": str(hit.aleatory_id),
         "radius_m": f"{study.radii_m[hit.kind]:g}",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from sysid.units import FT_M
-from uqharness.campaign.rare_events import Predicted
+from uqharness.campaign.rare_events import DistancePredictor
 
 _PLAIN = {
     "airspeed": "nav/V-mps",
@@ -69,7 +69,7 @@ def regressors(values: Mapping[str, FloatArray], distance_m: FloatArray) -> Floa
 class LoiterScore:
     """Standard deviations to the radius of ``predicted``, whose regressors are NAMES."""
 
-    predicted: Predicted
+    predicted: DistancePredictor
     properties: tuple[str, ...] = PROPERTIES
 
     def of(

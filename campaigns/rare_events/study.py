@@ -17,7 +17,14 @@ from uqharness.campaign.cases import Case, Part, build_cases
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.execution.worker import BATCH, fly_group
 from uqharness.campaign.folder.manifest import digest_of_rows
-from uqharness.campaign.rare_events import DISTANCE, Hit, LoiterPaths, Predicted, Watch, fit
+from uqharness.campaign.rare_events import (
+    DISTANCE,
+    CheckpointPlan,
+    DistancePredictor,
+    FirstExcursion,
+    LoiterPaths,
+    fit_predictors,
+)
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     OPTIONAL_SIGNALS,
@@ -63,7 +70,7 @@ class Tuned:
     """Levels and predictions that the pilot chose, the seconds of a core that it took, and the hours that it flew unsplit."""
 
     levels: Levels
-    predicted: Predicted
+    predicted: DistancePredictor
     core_s: float = 0.0
     plain_h: float = 0.0
 
@@ -155,15 +162,17 @@ class Study:
         """
         begun, size = time.process_time(), self.size
         recorder = Recorder()
-        flown = self._pilot_paths(0, Watch(size.step_s, recorder))
+        flown = self._pilot_paths(0, CheckpointPlan(size.step_s, recorder))
         nothing = run(flown, size.pilot_roots, Levels(()), len(self.radii_m))
         distance = recorder.distances()
         states = regressors(recorder.values(), distance)
-        predicted = fit(states, distance, size.step_s, min(size.aim_m, max(self.radii_m)))
+        predicted = fit_predictors(
+            states, distance, size.step_s, min(size.aim_m, max(self.radii_m))
+        )
         score = np.sort(predicted.score(states, distance).ravel())
         above = score.size - np.searchsorted(score, GRID)
         plain = Occupancy(GRID, above / score.size, above.astype(float))
-        watch = Watch(size.step_s, LoiterScore(predicted))
+        watch = CheckpointPlan(size.step_s, LoiterScore(predicted))
         try:
             levels = pilot(
                 lambda number: self._pilot_paths(1 + number, watch),
@@ -179,7 +188,7 @@ class Study:
         plain_h = nothing.steps * size.step_s / 3600.0
         return Tuned(levels, predicted, time.process_time() - begun, plain_h)
 
-    def _pilot_paths(self, number: int, watch: Watch) -> LoiterPaths:
+    def _pilot_paths(self, number: int, watch: CheckpointPlan) -> LoiterPaths:
         count = self.size.pilot_roots
         cases = self.cases(FIRST_PILOT + number * count, count)
         flights = [
@@ -192,10 +201,10 @@ class Study:
     def _seed(self) -> int:
         return int(self.plan.spec.campaign.seed)
 
-    def replicate(self, number: int, tuned: Tuned) -> tuple[Counted, list[Hit]]:
+    def replicate(self, number: int, tuned: Tuned) -> tuple[Counted, list[FirstExcursion]]:
         """Fly one replicate: what it counted, and the excursions that are kept with their path."""
         begun, cases, size = time.process_time(), self.replicate_cases(number), self.size
-        watch = Watch(size.step_s, LoiterScore(tuned.predicted), size.noted)
+        watch = CheckpointPlan(size.step_s, LoiterScore(tuned.predicted), size.noted)
         paths = LoiterPaths(
             [case.flight for case in cases], [case.aleatory_id for case in cases], self._seed, watch
         )
@@ -235,7 +244,7 @@ class Study:
             time.process_time() - begun,
         )
 
-    def reflown(self, hit: Hit) -> tuple[float, int]:
+    def reflown(self, hit: FirstExcursion) -> tuple[float, int]:
         """The path of an excursion in JSBSim: its distance in that row [m], and rows beyond the radius by then (1: as here)."""
         case = self.cases(hit.aleatory_id, 1)[0]
         flight = replace(case.flight, duration_s=hit.frame * self.dt_s - case.flight.burn_in_s)
@@ -247,12 +256,12 @@ class Study:
         return float(distance[-1]), int((distance > self.radii_m[hit.kind]).sum())
 
 
-def chosen_hits(hits: Sequence[Hit], count: int) -> list[Hit]:
+def chosen_hits(hits: Sequence[FirstExcursion], count: int) -> list[FirstExcursion]:
     """Excursions of branched paths to fly again: the farthest radius first, a root once before any comes a second time."""
     left = sorted(
         (hit for hit in hits if hit.splits), key=lambda hit: (-hit.kind, hit.aleatory_id, hit.frame)
     )
-    chosen: list[Hit] = []
+    chosen: list[FirstExcursion] = []
     while left and len(chosen) < count:
         used: set[int] = set()
         rest = []

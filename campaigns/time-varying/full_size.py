@@ -22,7 +22,7 @@ from campaigns.full_size.figures import MEDIANS, drawn_pboxes
 from campaigns.full_size.folder import cell_table
 from campaigns.full_size.plan import Plan
 from campaigns.full_size.tables import COST, RATES, cost_table, rate_rows
-from uqharness.campaign.convergence import Converged, converged, table
+from uqharness.campaign.convergence import MetricConvergence, convergence_table, metric_convergence
 from uqharness.files import write_bytes, write_text
 from uqharness.text_tables import csv_text
 
@@ -61,10 +61,10 @@ def tables(
     grown = [
         item
         for metric in MEDIANS
-        for item in converged(inner, metric, _ALL, True, plan.spec.campaign.seed)
+        for item in metric_convergence(inner, metric, _ALL, True, plan.spec.campaign.seed)
     ]
     write_bytes(out / CONTAINMENT, containment_table(found))
-    write_bytes(out / ENOUGH, table(grown))
+    write_bytes(out / ENOUGH, convergence_table(grown))
     write_bytes(
         out / RATES, csv_text([*rate_rows("corners", outer), *rate_rows("walks", inner)]).encode()
     )
@@ -83,7 +83,7 @@ def _contained(found: Sequence[Compared]) -> Iterator[str]:
             yield f"{item.metric}: {item.found.verdict}, area {item.found.area_ratio:.3g} of the corners'"
 
 
-def _grown(found: Sequence[Converged]) -> Iterator[str]:
+def _grown(found: Sequence[MetricConvergence]) -> Iterator[str]:
     for item in found:
         sizes = [
             f"{100.0 * part.area / item.growth[-1].area:.3g} % with {part.samples}"

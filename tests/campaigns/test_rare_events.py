@@ -19,7 +19,7 @@ from campaigns.rare_events.rates import rates
 from campaigns.rare_events.states import CENTRE_EAST_M, NAMES, PROPERTIES, regressors
 from campaigns.rare_events.study import TOP, Counted, Size, Study, Tuned, chosen_hits
 from sysid.units import FT_M
-from uqharness.campaign.rare_events import Hit, Predicted
+from uqharness.campaign.rare_events import DistancePredictor, FirstExcursion
 from uqharness.errors import BadInputError
 from uqharness.flight import Split
 from uqharness.statistics import Levels, interval
@@ -50,7 +50,9 @@ rearm_m = 1
 """
 SIZE = Size(roots=3, plain=4, noted=2)
 NOW = tuple(float(name == "distance") for name in NAMES)
-TUNED = Tuned(Levels((-4.0, -2.0), 2), Predicted(10.0, (1.0,), (NOW,), (0.0,), (1.0,)), 0.5, 1.0)
+TUNED = Tuned(
+    Levels((-4.0, -2.0), 2), DistancePredictor(10.0, (1.0,), (NOW,), (0.0,), (1.0,)), 0.5, 1.0
+)
 """Levels 4 and 2 m inside 10 m."""
 
 
@@ -200,7 +202,7 @@ def test_rates_agree_with_plain_flights_or_do_not():
 
 def test_paths_of_many_roots_are_chosen_first():
     def hit(root, kind, frame, splits=1):
-        return Hit(root, kind, frame, 9.0, (Split(1, 1, root, 1, frame),) * splits)
+        return FirstExcursion(root, kind, frame, 9.0, (Split(1, 1, root, 1, frame),) * splits)
 
     hits = [hit(1, 1, 5), hit(1, 1, 6), hit(2, 0, 7), hit(3, 1, 8, 0)]
     assert [(one.aleatory_id, one.frame) for one in chosen_hits(hits, 3)] == [

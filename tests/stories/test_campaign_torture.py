@@ -20,7 +20,7 @@ from tests.helpers.places import ROOT
 from tests.uqharness.campaign.test_rounds import TOML as DECIDE
 from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
 from uqharness.campaign.folder.store import Store
-from uqharness.campaign.folder.tables import CASES, WHOLE, read_check
+from uqharness.campaign.folder.tables import CASES, FULL_FLIGHT, read_check
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.samples import read_campaign
 from uqharness.errors import BadInputError
@@ -225,7 +225,7 @@ def test_the_batch_engine_is_killed_in_the_middle_of_groups(tmp_path):
             tmp_path / "undisturbed" / name
         ).read_bytes(), name
     checked = [read_check(tmp_path / name) for name in ("out", "undisturbed")]
-    whole = [{row.case_id for row in rows if row.part == WHOLE} for rows in checked]
+    whole = [{row.case_id for row in rows if row.part == FULL_FLIGHT} for rows in checked]
     assert whole[0] == whole[1]
     assert whole[0]
 

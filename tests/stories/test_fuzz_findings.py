@@ -26,7 +26,7 @@ from uqharness.campaign.convergence import read_flights
 from uqharness.campaign.execution.dask_task import order_from
 from uqharness.campaign.folder.shards import read_status
 from uqharness.campaign.folder.store import JournalScan, Store
-from uqharness.campaign.folder.verify import look_at_journal
+from uqharness.campaign.folder.verify import scan_journal
 from uqharness.campaign.spec.samples import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
@@ -201,7 +201,7 @@ def test_a_journal_whose_damage_sqlite_cannot_spell(tmp_path):
     assert "journal.sqlite" in refusal(BadInputError, every_row)
     assert "journal.sqlite" in refusal(BadInputError, read_status, folder)
     list(JournalScan(folder, tmp_path / "scratch").rows())
-    assert look_at_journal(folder, None).problem
+    assert scan_journal(folder, None).problem
 
 
 def test_numbers_larger_than_any_float_in_a_campaign(tmp_path):

@@ -6,12 +6,12 @@ from .conditions import ERROR_METRICS as ERROR_METRICS
 from .conditions import UNCOMMANDED_METRICS as UNCOMMANDED_METRICS
 from .conditions import Condition as Condition
 from .conditions import ExcursionCell as ExcursionCell
-from .conditions import hardest_of as hardest_of
+from .conditions import hardest_condition as hardest_condition
 from .conditions import in_condition as in_condition
 from .conditions import pboxes as pboxes
 from .conditions import samples as samples
 from .convergence import CONVERGENCE as CONVERGENCE
-from .convergence import Converged as Converged
+from .convergence import MetricConvergence as MetricConvergence
 from .convergence import area_document as area_document
 from .convergence import convergence_document as convergence_document
 from .convergence import read_flights as read_flights

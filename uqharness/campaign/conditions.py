@@ -1,4 +1,9 @@
-"""From the table of flights to p-boxes and excursion rates by condition. Writes nothing."""
+"""Turn the table of flights into samples, p-boxes and excursion rates per condition.
+
+A condition is one cell of the grid wind x turbulence. Within it each epistemic sample (corner)
+gives one empirical distribution of a metric; the p-box is their envelope. Nothing here writes a
+file. The column names of the metrics are defined here as well.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +20,7 @@ from uqharness.flight import TURBULENCE_W20_KT
 from uqharness.statistics import ExcursionRate, PBox, Sample, excursion_rate
 from uqharness.statistics.pbox import pbox
 
-# Names of the columns that a campaign's flights are scored by.
+# Column names of the metrics.
 
 ERROR_METRICS = tuple(
     f"{quantity}_{statistic}_{unit}{suffix}"
@@ -23,7 +28,9 @@ ERROR_METRICS = tuple(
     for quantity, unit in (("cross_track", "m"), ("altitude", "m"), ("speed", "mps"))
     for statistic in ("median", "mean", "max")
 )
-"""Statistics of |error| over a flight, true and (``_measured``) as the noise-laden sensors saw it."""
+"""Statistics of the absolute error over a flight, of the true error and (``_measured``) of the
+error as the noisy sensors report it.
+"""
 
 UNCOMMANDED_METRICS = (
     "heading_median_deg",
@@ -31,11 +38,13 @@ UNCOMMANDED_METRICS = (
     "heading_max_deg",
     "load_factor_max",
 )
-"""What a flight without a commanded path is scored by besides; columns only of a campaign that has them."""
+"""Metrics of a flight without a commanded path. Only campaigns that fly such missions have the
+columns.
+"""
 
 
 def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
-    """Names of the excursion counts: horizontal distance first, then the 3-D ones."""
+    """Return the column names of the excursion counts: horizontal distance first, then 3-D."""
     radii = tuple(radii_m)
     return tuple(
         excursion_column(radius, distance) for distance in ("horizontal", "3d") for radius in radii
@@ -43,12 +52,18 @@ def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
 
 
 def excursion_column(radius_m: float, distance: str) -> str:
-    """Name of the excursion counts beyond one radius; ``distance``: horizontal or 3d."""
+    """Return the column name of the excursions beyond one radius [m]; ``distance`` is horizontal or
+    3d.
+    """
     return f"excursions_{radius_m:g}m" + ("_3d" if distance == "3d" else "")
 
 
 def counted_radii(metrics: Mapping[str, Any]) -> tuple[float, ...]:
-    """Radii [m] at which a campaign counts excursions, from its section [metrics] as plain types: asked about, then the others."""
+    """Return the radii [m] at which a campaign counts excursions.
+
+    ``metrics`` is the section [metrics] as plain types. Radii with an acceptable rate come first,
+    then those that only measure dispersion.
+    """
     return (
         *map(float, metrics["excursion_radius_m"]),
         *map(float, metrics.get("dispersion_radius_m") or ()),
@@ -56,30 +71,48 @@ def counted_radii(metrics: Mapping[str, Any]) -> tuple[float, ...]:
 
 
 CONFIDENCE = 0.95
+"""Confidence of all limits and bands of a campaign's tables."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One cell of the wind x turbulence grid."""
+    """Name one cell of the wind x turbulence grid.
+
+    Attributes
+    ----------
+    wind_mps : float
+        Mean wind [m/s].
+    turbulence : str
+        Intensity: none, light, moderate or severe.
+
+    Examples
+    --------
+    >>> Condition(3.0, "moderate").label
+    '3 m/s moderate'
+    """
 
     wind_mps: float
     turbulence: str
 
     @property
     def label(self) -> str:
-        """The condition as tables name it: ``3 m/s moderate``."""
+        """The condition as tables write it: ``3 m/s moderate``."""
         return f"{self.wind_mps:g} m/s {self.turbulence}"
 
     @property
     def words(self) -> str:
-        """The condition as a sentence names it."""
+        """The condition as sentences write it: ``3 m/s wind and moderate turbulence``."""
         air = "no" if self.turbulence == "none" else self.turbulence
         return f"{self.wind_mps:g} m/s wind and {air} turbulence"
 
 
 @dataclass(frozen=True)
 class ExcursionCell:
-    """Rates of all corners in one condition, for one radius and one way of measuring distance."""
+    """Hold the excursion rates of all corners in one condition, for one radius [m] and one
+    distance.
+
+    ``distance`` is horizontal or 3d.
+    """
 
     condition: Condition
     radius_m: float
@@ -87,14 +120,14 @@ class ExcursionCell:
     rates: tuple[ExcursionRate, ...]
 
 
-def hardest_of(found: Iterable[Condition]) -> Condition:
-    """The strongest turbulence, in it the strongest wind."""
+def hardest_condition(candidates: Iterable[Condition]) -> Condition:
+    """Return the condition with the strongest turbulence and, within it, the strongest wind."""
     order = tuple(TURBULENCE_W20_KT)
-    return max(found, key=lambda item: (order.index(item.turbulence), item.wind_mps))
+    return max(candidates, key=lambda item: (order.index(item.turbulence), item.wind_mps))
 
 
 def conditions(frame: pd.DataFrame) -> list[Condition]:
-    """Conditions of a case table, in its order."""
+    """Return the conditions of a case table in the order of the table."""
     pairs = frame[["wind_mps", "turbulence"]].drop_duplicates()
     return [
         Condition(float(wind), str(air))
@@ -103,42 +136,80 @@ def conditions(frame: pd.DataFrame) -> list[Condition]:
 
 
 def in_condition(frame: pd.DataFrame, condition: Condition) -> pd.DataFrame:
-    """The rows of one condition."""
+    """Return the rows of one condition."""
     return frame[
         (frame["wind_mps"] == condition.wind_mps) & (frame["turbulence"] == condition.turbulence)
     ]
 
 
 def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
-    """One sample per epistemic id from the rows of one condition; an unknown value of a flight is counted, not dropped."""
+    """Return one sample of a metric per epistemic id, from the rows of one condition.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of cases.parquet of one condition.
+    metric : str
+        Column name.
+
+    Returns
+    -------
+    list of Sample
+        Known values first. A flight that failed, or has no value, is counted as unknown: dropping
+        it
+        would make the distribution look better than it is.
+    """
     values = frame[metric].to_numpy(dtype=float)
-    known = np.isfinite(values) & (frame["status"] == "ok").to_numpy()
-    which, names = pd.factorize(frame["epistemic_id"])
-    order = np.argsort(which, kind="stable")
-    edges = np.searchsorted(which[order], np.arange(len(names) + 1))
-    places = [order[begin:end] for begin, end in pairwise(edges)]
-    airs = frame["aleatory_id"].to_numpy() if "aleatory_id" in frame else None
-    found = []
-    for name, rows in zip(names, places, strict=True):
-        good, bad = rows[known[rows]], rows[~known[rows]]
-        flown = None if airs is None else airs[np.concatenate([good, bad])]
-        found.append(Sample(str(name), values[good], bad.size, flown))
-    return found
+    is_valid = np.isfinite(values) & (frame["status"] == "ok").to_numpy()
+    corner_index, names = pd.factorize(frame["epistemic_id"])
+    # One stable sort replaces a groupby per metric: rows of each corner stay in the order of the
+    # table.
+    order = np.argsort(corner_index, kind="stable")
+    edges = np.searchsorted(corner_index[order], np.arange(len(names) + 1))
+    corner_rows = [order[begin:end] for begin, end in pairwise(edges)]
+    aleatory_ids = frame["aleatory_id"].to_numpy() if "aleatory_id" in frame else None
+    result = []
+    for name, rows in zip(names, corner_rows, strict=True):
+        # Known values first, then the flights without one.
+        valid_rows, invalid_rows = rows[is_valid[rows]], rows[~is_valid[rows]]
+        flight_airs = (
+            None
+            if aleatory_ids is None
+            else aleatory_ids[np.concatenate([valid_rows, invalid_rows])]
+        )
+        result.append(Sample(str(name), values[valid_rows], invalid_rows.size, flight_airs))
+    return result
 
 
 def pboxes(
     frame: pd.DataFrame, confidence: float = CONFIDENCE
 ) -> Iterator[tuple[str, Condition, PBox]]:
-    """Every p-box of a case table: metric by metric, condition by condition. A metric that no flight has is left out."""
+    """Yield the p-boxes of a case table, metric by metric and condition by condition.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of cases.parquet.
+    confidence : float
+        Confidence of the band that accounts for the finite number of flights.
+
+    Yields
+    ------
+    tuple of (str, Condition, PBox)
+        A metric without a value in any flight is left out.
+    """
     for metric in (*ERROR_METRICS, *(name for name in UNCOMMANDED_METRICS if name in frame)):
         for condition in conditions(frame):
-            found = samples(in_condition(frame, condition), metric)
-            if any(sample.values.size for sample in found):
-                yield metric, condition, pbox(found, confidence)
+            corner_samples = samples(in_condition(frame, condition), metric)
+            if any(sample.values.size for sample in corner_samples):
+                yield metric, condition, pbox(corner_samples, confidence)
 
 
 def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[ExcursionCell]:
-    """Excursion rates of all corners by condition, distance and radius."""
+    """Return the excursion rates of all corners by condition, distance and radius [m].
+
+    A radius that the flights did not count (no 3-D distance, no commanded path) is left out.
+    """
     cells = []
     for condition in conditions(frame):
         rows = in_condition(frame, condition)
@@ -149,10 +220,13 @@ def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[Excur
             (str(name), np.asarray(places[name], dtype=np.intp))
             for name in rows["epistemic_id"].unique()
         ]
+        # Counts are NaN for flights without them; the corner's hours and failures are common to all
+        # radii.
         corners = [
             _Corner(name, at, int(failed[at].sum()), float(scored_s[at].sum()) / 3600.0)
             for name, at in by_corner
         ]
+        # 3-D distances are separate columns with a suffix.
         for distance, suffix in (("horizontal", ""), ("3d", "_3d")):
             for radius in radii_m:
                 column = f"excursions_{radius:g}m{suffix}"
@@ -165,7 +239,11 @@ def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[Excur
 
 
 def _not_measured(rows: pd.DataFrame, column: str, distance: str) -> bool:
-    """Whether no flight of this aircraft has that count: one that ended well lacks it. Failed flights alone tell nothing."""
+    """Return whether the aircraft does not report this count at all.
+
+    A flight that ended well always has the counts of its aircraft, so an empty column with good
+    flights means that the aircraft lacks the channel. Failed flights alone do not show it.
+    """
     ended_well = rows[rows["status"] == "ok"]
     unknown = bool(rows[column].isna().all())
     return unknown and (distance == "3d" or len(ended_well) > 0)
@@ -173,7 +251,7 @@ def _not_measured(rows: pd.DataFrame, column: str, distance: str) -> bool:
 
 @dataclass(frozen=True)
 class _Corner:
-    """A corner's flights among a condition's rows, how many of them failed and how long they were to last."""
+    """Hold one corner's rows of a condition, its failed flights and its scored time [h]."""
 
     name: str
     places: NDArray[np.intp]
@@ -181,5 +259,6 @@ class _Corner:
     hours: float
 
     def rate(self, counts: NDArray[np.float64], corners: int) -> ExcursionRate:
-        known = [None if np.isnan(count) else int(count) for count in counts[self.places]]
-        return excursion_rate(self.name, known, self.failed, self.hours, corners, CONFIDENCE)
+        """Return the excursion rate of the corner from the counts (n,) of the condition's rows."""
+        known_counts = [None if np.isnan(count) else int(count) for count in counts[self.places]]
+        return excursion_rate(self.name, known_counts, self.failed, self.hours, corners, CONFIDENCE)

@@ -1,4 +1,10 @@
-"""Convergence of a flown campaign: its table in, convergence.csv and the curves to draw out."""
+"""Show whether a campaign flew enough, and compare its p-boxes with real flights.
+
+Convergence: the flights of one epistemic sample are divided into repeats, whose distance is
+compared with what chance alone gives; the area of the p-box is followed as epistemic samples are
+added. Comparison: the area metric between the p-box of each metric and a table of real flights. The
+results are convergence.csv and area.csv in the campaign's folder, and JSON documents.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +39,12 @@ from uqharness.statistics import AreaMetric, Growth, Repeats, area_metric, growt
 
 CONVERGENCE = "convergence.csv"
 METRICS = ("cross_track_median_m", "altitude_median_m", "speed_median_mps")
+"""Metrics studied by default."""
 REPEATS = 10
+"""Number of repeats by default."""
 
-_INDEPENDENT = ("white", "walk")
+_RANDOM_METHODS = ("white", "walk")
+"""Methods whose epistemic samples are independent draws, so that their number can be compared."""
 
 _COLUMNS = (
     "kind",
@@ -57,10 +66,23 @@ _COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Converged:
-    """One metric in one condition. ``repeats`` are of ``epistemic_id``, the sample whose repeats lie farthest apart.
+class MetricConvergence:
+    """Hold the convergence of one metric in one condition.
 
-    Either part may be missing: too few flights, or epistemic samples that are too few or were not drawn.
+    Attributes
+    ----------
+    metric : str
+        Column name.
+    condition : Condition
+        Wind and turbulence.
+    epistemic_id : str
+        Epistemic sample whose repeats lie farthest apart.
+    repeats : Repeats or None
+        Distance of its repeats; None with too few flights.
+    growth : tuple of Growth
+        Area of the p-box over the number of epistemic samples; empty unless they are random draws
+        and
+        at least four.
     """
 
     metric: str
@@ -70,70 +92,120 @@ class Converged:
     growth: tuple[Growth, ...]
 
 
-def study(folder: Path, metrics: Sequence[str] = (), number: int = REPEATS) -> list[Converged]:
-    """Convergence of a complete campaign. Raises BadInputError."""
+def study_convergence(
+    folder: Path, metrics: Sequence[str] = (), number: int = REPEATS
+) -> list[MetricConvergence]:
+    """Study the convergence of a complete campaign.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    metrics : sequence of str
+        Column names; default: the medians of `METRICS` that the campaign has.
+    number : int
+        Number of repeats, at least 2.
+
+    Returns
+    -------
+    list of MetricConvergence
+        Metric by metric, condition by condition.
+
+    Raises
+    ------
+    BadInputError
+        If the campaign is not complete, a metric is unknown, or too few flights or samples exist.
+    """
     manifest = read_complete(folder)
     if number < 2:
         raise BadInputError(f"--repeats {number}: must be at least 2")
     frame = read_cases(folder, manifest)
-    known = [name for name in ERROR_METRICS if name in frame and frame[name].notna().any()]
-    wanted = list(metrics) or [name for name in METRICS if name in known]
-    unknown = [name for name in wanted if name not in known]
+    available = [name for name in ERROR_METRICS if name in frame and frame[name].notna().any()]
+    requested = list(metrics) or [name for name in METRICS if name in available]
+    unknown = [name for name in requested if name not in available]
     if unknown:
         raise BadInputError(
-            f"--metric {unknown[0]}: not in {folder / CASES}; it has {', '.join(known)}"
+            f"--metric {unknown[0]}: not in {folder / CASES}; it has {', '.join(available)}"
         )
     epistemic = manifest["campaign"]["epistemic"]
-    drawn = epistemic["method"] in _INDEPENDENT or "parameters" in epistemic
-    found = [
+    is_random = epistemic["method"] in _RANDOM_METHODS or "parameters" in epistemic
+    results = [
         item
-        for name in wanted
-        for item in converged(frame, name, number, drawn, int(manifest["seed"]))
+        for name in requested
+        for item in metric_convergence(frame, name, number, is_random, int(manifest["seed"]))
     ]
-    if all(item.repeats is None and not item.growth for item in found):
+    if all(item.repeats is None and not item.growth for item in results):
         raise BadInputError(
-            f"{folder}: nothing to compare: {number} repeats need at least {2 * number} flights of an epistemic sample, and "
-            "epistemic convergence needs at least 4 samples drawn at random (white, walk, parameters); fly more, or give fewer "
-            "--repeats"
+            f"{folder}: nothing to compare: {number} repeats need at least {2 * number} flights of"
+            " an epistemic sample, and epistemic convergence needs at least 4 samples drawn at"
+            " random (white, walk, parameters); fly more, or give fewer --repeats"
         )
-    return found
+    return results
 
 
-def converged(
-    frame: pd.DataFrame, metric: str, number: int, drawn: bool, seed: int
-) -> Iterator[Converged]:
-    """Convergence of one metric of a case table, condition by condition: ``number`` repeats; growth where samples are ``drawn``."""
+def metric_convergence(
+    frame: pd.DataFrame, metric: str, repeat_count: int, is_random: bool, seed: int
+) -> Iterator[MetricConvergence]:
+    """Yield the convergence of one metric of a case table, condition by condition.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of cases.parquet.
+    metric : str
+        Column name.
+    repeat_count : int
+        Number of repeats.
+    is_random : bool
+        Whether the epistemic samples are independent draws; only then the growth of the p-box is
+        studied.
+    seed : int
+        Seed of the random orders in which samples are added.
+    """
     for condition in conditions(frame):
         groups = {
             str(name): _values(rows, metric)
             for name, rows in in_condition(frame, condition).groupby("epistemic_id", sort=False)
         }
-        apart = {
-            name: repeats(values, number, CONFIDENCE)
+        repeats_by_sample = {
+            name: repeats(values, repeat_count, CONFIDENCE)
             for name, values in groups.items()
-            if values.size >= 2 * number
+            # A repeat needs at least two flights.
+            if values.size >= 2 * repeat_count
         }
-        name = max(apart, key=lambda item: apart[item].distance) if apart else ""
-        enough = (
-            drawn
+        name = (
+            max(repeats_by_sample, key=lambda item: repeats_by_sample[item].distance)
+            if repeats_by_sample
+            else ""
+        )
+        # Growth needs independent epistemic draws: at least four, with a finite value in one of
+        # them.
+        has_growth = (
+            is_random
             and len(groups) >= 4
             and any(np.isfinite(values).any() for values in groups.values())
         )
-        grown = tuple(growth(list(groups.values()), seed)) if enough else ()
-        yield Converged(metric, condition, name, apart.get(name), grown)
+        growth_curve = tuple(growth(list(groups.values()), seed)) if has_growth else ()
+        yield MetricConvergence(metric, condition, name, repeats_by_sample.get(name), growth_curve)
 
 
 def _values(rows: pd.DataFrame, metric: str) -> Any:
-    """Values in the order of the aleatory ids; a failed flight is infinitely bad."""
+    """Return the values in the order of the aleatory ids.
+
+    A failed flight counts as infinite error.
+    """
     rows = rows.sort_values("aleatory_id")
     values = rows[metric].to_numpy(dtype=float)
     return np.where(np.isfinite(values) & (rows["status"] == "ok").to_numpy(), values, np.inf)
 
 
-def as_rows(found: Sequence[Converged]) -> list[dict[str, Any]]:
-    """One row per set of repeats and per size of p-box; what does not apply is empty."""
+def as_rows(results: Sequence[MetricConvergence]) -> list[dict[str, Any]]:
+    """Return one row per set of repeats and per size of p-box.
+
+    Cells that do not apply are absent.
+    """
     rows: list[dict[str, Any]] = []
-    for item in found:
+    for item in results:
         common = {"metric": item.metric, "condition": item.condition.label}
         if item.repeats is not None:
             part = item.repeats
@@ -165,12 +237,12 @@ def as_rows(found: Sequence[Converged]) -> list[dict[str, Any]]:
     return rows
 
 
-def table(found: Sequence[Converged]) -> bytes:
-    """convergence.csv."""
+def convergence_table(results: Sequence[MetricConvergence]) -> bytes:
+    """Return the content of convergence.csv."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, _COLUMNS, restval="", lineterminator="\n")
     writer.writeheader()
-    for row in as_rows(found):
+    for row in as_rows(results):
         writer.writerow(
             {
                 key: f"{value:.6g}" if isinstance(value, float) else value
@@ -180,38 +252,44 @@ def table(found: Sequence[Converged]) -> bytes:
     return buffer.getvalue().encode()
 
 
-def sentences(found: Sequence[Converged]) -> list[str]:
-    """What came out, in words."""
+def sentences(results: Sequence[MetricConvergence]) -> list[str]:
+    """Return the results as sentences for the terminal."""
     lines = []
-    for item in found:
-        where = f"{item.metric}, {item.condition.label}"
+    for item in results:
+        label = f"{item.metric}, {item.condition.label}"
         if item.repeats is not None:
             part = item.repeats
             lines.append(
-                f"{where}: {part.repeats} repeats of {part.flights} flights lie within {part.distance:.3g} of each other (chance "
-                f"alone: up to {part.expected:.3g}); medians {part.medians.min():.4g} to {part.medians.max():.4g}"
+                f"{label}: {part.repeats} repeats of {part.flights} flights lie within"
+                f" {part.distance:.3g} of each other (chance alone: up to {part.expected:.3g});"
+                f" medians {part.medians.min():.4g} to {part.medians.max():.4g}"
             )
         if item.growth:
-            half, whole = item.growth[-2], item.growth[-1]
-            gained = 1.0 - half.area / whole.area if whole.area > 0 else 0.0
+            # Compare the last two sizes, which differ by a factor of two.
+            half_size, full = item.growth[-2], item.growth[-1]
+            gained = 1.0 - half_size.area / full.area if full.area > 0 else 0.0
             lines.append(
-                f"{where}: from {half.samples} to {whole.samples} epistemic samples the p-box grew by {percent(gained)} of its "
-                f"area; one more lies outside, at any value, with a chance of at most {percent(whole.chance_of_more)}"
+                f"{label}: from {half_size.samples} to {full.samples} epistemic samples the p-box"
+                f" grew by {percent(gained)} of its area; one more lies outside, at any value, with"
+                f" a chance of at most {percent(full.chance_of_more)}"
             )
     return lines
 
 
-def write_convergence(folder: Path, metrics: Sequence[str], number: int) -> list[Converged]:
-    """Study convergence as `study` does and write convergence.csv. Raises BadInputError."""
-    result = study(folder, metrics, number)
-    record_table(folder, CONVERGENCE, table(result))
+def write_convergence(folder: Path, metrics: Sequence[str], number: int) -> list[MetricConvergence]:
+    """Study convergence as `study_convergence` does and write convergence.csv into the folder.
+
+    The digest of the table enters the manifest. Raises BadInputError.
+    """
+    result = study_convergence(folder, metrics, number)
+    record_table(folder, CONVERGENCE, convergence_table(result))
     return result
 
 
 def convergence_document(
-    folder: Path, result: Sequence[Converged], figures: Sequence[Path]
+    folder: Path, result: Sequence[MetricConvergence], figures: Sequence[Path]
 ) -> dict[str, Any]:
-    """The document of ``campaign convergence --json``."""
+    """Return the document of ``campaign convergence --json``."""
     return {
         "table": str(folder / CONVERGENCE),
         "figures": list(map(str, figures)),
@@ -219,12 +297,11 @@ def convergence_document(
     }
 
 
-# A campaign's p-boxes against flights that were really flown: area metric per metric and
-# condition.
+# Area metric between a campaign's p-boxes and real flights.
 
 AREAS = "area.csv"
-_WHERE = ("wind_mps", "turbulence")
-_PLAIN = (
+_CONDITION_COLUMNS = ("wind_mps", "turbulence")
+_COLUMN_TYPES = (
     pa.types.is_floating,
     pa.types.is_integer,
     pa.types.is_boolean,
@@ -244,23 +321,39 @@ _AREA_COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Compared:
-    """Flights against the p-box of one metric in one condition."""
+class AreaComparison:
+    """Hold the comparison of real flights with the p-box of one metric in one condition."""
 
     metric: str
     condition: Condition
-    found: AreaMetric
+    area_metric: AreaMetric
 
     @property
     def verdict(self) -> str:
-        """Outside where the flights contradict the p-box beyond chance, else no contradiction."""
-        return "outside" if self.found.beyond_chance > 0.0 else "no contradiction"
+        """ "outside" if the flights contradict the p-box beyond chance, else "no contradiction"."""
+        return "outside" if self.area_metric.beyond_chance > 0.0 else "no contradiction"
 
 
 def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame:
-    """Table of flights, one row each: columns named as in cases.parquet, wind_mps and turbulence if they are known.
+    """Read a table of real flights.
 
-    ``values`` make one flight more. Raises BadInputError.
+    Parameters
+    ----------
+    path : Path or None
+        CSV or Parquet, one row per flight. Columns are named as in cases.parquet; wind_mps and
+        turbulence are optional.
+    values : mapping of str to float
+        Values of one more flight, by column name.
+
+    Returns
+    -------
+    DataFrame
+        All flights.
+
+    Raises
+    ------
+    BadInputError
+        If there is no flight or a column is neither numeric nor text.
     """
     frames = [pd.DataFrame([values])] if values else []
     if path is not None:
@@ -275,76 +368,109 @@ def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame
 
 
 def _read_table(path: Path) -> pd.DataFrame:
+    """Read a table file; columns of a Parquet file must be numbers or text, each once."""
     if path.suffix == ".parquet":
-        found = read_table(path)
-        for field in found.schema:
+        table = read_table(path)
+        for field in table.schema:
             if (
-                not any(test(field.type) for test in _PLAIN)
-                or found.column_names.count(field.name) > 1
+                not any(test(field.type) for test in _COLUMN_TYPES)
+                or table.column_names.count(field.name) > 1
             ):
                 raise BadInputError(
-                    f"{path}: column {field.name} is of type {field.type}, or there twice; columns of numbers and texts are "
-                    "compared, each there once"
+                    f"{path}: column {field.name} is of type {field.type}, or there twice; columns"
+                    " of numbers and texts are compared, each there once"
                 )
-        return found.to_pandas()
+        return table.to_pandas()
     try:
         return pd.DataFrame(read_small_table(path))
     except (OSError, LogError) as error:
         raise BadInputError(f"{path}: cannot be read as a table of flights: {error}") from None
 
 
-def compare(folder: Path, flights: pd.DataFrame) -> list[Compared]:
-    """Compare every metric that both have, in every condition; a flight with a condition of its own in that one. BadInputError."""
+def compare_flights(folder: Path, flights: pd.DataFrame) -> list[AreaComparison]:
+    """Compare real flights with every p-box that has their metric.
+
+    Flights with wind_mps and turbulence are compared in their own condition, others in all
+    conditions.
+
+    Parameters
+    ----------
+    folder : Path
+        Complete campaign.
+    flights : DataFrame
+        See `read_flights`.
+
+    Returns
+    -------
+    list of AreaComparison
+        At least one entry.
+
+    Raises
+    ------
+    BadInputError
+        If the campaign is not complete or no metric and condition are shared.
+    """
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
+    # Use the band of the report, which accounts for sequential looks.
     confidence = band_confidence(manifest["campaign"], CONFIDENCE)
-    found, known = [], set()
+    comparisons, compared_metrics = [], set()
     for metric, condition, box in pboxes(frame, confidence):
-        known.add(metric)
-        rows = _there(flights, condition)
+        compared_metrics.add(metric)
+        rows = _flights_in(flights, condition)
         if metric in rows:
             values = pd.to_numeric(rows[metric], errors="coerce").to_numpy(dtype=float)
+            # Real flights without a value of the metric are left out.
             values = values[np.isfinite(values)]
             if values.size:
-                found.append(Compared(metric, condition, area_metric(box, values, CONFIDENCE)))
-    if not found:
+                comparisons.append(
+                    AreaComparison(metric, condition, area_metric(box, values, CONFIDENCE))
+                )
+    if not comparisons:
         raise BadInputError(
-            f"{folder}: the flights have no metric of this campaign in a condition it flew; columns are "
-            f"{', '.join(map(str, flights.columns))}, needed is one of {', '.join(sorted(known))}"
+            f"{folder}: the flights have no metric of this campaign in a condition it flew; columns"
+            f" are {', '.join(map(str, flights.columns))}, needed is one of"
+            f" {', '.join(sorted(compared_metrics))}"
         )
-    return found
+    return comparisons
 
 
-def _there(flights: pd.DataFrame, condition: Condition) -> pd.DataFrame:
-    return in_condition(flights, condition) if all(name in flights for name in _WHERE) else flights
+def _flights_in(flights: pd.DataFrame, condition: Condition) -> pd.DataFrame:
+    """Return the flights of one condition; all of them if the table has no conditions."""
+    return (
+        in_condition(flights, condition)
+        if all(name in flights for name in _CONDITION_COLUMNS)
+        else flights
+    )
 
 
-def area_table(found: Sequence[Compared]) -> bytes:
-    """area.csv."""
+def area_table(comparisons: Sequence[AreaComparison]) -> bytes:
+    """Return the content of area.csv."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_AREA_COLUMNS)
-    for item in found:
-        part = item.found
+    for item in comparisons:
+        metric = item.area_metric
         numbers = [
-            f"{value:.6g}" for value in (part.area, part.below, part.above, part.beyond_chance)
+            f"{value:.6g}"
+            for value in (metric.area, metric.below, metric.above, metric.beyond_chance)
         ]
-        writer.writerow([item.metric, item.condition.label, part.flights, *numbers, item.verdict])
+        writer.writerow([item.metric, item.condition.label, metric.flights, *numbers, item.verdict])
     return buffer.getvalue().encode()
 
 
-def write_area(folder: Path, flights: pd.DataFrame) -> list[Compared]:
-    """Compare flights as `compare` does and write area.csv. Raises BadInputError."""
-    result = compare(folder, flights)
-    record_table(folder, AREAS, area_table(result))
-    return result
+def write_area(folder: Path, flights: pd.DataFrame) -> list[AreaComparison]:
+    """Compare flights as `compare_flights` does and write area.csv into the folder."""
+    comparisons = compare_flights(folder, flights)
+    record_table(folder, AREAS, area_table(comparisons))
+    return comparisons
 
 
-def area_document(folder: Path, result: Sequence[Compared]) -> dict[str, Any]:
-    """The document of ``campaign area --json``."""
+def area_document(folder: Path, comparisons: Sequence[AreaComparison]) -> dict[str, Any]:
+    """Return the document of ``campaign area --json``."""
     rows = [
         {"metric": item.metric, "condition": item.condition.label, "verdict": item.verdict}
-        | asdict(item.found)
-        for item in result
+        | asdict(item.area_metric)
+        for item in comparisons
     ]
     return {"table": str(folder / AREAS), "rows": rows}

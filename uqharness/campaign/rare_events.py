@@ -1,8 +1,10 @@
-"""Flights of the batch engine as paths of a multilevel splitting: side by side, scored, and copied.
+"""Provide the paths that multilevel splitting needs to estimate rates of rare excursions.
 
-Flights begin with the campaign's own burn-in, so that a path starts from a state of the loiter itself. At each checkpoint a path
-has a score of its state. A copy is the same flight to the checkpoint; from there its gusts and noise come from streams of (root
-seed, aleatory id, level, branch, kind).
+`LoiterPaths` flies many paths side by side in the batch engine, scores their states at checkpoints
+and branches the paths that `uqharness.statistics.run` selects. Every path begins with the burn-in
+of the campaign, so it starts from a state of the loiter itself. A branch repeats its parent to the
+checkpoint; from there its gusts and sensor noise come from streams of (root seed, aleatory id,
+level, branch, kind). `DistancePredictor` scores states by linear predictions of the distance.
 """
 
 from __future__ import annotations
@@ -21,11 +23,26 @@ from uqharness.flight import FlightSpec, Split, record_stride, row_counts
 from uqharness.statistics import Seen
 
 DISTANCE = "cross_track"
+"""Channel of the distance from the commanded path."""
 
 
 @dataclass(frozen=True)
-class Hit:
-    """A path's first excursion beyond the radius of that place: which flight, where it branched, in which frame, how far out."""
+class FirstExcursion:
+    """Record the first excursion of a path beyond a radius.
+
+    Attributes
+    ----------
+    aleatory_id : int
+        Flight that the path descends from.
+    kind : int
+        Place of the radius in the list of radii.
+    frame : int
+        Simulation frame of the excursion.
+    distance_m : float
+        Distance there [m].
+    splits : tuple of Split
+        Branchings of the path; with them the path can be flown again.
+    """
 
     aleatory_id: int
     kind: int
@@ -35,21 +52,34 @@ class Hit:
 
 
 class Score(Protocol):
-    """How near a state is to an excursion. It decides the spread of an estimate, not its mean."""
+    """Rate how close a state is to an excursion.
+
+    The score affects the variance of a splitting estimate, not its mean.
+    """
 
     @property
     def properties(self) -> tuple[str, ...]:
-        """Properties of the aircraft that are read at a checkpoint."""
+        """JSBSim properties that are read at a checkpoint."""
 
     def of(
         self, values: Mapping[str, FloatArray], distance_m: FloatArray, closing_mps: FloatArray
     ) -> FloatArray:
-        """(paths,) score of those properties (paths,), the distance from the commanded path and its rate (paths,)."""
+        """Return the score (paths,).
+
+        Parameters
+        ----------
+        values : mapping of str to array
+            Properties (paths,) at the checkpoint.
+        distance_m : array
+            Distance (paths,) from the commanded path [m].
+        closing_mps : array
+            Its rate of change (paths,) [m/s].
+        """
 
 
 @dataclass(frozen=True)
 class Lookahead:
-    """The distance that a path will have after ``lookahead_s`` of closing as it does now."""
+    """Score a path by its distance after ``lookahead_s`` seconds at the present rate."""
 
     lookahead_s: float
     properties: tuple[str, ...] = ()
@@ -57,51 +87,85 @@ class Lookahead:
     def of(
         self, values: Mapping[str, FloatArray], distance_m: FloatArray, closing_mps: FloatArray
     ) -> FloatArray:
-        """(paths,) [m]."""
+        """Return the predicted distance (paths,) [m]."""
         return distance_m + self.lookahead_s * closing_mps
 
 
 @dataclass(frozen=True)
-class Watch:
-    """How paths are looked at: a checkpoint every ``step_s`` seconds, and their score there; so many first excursions beyond each
-    radius are noted with their path."""
+class CheckpointPlan:
+    """Say when paths are scored and how.
+
+    Attributes
+    ----------
+    step_s : float
+        Time between checkpoints [s], a multiple of the record interval.
+    score : Score
+        Score of the states.
+    max_noted : int
+        Number of first excursions per radius that are recorded with their path.
+    """
 
     step_s: float
     score: Score
-    noted: int = 0
+    max_noted: int = 0
 
 
 class LoiterPaths:
-    """Flights that differ in their air alone. ``specs`` and ``aleatory_ids`` belong together; ``root`` is the campaign's seed.
+    """Fly paths that differ in their gusts and noise only, with branching at checkpoints.
 
-    Excursions are those of the campaign's tables, from the recorded rows between two checkpoints.
+    Excursions are counted as in the tables of a campaign, from the rows recorded between two
+    checkpoints.
+
+    Parameters
+    ----------
+    specs : sequence of FlightSpec
+        One flight per path.
+    aleatory_ids : sequence of int
+        Their aleatory ids, in the same order.
+    root : int
+        Root seed of the campaign.
+    watch : CheckpointPlan
+        Checkpoints and score.
+
+    Raises
+    ------
+    BadInputError
+        If the batch engine cannot fly the aircraft, the aircraft has no commanded path, or the step
+        is
+        not a multiple of the record interval.
     """
 
     def __init__(
-        self, specs: Sequence[FlightSpec], aleatory_ids: Sequence[int], root: int, watch: Watch
+        self,
+        specs: Sequence[FlightSpec],
+        aleatory_ids: Sequence[int],
+        root: int,
+        watch: CheckpointPlan,
     ) -> None:
-        """Raises BadInputError for what the batch engine cannot fly, an aircraft without a commanded path, and a step that is no
-        whole number of recorded rows."""
+        """Compile the flight, fly the burn-in and discard its record."""
         first = specs[0]
-        made = ready(first)
-        if DISTANCE not in made.table:
+        prepared = ready(first)
+        if DISTANCE not in prepared.table:
             raise BadInputError(
-                f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics]: nothing to leave"
+                f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics]: nothing to"
+                " leave"
             )
-        source, dt_s = made.table[DISTANCE], made.lanes.dt_s
+        source, dt_s = prepared.table[DISTANCE], prepared.lanes.dt_s
         self._stride = record_stride(first, dt_s)
         self._row_s = self._stride * dt_s
         rows = round(watch.step_s / self._row_s)
         if rows < 2 or abs(rows * self._row_s - watch.step_s) > 1e-9:
             raise BadInputError(
-                f"step_s = {watch.step_s:g}: a multiple of the recorded {self._row_s:g} s, two of them at least"
+                f"step_s = {watch.step_s:g}: a multiple of the recorded {self._row_s:g} s, two of"
+                " them at least"
             )
         self._step, self._watch, self._root = rows * self._stride, watch, root
         self._channel, self._factor = (
-            list(made.lanes.program.records).index(source.property),
+            list(prepared.lanes.program.records).index(source.property),
             source.factor,
         )
-        self._course = Course.begun(made, specs)
+        self._course = Course.begun(prepared, specs)
+        # Burn in, and discard its rows.
         self._course.fly(row_counts(first, self._row_s)[0] * self._stride)
         self._course.taken()
         self._ids = np.asarray(aleatory_ids)
@@ -109,38 +173,55 @@ class LoiterPaths:
         self._outside = np.zeros((len(specs), self._radii.size), dtype=bool)
         self._had = np.zeros_like(self._outside)
         self._numbers: dict[tuple[int, int], int] = {}
-        self.hits: list[Hit] = []
+        self.hits: list[FirstExcursion] = []
 
     def advance(self) -> Seen | None:
-        """Fly to the next checkpoint; None behind the last."""
+        """Fly to the next checkpoint; return None after the last one.
+
+        The result holds scores (paths,), -inf for ended paths, and the excursions (paths, radii)
+        since the previous checkpoint.
+        """
         course = self._course
         if course.frame >= course.last:
             return None
-        begun = course.frame
-        course.fly(min(begun + self._step, course.last))
+        start_frame = course.frame
+        course.fly(min(start_frame + self._step, course.last))
+        # Paths that ended early get the score -inf and are never selected.
         ended = np.array([end.status != "ok" for end in course.ends])
         distance = self._distances(course.taken())
         events = np.zeros(self._outside.shape, dtype=np.int64)
+        # Count excursions row by row with hysteresis, as the campaign's tables do.
         for row in range(distance.shape[1]):
-            here = distance[:, row, None]
-            beyond = here > self._radii
-            events += beyond & ~self._outside
-            self._note(beyond & ~self._had, begun + (row + 1) * self._stride, distance[:, row])
-            self._had |= beyond
-            self._outside = beyond | (self._outside & ~(here < self._radii - self._rearm))
-        closing = (distance[:, -1] - distance[:, -2]) / self._row_s
-        watched = {name: course.watched(name) for name in self._watch.score.properties}
-        score = self._watch.score.of(watched, distance[:, -1], closing)
+            row_distance = distance[:, row, None]
+            is_outside = row_distance > self._radii
+            events += is_outside & ~self._outside
+            self._note(
+                is_outside & ~self._had, start_frame + (row + 1) * self._stride, distance[:, row]
+            )
+            # A path counts again only after it has come back inside radius - rearm.
+            self._had |= is_outside
+            self._outside = is_outside | (
+                self._outside & ~(row_distance < self._radii - self._rearm)
+            )
+        # Rate of change of the distance from the last two rows.
+        closing_mps = (distance[:, -1] - distance[:, -2]) / self._row_s
+        score_inputs = {name: course.watched(name) for name in self._watch.score.properties}
+        score = self._watch.score.of(score_inputs, distance[:, -1], closing_mps)
         return Seen(np.where(ended, -np.inf, score), events, ended)
 
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
-        """Go on with these paths in that order; those with a level branch here."""
+        """Continue with the given paths in the given order.
+
+        ``levels`` (paths,) is 0 for a path that continues unchanged, else the level at which it
+        branches.
+        """
         keys = [
             None if level == 0 else self._key(int(self._ids[parent]), level)
             for parent, level in zip(parents, levels, strict=True)
         ]
         self._course.follow(parents, keys)
         chosen = list(parents)
+        # Bookkeeping follows the paths.
         self._ids, self._outside, self._had = (
             self._ids[chosen],
             self._outside[chosen],
@@ -148,49 +229,70 @@ class LoiterPaths:
         )
 
     def _key(self, aleatory_id: int, level: int) -> Branch:
+        """Return the key of the next branch of a flight at a level."""
+        # Branches of the same flight and level are numbered, so each has its own streams.
         number = self._numbers.get((aleatory_id, level), 0)
         self._numbers[aleatory_id, level] = number + 1
         return Branch(self._root, aleatory_id, level, number)
 
     def _distances(self, rows: Sequence[FloatArray]) -> FloatArray:
-        """(paths, rows) [m] without sign; NaN behind a flight's end."""
-        found = np.full((len(rows), max(2, *(each.shape[1] for each in rows))), np.nan)
+        """Return the distance (paths, rows) [m] without sign; NaN after the end of a path."""
+        channel = np.full((len(rows), max(2, *(each.shape[1] for each in rows))), np.nan)
         for place, each in enumerate(rows):
-            found[place, : each.shape[1]] = each[self._channel]
-        return np.abs(found * self._factor)
+            channel[place, : each.shape[1]] = each[self._channel]
+        return np.abs(channel * self._factor)
 
     def _note(self, first: NDArray[np.bool_], frame: int, distance: FloatArray) -> None:
-        if not self._watch.noted:
+        """Record first excursions, at most ``max_noted`` per radius."""
+        if not self._watch.max_noted:
             return
         for path, kind in np.argwhere(first):
-            if sum(hit.kind == kind for hit in self.hits) < self._watch.noted:
+            if sum(hit.kind == kind for hit in self.hits) < self._watch.max_noted:
                 splits = self._course.splits[path]
                 self.hits.append(
-                    Hit(int(self._ids[path]), int(kind), frame, float(distance[path]), splits)
+                    FirstExcursion(
+                        int(self._ids[path]), int(kind), frame, float(distance[path]), splits
+                    )
                 )
 
 
-# How near a state is to an excursion, by linear predictions of the distance to come, fitted to
-# flights that are not split.
-#
-# A path with regressors x is expected at the distance m_h(x) after h seconds, within s_h
-# (standard deviation of what the regression leaves). Its score is the largest (m_h - radius) /
-# s_h over the horizons: the distance to the radius in standard deviations. For a linear system
-# in Gaussian noise minus half its square is the logarithm of the probability of an excursion,
-# up to smaller terms, so that states are in the order of that probability, as a good importance
-# function has them (Garvels 2000, chapter 3). Pure: no file, no clock.
+# Score by linear predictions of the distance. A path with regressors x is expected at the distance
+# m_h(x) after h seconds, with residual standard deviation s_h. Its score is the maximum of (m_h -
+# radius) / s_h over the horizons. For a linear system in Gaussian noise minus half the square of
+# the score is, to leading order, the logarithm of the probability of an excursion, so the score
+# orders states by that probability, as a good importance function does (Garvels 2000, chapter 3).
 
 HORIZONS_S = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0)
-"""Behind ten seconds a loiter's state is forgotten: the prediction is then the mean of that place on the circle."""
-NOW_M = 0.05
-"""Standard deviation of the distance that is there: a path beyond the radius has a score above 0."""
+"""Prediction horizons [s]. After ten seconds the state of a loiter is forgotten and the prediction
+is the mean distance at that place of the circle.
+"""
+CURRENT_SIGMA_M = 0.05
+"""Standard deviation [m] assigned to the current distance, so that a path beyond the radius has a
+score above 0.
+"""
 RIDGE = 1e-4
-"""Share of its variance added to each regressor: two that nearly coincide get no large coefficients of opposite signs."""
+"""Ridge penalty as a share of each regressor's variance. It prevents large coefficients of opposite
+sign for nearly collinear regressors.
+"""
 
 
 @dataclass(frozen=True)
-class Predicted:
-    """Predictions at horizons [s] (h,): ``coefficients`` (h, k) of the regressors, ``constants`` [m] and ``sigmas`` [m] (h,)."""
+class DistancePredictor:
+    """Predict the distance from the commanded path at several horizons.
+
+    Attributes
+    ----------
+    radius_m : float
+        Radius of an excursion [m].
+    horizons_s : tuple of float
+        Horizons (h,) [s].
+    coefficients : tuple of tuple of float
+        Regression coefficients (h, k).
+    constants : tuple of float
+        Intercepts (h,) [m].
+    sigmas : tuple of float
+        Standard deviation of the regression residuals (h,) [m].
+    """
 
     radius_m: float
     horizons_s: tuple[float, ...]
@@ -199,8 +301,22 @@ class Predicted:
     sigmas: tuple[float, ...]
 
     def score(self, regressors: FloatArray, distance_m: FloatArray) -> FloatArray:
-        """Standard deviations to the radius (...), negative inside it, of regressors (..., k) and distances (...)."""
-        # One regressor after the other: a matrix product would round differently with the number of paths.
+        """Return the number of standard deviations to the radius, negative inside it.
+
+        Parameters
+        ----------
+        regressors : array
+            Regressors (..., k).
+        distance_m : array
+            Current distance (...) [m].
+
+        Returns
+        -------
+        array
+            Score (...): the largest over the horizons.
+        """
+        # Sum regressor by regressor: the rounding of a matrix product depends on the number of
+        # paths.
         slopes, expected = (
             np.array(self.coefficients),
             np.zeros((*distance_m.shape, len(self.constants))) + self.constants,
@@ -208,42 +324,64 @@ class Predicted:
         for place in range(slopes.shape[1]):
             expected += regressors[..., place, None] * slopes[:, place]
         ahead = ((expected - self.radius_m) / np.array(self.sigmas)).max(axis=-1)
-        return np.asarray(np.maximum(ahead, (distance_m - self.radius_m) / NOW_M))
+        return np.asarray(np.maximum(ahead, (distance_m - self.radius_m) / CURRENT_SIGMA_M))
 
 
-def fit(
+def fit_predictors(
     regressors: FloatArray,
     distance_m: FloatArray,
     row_s: float,
     radius_m: float,
     horizons_s: Sequence[float] = HORIZONS_S,
-) -> Predicted:
-    """Least squares at each horizon that is a whole number of rows, from flights (flights, rows, k) and (flights, rows).
+) -> DistancePredictor:
+    """Fit a predictor at each horizon by least squares with a small ridge penalty.
 
-    Raises ValueError for flights no longer than the last horizon, and where no horizon is a whole number of rows.
+    Parameters
+    ----------
+    regressors : array
+        States (flights, rows, k) of flights that are not split.
+    distance_m : array
+        Distance (flights, rows) [m].
+    row_s : float
+        Time between rows [s].
+    radius_m : float
+        Radius of an excursion [m].
+    horizons_s : sequence of float
+        Horizons [s]; those that are not a multiple of ``row_s`` are skipped.
+
+    Raises
+    ------
+    ValueError
+        If the flights are shorter than the last horizon, or no horizon is a multiple of ``row_s``.
     """
-    ahead = {
+    rows_ahead = {
         h: round(h / row_s)
         for h in horizons_s
         if round(h / row_s) > 0 and abs(round(h / row_s) * row_s - h) < 1e-9
     }
-    if not ahead or max(ahead.values()) >= distance_m.shape[1]:
+    if not rows_ahead or max(rows_ahead.values()) >= distance_m.shape[1]:
         raise ValueError(
-            f"{distance_m.shape[1]} rows {row_s:g} s apart: more than {max(horizons_s):g} s of rows are needed, and horizons that "
-            f"are whole numbers of them; received {tuple(horizons_s)}"
+            f"{distance_m.shape[1]} rows {row_s:g} s apart: more than {max(horizons_s):g} s of rows"
+            " are needed, and horizons that are whole numbers of them; received"
+            f" {tuple(horizons_s)}"
         )
     coefficients, constants, sigmas = [], [], []
-    for rows in ahead.values():
+    # One regression per horizon: the regressors now, the distance ``rows`` later.
+    for rows in rows_ahead.values():
         x = regressors[:, :-rows].reshape(-1, regressors.shape[2])
         y = distance_m[:, rows:].ravel()
-        centre, spread = x.mean(axis=0), x.std(axis=0)
-        unit = np.where(spread > 0.0, spread, 1.0)
-        z = (x - centre) / unit
+        centre, standard_deviation = x.mean(axis=0), x.std(axis=0)
+        scale = np.where(standard_deviation > 0.0, standard_deviation, 1.0)
+        # Standardised regressors make the ridge penalty independent of units.
+        z = (x - centre) / scale
         slopes = (
             np.linalg.solve(z.T @ z + RIDGE * len(z) * np.eye(z.shape[1]), z.T @ (y - y.mean()))
-            / unit
+            / scale
         )
+        # Back to the units of the regressors.
         constants.append(float(y.mean() - centre @ slopes))
         coefficients.append(tuple(map(float, slopes)))
         sigmas.append(float((y - x @ slopes - constants[-1]).std()))
-    return Predicted(radius_m, tuple(ahead), tuple(coefficients), tuple(constants), tuple(sigmas))
+    return DistancePredictor(
+        radius_m, tuple(rows_ahead), tuple(coefficients), tuple(constants), tuple(sigmas)
+    )

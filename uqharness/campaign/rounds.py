@@ -1,7 +1,11 @@
-"""Which cases a campaign flies next: all at once, or round by round where its rule is to stop a cell once it is answered.
+"""Decide which cases a campaign flies next, and when a condition is answered.
 
-Decisions rest on whole rounds, in case order, so they are the same whatever the number of workers and however often the run
-was killed: a resumed run goes through the same rounds, of which the flown ones cost nothing.
+With the rules flights, hours and band-width all cases are one round. With the rule decide a
+condition (cell) is flown in rounds until the sequential test of `uqharness.statistics` answers
+whether the excursion rate is acceptable at every corner; the answers go to decisions.csv.
+
+A decision rests on complete rounds in case order, so it depends neither on the number of workers
+nor on interruptions: a resumed run goes through the same rounds, and stored flights cost nothing.
 """
 
 from __future__ import annotations
@@ -26,11 +30,9 @@ from uqharness.flight import FlightSpec
 from uqharness.statistics import Evidence, Question, add, begin, close, look, upper_limits
 from uqharness.text_tables import csv_rows
 
-# Flights that were aborted: loss of control, ground contact, divergence, or a flight that ended
-# for a reason of its own.
-#
-# What such a flight would have done in the rest of its time is not known, so its rate has an
-# acceptable size of its own.
+# Aborted flights: loss of control, ground contact, divergence, or another early end. What such a
+# flight would have done in its remaining time is not known, so aborted flights have an acceptable
+# rate of their own.
 
 LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED, OTHER = (
     "loss_of_control",
@@ -39,7 +41,9 @@ LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED, OTHER = (
     "other",
 )
 KINDS = (LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED, OTHER)
-"""Each aborted flight is of one kind: how it ended, else that control was lost and it flew on."""
+"""Kinds of aborted flights. A flight has the kind of its end; one that flew on to the end without
+control counts as loss of control.
+"""
 _BY_STATUS = {
     "ground-contact": GROUND_CONTACT,
     "diverged": DIVERGED,
@@ -49,35 +53,51 @@ _BY_STATUS = {
 
 
 @dataclass(frozen=True)
-class Aborted:
-    """Aborted flights of one condition, per corner and flight (c, n), NaN where a corner flew fewer.
+class AbortedFlights:
+    """Hold the aborted flights of one condition.
 
-    ``lost``: 1 where the flight was aborted; ``missing``: the share of its time that was not flown; ``kinds``: how many there are.
+    Attributes
+    ----------
+    is_aborted : array
+        1 where a flight was aborted, else 0 (c, n); NaN where a corner flew fewer than n flights.
+    missing : array
+        Share of its scored time that a flight did not fly (c, n), NaN likewise.
+    kinds : dict of str to int
+        Number of aborted flights by kind.
     """
 
-    lost: FloatArray
+    is_aborted: FloatArray
     missing: FloatArray
     kinds: dict[str, int]
 
     @property
     def total(self) -> int:
-        """Aborted flights of all corners."""
-        return int(np.nansum(self.lost))
+        """Number of aborted flights of all corners."""
+        return int(np.nansum(self.is_aborted))
 
     @property
     def missing_shares(self) -> FloatArray:
-        """Flights' worth of time that was not flown, per corner (c,)."""
-        found: FloatArray = np.nansum(self.missing, axis=1)
-        return found
+        """Time that was not flown, in flights, per corner (c,)."""
+        shares: FloatArray = np.nansum(self.missing, axis=1)
+        return shares
 
     def upper(self, error: float, assumed: float | None) -> FloatArray:
-        """Upper limits (c,) of aborted flights per flight's length flown, each missed with probability ``error`` at most.
+        """Return upper limits (c,) of aborted flights per flight flown.
 
-        A flight is aborted once, so its count clusters no more than independent ones do.
+        A flight is aborted at most once, so these counts are not more clustered than independent
+        events and their dispersion is 1.
+
+        Parameters
+        ----------
+        error : float
+            Probability that a limit is exceeded.
+        assumed : float or None
+            Dispersion for limits that hold at any stopping time; None for a fixed number of
+            flights.
         """
         flights, total = (
-            np.isfinite(self.lost).sum(axis=1).astype(float),
-            np.nansum(self.lost, axis=1),
+            np.isfinite(self.is_aborted).sum(axis=1).astype(float),
+            np.nansum(self.is_aborted, axis=1),
         )
         return upper_limits(
             flights, total, np.ones_like(total), error, assumed, self.missing_shares
@@ -85,45 +105,60 @@ class Aborted:
 
 
 def aborted_flight(outcome: CaseOutcome, flight: FlightSpec) -> tuple[float, float]:
-    """Whether a flight was aborted, 1 or 0, and the share of its scored time that it did not fly."""
+    """Return whether a flight was aborted (1 or 0) and the share of its scored time that is
+    missing.
+    """
     if outcome.status == "ok":
         return float(outcome.metrics.get(LOSS_OF_CONTROL, 0.0) > 0.0), 0.0
     scored_s = min(max(outcome.flown_s - flight.burn_in_s, 0.0), flight.duration_s)
     return 1.0, 1.0 - scored_s / flight.duration_s
 
 
-def aborted(groups: Sequence[Any], duration_s: float) -> Aborted:
-    """From a condition's rows of a case table, one group a corner."""
-    lost, missing = np.full((2, len(groups), max(len(group) for group in groups)), np.nan)
+def count_aborted(groups: Sequence[Any], duration_s: float) -> AbortedFlights:
+    """Return the aborted flights of a condition.
+
+    Parameters
+    ----------
+    groups : sequence of DataFrame
+        Rows of cases.parquet, one frame per corner.
+    duration_s : float
+        Scored time of a complete flight [s].
+    """
+    is_aborted, missing = np.full((2, len(groups), max(len(group) for group in groups)), np.nan)
     kinds = dict.fromkeys(KINDS, 0)
     for row, group in enumerate(groups):
-        ended = [_BY_STATUS.get(str(status), "") for status in group["status"]]
-        flags = [0.0] * len(group)
+        end_kinds = [_BY_STATUS.get(str(status), "") for status in group["status"]]
+        # Aircraft without the metric never report loss of control.
+        control_lost = [0.0] * len(group)
         if LOSS_OF_CONTROL in group:
-            flags = np.nan_to_num(
+            control_lost = np.nan_to_num(
                 group[LOSS_OF_CONTROL].to_numpy(dtype=float, na_value=np.nan)
             ).tolist()
-        found = [
+        flight_kinds = [
             kind or (LOSS_OF_CONTROL if flag else "")
-            for kind, flag in zip(ended, flags, strict=True)
+            for kind, flag in zip(end_kinds, control_lost, strict=True)
         ]
-        for kind in filter(None, found):
+        for kind in filter(None, flight_kinds):
             kinds[kind] += 1
-        flown = np.clip(group["duration_s"].to_numpy(dtype=float) / duration_s, 0.0, 1.0)
-        lost[row, : len(group)] = [float(bool(kind)) for kind in found]
-        missing[row, : len(group)] = np.where([bool(kind) for kind in ended], 1.0 - flown, 0.0)
-    return Aborted(lost, missing, kinds)
+        flown_shares = np.clip(group["duration_s"].to_numpy(dtype=float) / duration_s, 0.0, 1.0)
+        is_aborted[row, : len(group)] = [float(bool(kind)) for kind in flight_kinds]
+        # Only flights that ended early miss time; loss of control alone does not end a flight.
+        missing[row, : len(group)] = np.where(
+            [bool(kind) for kind in end_kinds], 1.0 - flown_shares, 0.0
+        )
+    return AbortedFlights(is_aborted, missing, kinds)
 
 
 DECISIONS = "decisions.csv"
 ALL_CORNERS = "all"
-"""What stands in the column epistemic_id of a row about a whole cell."""
+"""Entry of the column epistemic_id in a row about a whole condition."""
 
 ERROR_RATE = 0.05
+"""Default probability of a wrong answer per condition."""
 ZONE = (0.8, 1.2)
-"""Indifference zone unless asked otherwise, as multiples of the acceptable rate."""
+"""Default indifference zone, as multiples of the acceptable rate."""
 LOOKS = 50
-"""Looks, evenly spread over the flights, unless asked otherwise."""
+"""Default number of looks, evenly spaced over the flights."""
 
 _COLUMNS = (
     "condition",
@@ -146,7 +181,27 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class Rule:
-    """*decide* with every default filled in. ``error_rate`` is that of one question, ``looks`` the most there may be."""
+    """Hold the rule *decide* with all defaults filled in.
+
+    Attributes
+    ----------
+    radius_m : float
+        Radius of an excursion [m].
+    acceptable_per_h : float
+        Acceptable excursions per flight hour.
+    zone_per_h : tuple of float
+        Indifference zone [1/h].
+    dispersion : float
+        Assumed ratio of variance to mean of the count of a flight.
+    error_rate : float
+        Probability of a wrong answer to one question.
+    every_corner : bool
+        Whether each corner is answered, or the condition as a whole.
+    look_every, looks : int
+        Flights between looks, and the maximum number of looks.
+    acceptable_loss_per_h : float
+        Acceptable aborted flights per flight hour.
+    """
 
     radius_m: float
     acceptable_per_h: float
@@ -159,7 +214,7 @@ class Rule:
     acceptable_loss_per_h: float = float("inf")
 
     def question(self, duration_s: float) -> Question:
-        """The rule's question in excursions per flight of ``duration_s``."""
+        """Return the rule's question in excursions per flight of ``duration_s`` seconds."""
         hours = duration_s / 3600.0
         zone = (self.zone_per_h[0] * hours, self.zone_per_h[1] * hours)
         acceptable, losses = self.acceptable_per_h * hours, self.acceptable_loss_per_h * hours
@@ -169,12 +224,21 @@ class Rule:
 
 
 def rule_of(campaign: Mapping[str, Any], corners: int) -> Rule | None:
-    """The rule of a campaign (its settings as plain types) if it is *decide*; ``corners`` are flown in each of its cells."""
+    """Return the rule of a campaign if it is *decide*, else None.
+
+    Parameters
+    ----------
+    campaign : mapping
+        Settings of the campaign as plain types.
+    corners : int
+        Corners flown in each condition.
+    """
     stop, metrics, air = campaign["stop"], campaign["metrics"], campaign["aleatory"]
     if stop["rule"] != "decide":
         return None
     acceptable, flights = float(metrics["acceptable_per_h"]), int(air["flights"])
     every_corner = stop.get("answer_for") == "corner"
+    # Bonferroni: the error rate is divided by the number of simultaneous questions.
     questions = (
         len(air["wind_mps"]) * len(air["turbulence"])
         if stop.get("simultaneous_over") == "campaign"
@@ -197,19 +261,37 @@ def rule_of(campaign: Mapping[str, Any], corners: int) -> Rule | None:
 
 
 def band_confidence(campaign: Mapping[str, Any], confidence: float) -> float:
-    """Confidence to draw a p-box's band at, so that it holds with ``confidence`` at whichever look the flying was stopped."""
+    """Return the confidence at which to draw the band of a p-box.
+
+    With *decide* the flights stop at one of several looks; by Bonferroni over the looks the band
+    then holds with ``confidence`` at whichever look they stop.
+    """
     rule = rule_of(campaign, corners=1)
     return confidence if rule is None else 1.0 - (1.0 - confidence) / rule.looks
 
 
 class Rounds:
-    """Goes through a campaign's rounds. ``most`` is the number of cases that will be flown at most.
+    """Iterate over the rounds of a campaign.
 
-    ``decisions`` is decisions.csv after the last look, None without one; it is written to ``folder``, if that is given, after each.
+    Parameters
+    ----------
+    spec : CampaignSpec
+        Validated campaign.
+    cases : sequence of Case
+        All cases, or those of a shard.
+    folder : Path or None
+        Folder in which decisions.csv is updated after each look.
+
+    Attributes
+    ----------
+    max_cases : int
+        Upper limit of the number of cases that will be flown.
+    decisions : bytes or None
+        Content of decisions.csv after the last look; None without a look.
     """
 
     def __init__(self, spec: CampaignSpec, cases: Sequence[Case], folder: Path | None) -> None:
-        self.most = len(cases)
+        self.max_cases = len(cases)
         self.decisions: bytes | None = None
         self._cases, self._folder = cases, folder
         self._rule = rule_of(spec.as_dict(), len({case.epistemic_id for case in cases}))
@@ -217,38 +299,46 @@ class Rounds:
 
     @property
     def decides(self) -> bool:
-        """Whether the campaign stops by deciding; otherwise all flights are one round."""
+        """Whether the campaign stops by *decide*; otherwise all flights are one round."""
         return self._rule is not None
 
     def __call__(self, store: Store) -> Iterator[list[Case]]:
-        """Rounds of cases; when the next one is asked for, ``store`` must hold the outcomes of the last."""
+        """Yield rounds of cases.
+
+        ``store`` must hold the outcomes of a round when the next one is requested.
+        """
         if self._rule is None:
             yield list(self._cases)
             return
         order = {case.case_id: place for place, case in enumerate(self._cases)}
-        first, flown, flights = 0, 0, 1 + max(case.aleatory_id for case in self._cases)
+        first, flown_cases, flights = 0, 0, 1 + max(case.aleatory_id for case in self._cases)
+        # Fly the next block of aleatory ids at every corner that is still open, then look at the
+        # evidence.
         while first < flights and any(cell.evidence.open.any() for cell in self._cells):
             ids = range(first, min(first + self._rule.look_every, flights))
-            now = sorted(
+            round_cases = sorted(
                 (case for cell in self._cells for case in cell.open_cases(ids)),
                 key=lambda case: order[case.case_id],
             )
-            flown += len(now)
-            yield now
-            outcomes = {case.case_id: _outcome(store, case) for case in now}
+            flown_cases += len(round_cases)
+            yield round_cases
+            outcomes = {case.case_id: _outcome(store, case) for case in round_cases}
+            # Update the evidence of each condition.
             for cell in self._cells:
                 cell.learn(ids, outcomes)
             first = ids.stop
-            self.most = flown + sum(int(cell.evidence.open.sum()) for cell in self._cells) * (
-                flights - first
-            )
+            # Corners that are still open may need all remaining flights.
+            self.max_cases = flown_cases + sum(
+                int(cell.evidence.open.sum()) for cell in self._cells
+            ) * (flights - first)
             self._write()
         for cell in self._cells:
             cell.evidence = close(cell.evidence)
-        self.most = flown
+        self.max_cases = flown_cases
         self._write()
 
     def _write(self) -> None:
+        """Update decisions.csv."""
         assert self._rule is not None
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
@@ -261,7 +351,7 @@ class Rounds:
 
 
 def decision_rows(content: bytes, path: Path) -> list[dict[str, str]]:
-    """Rows of decisions.csv, as text. Raises BadInputError."""
+    """Return the rows of decisions.csv as text. Raises BadInputError."""
     return csv_rows(
         content,
         path,
@@ -271,7 +361,7 @@ def decision_rows(content: bytes, path: Path) -> list[dict[str, str]]:
 
 
 class _Cell:
-    """One condition: its cases by corner, and what they have shown so far."""
+    """Collect the evidence of one condition."""
 
     def __init__(self, cases: Sequence[Case], rule: Rule) -> None:
         self.first = cases[0]
@@ -282,93 +372,105 @@ class _Cell:
         self.evidence: Evidence = begin(len(self._corners))
 
     def open_cases(self, ids: range) -> Iterator[Case]:
-        for corner, still in zip(self._corners, self.evidence.open, strict=True):
-            if still:
+        """Yield the cases of corners that are not answered yet."""
+        for corner, is_open in zip(self._corners, self.evidence.open, strict=True):
+            if is_open:
                 yield from (self._by_place[corner, number] for number in ids)
 
     def learn(self, ids: range, outcomes: Mapping[str, CaseOutcome]) -> None:
-        low, high, lost, missing = np.full((4, len(self._corners), len(ids)), np.nan)
+        """Add the flights ``ids`` of the open corners to the evidence and test it."""
+        low, high, is_aborted, missing = np.full((4, len(self._corners), len(ids)), np.nan)
+        # Rows of answered corners stay NaN and add no evidence.
         for row in np.flatnonzero(self.evidence.open):
             for column, number in enumerate(ids):
                 case = self._by_place[self._corners[row], number]
                 outcome = outcomes[case.case_id]
-                lost[row, column], missing[row, column] = aborted_flight(outcome, case.flight)
-                low[row, column], high[row, column] = _counts(outcome, self._column)
-        high = np.fmax(high, np.where(lost > 0.0, 1.0, high))
+                is_aborted[row, column], missing[row, column] = aborted_flight(outcome, case.flight)
+                low[row, column], high[row, column] = _excursion_range(outcome, self._column)
+        # An aborted flight counts as at least one excursion.
+        high = np.fmax(high, np.where(is_aborted > 0.0, 1.0, high))
         self.evidence = look(
-            add(self.evidence, self._question, low, high, lost, missing), self._question
+            add(self.evidence, self._question, low, high, is_aborted, missing), self._question
         )
 
     def rows(self, rule: Rule) -> Iterator[list[Any]]:
-        found, hours = self.evidence, self.first.flight.duration_s / 3600.0
+        """Yield the rows of decisions.csv: the condition first, then its corners."""
+        evidence, hours = self.evidence, self.first.flight.duration_s / 3600.0
         condition = [
             f"{self.first.wind_mps:g} m/s {self.first.turbulence}",
             f"{self.first.wind_mps:g}",
             self.first.turbulence,
         ]
-        asked = [f"{rule.radius_m:g}", f"{rule.acceptable_per_h:g}"]
-        rate = found.total / np.maximum(found.flights, 1.0) / hours
+        question = [f"{rule.radius_m:g}", f"{rule.acceptable_per_h:g}"]
+        # Rates per hour from the upper counts; the worst corner represents the condition.
+        rate = evidence.total / np.maximum(evidence.flights, 1.0) / hours
         worst = int(rate.argmax())
-        sums = [
-            int(found.flights.sum()),
-            f"{found.flights.sum() * hours:.6f}",
-            int(found.total.sum()),
+        totals = [
+            int(evidence.flights.sum()),
+            f"{evidence.flights.sum() * hours:.6f}",
+            int(evidence.total.sum()),
             f"{rate[worst]:.6g}",
         ]
-        rest = [f"{rule.dispersion:g}", f"{rule.error_rate:.6g}"]
-        answer = found.cell or "flying"
+        assumptions = [f"{rule.dispersion:g}", f"{rule.error_rate:.6g}"]
+        answer = evidence.cell or "flying"
         yield [
             *condition,
-            *asked,
+            *question,
             ALL_CORNERS,
             answer,
-            found.reason,
-            *sums,
-            f"{found.dispersion[worst]:.6g}",
-            *rest,
+            evidence.reason,
+            *totals,
+            f"{evidence.dispersion[worst]:.6g}",
+            *assumptions,
         ]
         for row, corner in enumerate(self._corners):
-            # A corner left behind when its cell was answered has no answer of its own.
-            own = found.answers[row] or ("open" if found.cell else "flying")
-            number = [
-                int(found.flights[row]),
-                f"{found.flights[row] * hours:.6f}",
-                int(found.total[row]),
+            # A corner that was still open when its condition was answered has no answer of its own.
+            corner_answer = evidence.answers[row] or ("open" if evidence.cell else "flying")
+            counts = [
+                int(evidence.flights[row]),
+                f"{evidence.flights[row] * hours:.6f}",
+                int(evidence.total[row]),
                 f"{rate[row]:.6g}",
             ]
             yield [
                 *condition,
-                *asked,
+                *question,
                 corner,
-                own,
+                corner_answer,
                 "",
-                *number,
-                f"{found.dispersion[row]:.6g}",
-                *rest,
+                *counts,
+                f"{evidence.dispersion[row]:.6g}",
+                *assumptions,
             ]
 
 
 def _cells(cases: Sequence[Case], rule: Rule) -> list[_Cell]:
+    """Return a cell per condition."""
     grouped: dict[tuple[float, str], list[Case]] = {}
     for case in cases:
         grouped.setdefault((case.wind_mps, case.turbulence), []).append(case)
     return [_Cell(group, rule) for group in grouped.values()]
 
 
-def _counts(outcome: CaseOutcome, column: str) -> tuple[float, float]:
-    """Least and most excursions of a flight: a failed one, or one without a count, may have had one more than was seen."""
+def _excursion_range(outcome: CaseOutcome, column: str) -> tuple[float, float]:
+    """Return the smallest and largest possible number of excursions of a flight.
+
+    A flight that failed, or has no count, may have had one more than was counted.
+    """
     value = outcome.metrics.get(column, float("nan"))
-    known = bool(np.isfinite(value))
-    if outcome.status == "ok" and not known:
+    has_count = bool(np.isfinite(value))
+    if outcome.status == "ok" and not has_count:
         raise BadInputError(
-            f'[stop] rule = "decide": a flight that went well has no {column} ({outcome.undefined.get(column, "not scored")}), '
-            'so there is nothing to decide by; use rule = "flights"'
+            f'[stop] rule = "decide": a flight that went well has no {column}'
+            f" ({outcome.undefined.get(column, 'not scored')}), so there is nothing to decide by;"
+            ' use rule = "flights"'
         )
-    counted = float(round(value)) if known else 0.0
+    counted = float(round(value)) if has_count else 0.0
     return counted, counted + (outcome.status != "ok")
 
 
 def _outcome(store: Store, case: Case) -> CaseOutcome:
+    """Return the stored outcome of a case of the last round."""
     outcome = store.outcome(case.case_id)
     assert outcome is not None, f"round asked for before case {case.case_id} was stored"
     return outcome

@@ -1,4 +1,10 @@
-"""From a finished corner campaign to the share each uncertain coefficient has of the p-box: the counterpart of Table 4.7."""
+"""Apportion the p-box of a finished corner campaign to the uncertain coefficients.
+
+For each metric and condition the corner pairs that differ in one coefficient give the share of the
+p-box's width that the coefficient causes (the counterpart of Table 4.7 of the dissertation). The
+results go to sensitivity.csv and JSON; `find_winner` returns the coefficient whose uncertainty
+matters most for a metric over all conditions.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +32,7 @@ from uqharness.campaign.conditions import (
 from uqharness.campaign.folder.manifest import read_complete
 from uqharness.campaign.folder.tables import CASES, read_cases, read_checked
 from uqharness.campaign.spec.samples import INTERIOR_MARK, NOMINAL
-from uqharness.campaign.statements import number
+from uqharness.campaign.statements import format_number
 from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
 from uqharness.sensitivity import Evaluations, MethodResult, PairRange, Study
@@ -35,15 +41,18 @@ from uqharness.sensitivity.problem import corners as box_corners
 from uqharness.sensitivity.result import Ranking, rank, unit_of, words
 from uqharness.text_tables import csv_rows
 
-MOST_LOST = 0.1
-"""Largest share of aleatory samples that may be left out because a flight of theirs failed in some corner."""
+MAX_LEFT_OUT = 0.1
+"""Largest share of aleatory samples that may be left out because one of their flights failed at
+some corner.
+"""
 
 _RANKS_BY = ("levels", "corners")
+"""Epistemic methods that fly corners."""
 
 
 @dataclass(frozen=True)
-class Flown:
-    """Flights of one campaign: its table, its manifest, and the coefficients that are uncertain in it."""
+class CornerCampaign:
+    """Hold the flights of one campaign: its folder, case table and manifest."""
 
     folder: Path
     frame: pd.DataFrame
@@ -51,7 +60,9 @@ class Flown:
 
     @property
     def coefficients(self) -> tuple[str, ...]:
-        """Uncertain coefficients, then variables whose mean is uncertain: each has a column of levels."""
+        """Names with a column of levels: uncertain coefficients, then variables with an uncertain
+        mean.
+        """
         campaign = self.manifest["campaign"]
         variables = campaign["aleatory"].get("variables", {})
         means = [name for name, item in variables.items() if isinstance(item.get("mean"), list)]
@@ -59,46 +70,82 @@ class Flown:
 
     @property
     def levels(self) -> FloatArray:
-        """(flights, d) levels of the uncertain coefficients."""
+        """Levels (flights, d) of the coefficients, 0 at the lower bound, 1 at the upper."""
         return self.frame[[f"level_{name}" for name in self.coefficients]].to_numpy(dtype=float)
 
 
 @dataclass(frozen=True)
-class _Grouped:
-    """Flights of one condition by their levels: ``places`` (n, A) in the campaign's table, in the order of the aleatory ids, and
-    ``flown`` (n, A) where a flight did not fail."""
+class _LevelFlights:
+    """Group the flights of one condition by their levels.
+
+    Attributes
+    ----------
+    keys : tuple of tuple of float
+        Levels (n, d) of the groups.
+    places : array
+        Rows of the case table (n, A), ordered by aleatory id.
+    is_valid : array
+        Whether a flight did not fail (n, A).
+    """
 
     keys: tuple[tuple[float, ...], ...]
     places: NDArray[np.intp]
-    flown: NDArray[np.bool_]
+    is_valid: NDArray[np.bool_]
 
-    def values(self, of: Flown, metric: str) -> FloatArray:
-        """(n, A) of a metric; NaN where a flight failed. Raises BadInputError for one that the table has not."""
-        if metric not in of.frame:
+    def values(self, campaign: CornerCampaign, metric: str) -> FloatArray:
+        """Return a metric (n, A); NaN where a flight failed. Raises BadInputError for an unknown
+        metric.
+        """
+        if metric not in campaign.frame:
             raise BadInputError(
-                f"metric {metric}: not in {of.folder / CASES}; it has {', '.join(metrics_of(of))}"
+                f"metric {metric}: not in {campaign.folder / CASES}; it has"
+                f" {', '.join(metrics_of(campaign))}"
             )
-        return np.where(self.flown, of.frame[metric].to_numpy(dtype=float)[self.places], np.nan)
+        return np.where(
+            self.is_valid, campaign.frame[metric].to_numpy(dtype=float)[self.places], np.nan
+        )
 
 
 @dataclass(frozen=True)
-class _Table:
-    """One campaign in one condition: corners and levels, and the interior points flown beside them."""
+class _ConditionFlights:
+    """Hold one campaign in one condition: its corners and levels, and its interior points."""
 
-    of: Flown
-    levels: _Grouped
-    points: _Grouped
+    campaign: CornerCampaign
+    levels: _LevelFlights
+    points: _LevelFlights
 
     @staticmethod
-    def read(flown: Flown, condition: Condition) -> _Table:
-        """Raises BadInputError where the combinations of levels did not fly the same air."""
-        return _Table(flown, *(_grouped(flown, condition, interior) for interior in (False, True)))
+    def read(campaign: CornerCampaign, condition: Condition) -> _ConditionFlights:
+        """Group the flights of a condition.
+
+        Raises BadInputError if the combinations of levels did not fly the same aleatory samples.
+        """
+        return _ConditionFlights(
+            campaign,
+            *(_group_by_levels(campaign, condition, interior) for interior in (False, True)),
+        )
 
 
 @dataclass(frozen=True)
 class MetricSensitivity:
-    """One metric in one condition. ``flights`` per corner were used, ``left_out`` were not because a flight with the same air
-    failed or has no value in some corner."""
+    """Hold the sensitivity of one metric in one condition.
+
+    Attributes
+    ----------
+    condition : Condition
+        Wind and turbulence.
+    metric : str
+        Column name.
+    result : MethodResult
+        Shares of the p-box by coefficient.
+    flights, left_out : int
+        Aleatory samples used, and those left out because a flight failed or lacks a value at some
+        corner.
+    ranking : Ranking
+        Coefficients in order, and whether the first is certain.
+    words : str
+        The result as a sentence.
+    """
 
     condition: Condition
     metric: str
@@ -109,38 +156,49 @@ class MetricSensitivity:
     words: str
 
 
-def read_corner_campaign(folder: Path) -> Flown:
-    """A campaign that flew all corners. Raises BadInputError for one that is not complete or has no corners."""
-    flown = _read(folder)
-    epistemic = flown.manifest["campaign"]["epistemic"]
+def read_corner_campaign(folder: Path) -> CornerCampaign:
+    """Read a campaign that flew all corners.
+
+    Raises BadInputError if it is not complete, flew no corners, flew an ellipsoid, or drew
+    parameters.
+    """
+    campaign = _read_campaign(folder)
+    epistemic = campaign.manifest["campaign"]["epistemic"]
+    # Corners are combinations of the levels 0 and 1.
     method, levels = epistemic["method"], epistemic.get("levels")
     if method not in _RANKS_BY or (method == "levels" and not {0.0, 1.0} <= set(levels or ())):
-        found = f'method = "{method}"' + (f" with levels {levels}" if method == "levels" else "")
+        description = f'method = "{method}"' + (
+            f" with levels {levels}" if method == "levels" else ""
+        )
         raise BadInputError(
-            f'{folder}: not a corner campaign ({found}); sensitivity compares corners: fly one with method = "corners", '
-            'or "levels" that include 0 and 1'
+            f"{folder}: not a corner campaign ({description}); sensitivity compares corners: fly"
+            ' one with method = "corners", or "levels" that include 0 and 1'
         )
     if epistemic["set"] != "box":
         raise BadInputError(
-            f'{folder}: set = "{epistemic["set"]}" flies points of an ellipsoid, and sensitivity compares the corners of a '
-            'box; fly one with set = "box"'
+            f'{folder}: set = "{epistemic["set"]}" flies points of an ellipsoid, and sensitivity'
+            ' compares the corners of a box; fly one with set = "box"'
         )
     if "parameters" in epistemic:
         raise BadInputError(
-            f"{folder}: each of its corners was flown with several draws of [epistemic.parameters], which are no corners; "
-            "fly one without that section"
+            f"{folder}: each of its corners was flown with several draws of [epistemic.parameters],"
+            " which are no corners; fly one without that section"
         )
-    return flown
+    return campaign
 
 
-def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
-    """A campaign of levels between the bounds that meets the same air as ``corners``. Raises BadInputError naming what differs."""
-    flown = _read(folder)
-    if flown.manifest["campaign"]["epistemic"]["method"] != "levels":
+def read_interior_campaign(folder: Path, corners: CornerCampaign) -> CornerCampaign:
+    """Read a campaign of levels between the bounds that met the same air as ``corners``.
+
+    Raises BadInputError naming what differs.
+    """
+    interior = _read_campaign(folder)
+    if interior.manifest["campaign"]["epistemic"]["method"] != "levels":
         raise BadInputError(
             f'{folder}: not a campaign of levels; fly one with method = "levels", levels = [0.5]'
         )
-    mine, theirs = flown.manifest["campaign"], corners.manifest["campaign"]
+    mine, theirs = interior.manifest["campaign"], corners.manifest["campaign"]
+    # Both campaigns must share random streams, air, bounds and files.
     different = [key for key in ("seed",) if mine["campaign"][key] != theirs["campaign"][key]]
     different += [
         key
@@ -155,129 +213,186 @@ def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
     different += [
         key
         for key, value in corners.manifest["hashes"].items()
-        if flown.manifest["hashes"].get(key) != value
+        if interior.manifest["hashes"].get(key) != value
     ]
     if mine["aleatory"]["flights"] < theirs["aleatory"]["flights"]:
         different.append(
-            f"flights ({mine['aleatory']['flights']}, at least {theirs['aleatory']['flights']} are needed)"
+            f"flights ({mine['aleatory']['flights']}, at least {theirs['aleatory']['flights']} are"
+            " needed)"
         )
     if different:
         raise BadInputError(
             f"{folder}: does not belong to {corners.folder}: {', '.join(different)} differ"
         )
-    return flown
+    return interior
 
 
-def _read(folder: Path) -> Flown:
+def _read_campaign(folder: Path) -> CornerCampaign:
+    """Read the manifest and case table of a complete campaign."""
     manifest = read_complete(folder)
-    return Flown(folder, read_cases(folder, manifest), manifest)
+    return CornerCampaign(folder, read_cases(folder, manifest), manifest)
 
 
-def metrics_of(flown: Flown) -> tuple[str, ...]:
-    """Error statistics and excursion counts that the table has."""
-    radii = flown.manifest["campaign"]["metrics"]["excursion_radius_m"]
+def metrics_of(campaign: CornerCampaign) -> tuple[str, ...]:
+    """Return the error statistics and excursion counts that a case table has."""
+    radii = campaign.manifest["campaign"]["metrics"]["excursion_radius_m"]
     names = (*ERROR_METRICS, *UNCOMMANDED_METRICS, *excursion_columns(radii))
-    return tuple(name for name in names if name in flown.frame and flown.frame[name].notna().any())
+    return tuple(
+        name for name in names if name in campaign.frame and campaign.frame[name].notna().any()
+    )
 
 
 def analyse_campaign(
-    flown: Flown,
-    interior: Flown | None = None,
+    campaign: CornerCampaign,
+    interior: CornerCampaign | None = None,
     metrics: Sequence[str] | None = None,
     seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> list[MetricSensitivity]:
-    """Corner pairs for every metric in every condition. Raises BadInputError where the table is not what it should be."""
-    wanted = tuple(metrics) if metrics else metrics_of(flown)
-    there = conditions(flown.frame)
-    found: list[MetricSensitivity] = []
-    for condition in there:
-        table = _Table.read(flown, condition)
-        between = None if interior is None else _Table.read(interior, condition)
-        for metric in wanted:
-            found.append(_analyse(table, between, condition, metric, seed))
+    """Compute the sensitivity of every metric in every condition.
+
+    Parameters
+    ----------
+    campaign : CornerCampaign
+        Flights at the corners.
+    interior : CornerCampaign, optional
+        Flights at levels between the bounds in the same air; they check the assumption that
+        extremes
+        lie at corners.
+    metrics : sequence of str, optional
+        Column names; default: all.
+    seed : int
+        Seed of the bootstrap.
+    on_progress : callable, optional
+        Called with the number of finished analyses and their total.
+
+    Returns
+    -------
+    list of MetricSensitivity
+        Condition by condition, metric by metric.
+
+    Raises
+    ------
+    BadInputError
+        If the table is not that of a corner campaign.
+    """
+    requested = tuple(metrics) if metrics else metrics_of(campaign)
+    grid = conditions(campaign.frame)
+    results: list[MetricSensitivity] = []
+    for condition in grid:
+        table = _ConditionFlights.read(campaign, condition)
+        between = None if interior is None else _ConditionFlights.read(interior, condition)
+        for metric in requested:
+            results.append(_analyse(table, between, condition, metric, seed))
             if on_progress is not None:
-                on_progress(len(found), len(there) * len(wanted))
-    return found
+                on_progress(len(results), len(grid) * len(requested))
+    return results
 
 
 def _analyse(
-    table: _Table, between: _Table | None, condition: Condition, metric: str, seed: int
+    table: _ConditionFlights,
+    between: _ConditionFlights | None,
+    condition: Condition,
+    metric: str,
+    seed: int,
 ) -> MetricSensitivity:
-    flown = table.of
-    names = flown.coefficients
+    """Compute the sensitivity of one metric in one condition."""
+    campaign = table.campaign
+    names = campaign.coefficients
     d = len(names)
-    values = dict(zip(table.levels.keys, table.levels.values(flown, metric), strict=True))
+    # Values by combination of levels; the corners are taken out in standard order.
+    values = dict(zip(table.levels.keys, table.levels.values(campaign, metric), strict=True))
     ends = box_corners(np.zeros(d), np.ones(d))
     try:
         y = np.array([values.pop(tuple(corner)) for corner in ends])
     except KeyError as missing:
         raise BadInputError(
-            f"{flown.folder}: the corner {missing} was not flown in {condition.words}"
+            f"{campaign.folder}: the corner {missing} was not flown in {condition.words}"
         ) from None
+    # What remains are levels between the bounds.
     inside = np.array(list(values.values())) if values else None
     if between is not None:
-        others = zip(between.levels.keys, between.levels.values(between.of, metric), strict=True)
-        added = np.array([v[: y.shape[1]] for key, v in others if not set(key) <= {0.0, 1.0}])
+        interior_values = zip(
+            between.levels.keys, between.levels.values(between.campaign, metric), strict=True
+        )
+        added = np.array(
+            [v[: y.shape[1]] for key, v in interior_values if not set(key) <= {0.0, 1.0}]
+        )
         if added.size:
             inside = added if inside is None else np.concatenate([inside, added])
-    known = np.all(np.isfinite(y), axis=0)
+    # An aleatory sample counts only if all corners have a value: pairs share their air.
+    is_valid = np.all(np.isfinite(y), axis=0)
     if inside is not None:
-        known &= np.all(np.isfinite(inside), axis=0)
-    inside = _with_points(inside, list(table.points.values(flown, metric)), known)
-    lost = int(np.count_nonzero(~known))
-    if lost <= MOST_LOST * known.size:
-        y, inside = y[:, known], None if inside is None else inside[:, known]
+        is_valid &= np.all(np.isfinite(inside), axis=0)
+    inside = _with_points(inside, list(table.points.values(campaign, metric)), is_valid)
+    left_out = int(np.count_nonzero(~is_valid))
+    # Leave out incomplete aleatory samples, unless they are too many: then the result is undefined.
+    if left_out <= MAX_LEFT_OUT * is_valid.size:
+        y, inside = y[:, is_valid], None if inside is None else inside[:, is_valid]
     zero, one = np.zeros(d), np.ones(d)
     study = Study(names, zero, one, 0.5 * one, 0.01 * one, np.empty((0, d)), True, {})
+    # The study has unit bounds; only its corner pairs are used.
     result = corner_pairs(study, Evaluations(corners=y, interior=inside), seed)
-    ranking = rank(result, lost)
-    said = words(result, metric, ranking, lost, known.size)
-    return MetricSensitivity(condition, metric, result, y.shape[1], lost, ranking, said)
+    ranking = rank(result, left_out)
+    text = words(result, metric, ranking, left_out, is_valid.size)
+    return MetricSensitivity(condition, metric, result, y.shape[1], left_out, ranking, text)
 
 
 def _with_points(
-    inside: FloatArray | None, points: list[FloatArray], known: NDArray[np.bool_]
+    inside: FloatArray | None, points: list[FloatArray], is_valid: NDArray[np.bool_]
 ) -> FloatArray | None:
-    """``inside`` with a campaign's interior points: they check the corners and leave out no air; one that failed is dropped."""
-    whole = [point for point in points if np.all(np.isfinite(point[known]))]
-    found = ([] if inside is None else [inside]) + ([np.array(whole)] if whole else [])
-    return np.concatenate(found) if found else None
+    """Append the interior points of a campaign to ``inside``.
+
+    They check the corners and do not remove an aleatory sample: a point with a failed flight is
+    dropped.
+    """
+    complete = [point for point in points if np.all(np.isfinite(point[is_valid]))]
+    parts = ([] if inside is None else [inside]) + ([np.array(complete)] if complete else [])
+    return np.concatenate(parts) if parts else None
 
 
-def _grouped(flown: Flown, condition: Condition, interior: bool) -> _Grouped:
-    """The corners and levels of a condition, or the ``interior`` points flown beside them. Raises BadInputError."""
-    rows = in_condition(flown.frame.reset_index(drop=True), condition)
+def _group_by_levels(
+    campaign: CornerCampaign, condition: Condition, interior: bool
+) -> _LevelFlights:
+    """Group the corners and levels of a condition, or its ``interior`` points, by their levels.
+
+    Raises BadInputError if the groups differ in aleatory samples or duration.
+    """
+    rows = in_condition(campaign.frame.reset_index(drop=True), condition)
     rows = rows[rows["epistemic_id"].str.startswith(INTERIOR_MARK) == interior]
-    # The nominal model has no levels: it stands at no place of the box of bounds.
+    # The nominal model has no place in the box of levels.
     rows = rows[~rows["epistemic_id"].str.startswith(NOMINAL)]
-    level_names = [f"level_{name}" for name in flown.coefficients]
+    # Group flights by their combination of levels.
+    level_names = [f"level_{name}" for name in campaign.coefficients]
     ids = np.sort(rows["aleatory_id"].unique())
     keys, places, complete = [], [], []
     for key, group in rows.groupby(level_names, sort=False):
         ordered = group.sort_values("aleatory_id")
         if not np.array_equal(ordered["aleatory_id"].to_numpy(), ids):
             raise BadInputError(
-                f"{flown.folder}: {condition.words}: not every corner flew the same aleatory samples"
+                f"{campaign.folder}: {condition.words}: not every corner flew the same aleatory"
+                " samples"
             )
         ok = (ordered["status"] == "ok").to_numpy()
+        # Counts of flights of different length cannot be compared.
         durations = ordered["duration_s"].to_numpy()[ok]
         if durations.size and np.ptp(durations) > 1e-6:
             raise BadInputError(
-                f"{flown.folder}: {condition.words}: flights of unequal duration cannot be compared"
+                f"{campaign.folder}: {condition.words}: flights of unequal duration cannot be"
+                " compared"
             )
         keys.append(tuple(np.atleast_1d(np.asarray(key, dtype=float)).tolist()))
         places.append(ordered.index.to_numpy())
         complete.append(ok)
     shape = (len(keys), len(ids))
-    return _Grouped(
+    return _LevelFlights(
         tuple(keys),
         np.array(places, dtype=np.intp).reshape(shape),
         np.array(complete, dtype=bool).reshape(shape),
     )
 
 
-# sensitivity.csv and the JSON of a campaign's sensitivity.
+# Tables and JSON.
 
 SENSITIVITY = "sensitivity.csv"
 COLUMNS = (
@@ -305,10 +420,13 @@ COLUMNS = (
 )
 
 
-def _rows(found: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
-    """Rows under COLUMNS. ``share_low`` and ``share_high`` bound ``share_min`` and ``share_max`` with 95 %
-    confidence for all coefficients at once; an undefined number is empty and ``reason`` says why."""
-    for item in found:
+def _rows(results: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
+    """Yield the rows of sensitivity.csv.
+
+    ``share_low`` and ``share_high`` bound ``share_min`` and ``share_max`` with 95 % confidence for
+    all coefficients at once. An undefined number is empty and ``reason`` says why.
+    """
+    for item in results:
         details = item.result.details
         for i, (name, index) in enumerate(item.result.indices.items()):
             assert isinstance(index, PairRange)
@@ -330,27 +448,27 @@ def _rows(found: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
                 item.metric,
                 unit_of(item.metric),
                 name,
-                *map(number, [*shares, *shrink, *width]),
+                *map(format_number, [*shares, *shrink, *width]),
                 str(item.flights),
                 str(item.left_out),
-                number(details.get("interior_outside", math.nan)),
+                format_number(details.get("interior_outside", math.nan)),
                 index.reason,
             ]
 
 
-def as_csv(found: Sequence[MetricSensitivity]) -> bytes:
-    """The table, one row per condition, metric and coefficient."""
+def as_csv(results: Sequence[MetricSensitivity]) -> bytes:
+    """Return the content of sensitivity.csv, one row per condition, metric and coefficient."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(COLUMNS)
-    writer.writerows(_rows(found))
+    writer.writerows(_rows(results))
     return buffer.getvalue().encode()
 
 
-def as_json(found: Sequence[MetricSensitivity]) -> dict[str, dict[str, Any]]:
-    """By condition, then metric: indices, what to reduce first, whether that is certain, and the words."""
+def as_json(results: Sequence[MetricSensitivity]) -> dict[str, dict[str, Any]]:
+    """Return the results by condition and metric, for ``uqharness sensitivity --json``."""
     by_condition: dict[str, dict[str, Any]] = {}
-    for item in found:
+    for item in results:
         by_condition.setdefault(item.condition.label, {})[item.metric] = item.result.as_dict() | {
             "flights": item.flights,
             "left_out": item.left_out,
@@ -376,7 +494,9 @@ _NUMBERS = (
 
 
 def read_sensitivity(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, str]] | None:
-    """Rows of a campaign's sensitivity.csv, None where there is none. Raises BadInputError."""
+    """Return the rows of sensitivity.csv; None if the campaign has no such table. Raises
+    BadInputError.
+    """
     if SENSITIVITY not in manifest.get("tables", {}) and not (folder / SENSITIVITY).exists():
         return None
     content = read_checked(folder, manifest, SENSITIVITY)
@@ -388,22 +508,35 @@ def read_sensitivity(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str
         for row in rows
     ):
         raise BadInputError(
-            f"{folder / SENSITIVITY}: holds what `uqharness sensitivity` does not write; run it again"
+            f"{folder / SENSITIVITY}: holds what `uqharness sensitivity` does not write; run it"
+            " again"
         )
     return rows
 
 
-# Which coefficient's model-form uncertainty drives a metric of a corner campaign, over all its
-# conditions.
+# Coefficient that matters most for a metric, over all conditions.
 
 DEFAULT_METRIC = "cross_track_median_m"
+"""Metric that `find_winner` ranks by default."""
 
 
 @dataclass(frozen=True)
 class Winner:
-    """``coefficient`` with its share of the metric's p-box [smallest, largest] in the condition whose p-box is the widest.
+    """Name the coefficient whose uncertainty causes most of a metric's p-boxes.
 
-    ``certain``: first in every condition, whatever the others are and for the sampling error. ``words``: of `sensitivity`.
+    Attributes
+    ----------
+    coefficient, metric : str
+        Names.
+    share : tuple of float
+        Smallest and largest share of the p-box in the condition with the widest one.
+    condition : str
+        That condition.
+    certain : bool
+        Whether it is first in every condition, for all values of the others and beyond sampling
+        error.
+    words : tuple of str
+        Sensitivity of each condition as a sentence.
     """
 
     coefficient: str
@@ -421,52 +554,75 @@ def find_winner(
     seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Winner:
-    """The coefficient with the largest part of the p-boxes' widths, summed over conditions; or ``coefficient``, with its part.
+    """Find the coefficient with the largest part of the p-box widths, summed over conditions.
 
-    Raises BadInputError: no corner campaign, an unknown metric, nothing that could be compared, or no coefficient that wins.
+    Parameters
+    ----------
+    folder : Path
+        Complete corner campaign.
+    metric : str, optional
+        Column name; default: the median cross-track error, or the first metric there is.
+    coefficient : str, optional
+        Report this coefficient instead of the winner.
+    seed : int
+        Seed of the bootstrap.
+    on_progress : callable, optional
+        See `analyse_campaign`.
+
+    Raises
+    ------
+    BadInputError
+        If the folder holds no corner campaign, the metric is unknown, nothing can be compared, or
+        the
+        winner is not an aerodynamic coefficient.
     """
-    flown = read_corner_campaign(folder)
-    there = metrics_of(flown)
-    chosen = metric or (DEFAULT_METRIC if DEFAULT_METRIC in there else (there or ("",))[0])
-    if chosen not in there:
+    campaign = read_corner_campaign(folder)
+    available = metrics_of(campaign)
+    # Default: cross-track error if there is one, else the first metric.
+    chosen = metric or (DEFAULT_METRIC if DEFAULT_METRIC in available else (available or ("",))[0])
+    if chosen not in available:
         raise BadInputError(
-            f"--metric {chosen}: {folder} has {', '.join(there) or 'no metric that any flight got'}"
+            f"--metric {chosen}: {folder} has"
+            f" {', '.join(available) or 'no metric that any flight got'}"
         )
-    found = [
+    results = [
         f
-        for f in analyse_campaign(flown, metrics=[chosen], seed=seed, on_progress=on_progress)
+        for f in analyse_campaign(campaign, metrics=[chosen], seed=seed, on_progress=on_progress)
         if f.ranking.first
     ]
-    if not found:
+    if not results:
         raise BadInputError(
-            f"{folder}: no sensitivity of {chosen} (uqharness sensitivity {folder} says why); fly more of the campaign, choose "
-            "another --metric, or name a --coefficient"
+            f"{folder}: no sensitivity of {chosen} (uqharness sensitivity {folder} says why); fly"
+            " more of the campaign, choose another --metric, or name a --coefficient"
         )
     parts: dict[str, float] = {}
-    for item in found:
+    for item in results:
         for name, index in item.result.indices.items():
             assert isinstance(index, PairRange)
+            # Weight the middle of the share by the width of the p-box of the condition.
             middle = 0.5 * (index.minimum.value + index.maximum.value)
             parts[name] = parts.get(name, 0.0) + middle * float(item.result.details["area"])
-    first = max(parts, key=lambda name: parts[name])
-    name = coefficient or first
+    # The winner has the largest sum of share times width.
+    largest = max(parts, key=lambda name: parts[name])
+    name = coefficient or largest
     if name not in parts:
         raise BadInputError(
             f"--coefficient {name}: not uncertain in {folder}; there are {', '.join(parts)}"
         )
     if name not in COEFFICIENTS:
         raise BadInputError(
-            f"{folder}: {name} drives {chosen}; it is a quantity of its own and no model form: measure it. For the aerodynamic "
-            "coefficient that matters most name it: --coefficient C"
+            f"{folder}: {name} drives {chosen}; it is a quantity of its own and no model form:"
+            " measure it. For the aerodynamic coefficient that matters most name it:"
+            " --coefficient C"
         )
-    best = max(found, key=lambda f: float(f.result.details["area"]))
-    index = best.result.indices[name]
+    widest = max(results, key=lambda f: float(f.result.details["area"]))
+    index = widest.result.indices[name]
     assert isinstance(index, PairRange)
     return Winner(
         name,
         chosen,
         (index.minimum.value, index.maximum.value),
-        best.condition.label,
-        all(f.ranking.first == name and f.ranking.certain for f in found),
-        tuple(f"{f.condition.words}: {f.words}" for f in found),
+        widest.condition.label,
+        all(f.ranking.first == name and f.ranking.certain for f in results),
+        tuple(f"{f.condition.words}: {f.words}" for f in results),
     )

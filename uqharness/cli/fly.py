@@ -35,7 +35,7 @@ from uqharness.flight import (
     write_record,
 )
 from uqharness.report import write_html
-from uqharness.report.pages import FlightAsked, flight_page
+from uqharness.report.pages import FlightRequest, flight_page
 from uqharness.simulator import (
     MISSIONS,
     SECOND_ORDER,
@@ -202,7 +202,7 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
         )
     left_out = write_record(record, args.out, aircraft, start_position(recorded))
     if args.page is not None:
-        asked = FlightAsked(
+        asked = FlightRequest(
             aircraft.name,
             args.mission or path.stem,
             _conditions(args),

@@ -22,7 +22,7 @@ from uqharness.flight import (
     root_locus,
 )
 from uqharness.report import write_html
-from uqharness.report.pages import ModesAsked, modes_page
+from uqharness.report.pages import ModesRequest, modes_page
 from uqharness.simulator import (
     Aircraft,
     Mode,
@@ -186,7 +186,7 @@ def _write(
     altitude = f"{condition.altitude_m:g} m above sea level"
     facts = [("Altitude", altitude), ("Attitude", said[0]), ("Controls", said[1])]
     facts += [("Velocity" if "ground" in line else "Path", line) for line in said[2:]]
-    asked = ModesAsked(
+    asked = ModesRequest(
         aircraft.name, args.category, args.aircraft_class, tuple(facts), command_as_given(args)
     )
     write_html(args.out, modes_page(asked, point, locus))

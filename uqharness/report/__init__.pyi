@@ -1,5 +1,5 @@
 from .campaign import condition_sections as condition_sections
-from .campaign import shown_cases as shown_cases
+from .campaign import track_cases as track_cases
 from .compare import document_of as document_of
 from .compare import write_tables as write_tables
 from .history import draw_rerun as draw_rerun

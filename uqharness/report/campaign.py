@@ -1,4 +1,8 @@
-"""What a campaign found, ready to be told: p-boxes of the median errors, supportable claims, the verdict as sentences."""
+"""Prepare the results of a campaign for reports: p-boxes, claims, sensitivity, tracks, engines.
+
+`read_campaign_report` reads a complete campaign and formulates its verdict. The sections are shared
+by the pages of a campaign, of a study, of a refinement and of a dossier.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +28,7 @@ from uqharness.campaign import (
     band_confidence,
     corners_only_words,
     engine_words,
-    hardest_of,
+    hardest_condition,
     in_condition,
     joint_words,
     read_sensitivity,
@@ -32,8 +36,8 @@ from uqharness.campaign import (
 )
 from uqharness.campaign.conditions import conditions
 from uqharness.campaign.folder import (
+    FULL_FLIGHT,
     STATUS,
-    WHOLE,
     CheckRow,
     as_number,
     read_cases,
@@ -45,7 +49,7 @@ from uqharness.campaign.spec import INTERIOR_MARK
 from uqharness.campaign.statements import statements
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
-from uqharness.report.ground_track import flown_track
+from uqharness.report.ground_track import flight_track
 from uqharness.report.parts import (
     Block,
     Cell,
@@ -53,19 +57,18 @@ from uqharness.report.parts import (
     Figure,
     Figures,
     Level,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
-    shown,
+    format_value,
 )
-from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
+from uqharness.report.pbox import LabelledBox, corner_words, pbox_figure
 from uqharness.report.svg import Scale, rows_chart
 from uqharness.statistics import NO, OPEN, YES, PBox, Sample, widened
 from uqharness.statistics.pbox import pbox
 
-# The report's words and table rows about excursion rates: supportable claims, and what stands
-# beside it.
+# Text and table rows on excursion rates.
 
 _ANSWER_WORDS = {YES: "yes", NO: "no", OPEN: "inconclusive"}
 _OTHER = "other"
@@ -75,35 +78,66 @@ _KIND_WORDS = {
     "diverged": "Diverged",
     _OTHER: "Ended otherwise",
 }
-"""Heads of the columns, by the kind of an aborted flight."""
+"""Column heads by kind of aborted flight."""
 
 
 def answer_words(item: Statement) -> str:
-    """The answer in words; of an inconclusive one with the reason."""
+    """Return the answer; an inconclusive one with its reason."""
     words = _ANSWER_WORDS[item.answer]
     return f"{words}: {item.reason or 'too few flight hours'}" if item.answer == OPEN else words
 
 
 def sentence(item: Statement) -> str:
-    """One statement in words, for the verdict."""
+    """Return one statement as sentences for the verdict.
+
+    Parameters
+    ----------
+    item : Statement
+        Claim on one condition, radius and distance.
+
+    Returns
+    -------
+    str
+        Rates at the best and worst corner with limits [1/h], the answer, and the share of flights.
+    """
     cell = item.cell
+    # Rates at the best and worst corner with limits, then the answer.
     text = f"Excursions beyond {cell.radius_m:g} m per flight hour: "
     if all(math.isnan(rate.rate) for rate in cell.rates):
         return text + "undefined, for no flight was scored."
     text += f"{item.best.rate:.3g} at the best corner, {item.worst.rate:.3g} at the worst"
-    text += f" ({CONFIDENCE:.0%} limits {_limits(item.best)} and {_limits(item.worst)}, flights as the unit, "
+    text += (
+        f" ({CONFIDENCE:.0%} limits {_limits(item.best)} and {_limits(item.worst)}, flights as the"
+        " unit, "
+    )
     hours = max(rate.hours for rate in cell.rates)
     text = (
         text.replace("%", " %")
         + f"{hours:.3g} h per corner{' at most' if _uneven(item) else ''}). "
     )
-    text += f"At most {item.acceptable_per_h:g} per hour at every corner? {answer_words(item).capitalize()}."
+    text += (
+        f"At most {item.acceptable_per_h:g} per hour at every corner?"
+        f" {answer_words(item).capitalize()}."
+    )
+    # The share of flights is known only for a fixed number of flights.
     share = item.flight_share
     return text + (f" {share.capitalize()}." if share else "")
 
 
 def row(item: Statement) -> dict[str, str]:
-    """One statement for the table."""
+    """Return one statement as texts for the table.
+
+    Parameters
+    ----------
+    item : Statement
+        Claim on one condition, radius and distance.
+
+    Returns
+    -------
+    dict of str to str
+        Cells by column: condition, radius, best, worst, worst_corner, answer, hours, dispersion,
+        carried (dispersion allowed for) and outside (share outside the data).
+    """
     cell = item.cell
     share = item.extrapolated_share
     return {
@@ -114,20 +148,20 @@ def row(item: Statement) -> dict[str, str]:
         "worst_corner": item.worst.epistemic_id,
         "answer": item.answer,
         "hours": f"{sum(rate.hours for rate in cell.rates):.4g}",
-        "dispersion": "too few to say"
-        if math.isnan(item.dispersion_observed)
-        else f"{item.dispersion_observed:.2g}",
-        "carried": _carried(item),
+        "dispersion": (
+            "too few to say"
+            if math.isnan(item.dispersion_observed)
+            else f"{item.dispersion_observed:.2g}"
+        ),
+        "carried": _dispersion_words(item),
         "outside": "not known" if math.isnan(share) else percent(share),
     }
 
 
-def aborted_kinds(found: Sequence[Statement]) -> tuple[str, ...]:
-    """Kinds of aborted flights that have a column of their own: the three of a flight that ends, and others where there are some.
-
-    None where no flight was aborted, so that no empty column widens a table.
-    """
-    totals = {kind: sum(item.aborted[kind] for item in found) for kind in _KIND_WORDS}
+def aborted_kinds(claims: Sequence[Statement]) -> tuple[str, ...]:
+    """Return the kinds of aborted flights that get a column; empty if no flight was aborted."""
+    # Count by kind over all statements.
+    totals = {kind: sum(item.aborted[kind] for item in claims) for kind in _KIND_WORDS}
     return (
         tuple(kind for kind in _KIND_WORDS if kind != _OTHER or totals[kind])
         if any(totals.values())
@@ -136,13 +170,26 @@ def aborted_kinds(found: Sequence[Statement]) -> tuple[str, ...]:
 
 
 def aborted_head(kinds: Sequence[str]) -> tuple[str, ...]:
-    """Heads of the columns of aborted flights; none without kinds."""
+    """Return the column heads of aborted flights; empty without kinds."""
     limit = f"Aborted flights, {100 * CONFIDENCE:g} % upper limit [1/h]"
     return (*(_KIND_WORDS[kind] for kind in kinds), limit) if kinds else ()
 
 
 def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tuple[str, ...]:
-    """Flights aborted by kind, and the upper limit of their rate at the worst corner; of several campaigns one after the other."""
+    """Return the cells of aborted flights.
+
+    Parameters
+    ----------
+    kinds : sequence of str
+        Kinds of `aborted_kinds`; without any the result is empty.
+    items : sequence of Statement or None
+        Claims of the same condition in several campaigns; None where it was not flown.
+
+    Returns
+    -------
+    tuple of str
+        Counts by kind and the upper limit of the rate [1/h], campaigns separated by a slash.
+    """
     if not kinds:
         return ()
     counts = (
@@ -150,58 +197,82 @@ def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tu
         for kind in kinds
     )
     limits = " / ".join(
-        "not flown" if item is None else shown(item.loss_upper_per_h) for item in items
+        "not flown" if item is None else format_value(item.loss_upper_per_h) for item in items
     )
     return (*counts, limits)
 
 
-def assumptions(found: Sequence[Statement], campaign: Mapping[str, Any]) -> list[str]:
-    """What the statements rest on, and where the flights contradict it."""
+def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> list[str]:
+    """Return the assumptions of the statements, and where the flights contradict them.
+
+    Parameters
+    ----------
+    claims : sequence of Statement
+        Claims of a campaign.
+    campaign : mapping
+        Settings of the campaign as plain types.
+
+    Returns
+    -------
+    list of str
+        Sentences.
+    """
+    # What the limits assume on clustering.
     allowed = float(campaign["metrics"]["dispersion"])
     allowance = (
-        f"Upper limits allow for a variance of the excursions per flight of {allowed:g} times their mean ([metrics] dispersion) "
-        "and for more where the flights of a corner show more. Lower limits need no such assumption."
+        f"Upper limits allow for a variance of the excursions per flight of {allowed:g} times their"
+        " mean ([metrics] dispersion) and for more where the flights of a corner show more. Lower"
+        " limits need no such assumption."
     )
     if campaign["stop"]["rule"] != "decide":
         allowance += (
-            f" Where the same air shows {ENOUGH_EXCURSIONS} excursions or more at less than one per hour at a smaller radius, "
-            f"the upper limit of the ratio there ({100 * CONFIDENCE:g} %) stands in place of the assumed one."
+            f" Where the same air shows {ENOUGH_EXCURSIONS} excursions or more at less than one per"
+            f" hour at a smaller radius, the upper limit of the ratio there ({100 * CONFIDENCE:g}"
+            " %) stands in place of the assumed one."
         )
     lines = [
         "Flights are independent of each other; within a flight excursions may come in clusters.",
         allowance,
         (
-            "An aborted flight counts as one excursion on the upper side. Rates are per hour flown, and yes needs an acceptable "
-            "rate of aborted flights as well ([metrics] acceptable_loss_per_h)."
+            "An aborted flight counts as one excursion on the upper side. Rates are per hour flown,"
+            " and yes needs an acceptable rate of aborted flights as well ([metrics]"
+            " acceptable_loss_per_h)."
         ),
-        "Corners are the epistemic samples flown. Statements do not cover models between or outside them.",
+        (
+            "Corners are the epistemic samples flown. Statements do not cover models between or"
+            " outside them."
+        ),
     ]
-    told = {
+    # One statement per condition and radius.
+    horizontal = {
         (item.cell.condition.words, item.cell.radius_m): item
-        for item in found
+        for item in claims
         if item.cell.distance == "horizontal"
     }
-    measured = [item for item in told.values() if item.dispersion.measured]
+    measured = [item for item in horizontal.values() if item.dispersion.measured]
     if measured:
-        least = min(measured, key=lambda item: item.quiet_hours_needed)
+        quickest = min(measured, key=lambda item: item.quiet_hours_needed)
         lines.append(
-            f"Clusters were measured for {len(measured)} of {len(told)} conditions and radii. With them a corner without an "
-            f"excursion needs {least.quiet_hours_needed:.3g} h to be a yes in {least.cell.condition.words} beyond "
-            f"{least.cell.radius_m:g} m."
+            f"Clusters were measured for {len(measured)} of {len(horizontal)} conditions and radii."
+            f" With them a corner without an excursion needs {quickest.quiet_hours_needed:.3g} h to"
+            f" be a yes in {quickest.cell.condition.words} beyond {quickest.cell.radius_m:g} m."
         )
-    beyond = [item for item in found if item.dispersion_observed > item.dispersion_allowed]
-    if beyond:
-        worst = max(beyond, key=lambda item: item.dispersion_observed)
+    # Tell the user if flights cluster more than the limits allow for.
+    contradicted = [item for item in claims if item.dispersion_observed > item.dispersion_allowed]
+    if contradicted:
+        worst = max(contradicted, key=lambda item: item.dispersion_observed)
         lines.append(
-            f"More clustered than assumed: {worst.dispersion_observed:.2g} times the mean beyond {worst.cell.radius_m:g} m in "
-            f"{worst.cell.condition.words}. Raise [metrics] dispersion for conditions that have not shown an excursion yet."
+            f"More clustered than assumed: {worst.dispersion_observed:.2g} times the mean beyond"
+            f" {worst.cell.radius_m:g} m in {worst.cell.condition.words}. Raise [metrics]"
+            " dispersion for conditions that have not shown an excursion yet."
         )
     return lines
 
 
-def _carried(item: Statement) -> str:
-    """What clusters the limits carry, where that comes from, and the hours a quiet corner needs with it."""
+def _dispersion_words(item: Statement) -> str:
+    """Return the dispersion that limits allow for, its origin, and the quiet hours it needs."""
     corners = len(item.cell.rates)
+    # Where the dispersion comes from.
     origin = "assumed"
     if item.dispersion.measured:
         origin = f"from {item.dispersion.nearest_m:g} m"
@@ -211,46 +282,59 @@ def _carried(item: Statement) -> str:
 
 
 def _limits(side: RateRange) -> str:
+    """Format the limits of a rate."""
     upper = "open" if math.isinf(side.upper) else f"{side.upper:.3g}"
     return f"{side.lower:.2g} to {upper}"
 
 
 def _uneven(item: Statement) -> bool:
+    """Return whether the corners flew different numbers of flights."""
     return len({rate.flights for rate in item.cell.rates}) > 1
 
 
-# What a campaign's epistemic samples are called: texts are written for corners, and say what
-# was flown instead.
+# Names of epistemic samples: texts are written for corners and adapted to what was flown.
 
 Part = TypeVar("Part")
 NOUNS: Mapping[str, str] = {"corners": "corner", "levels": "combination", "walk": "walk"}
-"""[epistemic] method -> one of its samples; any other: sample."""
+"""Name of an epistemic sample by method; "sample" for any other."""
 
 
 def kind_of(epistemic: Mapping[str, Any]) -> str:
-    """What ``called`` takes for a campaign's [epistemic]: its method, unless other samples flew beside or in place of corners."""
+    """Return the method of a campaign for `with_sample_noun`; "samples" if others than corners
+    flew.
+    """
+    # "corner" would be wrong for interior points, the nominal model and ellipsoids.
     mixed = epistemic["method"] == "corners" and (
         epistemic.get("interior") or epistemic.get("nominal") or epistemic["set"] != "box"
     )
     return "samples" if mixed else str(epistemic["method"])
 
 
-def called(part: Part, method: str) -> Part:
-    """A text, or a part of a page with all texts in it, that names the samples of ``method``. Drawings stay as they are."""
+def with_sample_noun(part: Part, method: str) -> Part:
+    """Replace "corner" in a text, or in all texts of a page part, by the noun of the method.
+
+    Parameters
+    ----------
+    part : str, tuple or page part
+        Drawings within it stay as they are.
+    method : str
+        Result of `kind_of`.
+    """
     noun = NOUNS.get(method, "sample")
-    return part if noun == "corner" else _renamed(part, noun)
+    return part if noun == "corner" else _replace_corner(part, noun)
 
 
-def _renamed(part: Any, noun: str) -> Any:
+def _replace_corner(part: Any, noun: str) -> Any:
+    """Replace the noun recursively in texts, tuples and dataclasses."""
     if isinstance(part, str):
         return part.replace("corner", noun).replace("Corner", noun.capitalize())
     if isinstance(part, tuple):
-        return tuple(_renamed(item, noun) for item in part)
+        return tuple(_replace_corner(item, noun) for item in part)
     if isinstance(part, Figure):
-        return replace(part, caption=_renamed(part.caption, noun))
+        return replace(part, caption=_replace_corner(part.caption, noun))
     if is_dataclass(part) and not isinstance(part, type):
         return replace(
-            part, **{f.name: _renamed(getattr(part, f.name), noun) for f in fields(part)}
+            part, **{f.name: _replace_corner(getattr(part, f.name), noun) for f in fields(part)}
         )
     return part
 
@@ -262,16 +346,34 @@ _QUANTITIES = (
     ("heading", "heading", "deg"),
 )
 _UNITS = {"m": "m", "mps": "m/s", "deg": "deg"}
-# Medians of the published flight (Hale 2016, section 3.9), measured by its own sensors; 3 m/s wind, moderate to severe.
+# Medians of the published flight (Hale 2016, section 3.9), measured by its own sensors; 3 m/s wind,
+# moderate to severe.
 _PUBLISHED = {"cross_track": 9.41, "altitude": 2.16, "speed": 0.61}
 _PUBLISHED_AIRCRAFT, _PUBLISHED_WIND_MPS, _PUBLISHED_AIR = "espaaro", 3.0, ("moderate", "severe")
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One p-box of a median error and the samples it is the envelope of. ``metric`` is its column of cases.parquet.
+    """Hold the p-box of a median error.
 
-    ``widened``: by which share of its area the points between the corners widen it; None where none were flown.
+    Attributes
+    ----------
+    metric : str
+        Column of cases.parquet.
+    quantity, words, unit : str
+        Quantity, its name in sentences, and unit.
+    measured : bool
+        Whether the error is that of the noisy sensors.
+    condition : Condition
+        Wind and turbulence.
+    box : PBox
+        The p-box.
+    samples : sequence of Sample
+        Its epistemic samples.
+    published : float or None
+        Median of the published flight in this condition.
+    widened : float or None
+        Share of its area by which interior points widen it; None without such points.
     """
 
     metric: str
@@ -287,42 +389,63 @@ class Finding:
 
     @property
     def title(self) -> str:
-        """Heading of the metric's figure."""
-        seen = "as the sensors measured it" if self.measured else "true, without sensor noise"
-        return f"Median {self.words} error, {seen}"
+        """Heading of the figure."""
+        origin = "as the sensors measured it" if self.measured else "true, without sensor noise"
+        return f"Median {self.words} error, {origin}"
 
     @property
     def axis(self) -> str:
-        """Name of the figure's axis, unit left out."""
+        """Label of the axis without unit."""
         return f"median |{self.words} error|, {'measured' if self.measured else 'true'}"
 
 
 @dataclass(frozen=True)
-class CampaignFound:
-    """A complete campaign: its manifest, its flights, and what they say."""
+class CampaignReport:
+    """Hold a complete campaign with its results.
+
+    Attributes
+    ----------
+    folder : Path
+        Campaign folder.
+    manifest : mapping
+        Its manifest.
+    frame : DataFrame
+        cases.parquet.
+    findings : tuple of Finding
+        P-boxes of the median errors.
+    signed : tuple of Statement
+        Claims on excursions.
+    question : str
+        What the campaign asks.
+    verdict : tuple of Sentence
+        Its answer.
+    engine_check : tuple of CheckRow
+        Comparison of the engines.
+    """
 
     folder: Path
     manifest: Mapping[str, Any]
     frame: pd.DataFrame
     findings: tuple[Finding, ...]
     signed: tuple[Statement, ...]
-    asked: str
-    verdict: tuple[Say, ...]
+    question: str
+    verdict: tuple[Sentence, ...]
     engine_check: tuple[CheckRow, ...] = ()
 
     @property
     def campaign(self) -> Mapping[str, Any]:
-        """Every setting of the campaign, as the manifest has it."""
+        """Settings of the campaign."""
         return self.manifest["campaign"]
 
     @property
     def aircraft(self) -> str:
-        """Name of the aircraft flown."""
+        """Name of the aircraft."""
         return Path(self.campaign["campaign"]["aircraft"]).name
 
 
-def read_found(folder: Path) -> CampaignFound:
-    """Read a complete campaign's folder. Raises BadInputError."""
+def read_campaign_report(folder: Path) -> CampaignReport:
+    """Read a complete campaign. Raises BadInputError."""
+    # Tables first, then what follows from them.
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
     campaign = manifest["campaign"]
@@ -330,9 +453,9 @@ def read_found(folder: Path) -> CampaignFound:
     signed = tuple(statements(frame, campaign, read_decisions(folder, manifest)))
     verdict = tuple(_verdict(frame, campaign, findings, signed))
     check = tuple(read_engine_check(folder, manifest))
-    asked = " ".join(
+    question = " ".join(
         [
-            _asked(frame, campaign),
+            _question(frame, campaign),
             *(f"{words[0].upper()}{words[1:]}." for words in joint_words(manifest)),
             *(
                 f"{words[0].upper()}{words[1:]}."
@@ -340,14 +463,15 @@ def read_found(folder: Path) -> CampaignFound:
             ),
         ]
     )
-    return CampaignFound(folder, manifest, frame, findings, signed, asked, verdict, check)
+    return CampaignReport(folder, manifest, frame, findings, signed, question, verdict, check)
 
 
 def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]:
-    """P-boxes of the medians: per condition, per quantity, measured before true (the published flight is measured)."""
-    found = []
+    """Return the p-boxes of the medians per condition and quantity, measured before true."""
+    findings = []
     for condition in conditions(frame):
         rows = in_condition(frame, condition)
+        # True and measured error of each quantity.
         for quantity, words, unit in _QUANTITIES:
             for measured in (True, False):
                 metric = f"{quantity}_median_{unit}" + ("_measured" if measured else "")
@@ -356,10 +480,11 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]
                     c.values.size for c in corners
                 ):
                     continue
+                # The band allows for sequential looks.
                 box = pbox(corners, band_confidence(campaign, CONFIDENCE))
                 published = _published(campaign, condition, quantity) if measured else None
-                grown = _widened(corners)
-                found.append(
+                interior_widening = _interior_widening(corners)
+                findings.append(
                     Finding(
                         metric,
                         quantity,
@@ -370,40 +495,51 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]
                         box,
                         corners,
                         published,
-                        grown,
+                        interior_widening,
                     )
                 )
-    return found
+    return findings
 
 
-def _widened(found: Sequence[Sample]) -> float | None:
-    between = [sample for sample in found if sample.epistemic_id.startswith(INTERIOR_MARK)]
-    others = [sample for sample in found if not sample.epistemic_id.startswith(INTERIOR_MARK)]
-    return widened(others, between) if between and others else None
+def _interior_widening(corner_samples: Sequence[Sample]) -> float | None:
+    """Return by which share of its area the interior points widen the p-box of the corners."""
+    interior = [
+        sample for sample in corner_samples if sample.epistemic_id.startswith(INTERIOR_MARK)
+    ]
+    corners = [
+        sample for sample in corner_samples if not sample.epistemic_id.startswith(INTERIOR_MARK)
+    ]
+    return widened(corners, interior) if interior and corners else None
 
 
 def _published(campaign: Mapping[str, Any], condition: Condition, quantity: str) -> float | None:
-    """The published flight's median, where it was flown in this condition by this aircraft."""
+    """Return the median of the published flight if aircraft and condition are the same."""
     same_aircraft = Path(campaign["campaign"]["aircraft"]).name == _PUBLISHED_AIRCRAFT
     same_air = condition.wind_mps == _PUBLISHED_WIND_MPS and condition.turbulence in _PUBLISHED_AIR
     return _PUBLISHED[quantity] if same_aircraft and same_air else None
 
 
-def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
+def _question(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
+    """Return the question that the campaign answers, with what was flown."""
     air, epistemic = campaign["aleatory"], campaign["epistemic"]
     corners = frame["epistemic_id"].nunique()
     between = frame["epistemic_id"][frame["epistemic_id"].str.startswith(INTERIOR_MARK)].nunique()
     ends = "points of the joint ellipsoid" if epistemic["set"] == "ellipsoid" else "corners"
-    also = f" and {between} points between them" if between else ""
-    within = f"within the intervals of {', '.join(epistemic['coefficients'])}"
+    interior_text = f" and {between} points between them" if between else ""
+    intervals = f"within the intervals of {', '.join(epistemic['coefficients'])}"
+    # What was flown at each epistemic sample, by method.
     samples_text = {
         "none": "the model as it is, without model-form uncertainty",
-        "corners": f"{corners - between} {ends}{also} of the model-form intervals of {', '.join(epistemic['coefficients'])}",
-        "levels": f"{corners} combinations of levels {within}",
-        "lhs": f"{corners} fixed levels, a Latin hypercube, {within}",
-        "white": f"{corners} samples of levels redrawn at every step {within}",
-        "walk": f"{corners} random walks {within}",
+        "corners": (
+            f"{corners - between} {ends}{interior_text} of the model-form intervals of"
+            f" {', '.join(epistemic['coefficients'])}"
+        ),
+        "levels": f"{corners} combinations of levels {intervals}",
+        "lhs": f"{corners} fixed levels, a Latin hypercube, {intervals}",
+        "white": f"{corners} samples of levels redrawn at every step {intervals}",
+        "walk": f"{corners} random walks {intervals}",
     }[epistemic["method"]]
+    # Walk rates belong to the description.
     if epistemic["method"] == "walk":
         rates = epistemic["walk_rate_per_sqrt_s"]
         samples_text += (
@@ -416,10 +552,11 @@ def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
     winds = ", ".join(f"{wind:g}" for wind in air["wind_mps"])
     noise = "noisy" if air["sensor_noise"] else "noise-free"
     return (
-        f"How much do errors and excursions of this mission depend on the model's epistemic uncertainty? "
-        f"{samples_text[0].upper()}{samples_text[1:]}; {air['flights']} flights each, of {air['duration_s']:g} s scored "
-        f"after {air['burn_in_s']:g} s of burn-in; wind {winds} m/s from {air['wind_from_deg']:g} deg, "
-        f"turbulence {', '.join(air['turbulence'])} ({air['turbulence_source']}), {noise} sensors."
+        "How much do errors and excursions of this mission depend on the model's epistemic"
+        f" uncertainty? {samples_text[0].upper()}{samples_text[1:]}; {air['flights']} flights each,"
+        f" of {air['duration_s']:g} s scored after {air['burn_in_s']:g} s of burn-in; wind {winds}"
+        f" m/s from {air['wind_from_deg']:g} deg, turbulence {', '.join(air['turbulence'])}"
+        f" ({air['turbulence_source']}), {noise} sensors."
     )
 
 
@@ -431,64 +568,78 @@ def _verdict(
     campaign: Mapping[str, Any],
     findings: Sequence[Finding],
     signed: Sequence[Statement],
-) -> list[Say]:
-    """The answer in words with numbers: the hardest condition, its excursions, its medians, and what failed."""
+) -> list[Sentence]:
+    """Return the verdict: hardest condition, its excursions and medians, and failures."""
     kind = kind_of(campaign["epistemic"])
-    hardest = hardest_of(conditions(frame))
+    # The verdict is about the hardest condition.
+    hardest = hardest_condition(conditions(frame))
     duration = campaign["aleatory"]["duration_s"]
-    said = [Say(f"Hardest condition flown: {hardest.words}.")]
+    sentences = [Sentence(f"Hardest condition flown: {hardest.words}.")]
     for statement in signed:
         if statement.cell.condition == hardest and statement.cell.distance == "horizontal":
-            said.append(Say(called(sentence(statement), kind), answer_level(statement)))
+            sentences.append(
+                Sentence(with_sample_noun(sentence(statement), kind), answer_level(statement))
+            )
     if UNCOMMANDED_METRICS[0] in frame:
-        said.append(
-            Say(
-                "No path was commanded: errors are deviations from the state in which scoring began."
+        sentences.append(
+            Sentence(
+                "No path was commanded: errors are deviations from the state in which scoring"
+                " began."
             )
         )
     for quantity, _, _ in _QUANTITIES:
-        both = [
+        pair = [
             item for item in findings if item.condition == hardest and item.quantity == quantity
         ]
-        if both:
-            said.append(Say(called(_median_sentence(both, duration), kind)))
+        if pair:
+            sentences.append(Sentence(with_sample_noun(_median_sentence(pair, duration), kind)))
+    # Failed flights are counted as the worst outcome.
     failed = int((frame["status"] != "ok").sum())
     counted = (
         f"{failed} failed; they are bounded at the worst, not dropped"
         if failed
         else "all ended as planned"
     )
-    said.append(Say(f"Of {len(frame)} flights, {counted}.", "warn" if failed else ""))
+    sentences.append(Sentence(f"Of {len(frame)} flights, {counted}.", "warn" if failed else ""))
+    # Loss of control in flights that ended on time counts as well.
     losses = int(frame["loss_of_control"].fillna(0).sum())
-    lost = f"{losses} of them lost control." if losses else "No scored flight lost control."
-    said.append(Say(lost, "bad" if losses else "" if failed < len(frame) else "warn"))
-    return said
+    loss_text = f"{losses} of them lost control." if losses else "No scored flight lost control."
+    sentences.append(
+        Sentence(loss_text, "bad" if losses else "" if failed < len(frame) else "warn")
+    )
+    return sentences
 
 
 def answer_level(statement: Statement) -> Level:
-    """Whether an answer is good news."""
+    """Return the level of an answer."""
     return _ANSWER_LEVELS[statement.answer]
 
 
-def hardest_first(found: Sequence[Condition]) -> list[Condition]:
-    """Conditions from the strongest turbulence and wind to the weakest."""
-    left, out = list(found), []
-    while left:
-        out.append(hardest_of(left))
-        left.remove(out[-1])
-    return out
+def hardest_first(grid: Sequence[Condition]) -> list[Condition]:
+    """Return conditions from the strongest turbulence and wind to the weakest."""
+    remaining, ordered = list(grid), []
+    while remaining:
+        ordered.append(hardest_condition(remaining))
+        remaining.remove(ordered[-1])
+    return ordered
 
 
-def _median_sentence(both: Sequence[Finding], duration_s: float) -> str:
-    """One quantity, true and (where there is one) measured, against the published flight."""
+def _median_sentence(pair: Sequence[Finding], duration_s: float) -> str:
+    """Return a sentence on the median of one quantity, true and measured, with the published
+    flight.
+    """
     parts = []
-    for item in sorted(both, key=lambda finding: finding.measured):
+    # True before measured.
+    for item in sorted(pair, key=lambda finding: finding.measured):
         low, high = item.box.quantile(0.5)
         parts.append(
             f"{span(low, high)} {item.unit} {'as measured' if item.measured else 'in truth'}"
         )
-    text = f"Median {both[0].words} error of a typical {duration_s:g} s flight, best to worst corner: {', '.join(parts)}"
-    for item in both:
+    text = (
+        f"Median {pair[0].words} error of a typical {duration_s:g} s flight, best to worst corner:"
+        f" {', '.join(parts)}"
+    )
+    for item in pair:
         if item.published is not None:
             low, high = item.box.value[0], item.box.value[-1]
             where = (
@@ -498,28 +649,52 @@ def _median_sentence(both: Sequence[Finding], duration_s: float) -> str:
                 if item.published < low
                 else "above"
             )
-            text += f"; the published flight's {item.published:g} {item.unit} lies {where} the range measured by single flights, "
+            text += (
+                f"; the published flight's {item.published:g} {item.unit} lies {where} the range"
+                " measured by single flights, "
+            )
             text += f"{low:.3g} to {high:.3g} {item.unit}"
     return text + "."
 
 
 def span(low: float, high: float) -> str:
-    """An interval of a quantile in words."""
+    """Format an interval."""
     if math.isinf(high):
         return f"at least {low:.3g}"
     return f"{low:.3g} to {high:.3g}" if low != high else f"{low:.3g}"
 
 
-# Sensitivity ranges of a campaign as a section of its page, from its sensitivity.csv.
+# Sensitivity section.
 
-_SHOWN = ("cross_track_median_m", "altitude_median_m", "speed_median_mps", "heading_median_deg")
+_SENSITIVITY_METRICS = (
+    "cross_track_median_m",
+    "altitude_median_m",
+    "speed_median_mps",
+    "heading_median_deg",
+)
 Row = Mapping[str, str]
 
 
 def sensitivity_section(
     folder: Path, manifest: Mapping[str, Any], prefix: str = ""
 ) -> tuple[Section, ...]:
-    """The section, none where ``uqharness sensitivity`` has not been run on the folder. Raises BadInputError."""
+    """Return the sensitivity section; empty if ``uqharness sensitivity`` was not run.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    manifest : mapping
+        Its manifest.
+    prefix : str
+        Prefix of figure names.
+
+    Raises
+    ------
+    BadInputError
+        If sensitivity.csv is damaged.
+    """
+    # Display the hardest condition; the table file has all.
     table_rows = read_sensitivity(folder, manifest)
     if not table_rows:
         return ()
@@ -533,17 +708,22 @@ def sensitivity_section(
         if r["metric"].startswith("excursions_") and not r["metric"].endswith("_3d")
     ]
     by_metric = {
-        m: found for m in (*_SHOWN, *counts[:1]) if (found := [r for r in rows if r["metric"] == m])
+        m: metric_rows
+        for m in (*_SENSITIVITY_METRICS, *counts[:1])
+        if (metric_rows := [r for r in rows if r["metric"] == m])
     }
     text = (
-        "How much of the p-box's width each coefficient's interval makes: the thick bar runs from the smallest to the largest "
-        "share over the values of the others, the wide pale one is its 95 % sampling interval. Ranges that overlap do not rank. "
-        f"{hardest.words[0].upper()}{hardest.words[1:]}; all conditions and metrics stand in sensitivity.csv."
+        "How much of the p-box's width each coefficient's interval makes: the thick bar runs from"
+        " the smallest to the largest share over the values of the others, the wide pale one is"
+        " its 95 % sampling interval. Ranges that overlap do not rank."
+        f" {hardest.words[0].upper()}{hardest.words[1:]}; all conditions and metrics stand in"
+        " sensitivity.csv."
     )
     table = Table(
-        "Share of the p-box's width by coefficient, and by how much it would shrink were the coefficient known.",
+        "Share of the p-box's width by coefficient, and by how much it would shrink were the"
+        " coefficient known.",
         ("Metric", "Coefficient", "Share", "Its 95 % interval", "Shrinks by"),
-        tuple(_table_row(r) for found in by_metric.values() for r in _ordered(found)),
+        tuple(_table_row(r) for metric_rows in by_metric.values() for r in _ordered(metric_rows)),
     )
     blocks = (
         Words(text, note=True),
@@ -554,19 +734,30 @@ def sensitivity_section(
 
 
 def condition_sections(content: bytes) -> list[Section]:
-    """The drawings of a sensitivity.csv, one file a condition: shares of the medians of the error's three quantities."""
+    """Return the drawings of a sensitivity.csv.
+
+    Parameters
+    ----------
+    content : bytes
+        The file.
+
+    Returns
+    -------
+    list of Section
+        One per condition; its drawings share a file.
+    """
     out = []
-    for condition, found in by_condition(
+    for condition, condition_rows in by_condition(
         list(csv.DictReader(content.decode().splitlines()))
     ).items():
         file = f"sensitivity-{condition.wind_mps:g}mps-{condition.turbulence}"
-        figures = range_figures(found, _SHOWN[:3], condition, file)
+        figures = range_figures(condition_rows, _SENSITIVITY_METRICS[:3], condition, file)
         out += [Section(condition.words, (figures,))] if figures.items else []
     return out
 
 
 def by_condition(rows: Sequence[Row]) -> dict[Condition, list[Row]]:
-    """Rows of sensitivity.csv by their condition, as they come."""
+    """Group rows of sensitivity.csv by condition."""
     out: dict[Condition, list[Row]] = {}
     for row in rows:
         out.setdefault(Condition(float(row["wind_mps"]), row["turbulence"]), []).append(row)
@@ -576,10 +767,12 @@ def by_condition(rows: Sequence[Row]) -> dict[Condition, list[Row]]:
 def range_figures(
     rows: Sequence[Row], metrics: Sequence[str], condition: Condition, file: str, prefix: str = ""
 ) -> Figures:
-    """A chart for each metric that has a share; ``file`` as in :class:`Figures`."""
+    """Return a chart per metric with a share; ``file`` as in `Figures`."""
     by_metric = {m: [r for r in rows if r["metric"] == m and r["share_min"]] for m in metrics}
     figures = tuple(
-        _figure(m, _ordered(found), condition, prefix) for m, found in by_metric.items() if found
+        _figure(m, _ordered(metric_rows), condition, prefix)
+        for m, metric_rows in by_metric.items()
+        if metric_rows
     )
     return Figures(figures, _LEGEND, True, file)
 
@@ -591,16 +784,19 @@ _LEGEND = (
 
 
 def _ordered(rows: Sequence[Row]) -> list[Row]:
+    """Sort rows by share, largest first."""
     return sorted(
         rows, key=lambda r: -(float(r["share_min"] or 0.0) + float(r["share_max"] or 0.0))
     )
 
 
 def _figure(metric: str, rows: Sequence[Row], condition: Condition, prefix: str) -> Figure:
+    """Draw the shares of one metric."""
     words, first = _words(metric), rows[0]
     label = (
-        f"Sensitivity of the {words}: shares of the p-box's width [-] by coefficient; {first['coefficient']} has "
-        f"{float(first['share_min']):.2g} to {float(first['share_max']):.2g}."
+        f"Sensitivity of the {words}: shares of the p-box's width [-] by coefficient;"
+        f" {first['coefficient']} has {float(first['share_min']):.2g} to"
+        f" {float(first['share_max']):.2g}."
     )
     name, x = (
         f"{prefix}sensitivity-{metric.replace('_', '-')}",
@@ -617,6 +813,7 @@ def _figure(metric: str, rows: Sequence[Row], condition: Condition, prefix: str)
 
 
 def _table_row(r: Row) -> tuple[str, ...]:
+    """Return the table row of one coefficient."""
     if not r["share_min"]:
         return (
             _words(r["metric"]),
@@ -627,6 +824,7 @@ def _table_row(r: Row) -> tuple[str, ...]:
         )
 
     def span(low: str, high: str, scale: float = 1.0, unit: str = "") -> str:
+        """Format an interval of scaled numbers."""
         return (
             f"{scale * float(low):.2g} to {scale * float(high):.2g}{unit}"
             if low and high
@@ -643,45 +841,59 @@ def _table_row(r: Row) -> tuple[str, ...]:
 
 
 def _words(metric: str) -> str:
+    """Return the name of a metric in sentences."""
     if metric.startswith("excursions_"):
         return f"excursions beyond {metric.split('_')[1].removesuffix('m')} m"
     quantity = metric.rsplit("_", 2)[0].replace("_", "-")
     return f"median {quantity} error"
 
 
-# Ground tracks of a campaign's page: of the flights whose records stand in the folder, as
-# `campaign rerun` leaves them.
+# Ground tracks of repeated flights.
 
 MOST_TRACKS = 4
-"""Tracks in the page: of the flights farthest from their path."""
+"""Number of tracks in the page, those farthest from the path first."""
 _WORST = "cross_track_median_m"
 _COLUMNS = ("time_s", "north_m", "east_m", "error_cross_track")
 
 
 def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[Section, ...]:
-    """The tracks of flights flown again, or the command that flies the worst one again; none for a mission without a path.
+    """Return the tracks of repeated flights, or the command that repeats the worst one.
 
-    frame: cases.parquet, one row a flight. A record that cannot be read is told.
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder; records are in its subfolder rerun.
+    frame : DataFrame
+        cases.parquet.
+    prefix : str
+        Prefix of figure names.
+
+    Returns
+    -------
+    tuple of Section
+        Empty for a mission without a commanded path.
     """
     if _WORST not in frame or not frame[_WORST].notna().any():
         return ()
+    # Farthest flight first; flights without a value count as farthest.
     rows = frame.assign(far=frame[_WORST].fillna(np.inf)).sort_values(
         ["far", "case_id"], ascending=[False, True]
     )
-    found: list[Figure] = []
-    said: list[Block] = []
-    kept = {
+    figures: list[Figure] = []
+    notes: list[Block] = []
+    # Records of repeated flights.
+    records = {
         path.parent.name: path
         for path in (folder / "rerun").glob("*/record.parquet")
         if path.is_file()
     }
-    rows = rows[rows["case_id"].astype(str).isin(list(kept))]
+    rows = rows[rows["case_id"].astype(str).isin(list(records))]
     for case_id, epistemic_id, wind, air in rows[
         ["case_id", "epistemic_id", "wind_mps", "turbulence"]
     ].itertuples(index=False):
-        if len(found) == MOST_TRACKS:
+        if len(figures) == MOST_TRACKS:
             break
-        path = kept[str(case_id)]
+        path = records[str(case_id)]
         try:
             figure = _track(
                 path,
@@ -689,81 +901,99 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
                 f"Case {case_id}: {epistemic_id}, {float(wind):g} m/s {air}.",
             )
         except BadInputError as error:
-            said.append(Words(str(error)))
+            notes.append(Words(str(error)))
             continue
         if figure is not None:
-            found.append(figure)
-    if found:
-        text = "Flights of the campaign that were flown again, the largest median cross-track error first."
+            figures.append(figure)
+    if figures:
+        text = (
+            "Flights of the campaign that were flown again, the largest median cross-track error"
+            " first."
+        )
         return (
             Section(
-                "Ground track", (Words(text, note=True), *said, Figures(tuple(found), file=""))
+                "Ground track", (Words(text, note=True), *notes, Figures(tuple(figures), file=""))
             ),
         )
     worst = worst_case(frame)
-    text = "No record of a flight stands in this folder. The worst flight of the hardest condition is flown again, and drawn here, by:"
+    text = (
+        "No record of a flight stands in this folder. The worst flight of the hardest condition is"
+        " flown again, and drawn here, by:"
+    )
     commands = (
         ("Fly", f"uqharness campaign rerun DIR --case {worst}"),
         ("Report", "uqharness campaign report DIR"),
     )
-    return (Section("Ground track", (*said, Words(text, note=True), Facts(commands))),)
+    return (Section("Ground track", (*notes, Words(text, note=True), Facts(commands))),)
 
 
-def shown_cases(frame: pd.DataFrame) -> tuple[str, ...]:
-    """Cases whose tracks a page should show: of the flights of the hardest condition with a known median cross-track error the one
-    with the largest and the one in the middle; fewer where there are fewer, none for a mission without a path."""
+def track_cases(frame: pd.DataFrame) -> tuple[str, ...]:
+    """Return the cases to repeat for the ground track: the worst and the median flight."""
     if _WORST not in frame or not frame[_WORST].notna().any():
         return ()
-    rows = in_condition(frame, hardest_of(conditions(frame)))
-    known = rows[rows[_WORST].notna()].sort_values([_WORST, "case_id"], ascending=[False, True])
+    rows = in_condition(frame, hardest_condition(conditions(frame)))
+    scored = rows[rows[_WORST].notna()].sort_values([_WORST, "case_id"], ascending=[False, True])
     return (
-        tuple(str(case) for case in dict.fromkeys(known["case_id"].iloc[[0, len(known) // 2]]))
-        if len(known)
+        tuple(str(case) for case in dict.fromkeys(scored["case_id"].iloc[[0, len(scored) // 2]]))
+        if len(scored)
         else ()
     )
 
 
 def worst_case(frame: pd.DataFrame) -> str:
-    """Case with the largest median cross-track error that is known in the hardest condition, the first by its id among equals."""
-    rows = in_condition(frame, hardest_of(conditions(frame)))
-    known = rows[rows[_WORST].notna()]
-    rows = rows if known.empty else known.sort_values([_WORST, "case_id"], ascending=[False, True])
+    """Return the case with the largest median cross-track error in the hardest condition."""
+    rows = in_condition(frame, hardest_condition(conditions(frame)))
+    scored = rows[rows[_WORST].notna()]
+    rows = (
+        rows if scored.empty else scored.sort_values([_WORST, "case_id"], ascending=[False, True])
+    )
     return str(rows["case_id"].iloc[0])
 
 
 def _track(path: Path, name: str, words: str) -> Figure | None:
+    """Draw the track of a record; None without a position."""
     table = read_table(path).to_pandas()
     columns = {n: table[n].to_numpy(dtype=float) for n in _COLUMNS if n in table}
     if "error_cross_track" in columns:
         columns["cross_track_m"] = columns.pop("error_cross_track")
-    return flown_track(name, columns, words)
+    return flight_track(name, columns, words)
 
 
-# What a campaign's page says of the engine that flew it, and of the flights that JSBSim flew as
-# its judge.
+# Engine and comparison with JSBSim.
 
 _NAMES: Mapping[str, str] = {"batch": "the batch engine", "jsbsim": "JSBSim"}
 
 
 def engine_section(manifest: Mapping[str, Any], rows: Sequence[CheckRow]) -> Section:
-    """Which engine flew, why, and how far it is from JSBSim."""
+    """Return which engine flew, why, and how far it is from JSBSim.
+
+    Parameters
+    ----------
+    manifest : mapping
+        Manifest of the campaign.
+    rows : sequence of CheckRow
+        Comparison of the engines.
+    """
+    # Engine and reasons from the manifest.
     engine = manifest["campaign"]["campaign"]["engine"]
-    why = tuple(manifest.get("engine", {}).get("why", ()))
-    said = engine_words(_NAMES[engine], why)
-    blocks: list[Block] = [Words(f"Flown in {said}.")]
-    whole = [row for row in rows if row.part == WHOLE]
+    reasons = tuple(manifest.get("engine", {}).get("why", ()))
+    engine_text = engine_words(_NAMES[engine], reasons)
+    blocks: list[Block] = [Words(f"Flown in {engine_text}.")]
+    full_flights = [row for row in rows if row.part == FULL_FLIGHT]
     if engine == "batch":
-        flights = len({row.case_id for row in whole})
+        flights = len({row.case_id for row in full_flights})
         text = (
-            f"{flights} whole flights, and the first seconds of some of each condition, were flown in JSBSim as well. A difference "
-            f"is measured by the metric's spread over the condition's flights; at {TOLERANCE:g} of it the campaign would have "
-            "stopped. engine-check.csv has every row."
+            f"{flights} whole flights, and the first seconds of some of each condition, were flown"
+            " in JSBSim as well. A difference is measured by the metric's spread over the"
+            f" condition's flights; at {TOLERANCE:g} of it the campaign would have stopped."
+            " engine-check.csv has every row."
         )
-        blocks += [Words(text, note=True), *_tables(whole)]
+        blocks += [Words(text, note=True), *_tables(full_flights)]
     return Section("Engine", tuple(blocks))
 
 
 def _tables(rows: Sequence[CheckRow]) -> list[Block]:
+    """Return the table of differences between the engines by metric."""
     by_metric: dict[str, list[CheckRow]] = {}
     for row in rows:
         if row.difference or row.metric == STATUS:
@@ -775,53 +1005,70 @@ def _tables(rows: Sequence[CheckRow]) -> list[Block]:
         Table(
             "The batch engine against JSBSim.",
             head,
-            tuple(_row(name, found) for name, found in by_metric.items()),
+            tuple(_row(name, metric_rows) for name, metric_rows in by_metric.items()),
         )
     ]
 
 
 def _row(name: str, rows: Sequence[CheckRow]) -> tuple[str, ...]:
+    """Return the row of one metric."""
     excused = [row for row in rows if row.verdict == "excused"]
-    why = "; ".join(dict.fromkeys(row.remark for row in excused))
+    remarks = "; ".join(dict.fromkeys(row.remark for row in excused))
     shares = [as_number(row.difference) for row in rows if row.verdict != "excused"]
-    known = [share for share in shares if not math.isnan(share)]
-    largest = "" if name == STATUS else f"{max(known):.2g}" if known else "undefined"
-    return (name, str(len(rows)), largest, f"{len(excused)} ({why})" if excused else "0")
+    defined = [share for share in shares if not math.isnan(share)]
+    largest = "" if name == STATUS else f"{max(defined):.2g}" if defined else "undefined"
+    return (name, str(len(rows)), largest, f"{len(excused)} ({remarks})" if excused else "0")
 
 
-# P-boxes of two campaigns over each other: the same flights before and after something changed
-# in the model.
+# Comparison of two campaigns.
 
 _OVERLAID = 2
-"""Conditions whose p-boxes are drawn over each other, the hardest; the table holds all."""
+"""Number of conditions, the hardest, whose p-boxes are drawn in one chart."""
 
 
 def overlay_section(
-    before: CampaignFound,
-    after: CampaignFound,
+    before: CampaignReport,
+    after: CampaignReport,
     names: Mapping[str, str],
     prefix: str = "",
     title: str = "Before and after",
 ) -> Section:
-    """P-boxes of two campaigns over each other wherever both have the same quantity in the same condition."""
+    """Draw the p-boxes of two campaigns in one chart wherever both have the same quantity.
+
+    Parameters
+    ----------
+    before, after : CampaignReport
+        Campaigns.
+    names : mapping of str to str
+        Names of the two by "before" and "after".
+    prefix, title : str
+        Prefix of figure names, and heading.
+
+    Returns
+    -------
+    Section
+        Charts of the hardest conditions, and a table of all.
+    """
     titles = ("before", "after")
-    drawn = hardest_first([c for c in conditions(before.frame) if c in conditions(after.frame)])[
-        :_OVERLAID
-    ]
+    # Draw the hardest conditions that both campaigns flew.
+    displayed = hardest_first(
+        [c for c in conditions(before.frame) if c in conditions(after.frame)]
+    )[:_OVERLAID]
     words = [corner_words(side.frame) for side in (before, after)]
-    later = {(item.metric, item.condition): item for item in after.findings}
+    # Findings of the second campaign by metric and condition.
+    updated = {(item.metric, item.condition): item for item in after.findings}
     figures, rows = [], []
     for item in sorted(
         before.findings,
-        key=lambda f: drawn.index(f.condition) if f.condition in drawn else len(drawn),
+        key=lambda f: displayed.index(f.condition) if f.condition in displayed else len(displayed),
     ):
-        other = later.get((item.metric, item.condition))
+        other = updated.get((item.metric, item.condition))
         if other is None:
             continue
-        if item.condition in drawn:
+        if item.condition in displayed:
             # After is solid and before dashed, as in every other chart of the two.
             boxes = [
-                DrawnBox(t, f.box, f.samples, w)
+                LabelledBox(t, f.box, f.samples, w)
                 for t, f, w in zip(titles, (item, other), words, strict=True)
             ][::-1]
             place = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}".replace(".", "p")
@@ -831,15 +1078,16 @@ def overlay_section(
                     name, item.axis, item.unit, boxes, f"{item.title}; {item.condition.words}."
                 )
             )
+        # Width at the median before and after.
         ends = [f.box.quantile(0.5) for f in (item, other)]
         widths = [high - low for low, high in ends]
         ratio = (
             widths[1] / widths[0] if widths[0] > 0.0 and widths[0] < float("inf") else float("nan")
         )
-        # A width is a fact: no claim was tested that a tick could confirm.
+        # A width is a fact, not a tested claim, so it gets no tick.
         level: Level = "warn" if ratio > 1.0 else ""
         change = Cell(
-            shown(ratio, ".2f"),
+            format_value(ratio, ".2f"),
             level,
             small="wider" if ratio > 1.0 else "narrower" if ratio < 1.0 else "",
         )
@@ -857,16 +1105,18 @@ def overlay_section(
             title, (Words("The two campaigns share no quantity in the same condition."),)
         )
     text = (
-        f"Two p-boxes over each other: the dashed one before ({names['before']}), the solid one after ({names['after']})."
-        " A narrower box means that less is unknown; a "
-        "box that moved means that the model was wrong. The cursor names the epistemic sample behind each side."
+        f"Two p-boxes over each other: the dashed one before ({names['before']}), the solid one"
+        f" after ({names['after']}). A narrower box means that less is unknown; a box that moved"
+        " means that the model was wrong. The cursor names the epistemic sample behind each side."
     )
     notes: list[Block] = [Words(text, note=True)]
-    unlike = _unlike(before, after)
+    # A change of settings makes the comparison ambiguous.
+    unlike = _differences(before, after)
     if unlike:
         notes.append(
             Words(
-                f"Not the same flights otherwise: {unlike} differ, so part of the change may be theirs."
+                f"Not the same flights otherwise: {unlike} differ, so part of the change may be"
+                " theirs."
             )
         )
     head = ("Error", "Condition", "Middle before", "Middle after", "Width after over before [-]")
@@ -874,8 +1124,8 @@ def overlay_section(
     return Section(title, (*notes, Figures(tuple(figures)), table))
 
 
-def _unlike(before: CampaignFound, after: CampaignFound) -> str:
-    """What of two campaigns is flown differently, besides the model and its bounds."""
+def _differences(before: CampaignReport, after: CampaignReport) -> str:
+    """Return what two campaigns flew differently besides the model and its bounds."""
     pairs = [
         (side.campaign["campaign"]["seed"], side.campaign["aleatory"]) for side in (before, after)
     ]

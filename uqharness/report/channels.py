@@ -1,4 +1,8 @@
-"""Every channel of a flight over time: one chart a channel, phases and manoeuvres shaded, findings flagged where they are."""
+"""Draw every channel of a flight over time, one chart per channel.
+
+Phases and manoeuvres are shaded, and findings of the log check are flagged at the times where they
+hold. Used by the pages of a log and of a recorded flight.
+"""
 
 from __future__ import annotations
 
@@ -35,14 +39,14 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     ),
     "Path": ("h_m", "north_m", "east_m", "cross_track_m", "vn_mps", "ve_mps", "vd_mps"),
 }
-_BESIDE: Mapping[str, tuple[str, str]] = {
+_COMPANIONS: Mapping[str, tuple[str, str]] = {
     "V_mps": ("V_demand_mps", "demand"),
     "h_m": ("h_demand_m", "demand"),
     "elevator_deg": ("elevator_pos_deg", "position"),
     "aileron_deg": ("aileron_pos_deg", "position"),
     "rudder_deg": ("rudder_pos_deg", "position"),
 }
-"""What is drawn into another channel's chart, and as what."""
+"""Channel drawn into the chart of another, and its label."""
 _UNITS = {
     "rad": ("deg", RAD_DEG),
     "rad/s": ("deg/s", RAD_DEG),
@@ -50,15 +54,20 @@ _UNITS = {
     "kg/m3": ("kg/m³", 1.0),
 }
 _OTHER = "Other channels"
-_STILL = 1e-3
-"""Least height of an axis, as a share of the channel's own size: rounding of what stands still is not drawn large."""
+_MIN_HEIGHT = 1e-3
+"""Smallest half-height of an axis as a share of the channel's size, so that rounding of a constant
+channel is not magnified.
+"""
 _NUMBER_WIDTH = 6.5
 _MOST_DOTS = 1200
 
 
 @dataclass(frozen=True)
 class Shade:
-    """A stretch of time [s] that is shaded in every chart, in the class ``kind`` of figure.css; ``mark`` stands on top of it."""
+    """Shade a time interval [s] in every chart, in the class ``kind``.
+
+    ``mark`` is written on top.
+    """
 
     start_s: float
     end_s: float
@@ -68,16 +77,32 @@ class Shade:
 
 @dataclass(frozen=True)
 class Flag:
-    """What was found wrong with a channel: in short, and the stretches of time [s] in which it is so; none for all of it."""
+    """Describe a finding of a channel and the time intervals [s] where it holds; none means
+    everywhere.
+    """
 
     words: str
     spans: tuple[tuple[float, float], ...] = ()
 
 
 def named_stretches(time_s: FloatArray, labels: NDArray[Any]) -> list[tuple[float, float, str]]:
-    """Begin, end [s] and name of each stretch of equal labels (n,), empty ones left out."""
+    """Return the runs of equal labels.
+
+    Parameters
+    ----------
+    time_s : array
+        Time (n,) [s].
+    labels : array
+        Labels (n,); empty ones are left out.
+
+    Returns
+    -------
+    list of (float, float, str)
+        Start and end [s], and label.
+    """
     if not len(time_s):
         return []
+    # Places where the label changes.
     edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1).tolist(), len(labels)]
     out = []
     for first, last in pairwise(edges):
@@ -93,7 +118,7 @@ def named_stretches(time_s: FloatArray, labels: NDArray[Any]) -> list[tuple[floa
 
 
 def shown_signal(name: str) -> tuple[str, str, float]:
-    """Quantity, unit and factor of a channel as it is drawn: angles in degrees."""
+    """Return quantity, unit and factor with which a channel is displayed (angles in degrees)."""
     if name not in SIGNALS:
         return shown_channel(name)
     unit, factor = _UNITS.get(SIGNALS[name].unit, (SIGNALS[name].unit, 1.0))
@@ -106,27 +131,43 @@ def channel_sections(
     flags: Mapping[str, Sequence[Flag]],
     legend: Sequence[tuple[str, str]],
 ) -> list[Section]:
-    """A section for each group of channels that ``columns`` (name -> (n,), ``time_s`` among them) has."""
-    known = [
+    """Return a section per group of channels.
+
+    Parameters
+    ----------
+    columns : mapping of str to array
+        Channels (n,) by name, ``time_s`` included.
+    shades : sequence of Shade
+        Shaded intervals.
+    flags : mapping of str to sequence of Flag
+        Findings by channel.
+    legend : sequence of (str, str)
+        Class and words of the shades.
+    """
+    # Numeric channels only; labels and time are not drawn.
+    available = [
         n
         for n in columns
         if n != "time_s" and n not in LABELS and np.asarray(columns[n]).dtype.kind in "fiub"
     ]
-    taken = {name for group in GROUPS.values() for name in group} | {
-        other for name, (other, _) in _BESIDE.items() if name in known
+    grouped = {name for group in GROUPS.values() for name in group} | {
+        other for name, (other, _) in _COMPANIONS.items() if name in available
     }
-    groups = {**GROUPS, _OTHER: tuple(n for n in known if n not in taken)}
+    # Channels without a group come last.
+    groups = {**GROUPS, _OTHER: tuple(n for n in available if n not in grouped)}
     sections = []
     for title, names in groups.items():
-        figures = tuple(_channel(name, columns, shades, flags) for name in names if name in known)
+        figures = tuple(
+            _channel(name, columns, shades, flags) for name in names if name in available
+        )
         if figures:
-            drawn = (("first", "as recorded; commands as steps"), *legend)
+            entries = (("first", "as recorded; commands as steps"), *legend)
             sections.append(
                 Section(
                     title,
                     (
                         Figures(
-                            figures, drawn, narrow=True, file=re.sub(r"\W+", "-", title.lower())
+                            figures, entries, narrow=True, file=re.sub(r"\W+", "-", title.lower())
                         ),
                     ),
                 )
@@ -137,26 +178,35 @@ def channel_sections(
 def _channel(
     name: str, columns: Columns, shades: Sequence[Shade], flags: Mapping[str, Sequence[Flag]]
 ) -> Figure:
+    """Return the chart of one channel, with its companion and findings."""
     quantity, unit, factor = shown_signal(name)
     time_s = np.asarray(columns["time_s"], dtype=float)
     values = factor * np.asarray(columns[name], dtype=float)
-    other, words = _BESIDE.get(name, ("", ""))
-    beside = factor * np.asarray(columns[other], dtype=float) if other in columns else None
-    y = _axis(f"{quantity} [{unit}]", [values, *([] if beside is None else [beside])])
+    other, words = _COMPANIONS.get(name, ("", ""))
+    companion = factor * np.asarray(columns[other], dtype=float) if other in columns else None
+    # One axis for the channel and its companion.
+    y = _axis(f"{quantity} [{unit}]", [values, *([] if companion is None else [companion])])
+    # The vocabulary gives the meaning; angles are displayed in degrees.
     meaning = SIGNALS[name].meaning.replace("2 pi", "360 deg") if name in SIGNALS else quantity
-    found = flags.get(name, ())
-    said = [f.words for f in found]
-    if beside is not None:
-        said += [f"{f.words} of the {words}" for f in flags.get(other, ())]
-    told = f" Findings: {', '.join(said)}." if said else ""
+    channel_flags = flags.get(name, ())
+    findings = [f.words for f in channel_flags]
+    if companion is not None:
+        findings += [f"{f.words} of the {words}" for f in flags.get(other, ())]
+    findings_text = f" Findings: {', '.join(findings)}." if findings else ""
     x = Scale("time [s]", float(time_s[0]), float(time_s[-1]))
     chart = Chart(
-        f"channel-{name}", f"{quantity} [{unit}] over time [s]: {meaning}.{told}", x, y, 170
+        f"channel-{name}",
+        f"{quantity} [{unit}] over time [s]: {meaning}.{findings_text}",
+        x,
+        y,
+        170,
     )
+    # Shades first, so that lines lie on top.
     _shade(chart, shades)
-    for flag in found:
+    # Findings with a known time are shaded.
+    for flag in channel_flags:
         for start, end in flag.spans:
-            # A gap of a few samples in an hour would be thinner than a hair.
+            # Widen short intervals: a gap of some samples in an hour would be invisible.
             reach = 0.5 * max(0.0, 0.004 * (x.high - x.low) - (end - start))
             chart.band(
                 np.array([start - reach, end + reach]),
@@ -164,70 +214,83 @@ def _channel(
                 np.full(2, y.high),
                 "fillbad",
             )
+    # Commands hold between samples, measurements are joined by lines.
     steps = name in SIGNALS and SIGNALS[name].kind == "command"
-    drawn = ("command" if steps else "recorded") if beside is not None else ""
+    line_words = ("command" if steps else "recorded") if companion is not None else ""
     if name in SIGNALS and SIGNALS[name].kind == "heading":
-        # A line would cross the chart wherever the heading passes north.
+        # Dots, because a line would cross the chart whenever the heading passes north.
         few = np.unique(
             np.linspace(0, values.size - 1, min(values.size, _MOST_DOTS)).round().astype(int)
         )
         chart.dots(time_s[few], values[few], "dotfirst", radius=0.7)
     else:
-        chart.line(time_s, values, "first thin", drawn, steps=steps)
-    if beside is not None:
+        chart.line(time_s, values, "first thin", line_words, steps=steps)
+    if companion is not None:
         chart.line(
             time_s,
-            beside,
+            companion,
             "second thin",
             words,
             steps=other in SIGNALS and SIGNALS[other].kind == "command",
         )
     if not np.isfinite(values).any():
-        told = " No finite value." + told
-    return Figure(chart.name, chart.svg(), f"{quantity} [{unit}]: {meaning}.{told}")
+        findings_text = " No finite value." + findings_text
+    return Figure(chart.name, chart.svg(), f"{quantity} [{unit}]: {meaning}.{findings_text}")
 
 
 def _axis(label: str, values: Sequence[FloatArray]) -> Scale:
+    """Return a scale that is not narrower than `_MIN_HEIGHT`."""
+    # Widen an axis that is too narrow for a constant channel.
     axis = scale(label, values)
     middle, half = 0.5 * (axis.low + axis.high), 0.5 * (axis.high - axis.low)
-    least = _STILL * max(abs(middle), 1e-6)
-    return axis if half >= least else Scale(label, middle - least, middle + least)
+    min_half = _MIN_HEIGHT * max(abs(middle), 1e-6)
+    return axis if half >= min_half else Scale(label, middle - min_half, middle + min_half)
 
 
 def _shade(chart: Chart, shades: Sequence[Shade]) -> None:
+    """Shade intervals of a chart and write their marks where they fit."""
     for shade in shades:
         if shade.kind == "joint":
             chart.upright(shade.start_s, "joint")
             continue
         ends = np.array([shade.start_s, shade.end_s])
         chart.band(ends, np.full(2, chart.y.low), np.full(2, chart.y.high), shade.kind)
-        left, _, width, _ = chart.plot
-        (u, v) = (float(w) for w in chart.at(ends, np.zeros(2))[0])
+        # Write a mark only where it fits inside its interval.
+        x0, _, width, _ = chart.plot
+        u, v = (float(w) for w in chart.at(ends, np.zeros(2))[0])
         if (
             shade.mark
             and v - u >= _NUMBER_WIDTH * len(shade.mark) + 1
-            and left <= u
-            and v <= left + width + 1
+            and x0 <= u
+            and v <= x0 + width + 1
         ):
             chart.text(float(ends.mean()), chart.y.high, shade.mark, "middle", (0.0, 10.0))
 
 
-# Where in a record the findings of its log apply: channels, and stretches of time.
+# Places of findings: channels and time intervals.
 
 MOST_SPANS = 60
-"""Stretches of one finding that are drawn; nearer ones are joined until there are no more."""
+"""Maximum number of intervals of one finding that are drawn."""
 _GROUPS: Mapping[str, tuple[str, ...]] = {
     "ground velocity": ("vn_mps", "ve_mps", "vd_mps"),
     "attitude": ("phi_rad", "theta_rad", "psi_rad"),
     "position": ("north_m", "east_m", "h_m"),
 }
-"""Names that a finding has for several channels."""
-_WHOLE = ("flight-phase", "slower-than-grid", "time-repeats")
-"""Findings that a chart's own shading shows, or that say nothing of a place."""
+"""Names under which a finding covers several channels."""
+_SKIPPED_CODES = ("flight-phase", "slower-than-grid", "time-repeats")
+"""Findings that the shading shows already, or that have no place in time."""
 
 
 def channels_of(finding: Finding, record: FlightRecord) -> tuple[str, ...]:
-    """Channels of the record that a finding concerns: its own, those of its group, or those made from its message."""
+    """Return the channels of a record that a finding concerns.
+
+    Parameters
+    ----------
+    finding : Finding
+        Its channel is a column, a group of columns, or a message of the log.
+    record : FlightRecord
+        The log.
+    """
     name = finding.channel
     if name in record:
         return (name,)
@@ -244,13 +307,30 @@ def channels_of(finding: Finding, record: FlightRecord) -> tuple[str, ...]:
 def spans_of(
     finding: Finding, channel: str, record: FlightRecord
 ) -> tuple[tuple[float, float], ...]:
-    """Stretches [s] in which a finding holds for a channel; none where it holds throughout or the log does not say."""
+    """Return the time intervals [s] where a finding holds for a channel.
+
+    Parameters
+    ----------
+    finding : Finding
+        Finding of the log check.
+    channel : str
+        Column of the record.
+    record : FlightRecord
+        The log.
+
+    Returns
+    -------
+    tuple of (float, float)
+        Empty if it holds everywhere or the log does not tell.
+    """
     numbers = finding.numbers
+    # The finding itself names the interval.
     if "start_s" in numbers and "end_s" in numbers:
         return ((numbers["start_s"], numbers["end_s"]),)
     time_s = record["time_s"]
     if channel in LABELS:
         return ()
+    # Otherwise the interval follows from the data.
     values = record[channel]
     if finding.code in ("gap", "dropouts"):
         return _runs(time_s, ~np.isfinite(values))
@@ -262,33 +342,34 @@ def spans_of(
 
 
 def flags_of(record: FlightRecord) -> dict[str, list[Flag]]:
-    """Flags by channel, of every finding that concerns a channel."""
+    """Return the flags of every channel with findings."""
     out: dict[str, list[Flag]] = {}
     for finding in record.metadata.findings:
-        if finding.code in _WHOLE:
+        if finding.code in _SKIPPED_CODES:
             continue
         for channel in channels_of(finding, record):
             words = (
                 finding.code if finding.severity == "info" else f"{finding.severity} {finding.code}"
             )
-            found = out.setdefault(channel, [])
-            if words not in [flag.words for flag in found]:
-                found.append(Flag(words, spans_of(finding, channel, record)))
+            channel_flags = out.setdefault(channel, [])
+            if words not in [flag.words for flag in channel_flags]:
+                channel_flags.append(Flag(words, spans_of(finding, channel, record)))
     return out
 
 
 def _runs(time_s: NDArray[np.float64], mask: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
-    """Begin and end of each run of True, joined over ever longer distances until there are at most `MOST_SPANS`."""
+    """Return start and end of each run of True, merged until there are at most `MOST_SPANS`."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     runs = [(float(time_s[a]), float(time_s[b - 1])) for a, b in edges.reshape(-1, 2)]
-    apart = 0.0
+    distance_s = 0.0
+    # Double the distance over which neighbours are merged until few enough remain.
     while len(runs) > MOST_SPANS:
-        apart = 2.0 * apart or 1e-3 * float(time_s[-1] - time_s[0])
-        joined = [runs[0]]
+        distance_s = 2.0 * distance_s or 1e-3 * float(time_s[-1] - time_s[0])
+        merged = [runs[0]]
         for start, end in runs[1:]:
-            if start - joined[-1][1] <= apart:
-                joined[-1] = (joined[-1][0], end)
+            if start - merged[-1][1] <= distance_s:
+                merged[-1] = (merged[-1][0], end)
             else:
-                joined.append((start, end))
-        runs = joined
+                merged.append((start, end))
+        runs = merged
     return tuple(runs)

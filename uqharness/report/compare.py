@@ -1,4 +1,4 @@
-"""What a comparison leaves on disk and on the screen."""
+"""Write the results of a comparison: compare.json, CSV tables and the terminal's tables."""
 
 from __future__ import annotations
 
@@ -15,17 +15,29 @@ from uqharness.text_tables import csv_text
 _RULE = f"the noise floor is reached when no judged channel's rms is above {LIMIT} times its noise"
 
 
-def document_of(found: Comparison) -> dict[str, Any]:
-    """compare.json as a dictionary; figures that are not finite are null."""
+def document_of(comparison: Comparison) -> dict[str, Any]:
+    """Return the content of compare.json.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Result of the comparison.
+
+    Returns
+    -------
+    dict
+        Residuals, delays [s] and Theil coefficients by channel; numbers that are not finite are
+        null.
+    """
     return {
-        "aircraft": found.aircraft,
-        "flight": found.flight,
-        "reached_noise_floor": found.reached,
+        "aircraft": comparison.aircraft,
+        "flight": comparison.flight,
+        "reached_noise_floor": comparison.reached,
         "rule": _RULE,
-        "verdict": verdict(found),
-        "controls_late_s": found.controls_late_s,
-        "aligned": found.aligned,
-        "above": list(found.above),
+        "verdict": verdict(comparison),
+        "controls_late_s": comparison.controls_late_s,
+        "aligned": comparison.aligned,
+        "above": list(comparison.above),
         "channels": {
             c: finite(
                 {
@@ -42,51 +54,55 @@ def document_of(found: Comparison) -> dict[str, Any]:
                 }
             )
             | {"slip": g.slip, "delay_undefined": g.undefined}
-            for c, g in found.channels.items()
+            for c, g in comparison.channels.items()
         },
         "coefficients": {
             c: finite({"rms": g.rms, "noise": g.noise, "mean": g.mean})
-            for c, g in found.coefficients.items()
+            for c, g in comparison.coefficients.items()
         },
         "manoeuvres": {
-            m: {"channels": finite(row), "coefficients": finite(found.manoeuvre_coefficients[m])}
-            for m, row in found.manoeuvres.items()
+            m: {
+                "channels": finite(row),
+                "coefficients": finite(comparison.manoeuvre_coefficients[m]),
+            }
+            for m, row in comparison.manoeuvres.items()
         },
-        "moments": [finite(vars(m)) for m in found.moments],
-        "biases": {n: v for n, v in found.nuisance.items() if n.startswith("bias/")},
-        "notes": list(found.notes),
+        "moments": [finite(vars(m)) for m in comparison.moments],
+        "biases": {n: v for n, v in comparison.nuisance.items() if n.startswith("bias/")},
+        "notes": list(comparison.notes),
     }
 
 
-def channel_rows(found: Comparison) -> list[dict[str, str]]:
-    """Table of channels as text."""
+def channel_rows(comparison: Comparison) -> list[dict[str, str]]:
+    """Return the table of channels as text."""
     return [
         {
             "channel": c,
             "rms": f"{g.rms:.4g}",
             "noise": f"{g.noise:.4g}",
             "ratio": f"{g.ratio:.2f}",
-            "verdict": ("at the noise" if g.ratio <= LIMIT else "above")
-            if g.judged
-            else "not judged",
+            "verdict": (
+                ("at the noise" if g.ratio <= LIMIT else "above") if g.judged else "not judged"
+            ),
             "delay [ms]": _delay(g),
             "Theil U": f"{g.theil.u:.3f}",
             "bias": f"{g.theil.bias:.2f}",
             "variance": f"{g.theil.variance:.2f}",
             "covariance": f"{g.theil.covariance:.2f}",
         }
-        for c, g in found.channels.items()
+        for c, g in comparison.channels.items()
     ]
 
 
 def _delay(g: Any) -> str:
+    """Format a delay with its standard error [ms], or the reason why it is undefined."""
     if g.undefined:
         return f"undefined: {g.undefined}"
     return f"{1e3 * (g.allowed_s + g.shift.seconds):.1f} +/- {1e3 * g.shift.std:.1f}"
 
 
-def coefficient_rows(found: Comparison) -> list[dict[str, str]]:
-    """Table of coefficients as text."""
+def coefficient_rows(comparison: Comparison) -> list[dict[str, str]]:
+    """Return the table of coefficients as text."""
     return [
         {
             "coefficient": c,
@@ -95,24 +111,24 @@ def coefficient_rows(found: Comparison) -> list[dict[str, str]]:
             "ratio": f"{g.rms / g.noise:.2f}" if g.noise > 0.0 else "no noise known",
             "mean": f"{g.mean:.3g}",
         }
-        for c, g in found.coefficients.items()
+        for c, g in comparison.coefficients.items()
     ]
 
 
-def manoeuvre_rows(found: Comparison) -> list[dict[str, str]]:
-    """rms over noise, one row a manoeuvre, channels then coefficients."""
+def manoeuvre_rows(comparison: Comparison) -> list[dict[str, str]]:
+    """Return residual rms over noise, a row per manoeuvre, channels before coefficients."""
     return [
         {
             "manoeuvre": m,
             **{c: f"{v:.2f}" for c, v in row.items()},
-            **{c: f"{v:.2f}" for c, v in found.manoeuvre_coefficients[m].items()},
+            **{c: f"{v:.2f}" for c, v in comparison.manoeuvre_coefficients[m].items()},
         }
-        for m, row in found.manoeuvres.items()
+        for m, row in comparison.manoeuvres.items()
     ]
 
 
-def moment_rows(found: Comparison) -> list[dict[str, str]]:
-    """The worst moments, one row each."""
+def moment_rows(comparison: Comparison) -> list[dict[str, str]]:
+    """Return the largest deviations, one row each."""
     return [
         {
             "time_s": f"{m.time_s:.2f}",
@@ -121,47 +137,65 @@ def moment_rows(found: Comparison) -> list[dict[str, str]]:
             "gap": f"{m.gap:.4g}",
             "in sigma": f"{m.noises:.1f}",
         }
-        for m in found.moments
+        for m in comparison.moments
     ]
 
 
-def write_tables(found: Comparison, document: dict[str, Any], out: Path) -> None:
-    """compare.json, histories.parquet and the CSV tables."""
+def write_tables(comparison: Comparison, document: dict[str, Any], out: Path) -> None:
+    """Write compare.json, histories.parquet and the CSV tables.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Result of the comparison.
+    document : dict
+        Content of compare.json.
+    out : Path
+        Folder.
+    """
+    # CSV tables as on the screen.
     tables = {
-        "channels": channel_rows(found),
-        "coefficients": coefficient_rows(found),
-        "manoeuvres": manoeuvre_rows(found),
-        "moments": moment_rows(found),
+        "channels": channel_rows(comparison),
+        "coefficients": coefficient_rows(comparison),
+        "manoeuvres": manoeuvre_rows(comparison),
+        "moments": moment_rows(comparison),
     }
     for name, rows in tables.items():
         if rows:
             write_text(out / f"{name}.csv", csv_text(rows))
     write_histories(
         out,
-        found.segments,
+        comparison.segments,
         {
-            **columns_of(found.outputs, found.measured),
-            **columns_of(found.outputs, found.modelled, "_model"),
-            **columns_of(CONTROLS, [s.controls for s in found.segments]),
-            **columns_of(COEFFICIENTS, found.demanded, "_flight"),
-            **columns_of(COEFFICIENTS, found.predicted, "_model"),
+            **columns_of(comparison.outputs, comparison.measured),
+            **columns_of(comparison.outputs, comparison.modelled, "_model"),
+            **columns_of(CONTROLS, [s.controls for s in comparison.segments]),
+            **columns_of(COEFFICIENTS, comparison.demanded, "_flight"),
+            **columns_of(COEFFICIENTS, comparison.predicted, "_model"),
         },
     )
     write_json(out / "compare.json", document)
 
 
-def verdict(found: Comparison) -> str:
-    """One sentence: reached or not, by the rule."""
-    if not found.reached and found.slips:
+def verdict(comparison: Comparison) -> str:
+    """Return one sentence on whether the model reaches the noise floor, and if not, why."""
+    # Wrong signs or scales come first: delays and residuals mean nothing before they are corrected.
+    if not comparison.reached and comparison.slips:
         return (
-            "Signs or scales differ between record and model, which comes before any delay: "
-            f"{'; '.join(found.slips)}. Correct the channel's map or the servo table (see uqharness log info), or the model."
+            "Signs or scales differ between record and model, which comes before any delay:"
+            f" {'; '.join(comparison.slips)}. Correct the channel's map or the servo table (see"
+            " uqharness log info), or the model."
         )
-    if not found.reached and not found.aligned:
-        when = "early" if found.controls_late_s < 0.0 else "late"
+    # Next, a common delay of the controls.
+    if not comparison.reached and not comparison.aligned:
+        when = "early" if comparison.controls_late_s < 0.0 else "late"
         return (
-            f"The record is not aligned: its controls act {1e3 * abs(found.controls_late_s):.1f} ms {when}, and "
-            f"{1e3 * found.late_limit_s:.1f} ms are allowed. A command belongs to the row whose acceleration has seen it first: "
-            "shift the command columns, otherwise a model identified from this flight gets this lag in addition."
+            "The record is not aligned: its controls act"
+            f" {1e3 * abs(comparison.controls_late_s):.1f} ms {when}, and"
+            f" {1e3 * comparison.late_limit_s:.1f} ms are allowed. A command belongs to the row"
+            " whose acceleration has seen it first: shift the command columns, otherwise a model"
+            " identified from this flight gets this lag in addition."
         )
-    return noise_floor(found.reached, {c: found.channels[c].ratio for c in found.above}, _RULE)
+    return noise_floor(
+        comparison.reached, {c: comparison.channels[c].ratio for c in comparison.above}, _RULE
+    )

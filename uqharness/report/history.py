@@ -1,4 +1,8 @@
-"""Time histories on a page: the log against one or more models, with the band that the sensors' noise allows."""
+"""Draw time histories: the log against one or more models, and the record of a repeated flight.
+
+The band around a model is plus and minus 1.96 standard deviations of the sensor noise; a correct
+model leaves 95 % of the samples inside.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ import pandas as pd
 
 from sysid.arrays import FloatArray
 from sysid.units import RAD_DEG
-from uqharness.campaign.folder import Rerun
+from uqharness.campaign.folder import RerunResult
 from uqharness.files import write_text
 from uqharness.flight import COEFFICIENTS, FlightSpec
 from uqharness.replay import History, axis_label, shown_channel
@@ -22,19 +26,21 @@ from uqharness.report.parts import Block, Figure, Figures, Section, Words
 from uqharness.report.svg import Chart, Scale, scale, standalone
 
 Z95 = 1.959963984540054
+"""97.5 % quantile of the standard normal distribution."""
 MOST_SEGMENTS = 3
+"""Segments displayed by default."""
 _LEAST_CONTROL = 2.0  # deg or %: a control that stands still shall look so
 _CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 
 
 def file_name(text: str) -> str:
-    """Words as the name of a file."""
+    """Return text as a file name."""
     return re.sub(r"[^\w.-]+", "-", text)
 
 
 @dataclass(frozen=True)
 class Model:
-    """A model in a file of histories: the ending of its columns, the class that draws it, what it is called."""
+    """Identify a model in a file of histories: column suffix, class of its line, and name."""
 
     suffix: str
     kind: str
@@ -42,29 +48,47 @@ class Model:
 
 
 def history_section(
-    found: Sequence[History],
+    histories: Sequence[History],
     noise: Mapping[str, float | None],
     models: Sequence[Model],
     title: str,
     prefix: str = "",
-    most: int | None = MOST_SEGMENTS,
+    max_segments: int | None = MOST_SEGMENTS,
     file: Callable[[int, History], str | None] = lambda rank, history: None,
 ) -> tuple[Section, ...]:
-    """The segments in which the first model is farthest from the log, each channel against all models; none without histories.
+    """Return the segments in which the first model is farthest from the log.
 
-    noise: channel -> standard deviation, in the channel's own unit, None where it is not known (then no band is drawn).
-    most: number of segments shown, None for all. file: name of a segment's file of figures, by its rank.
+    Parameters
+    ----------
+    histories : sequence of History
+        Segments; without any the result is empty.
+    noise : mapping of str to float or None
+        Noise of each channel in the channel's unit; None draws no band.
+    models : sequence of Model
+        Models to draw.
+    title, prefix : str
+        Heading, and prefix of figure names.
+    max_segments : int, optional
+        Number of segments; None for all.
+    file : callable
+        Returns the name of a segment's file of figures, from its rank and the segment.
     """
-    if not found:
+    if not histories:
         return ()
-    ranked = sorted(found, key=lambda h: -_worst(h, noise, models[0])[0])[:most]
+    # The reader sees the worst segments first.
+    ranked = sorted(histories, key=lambda h: -_worst(h, noise, models[0])[0])[:max_segments]
+    # Name the models only if there are several.
     first, last = ((f" {m.words}" if len(models) > 1 else "") for m in (models[0], models[-1]))
-    which = "All segments"
-    if len(ranked) < len(found):
-        which = f"The {len(ranked)} of {len(found)} segments in which the model{first} is farthest from the log"
+    selection = "All segments"
+    if len(ranked) < len(histories):
+        selection = (
+            f"The {len(ranked)} of {len(histories)} segments in which the model{first} is farthest"
+            " from the log"
+        )
     text = (
-        f"{which}, the worst first; every segment stands in histories.parquet. The band is the model{last} plus and minus 1.96 "
-        "times the noise of the channel: with a right model 95 % of the samples lie inside."
+        f"{selection}, the worst first; every segment stands in histories.parquet. The band is the"
+        f" model{last} plus and minus 1.96 times the noise of the channel: with a right model 95 %"
+        " of the samples lie inside."
     )
     legend = (
         ("dot", "log"),
@@ -78,23 +102,44 @@ def history_section(
 
 
 def farthest_figure(
-    found: Sequence[History], noise: Mapping[str, float | None], models: Sequence[Model], name: str
+    histories: Sequence[History],
+    noise: Mapping[str, float | None],
+    models: Sequence[Model],
+    name: str,
 ) -> Figure | None:
-    """The one channel in the one segment in which the first model is farthest from the log; None where nothing is judged."""
+    """Draw the channel and segment in which the first model is farthest from the log.
+
+    Parameters
+    ----------
+    histories : sequence of History
+        Segments.
+    noise : mapping of str to float or None
+        Noise of each channel in its unit.
+    models : sequence of Model
+        Models to draw.
+    name : str
+        Prefix of the figure's name.
+
+    Returns
+    -------
+    Figure or None
+        None if no channel has a known noise.
+    """
+    # Search all segments for the largest residual relative to noise.
     ratio, channel, history = max(
-        ((*_worst(h, noise, models[0]), h) for h in found),
+        ((*_worst(h, noise, models[0]), h) for h in histories),
         key=lambda item: item[0],
         default=(-math.inf, "", None),
     )
     if history is None or not math.isfinite(ratio):
         return None
-    drawn = _channel(history, channel, noise[channel], models, f"{name}-", legend=True)
+    channel_figure = _channel(history, channel, noise[channel], models, f"{name}-", legend=True)
     ratios = [(m.words, _ratio(history, channel, noise[channel], m)) for m in models]
-    told = ", ".join(f"{words} {value:.2f}" for words, value in ratios if value is not None)
+    ratio_text = ", ".join(f"{words} {value:.2f}" for words, value in ratios if value is not None)
     return Figure(
-        drawn.name,
-        drawn.svg,
-        f"{history.title}; rms of log minus model in sigma of the sensor: {told}.",
+        channel_figure.name,
+        channel_figure.svg,
+        f"{history.title}; rms of log minus model in sigma of the sensor: {ratio_text}.",
     )
 
 
@@ -106,6 +151,8 @@ def _segment(
     prefix: str,
     file: str | None,
 ) -> Section:
+    """Return the section of one segment: a chart per channel and control."""
+    # One chart per channel with a known noise, then the controls.
     figures = [
         _channel(history, c, noise[c], models, prefix) for c in noise if c in history.columns
     ]
@@ -118,7 +165,8 @@ def _segment(
     if math.isfinite(ratio):
         blocks.append(
             Words(
-                f"Farthest in {shown_channel(channel)[0]}: rms of log minus model{when} {ratio:.2f} times the noise."
+                f"Farthest in {shown_channel(channel)[0]}: rms of log minus model{when} {ratio:.2f}"
+                " times the noise."
             )
         )
     return Section(history.title, (*blocks, Figures(tuple(figures), legend, True, file)))
@@ -132,30 +180,35 @@ def _channel(
     prefix: str,
     legend: bool = False,
 ) -> Figure:
-    """``legend``: the chart has its own."""
+    """Draw the log and the models of one channel; with ``legend`` the chart has its own legend."""
     quantity, unit, factor = shown_channel(name)
+    # Log and models in displayed units.
     measured = factor * history.columns[name]
-    drawn = [
+    simulated = [
         (m, factor * history.columns[f"{name}{m.suffix}"])
         for m in models
         if f"{name}{m.suffix}" in history.columns
     ]
-    band = None if noise is None or not drawn else Z95 * factor * noise
-    shown = [measured, *(y for _, y in drawn)]
+    band = None if noise is None or not simulated else Z95 * factor * noise
+    curves = [measured, *(y for _, y in simulated)]
+    # The band is drawn around the last model.
     if band is not None:
-        shown += [drawn[-1][1] - band, drawn[-1][1] + band]
-    label = f"{quantity} [{unit}] against time [s], {history.title}: log and {', '.join(m.words for m, _ in drawn)}."
+        curves += [simulated[-1][1] - band, simulated[-1][1] + band]
+    label = (
+        f"{quantity} [{unit}] against time [s], {history.title}: log and"
+        f" {', '.join(m.words for m, _ in simulated)}."
+    )
     if not np.isfinite(measured).any():
         label += " The log has no value of it here."
     chart = Chart(
         f"{prefix}history-{history.number}-{name}",
         label,
         _time(history),
-        scale(axis_label(name), shown),
+        scale(axis_label(name), curves),
         height=180,
     )
     if band is not None:
-        last = drawn[-1][1]
+        last = simulated[-1][1]
         chart.band(
             history.time_s,
             last - band,
@@ -163,19 +216,25 @@ def _channel(
             "fill1",
             "95 % band of the noise" if legend else "",
         )
+    # A few hundred dots are enough for a chart.
     few = np.unique(np.linspace(0, measured.size - 1, min(measured.size, 250)).round().astype(int))
     chart.dots(history.time_s[few], measured[few], "dot", "log" if legend else "")
-    for model, y in drawn:
+    for model, y in simulated:
         chart.line(history.time_s, y, model.kind, f"simulation {model.words}" if legend else "")
     ratio = _ratio(history, name, noise, models[-1])
-    caption = f"{quantity}: {'gap over noise undefined' if ratio is None else f'{ratio:.2f} times the noise'}"
+    caption = (
+        f"{quantity}:"
+        f" {'gap over noise undefined' if ratio is None else f'{ratio:.2f} times the noise'}"
+    )
     return Figure(chart.name, chart.svg(), caption)
 
 
 def _control(history: History, name: str, prefix: str) -> Figure:
+    """Draw one control."""
     unit = shown_channel(name)[1]
     y = history.columns[name]
     label = f"{name} [{unit}] against time [s], {history.title}."
+    # A control at rest must look at rest: widen its axis.
     axis = scale(axis_label(name), [y])
     if axis.high - axis.low < _LEAST_CONTROL:
         middle = 0.5 * (axis.low + axis.high)
@@ -188,29 +247,33 @@ def _control(history: History, name: str, prefix: str) -> Figure:
 
 
 def _time(history: History) -> Scale:
+    """Return the time axis of a segment."""
     return Scale("time of the log [s]", float(history.time_s[0]), float(history.time_s[-1]))
 
 
 def _worst(history: History, noise: Mapping[str, float | None], model: Model) -> tuple[float, str]:
-    """Largest rms over noise of log minus model, and its channel; minus infinity where nothing can be compared."""
-    found = {name: _ratio(history, name, std, model) for name, std in noise.items()}
+    """Return the largest ratio of residual rms to noise and its channel; -inf if nothing is
+    comparable.
+    """
+    ratios = {name: _ratio(history, name, std, model) for name, std in noise.items()}
     return max(
-        [(-math.inf, ""), *((ratio, name) for name, ratio in found.items() if ratio is not None)]
+        [(-math.inf, ""), *((ratio, name) for name, ratio in ratios.items() if ratio is not None)]
     )
 
 
 def _ratio(history: History, name: str, std: float | None, model: Model) -> float | None:
-    """rms of log minus model over noise in one segment; None where one of them is not there."""
+    """Return the ratio of residual rms to noise in a segment; None if one of them is missing."""
     y = history.columns.get(f"{name}{model.suffix}")
     if y is None or name not in history.columns or not std:
         return None
+    # Residual where both are known.
     gap = history.columns[name] - y
-    known = gap[np.isfinite(gap)]
-    return float(np.sqrt(np.mean(known**2))) / std if known.size else None
+    finite = gap[np.isfinite(gap)]
+    return float(np.sqrt(np.mean(finite**2))) / std if finite.size else None
 
 
 def end_to_end(
-    found: Sequence[History],
+    histories: Sequence[History],
     name: str,
     series: Sequence[tuple[str, str, str]],
     band: tuple[Sequence[FloatArray], Sequence[FloatArray], str] | None,
@@ -219,54 +282,81 @@ def end_to_end(
     caption: str,
     outside: bool = False,
 ) -> Figure:
-    """Columns (name, class, words) of all pieces, one after the other with a gap; ``band``: lower and upper by piece, and words.
+    """Draw columns of all pieces one after the other.
 
-    outside: samples of the first column beyond the band are marked.
+    Parameters
+    ----------
+    histories : sequence of History
+        Pieces.
+    name : str
+        Name of the figure.
+    series : sequence of (str, str, str)
+        Column, class and legend of each line.
+    band : tuple, optional
+        Lower and upper limits by piece, and legend.
+    label, axis, caption : str
+        Description, axis label and caption.
+    outside : bool
+        Whether samples of the first column outside the band are marked.
     """
-    start, at = 0.0, []
-    for h in found:
-        at.append(start + h.time_s - h.time_s[0])
-        start = float(at[-1][-1]) + 0.5
-    shown = [h.columns[c] for h in found for c, _, _ in series] + (
+    # Place the pieces one after the other with half a second between them.
+    start, piece_times = 0.0, []
+    for h in histories:
+        piece_times.append(start + h.time_s - h.time_s[0])
+        start = float(piece_times[-1][-1]) + 0.5
+    curves = [h.columns[c] for h in histories for c, _, _ in series] + (
         [*band[0], *band[1]] if band else []
     )
     x = Scale("pieces end to end [s]", 0.0, max(start - 0.5, 1e-3))
-    chart = Chart(name, label, x, scale(axis, shown), height=190)
+    chart = Chart(name, label, x, scale(axis, curves), height=190)
     if band:
-        for t, low, high in zip(at, *band[:2], strict=True):
+        for t, low, high in zip(piece_times, *band[:2], strict=True):
             chart.band(t, low, high, "fill1", band[2])
     chart.level(0.0, "zero")
-    for t in at[1:]:
+    # A joint marks the gap between pieces.
+    for t in piece_times[1:]:
         chart.upright(float(t[0]) - 0.25, "joint")
+    # NaN between pieces interrupts the line.
     for column, kind, words in series:
-        x_all = np.concatenate([v for t in at for v in (t, [np.nan])])
-        y_all = np.concatenate([v for h in found for v in (h.columns[column], [np.nan])])
+        x_all = np.concatenate([v for t in piece_times for v in (t, [np.nan])])
+        y_all = np.concatenate([v for h in histories for v in (h.columns[column], [np.nan])])
         chart.line(x_all, y_all, kind, words)
     if band and outside:
-        for t, h, low, high in zip(at, found, *band[:2], strict=True):
+        for t, h, low, high in zip(piece_times, histories, *band[:2], strict=True):
             y = h.columns[series[0][0]]
             out = (y < low) | (y > high)
             chart.dots(t[out], y[out], "dotout", radius=1.5)
     return Figure(name, chart.svg(), caption)
 
 
-# Charts of one flight: the track, errors against their limits, the state, controls and levels
-# over time.
+# Charts of one flight: track, errors with limits, state, controls and levels.
 
 _KINDS = ("first", "second", "third", "plain thin", "limit2", "mark")
 _ANGLES = ("phi_rad", "theta_rad", "alpha_rad", "beta_rad")
 _SURFACES = ("elevator", "aileron", "rudder")
 
 
-def draw_rerun(found: Rerun) -> list[Path]:
-    """Draw a case that was flown again beside its record; none where it left no record."""
-    record = next((path for path in found.files if path.suffix == ".parquet"), None)
+def draw_rerun(rerun: RerunResult) -> list[Path]:
+    """Draw a repeated case next to its record.
+
+    Parameters
+    ----------
+    rerun : RerunResult
+        Repeated case.
+
+    Returns
+    -------
+    list of Path
+        flight.svg; empty if the flight left no record.
+    """
+    # The repeated flight left a Parquet record if it flew.
+    record = next((path for path in rerun.files if path.suffix == ".parquet"), None)
     if record is None:
         return []
-    case = found.case
+    case = rerun.case
     where = f"flight {case.aleatory_id}, {case.wind_mps:g} m/s {case.turbulence}"
-    title = f"case {case.case_id}: {case.epistemic_id}, {where}; {found.outcome.status}"
-    path = found.folder / "flight.svg"
+    title = f"case {case.case_id}: {case.epistemic_id}, {where}; {rerun.outcome.status}"
+    path = rerun.folder / "flight.svg"
     charts = [
         (figure.svg, figure.caption)
         for figure in flight_figures(pd.read_parquet(record), case.flight)
@@ -276,7 +366,16 @@ def draw_rerun(found: Rerun) -> list[Path]:
 
 
 def flight_figures(record: pd.DataFrame, flight: FlightSpec) -> list[Figure]:
-    """Charts of a flight's record. What was flown and not scored is shaded; what the aircraft lacks is left out."""
+    """Return charts of a flight's record.
+
+    Parameters
+    ----------
+    record : DataFrame
+        All signals over time.
+    flight : FlightSpec
+        Burn-in [s], which is shaded, and excursion radii [m].
+    """
+    # Track first, then the charts over time.
     figures = [_track(record)]
     for name, axis, lines, factor in _panels(record):
         series = {
@@ -292,14 +391,17 @@ def flight_figures(record: pd.DataFrame, flight: FlightSpec) -> list[Figure]:
 
 
 def _panels(record: pd.DataFrame) -> Iterator[tuple[str, str, Mapping[str, str], float]]:
-    """Name, axis, columns with their words, and factor of each chart over time that the record has something for."""
+    """Yield name, axis label, columns with labels, and factor of each chart that the record
+    supports.
+    """
     errors = {f"error_{n}": n.replace("_", "-") for n in ("cross_track", "altitude", "speed")}
+    # Positions are preferred to commands.
     surfaces, throttle = (
         {c: c for s in _SURFACES for c in _rerun_control(record, s)},
         {c: c for c in _rerun_control(record, "throttle")},
     )
-    # A coefficient whose delta is 0 throughout is certain in this flight, whatever its level says.
-    acting = [
+    # A coefficient without a delta is not varied in this flight, whatever its level.
+    active = [
         name for name in COEFFICIENTS if f"delta_{name}" in record and record[f"delta_{name}"].any()
     ]
     for name, axis, lines, factor in (
@@ -309,15 +411,15 @@ def _panels(record: pd.DataFrame) -> Iterator[tuple[str, str, Mapping[str, str],
         ("height", "height above sea level [m]", {"h_m": ""}, 1.0),
         ("surfaces", "surfaces [deg], [-]", surfaces, 1.0),
         ("throttle", "throttle [%], [-]", throttle, 1.0),
-        ("levels", "level between the bounds [-]", {f"level_{c}": c for c in acting}, 1.0),
+        ("levels", "level between the bounds [-]", {f"level_{c}": c for c in active}, 1.0),
     ):
-        known = {column: words for column, words in lines.items() if column in record}
-        if known:
-            yield name, axis, known, factor
+        recorded = {column: words for column, words in lines.items() if column in record}
+        if recorded:
+            yield name, axis, recorded, factor
 
 
 def _rerun_control(record: pd.DataFrame, control: str) -> list[str]:
-    """The column of a control that says most of it: its position before its command."""
+    """Return the best column of a control: position before command."""
     return [
         n for ending in ("pos_deg", "deg", "norm", "pct") if (n := f"{control}_{ending}") in record
     ][:1]
@@ -331,11 +433,17 @@ def _over_time(
     burn_in_s: float,
     radii: Sequence[float],
 ) -> Figure:
+    """Draw columns over time, with excursion radii on the error chart."""
+    # Radii far beyond the flight would compress the chart.
     cross_track = series.get("cross-track", np.zeros(1))
     reach = 2.0 * max(5.0, float(np.nanmax(np.abs(cross_track), initial=0.0)))
-    shown = [radius for radius in radii if "cross-track" in series and radius <= reach]
+    visible_radii = [radius for radius in radii if "cross-track" in series and radius <= reach]
     y = scale(
-        axis, [*series.values(), np.array([side for radius in shown for side in (-radius, radius)])]
+        axis,
+        [
+            *series.values(),
+            np.array([side for radius in visible_radii for side in (-radius, radius)]),
+        ],
     )
     if name == "levels":
         y = Scale(axis, -0.02, 1.02)
@@ -346,21 +454,24 @@ def _over_time(
         y,
         190,
     )
+    # Shade the burn-in, which is not scored.
     if burn_in_s:
         ends = np.array([time_s[0], min(burn_in_s, time_s[-1])])
         chart.band(ends, np.full(2, y.low), np.full(2, y.high), "fillrange", "not scored")
     for (words, values), kind in zip(series.items(), _KINDS, strict=False):
         chart.line(time_s, values, f"{kind} thin", words)
-    for radius in shown:
+    for radius in visible_radii:
         chart.level(radius, "limit", "excursion radius")
         chart.level(-radius, "limit")
     return Figure(chart.name, chart.svg(), "")
 
 
 def _track(record: pd.DataFrame) -> Figure:
+    """Draw the ground track of a record."""
     if {"north_m", "east_m"} <= set(record.columns):
         east, north = (record[n].to_numpy(dtype=float) for n in ("east_m", "north_m"))
     else:
+        # Integrate velocities if the record has no position.
         step = np.diff(record["time_s"], append=record["time_s"].iloc[-1])
         east, north = (
             np.cumsum(record[n].to_numpy(dtype=float) * step) for n in ("ve_mps", "vn_mps")

@@ -1,4 +1,9 @@
-"""What a report page is made of, whatever it reports on: frozen parts that templates/page.html.j2 knows how to show."""
+"""Define the parts of report pages and render them to HTML.
+
+Parts are frozen dataclasses (`Page`, `Section`, `Table`, `Figures`, ...) that the modules in
+`uqharness.report.pages` build and templates/page.html.j2 displays. `first_lines` gives the terminal
+summary of a page.
+"""
 
 from __future__ import annotations
 
@@ -17,25 +22,25 @@ from uqharness.text_tables import text_table
 
 Level = Literal["good", "warn", "bad", ""]
 SIGNS: Mapping[str, str] = {"good": "✓", "bad": "✕", "warn": "!", "": ""}
-"""What stands beside a colour, for readers without it."""
+"""Mark shown with a colour, for readers who do not see it."""
 
 
 @dataclass(frozen=True)
-class Say:
-    """A sentence of the verdict, and whether it is good news; an empty level is a plain fact."""
+class Sentence:
+    """Hold a sentence of the verdict; ``level`` is good, warn, bad or empty for a plain fact."""
 
     text: str
     level: Level = ""
 
     @property
     def sign(self) -> str:
-        """The mark beside the sentence."""
+        """Mark of the level."""
         return SIGNS[self.level]
 
 
 @dataclass(frozen=True)
 class Words:
-    """A paragraph; ``note`` in a softer colour."""
+    """Hold a paragraph; a ``note`` is shown in a softer colour."""
 
     kind: ClassVar[str] = "words"
     text: str
@@ -44,7 +49,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Bullets:
-    """A list of sentences; ``key``: a terminal shows them too."""
+    """Hold a list of sentences; with ``key`` a terminal shows it too."""
 
     kind: ClassVar[str] = "bullets"
     items: tuple[str, ...]
@@ -52,16 +57,30 @@ class Bullets:
 
 
 @dataclass(frozen=True)
-class Told:
-    """Sentences with their level, as in the verdict."""
+class Sentences:
+    """Hold sentences with levels."""
 
     kind: ClassVar[str] = "told"
-    items: tuple[Say, ...]
+    items: tuple[Sentence, ...]
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A table cell that is more than text: its level colours it, its sign says the same without colour."""
+    """Hold a table cell with a level.
+
+    Attributes
+    ----------
+    text : str
+        Content.
+    level : str
+        Colours the cell: good, warn, bad or empty.
+    small : str
+        Second line in small type.
+    code : bool
+        Whether the text is set in a fixed-width font.
+    mark : str
+        Mark instead of that of the level.
+    """
 
     text: str
     level: Level = ""
@@ -71,13 +90,16 @@ class Cell:
 
     @property
     def sign(self) -> str:
-        """The mark in the cell."""
+        """Mark of the cell."""
         return self.mark or SIGNS[self.level]
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text or cells under a caption; the first column heads its row. ``key``: a terminal shows it too."""
+    """Hold a table of text or cells; the first column heads its row.
+
+    With ``key`` a terminal shows it too.
+    """
 
     kind: ClassVar[str] = "table"
     caption: str
@@ -87,13 +109,17 @@ class Table:
 
     @property
     def cells(self) -> tuple[tuple[Cell, ...], ...]:
-        """Rows of cells, plain texts made into cells."""
+        """Rows of cells; plain texts are wrapped."""
         return tuple(tuple(Cell(c) if isinstance(c, str) else c for c in row) for row in self.rows)
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing with its caption. ``cursor`` is what the page's script reads out under the pointer; None for no cursor."""
+    """Hold a drawing with its caption.
+
+    ``cursor`` holds the data that the page's script reads out under the pointer; None for no
+    cursor.
+    """
 
     name: str
     svg: Markup
@@ -103,9 +129,18 @@ class Figure:
 
 @dataclass(frozen=True)
 class Figures:
-    """Drawings side by side; ``legend`` (class of figure.css, words) holds for all of them.
+    """Hold drawings side by side.
 
-    file: name without ending of the file in figures/ that holds them all; empty: each has one of its own name; None: no file.
+    Attributes
+    ----------
+    items : tuple of Figure
+        The drawings.
+    legend : tuple of (str, str)
+        Class of figure.css and words, for all drawings.
+    narrow : bool
+        Whether three fit in a row.
+    file : str or None
+        Name in figures/ of the file that holds them all; empty: one file each; None: no file.
     """
 
     kind: ClassVar[str] = "figures"
@@ -117,7 +152,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Facts:
-    """Names and what they are; ``code`` for what is to be read letter by letter."""
+    """Hold names and values."""
 
     kind: ClassVar[str] = "facts"
     items: tuple[tuple[str, str], ...]
@@ -125,19 +160,19 @@ class Facts:
 
 @dataclass(frozen=True)
 class Code:
-    """Lines as they stand in a file or on a command line."""
+    """Hold lines of a file or a command line."""
 
     kind: ClassVar[str] = "code"
     label: str
     text: str
 
 
-Block = Words | Bullets | Told | Table | Figures | Facts | Code
+Block = Words | Bullets | Sentences | Table | Figures | Facts | Code
 
 
 @dataclass(frozen=True)
 class Section:
-    """A heading with what stands under it, and the sections within it; ``folded`` until the reader opens it."""
+    """Hold a heading, its blocks and subsections; ``folded`` sections are closed at first."""
 
     title: str
     blocks: tuple[Block, ...]
@@ -147,26 +182,37 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report: the verdict is shown first, then ``first``, then what was asked (where that is not the title), then sections.
+    """Hold a report.
 
-    With ``first`` the verdict is the answer and its reasons, in larger letters, and page and ``first`` make one screen.
+    Attributes
+    ----------
+    title, question : str
+        Heading, and the question that the report answers (empty if the title is the question).
+    verdict : tuple of Sentence
+        Answer, shown first.
+    sections : tuple of Section
+        Sections.
+    first : tuple of Block
+        Figures next to the verdict. With them the verdict is set in larger letters and both fill
+        one
+        screen.
     """
 
     title: str
-    asked: str
-    verdict: tuple[Say, ...]
+    question: str
+    verdict: tuple[Sentence, ...]
     sections: tuple[Section, ...] = field(default=())
     first: tuple[Block, ...] = ()
 
 
 def is_wanted(title: str, only: Collection[str] | None) -> bool:
-    """Whether a section is among those that are shown (None: all): what is not need not be drawn."""
+    """Return whether a section is displayed; ``only`` lists the titles, None means all."""
     return only is None or title in only
 
 
 @cache
 def _template() -> jinja2.Template:
-    """The page's template, compiled once a process."""
+    """Return the compiled page template."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("uqharness.report", "templates"),
         autoescape=True,
@@ -178,34 +224,48 @@ def _template() -> jinja2.Template:
 
 
 def render(page: Page) -> str:
-    """The page as one HTML file that needs no other. Same page, same bytes."""
+    """Return the page as one HTML file that needs no other; the same page gives the same bytes."""
     blocks = (
         *page.first,
         *(block for section in every_section(page.sections) for block in section.blocks),
     )
+    # The script is included only if a figure has a cursor.
     cursors = any(
         figure.cursor for block in blocks if isinstance(block, Figures) for figure in block.items
     )
+    # Style sheets and script are part of the page, so it needs no other file.
     sheets = [_text(name) for name in ("figure.css", "page.css")]
     rendered = _template().render(
         page=page, style=Markup("".join(sheets)), script=Markup(_text("page.js")) if cursors else ""
     )
-    # A control character in a file's or a flight's name has no meaning on a page.
+    # Control characters in names of files or flights must not reach the page.
     return visible(rendered)
 
 
 def every_section(sections: Iterable[Section]) -> Iterator[Section]:
-    """Sections and those within them, as a reader meets them."""
+    """Yield sections and their subsections in reading order."""
     for section in sections:
         yield section
         yield from every_section(section.parts)
 
 
 def first_lines(page: Page) -> list[str]:
-    """What a terminal shows of a page: the sentences of its verdict, then its key tables and lists."""
+    """Return what a terminal shows of a page.
+
+    Parameters
+    ----------
+    page : Page
+        Report.
+
+    Returns
+    -------
+    list of str
+        Sentences of the verdict, then key tables and lists.
+    """
     lines = [item.text for item in page.verdict]
     for block in (block for section in every_section(page.sections) for block in section.blocks):
         if isinstance(block, Table) and block.key and block.rows:
+            # Small print of a cell follows in parentheses.
             cells = [
                 [f"{c.text} ({c.small})" if c.small else c.text for c in row] for row in block.cells
             ]
@@ -221,6 +281,7 @@ def first_lines(page: Page) -> list[str]:
 
 @cache
 def _text(name: str) -> str:
+    """Read a file of the templates folder."""
     return (
         resources.files("uqharness.report")
         .joinpath(f"templates/{name}")
@@ -228,27 +289,46 @@ def _text(name: str) -> str:
     )
 
 
-def shown(value: float | None, form: str = ".3g") -> str:
-    """A figure as text. What is undefined says so and is never a 0; what has no end is open."""
+def format_value(value: float | None, form: str = ".3g") -> str:
+    """Format a number; "undefined" for None and NaN, "open" for infinity.
+
+    Examples
+    --------
+    >>> format_value(0.12345), format_value(float("nan")), format_value(float("inf"))
+    ('0.123', 'undefined', 'open')
+    """
     if value is None or math.isnan(value):
         return "undefined"
     return "open" if math.isinf(value) else format(value, form)
 
 
 def percent(value: float | None, form: str = ".3g") -> str:
-    """A share as a number of percent."""
-    return shown(None if value is None else 100.0 * value, form)
+    """Format a share as a number of percent."""
+    return format_value(None if value is None else 100.0 * value, form)
 
 
 def remarks(
     document: Mapping[str, Any], key: Iterable[str] = ("warnings", "notes")
 ) -> tuple[Section, ...]:
-    """The section of a document's warnings and notes, none where there are none; a terminal shows those named in ``key``."""
-    said = {name: tuple(document.get(name, ())) for name in ("warnings", "notes")}
-    blocks = tuple(Bullets(items, name in key) for name, items in said.items() if items)
+    """Return the section of a document's warnings and notes.
+
+    Parameters
+    ----------
+    document : mapping
+        Holds the lists "warnings" and "notes".
+    key : iterable of str
+        Lists that a terminal shows as well.
+
+    Returns
+    -------
+    tuple of Section
+        Empty without warnings and notes.
+    """
+    remarks_by_name = {name: tuple(document.get(name, ())) for name in ("warnings", "notes")}
+    blocks = tuple(Bullets(items, name in key) for name, items in remarks_by_name.items() if items)
     return (Section("Warnings and notes", blocks),) if blocks else ()
 
 
 def provenance(*facts: tuple[str, str]) -> Section:
-    """The provenance of a page: its last section."""
+    """Return the last section of a page: where its content comes from."""
     return Section("Provenance", (Facts(facts),))

@@ -1,7 +1,8 @@
-"""Figures for notebooks and papers, by matplotlib: each function takes a result, draws it into given axes and returns them.
+"""Draw figures for notebooks and papers with matplotlib.
 
-Reports draw their own charts (svg.py); nothing but a caller of these functions loads matplotlib. No function sets anything that
-other figures share, and none writes a file.
+Each function takes a result, draws it into the given axes and returns them. Report pages use their
+own charts (`uqharness.report.svg`), so matplotlib is loaded only by callers of these functions. No
+function changes settings shared with other figures, and none writes a file.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from uqharness.arguments import instance
 from uqharness.campaign import CONFIDENCE, band_confidence, in_condition, pboxes, samples
 from uqharness.replay import axis_label, shown_channel
 from uqharness.report.history import Z95
-from uqharness.report.pages.model_form import BEYOND, near_slice, slice_states
-from uqharness.report.pbox import PROBABILITY, DrawnBox, metric_label, pbox_figure
+from uqharness.report.pages.model_form import SLICE_MARGIN, near_slice, slice_states
+from uqharness.report.pbox import PROBABILITY, LabelledBox, metric_label, pbox_figure
 from uqharness.report.svg import standalone
 from uqharness.statistics import PBox
 
@@ -39,7 +40,8 @@ _FIRST, _SECOND, _SOFT = "#00639c", "#b34700", "#595f66"
 def plot_pbox(
     box: PBox, ax: Axes | None = None, label: str = "value [-]", name: str = "p-box"
 ) -> Axes:
-    """Draw a p-box: its two sides, the area between them, and the band that a finite number of flights leaves open.
+    """Draw a p-box: its two sides, the area between them, and the band that a finite number of
+    flights leaves open.
 
     Parameters
     ----------
@@ -75,8 +77,10 @@ def plot_pbox(
     """
     instance("box", box, PBox, "a PBox, as pbox gives it,")
     ax = _axes(ax)
+    # Extend the steps a little beyond the smallest and largest flight.
     room = 0.04 * float(np.ptp(box.value)) or 1.0
     x = np.concatenate([[box.value[0] - room], box.value, [box.value[-1] + room]])
+    # The sides start at 0; the band already has its first step on the left.
     lower, upper, low_band, high_band = (
         np.concatenate([[first], side, side[-1:]])
         for first, side in (
@@ -90,6 +94,7 @@ def plot_pbox(
     colour = line.get_color()
     ax.step(x, lower, where="post", color=colour)
     ax.fill_between(x, lower, upper, step="post", color=colour, alpha=0.15, linewidth=0)
+    # One legend entry for both sides of the band.
     for side, words in ((low_band, "band of chance"), (high_band, "")):
         ax.step(
             x, side, where="post", color=_SOFT, linestyle="--", linewidth=0.9, label=words or None
@@ -145,10 +150,11 @@ def plot_overlay(
     ax
         Axes to draw into; None makes a figure of its own.
     noise
-        Standard deviation of the channel's noise, in the channel's own unit; the band about the last model that holds 95 % of the
-        samples of a right model. None draws no band.
+        Standard deviation of the channel's noise, in the channel's own unit; the band about the
+        last model that holds 95 % of the samples of a right model. None draws no band.
     suffixes
-        Endings of the models' columns: ``"_model"``, or ``"_before"`` and ``"_after"`` of a refinement.
+        Endings of the models' columns: ``"_model"``, or ``"_before"`` and ``"_after"`` of a
+        refinement.
 
     Returns
     -------
@@ -172,6 +178,7 @@ def plot_overlay(
     for suffix in suffixes:
         ax.plot(history.time_s, factor * history.columns[channel + suffix], label=suffix.strip("_"))
     if noise is not None and suffixes:
+        # The band belongs to the last model.
         last, half = factor * history.columns[channel + suffixes[-1]], Z95 * factor * noise
         ax.fill_between(
             history.time_s,
@@ -188,7 +195,8 @@ def plot_overlay(
 
 
 def plot_sensitivity(found: MetricSensitivity, ax: Axes | None = None) -> Axes:
-    """Draw how much of a p-box's width each coefficient makes: from the smallest to the largest share, inside its interval.
+    """Draw how much of a p-box's width each coefficient makes: from the smallest to the largest
+    share, inside its interval.
 
     Parameters
     ----------
@@ -200,7 +208,8 @@ def plot_sensitivity(found: MetricSensitivity, ax: Axes | None = None) -> Axes:
     Returns
     -------
     matplotlib.axes.Axes
-        The axes drawn into, the largest share on top. A coefficient whose share is undefined has a name and no bar.
+        The axes drawn into, the largest share on top. A coefficient whose share is undefined has a
+        name and no bar.
     """
     ax = _axes(ax)
     rows: list[tuple[str, Any]] = sorted(
@@ -209,6 +218,7 @@ def plot_sensitivity(found: MetricSensitivity, ax: Axes | None = None) -> Axes:
     )
     for k, (_, index) in enumerate(rows):
         low, high = index.minimum.value, index.maximum.value
+        # An undefined limit ends at the share itself.
         ends = [
             inner if np.isnan(outer) else outer
             for outer, inner in ((index.minimum.low, low), (index.maximum.high, high))
@@ -250,7 +260,8 @@ def plot_model_form(
     residuals: Residuals | None = None,
     outside: Outside = "grow",
 ) -> Axes:
-    """Draw a coefficient's bounds along one state, the others at the medians of the data; the range of the data shaded.
+    """Draw a coefficient's bounds along one state, the others at the medians of the data; the range
+    of the data shaded.
 
     Parameters
     ----------
@@ -283,21 +294,23 @@ def plot_model_form(
         )
     ax, factor = _axes(ax), shown_channel(state)[2]
     k = bounds.states.index(state)
+    # The slice extends beyond the data on both sides.
     low, high = float(bounds.hull.low[k]), float(bounds.hull.high[k])
-    reach = BEYOND * max(high - low, 1e-9)
+    reach = SLICE_MARGIN * max(high - low, 1e-9)
     at = np.linspace(low - reach, high + reach, 121)
     ax.axvspan(factor * low, factor * high, color=_SOFT, alpha=0.13, linewidth=0)
     if residuals is not None:
-        near = near_slice(bounds, state, residuals.states)
+        is_near = near_slice(bounds, state, residuals.states)
         values = np.concatenate(residuals.columns(coefficient))
         ax.plot(
-            factor * residuals.states[state][near],
-            values[near],
+            factor * residuals.states[state][is_near],
+            values[is_near],
             ".",
             color=_SOFT,
             markersize=3,
             label="flight minus model",
         )
+    # Bounds at the confidence of the form, and at 68 % for comparison.
     for confidence, colour, style in ((bounds.confidence, _FIRST, "-"), (0.68, _SECOND, ":")):
         for number, end in enumerate(
             bounds.bounds(slice_states(bounds, state, at), confidence, outside)
@@ -314,7 +327,7 @@ def plot_model_form(
 
 
 def _axes(ax: Axes | None) -> Axes:
-    """The axes given, or those of a new figure that a notebook shows."""
+    """Return the given axes, or those of a new figure."""
     if ax is not None:
         return instance("ax", ax, Axes, "matplotlib's Axes, or None,")
     import matplotlib.pyplot as plt
@@ -322,10 +335,10 @@ def _axes(ax: Axes | None) -> Axes:
     return plt.subplots(layout="constrained")[1]
 
 
-# What a notebook shows of a campaign: HTML with the report's own p-box charts.
+# Notebook view of a campaign: HTML with the p-box charts of the report.
 
-_MOST_CHARTS = 4
-"""Conditions whose p-box is drawn; ``pboxes()`` has all."""
+_MAX_CHARTS = 4
+"""Number of conditions whose p-box is drawn; ``pboxes()`` returns all."""
 _STATEMENT_COLUMNS = (
     "condition",
     "radius_m",
@@ -341,37 +354,44 @@ _STATEMENT_COLUMNS = (
 def campaign_view(
     folder: Path, manifest: Mapping[str, Any], cases: pd.DataFrame, statements: pd.DataFrame
 ) -> str:
-    """Aircraft and size, statements, and the p-box of the first metric in the first conditions."""
+    """Return HTML for a notebook: aircraft, size, statements and first p-boxes of a campaign."""
+    # Facts for the heading of the view.
     failed = int((cases["status"] != "ok").sum())
     facts = {
         "aircraft": manifest["campaign"]["campaign"]["aircraft"],
         "flights": len(cases),
         "failed or aborted": failed,
     }
-    shown = [name for name in _STATEMENT_COLUMNS if name in statements]
+    displayed = [name for name in _STATEMENT_COLUMNS if name in statements]
     return view(
         f"Campaign in {folder}",
-        frame_table(statements[shown]),
+        frame_table(statements[displayed]),
         _charts(manifest, cases),
         facts=facts,
     )
 
 
 def _charts(manifest: Mapping[str, Any], cases: pd.DataFrame) -> str:
+    """Return an image of the p-box of the first metric in the first conditions."""
     charts: list[tuple[Any, str]] = []
     first = None
     for metric, condition, box in pboxes(cases, band_confidence(manifest["campaign"], CONFIDENCE)):
         first = first or metric
-        if metric != first or len(charts) == _MOST_CHARTS:
+        if metric != first or len(charts) == _MAX_CHARTS:
             break
         quantity, _, unit = metric_label(metric).rpartition(" [")
-        drawn = DrawnBox("", box, samples(in_condition(cases, condition), metric), {})
+        # Corners thin, envelope bold.
+        labelled_box = LabelledBox("", box, samples(in_condition(cases, condition), metric), {})
         figure = pbox_figure(
-            f"notebook-{len(charts)}", quantity, unit.removesuffix("]"), [drawn], condition.words
+            f"notebook-{len(charts)}",
+            quantity,
+            unit.removesuffix("]"),
+            [labelled_box],
+            condition.words,
         )
         charts.append((figure.svg, f"{quantity}, {condition.words}"))
     if not charts:
         return ""
-    # As an image: a style sheet inside a drawing would count for the whole notebook.
+    # An image, because a style sheet inside the drawing would apply to the whole notebook.
     content = base64.b64encode(standalone(charts, columns=2).encode()).decode()
     return f'<img alt="p-boxes" src="data:image/svg+xml;base64,{content}">'

@@ -1,4 +1,8 @@
-"""report.html of any folder of results, and figures/*.svg beside it: the drawings of the page as files."""
+"""Write report.html of a folder of results, its drawings, and the files of a refinement.
+
+`kind_of` recognises a folder by its files; the page module of that kind builds the page. The same
+folder gives the same bytes. A page begins with a warning if files of the folder have changed.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +18,18 @@ from uqharness.files import finite, inner_folder, remove, write_bytes, write_jso
 from uqharness.refinement import Refinement
 from uqharness.replay import CONTROLS, columns_of, write_histories
 from uqharness.report.history import MOST_SEGMENTS
-from uqharness.report.parts import Figures, Page, Say, Section, every_section, first_lines, render
+from uqharness.report.parts import (
+    Figures,
+    Page,
+    Section,
+    Sentence,
+    every_section,
+    first_lines,
+    render,
+)
 from uqharness.report.svg import standalone
 
-# The page of any folder of results: what the folder is, is told by its files.
+# Recognition of folders.
 
 KINDS = (
     ("study.json", "study"),
@@ -28,37 +40,64 @@ KINDS = (
     ("compare.json", "compare"),
     ("coverage.json", "validate-bounds"),
 )
-"""File that marks a folder, and the command that writes it; the first that is there counts."""
+"""File that identifies a folder, and the command that writes it; the first match counts."""
 
 SEGMENTED = ("identify", "compare")
-"""Kinds whose page shows the worst segments alone, unless all are asked for."""
+"""Kinds whose page displays only the worst segments by default."""
 
 _NEXT_FLIGHT = "next-flight.json"
 
 
 def kind_of(folder: Path) -> str:
-    """Command whose results ``folder`` holds. Raises BadInputError for none, with what was looked for."""
+    """Return the command that wrote a folder of results.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+
+    Returns
+    -------
+    str
+        Command, e.g. "identify".
+
+    Raises
+    ------
+    BadInputError
+        If the folder is not recognised; the message names the files that were looked for.
+    """
     if not folder.is_dir():
         raise BadInputError(f"{folder}: is no folder; report takes the --out of another command")
+    # A study contains campaigns, so the order of the kinds matters.
     for name, kind in KINDS:
         if (folder / name).is_file():
             return kind
     if (folder / _NEXT_FLIGHT).is_file():
         raise BadInputError(
-            f"{folder}: next-flight writes its report.html itself and report does not; open that page, or run uqharness "
-            "next-flight again to write it anew"
+            f"{folder}: next-flight writes its report.html itself and report does not; open that"
+            " page, or run uqharness next-flight again to write it anew"
         )
-    looked = ", ".join(f"{name} ({kind})" for name, kind in KINDS)
-    raise BadInputError(f"{folder}: no results to report on; looked for {looked}")
+    expected_files = ", ".join(f"{name} ({kind})" for name, kind in KINDS)
+    raise BadInputError(f"{folder}: no results to report on; looked for {expected_files}")
 
 
 def page_of(folder: Path, every_segment: bool = False) -> Page:
-    """The page of a folder of results; ``every_segment``: with the histories of all segments, not of the worst alone.
+    """Return the page of a folder of results.
 
-    Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    every_segment : bool
+        Whether the histories of all segments are included.
+
+    Raises
+    ------
+    BadInputError
+        If the folder is not recognised or cannot be read.
     """
     kind = kind_of(folder)
-    # Imported here: a page needs what its folder's kind needs and no more.
+    # Imported here so that a page loads only what its kind needs.
     if kind == "study":
         from uqharness.report.pages.study import study_page
 
@@ -76,10 +115,10 @@ def page_of(folder: Path, every_segment: bool = False) -> Page:
 
         return compare_page(folder, segments=None if every_segment else MOST_SEGMENTS)
     if kind == "campaign run":
-        from uqharness.report.campaign import read_found
+        from uqharness.report.campaign import read_campaign_report
         from uqharness.report.pages.campaign import campaign_page
 
-        return campaign_page(read_found(folder))
+        return campaign_page(read_campaign_report(folder))
     from uqharness.report.pages.coverage import coverage_page
     from uqharness.report.pages.model_form import bounds_page
 
@@ -87,13 +126,27 @@ def page_of(folder: Path, every_segment: bool = False) -> Page:
 
 
 REPORT = "report.html"
-_NAMED = 5
-"""Damaged files that a page names."""
+_MAX_NAMED = 5
+"""Number of damaged files that a page names."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What was written. ``damaged``: files of the folder that are not as they were written; ``rewritten``: those that now are."""
+    """Report what was written.
+
+    Attributes
+    ----------
+    path : Path
+        report.html.
+    figures : tuple of Path
+        Drawings.
+    page : Page
+        Content.
+    damaged : tuple of Fault
+        Files that are not as they were written.
+    rewritten : tuple of str
+        Files that were damaged and are now new.
+    """
 
     path: Path
     figures: tuple[Path, ...]
@@ -108,7 +161,7 @@ class Report:
 
     @property
     def text(self) -> str:
-        """What a terminal shows: the page's first lines and where the rest is."""
+        """The summary that a terminal shows."""
         return "\n".join(
             [
                 *first_lines(self.page),
@@ -119,59 +172,111 @@ class Report:
 
 
 def write_report(folder: Path, figures: bool = False) -> Report:
-    """Write ``folder``/report.html from the folder's own files. Same folder, same bytes. Raises BadInputError.
+    """Write ``folder``/report.html.
 
-    ``figures``: write its drawings into figures/ as well. Those of a campaign always are.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    figures : bool
+        Whether drawings are written to figures/; those of a campaign always are.
+
+    Raises
+    ------
+    BadInputError
+        If the folder is not recognised or cannot be read.
     """
     page, kind = page_of(folder), kind_of(folder)
-    drawn = page if figures or kind == "campaign run" else None
+    # Drawings of the page, or of a page with all segments.
+    figure_page = page if figures or kind == "campaign run" else None
     if figures and kind in SEGMENTED:
-        drawn = page_of(folder, every_segment=True)
-    return write_page(folder, page, drawn)
+        figure_page = page_of(folder, every_segment=True)
+    return write_page(folder, page, figure_page)
 
 
 def write_campaign_report(folder: Path) -> Report:
-    """The same for the folder of a complete campaign and no other."""
-    from uqharness.report.campaign import read_found
+    """Write the report of a complete campaign; other folders are refused."""
+    from uqharness.report.campaign import read_campaign_report
     from uqharness.report.pages.campaign import campaign_page
 
-    page = campaign_page(read_found(folder))
+    page = campaign_page(read_campaign_report(folder))
     return write_page(folder, page, page)
 
 
-def write_page(folder: Path, page: Page, drawn: Page | None = None) -> Report:
-    """Write a page as ``folder``/report.html, and the drawings of ``drawn`` into figures/. Raises BadInputError."""
-    path, found = folder / REPORT, faults(folder)
-    drawings = () if drawn is None else tuple(write_figures(folder, drawn.sections, drawn.title))
-    written = {item.relative_to(folder).as_posix() for item in (path, *drawings)}
-    damaged = tuple(fault for fault in found if fault.name not in written)
+def write_page(folder: Path, page: Page, figure_page: Page | None = None) -> Report:
+    """Write a page as ``folder``/report.html.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    page : Page
+        Report.
+    figure_page : Page, optional
+        Page whose drawings are written to figures/.
+
+    Returns
+    -------
+    Report
+        Files written, and damaged files of the folder.
+
+    Raises
+    ------
+    BadInputError
+        If a file cannot be written.
+    """
+    path, file_faults = folder / REPORT, faults(folder)
+    drawings = (
+        ()
+        if figure_page is None
+        else tuple(write_figures(folder, figure_page.sections, figure_page.title))
+    )
+    new_files = {item.relative_to(folder).as_posix() for item in (path, *drawings)}
+    # Files that are rewritten now are intact again.
+    damaged = tuple(fault for fault in file_faults if fault.name not in new_files)
     if damaged:
-        page = replace(page, verdict=(Say(_damage_words(damaged), "bad"), *page.verdict))
+        page = replace(page, verdict=(Sentence(_damage_words(damaged), "bad"), *page.verdict))
     write_bytes(path, render(page).encode("utf-8", errors="replace"))
-    again = tuple(fault.name for fault in found if fault.name in written)
-    return Report(path, drawings, page, damaged, again)
+    rewritten = tuple(fault.name for fault in file_faults if fault.name in new_files)
+    return Report(path, drawings, page, damaged, rewritten)
 
 
 def _damage_words(damaged: Sequence[FileFault]) -> str:
-    """Say on the page that files are not as they were written, and how many."""
-    named = "; ".join(f"{fault.name}: {fault.problem}" for fault in damaged[:_NAMED])
-    more = f"; and {len(damaged) - _NAMED} more" if len(damaged) > _NAMED else ""
+    """Return the warning that files are not as they were written."""
+    listed = "; ".join(f"{fault.name}: {fault.problem}" for fault in damaged[:_MAX_NAMED])
+    more = f"; and {len(damaged) - _MAX_NAMED} more" if len(damaged) > _MAX_NAMED else ""
     return (
         f"Do not rely on this page: {len(damaged)} of the folder's files changed after "
-        f"uqharness wrote the folder. {named}{more}."
+        f"uqharness wrote the folder. {listed}{more}."
     )
 
 
 def write_html(path: Path, page: Page) -> None:
-    """Write a page as a file of its own. Raises BadInputError."""
+    """Write a page as a file. Raises BadInputError."""
     write_bytes(path, render(page).encode("utf-8", errors="replace"))
 
 
 def write_figures(folder: Path, sections: Iterable[Section], title: str) -> list[Path]:
-    """Write the drawings of sections that name a file into ``folder``/figures; ``title`` heads those that share one."""
+    """Write the drawings of sections that name a file.
+
+    Parameters
+    ----------
+    folder : Path
+        Drawings go to its subfolder figures.
+    sections : iterable of Section
+        Sections of a page.
+    title : str
+        Heading of files that hold several drawings.
+
+    Returns
+    -------
+    list of Path
+        Files written.
+    """
     place, paths = inner_folder(folder, "figures"), []
 
     def write(name: str, text: str) -> None:
+        """Write one drawing."""
         paths.append(place / f"{name}.svg")
         write_bytes(paths[-1], text.encode("utf-8", errors="replace"))
 
@@ -179,6 +284,7 @@ def write_figures(folder: Path, sections: Iterable[Section], title: str) -> list
         for block in section.blocks:
             if not isinstance(block, Figures) or block.file is None:
                 continue
+            # One file for all drawings of the block.
             if block.file and block.items:
                 columns = 3 if block.narrow else 2
                 charts = [(figure.svg, figure.caption) for figure in block.items]
@@ -194,7 +300,7 @@ def write_figures(folder: Path, sections: Iterable[Section], title: str) -> list
     return paths
 
 
-# What a refinement leaves on disk.
+# Files of a refinement.
 
 FIGURES = (
     "gap.svg",
@@ -205,43 +311,55 @@ FIGURES = (
     "coefficients.svg",
     "unnamed.svg",
 )
-"""Figures of a refinement: those of an earlier run are not left beside a later one's."""
+"""Figures of a refinement; those of an earlier run are removed."""
 
 
 def write_results(done: Refinement, out: Path) -> None:
-    """refinement.json, model.diff and histories.parquet, from which report.html is written."""
+    """Write the files of a refinement.
+
+    Parameters
+    ----------
+    done : Refinement
+        Result.
+    out : Path
+        Folder for refinement.json, model.diff and histories.parquet.
+    """
     for key, value in finite(done.document).items():
         done.document[key] = value
     write_json(out / "refinement.json", done.document)
     write_bytes(out / "model.diff", model_diff(done).encode("utf-8", errors="surrogateescape"))
     for name in FIGURES:
         remove(out / "figures" / name)
+    # Histories of the hold-out flights: measurement, controls, and both models.
     setup, before, after = done.judged.test
     models = {"_before": before, "_after": after}
     columns = columns_of(setup.outputs, setup.measured) | columns_of(
         CONTROLS, [s.controls for s in setup.segments]
     )
-    for suffix, shown in models.items():
-        modelled = [z - r for z, r in zip(setup.measured, shown.residual, strict=True)]
+    for suffix, evaluation in models.items():
+        modelled = [z - r for z, r in zip(setup.measured, evaluation.residual, strict=True)]
         columns |= columns_of(setup.outputs, modelled, suffix)
-        columns |= columns_of(COEFFICIENTS, shown.coefficients, f"_gap{suffix}")
+        columns |= columns_of(COEFFICIENTS, evaluation.coefficients, f"_gap{suffix}")
     write_histories(out, setup.segments, columns)
     write_sums(out, done.earlier)
 
 
 def model_diff(done: Refinement) -> str:
-    """Unified difference of every XML file of the two aircraft folders."""
+    """Return the unified difference of all XML files of two aircraft folders."""
     old, new = done.given.folder, done.aircraft.folder
+    # Compare every XML file that exists in either folder.
     names = sorted({p.relative_to(f).as_posix() for f in (old, new) for p in f.rglob("*.xml")})
     out: list[str] = []
     for name in names:
         a, b = (
-            (f / name)
-            .read_bytes()
-            .decode("utf-8", errors="surrogateescape")
-            .splitlines(keepends=True)
-            if (f / name).is_file()
-            else []
+            (
+                (f / name)
+                .read_bytes()
+                .decode("utf-8", errors="surrogateescape")
+                .splitlines(keepends=True)
+                if (f / name).is_file()
+                else []
+            )
             for f in (old, new)
         )
         out += difflib.unified_diff(a, b, f"a/{name}", f"b/{name}")

@@ -19,7 +19,7 @@ from uqharness.campaign import (
     Statement,
     cases,
     find_mission,
-    hardest_of,
+    hardest_condition,
     in_condition,
     make_copy,
     needs_copy,
@@ -123,7 +123,7 @@ def performance(flown: Mapping[str, Flown]) -> Iterator[Sentence]:
         yield "No excursion can be counted: this aircraft publishes no distance from a path.", WARN
     elif len(found) > 1:
         yield _tally(last)
-    told = found if len(found) <= CONDITIONS_TOLD else [hardest_of(found)]
+    told = found if len(found) <= CONDITIONS_TOLD else [hardest_condition(found)]
     for condition in told:
         for item in _asked(last.signed, condition):
             yield _excursions(item, _same(flown[BEFORE].signed, item) if both else None)
@@ -466,7 +466,7 @@ def _deciding(found: Sequence[Statement], answer: str) -> Statement:
     highest = [
         item for item, limit in zip(found, limits, strict=True) if limit == max(limits)
     ] or list(found)
-    condition = hardest_of(item.cell.condition for item in highest)
+    condition = hardest_condition(item.cell.condition for item in highest)
     return next(item for item in highest if item.cell.condition == condition)
 
 
@@ -531,7 +531,7 @@ def _bought(refinement: Mapping[str, Any], flown: Mapping[str, Flown]) -> Iterat
 
 
 def _drawn(flown: Flown) -> Condition:
-    return hardest_of(item.cell.condition for item in flown.signed)
+    return hardest_condition(item.cell.condition for item in flown.signed)
 
 
 def _next(last: Flown, asked: Sequence[Statement]) -> str:
@@ -570,7 +570,11 @@ def _undecided(last: Flown, found: Sequence[Statement]) -> Iterator[str]:
             yield f"fly {hours:.3g} h per corner in {where} ([aleatory] flights); that much without an excursion is a yes."
     for reason in dict.fromkeys(item.reason for item in found if item.reason):
         here = [item for item in found if item.reason == reason]
-        advice = "raise [metrics] dispersion" if here[0].dispersion.beyond else "remove the cause"
+        advice = (
+            "raise [metrics] dispersion"
+            if here[0].dispersion.is_contradicted
+            else "remove the cause"
+        )
         yield f"{advice} for {', '.join(item.cell.condition.label for item in here)}: {reason}, which more hours do not change."
 
 
@@ -845,7 +849,7 @@ def hardest(found: Sequence[Statement]) -> Statement | None:
     here = [item for item in found if item.cell.distance == "horizontal"]
     if not here:
         return None
-    condition = hardest_of(item.cell.condition for item in here)
+    condition = hardest_condition(item.cell.condition for item in here)
     return min(
         (item for item in here if item.cell.condition == condition),
         key=lambda item: item.cell.radius_m,

@@ -11,7 +11,7 @@ import pytest
 from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.cases import build_cases
 from uqharness.campaign.execution import CaseOutcome
-from uqharness.campaign.rounds import KINDS, aborted, aborted_flight
+from uqharness.campaign.rounds import KINDS, aborted_flight, count_aborted
 from uqharness.campaign.run import find_mission
 
 pytestmark = pytest.mark.usefixtures("flights_here")
@@ -27,15 +27,15 @@ def corner(*flights):
 def test_each_aborted_flight_is_of_one_kind():
     first = corner(("ok", 1.0, 0), ("ok", 1.0, 1), ("diverged", 0.25, 1))
     second = corner(("ground-contact", 0.5, None), ("timeout", 0.0, None))
-    found = aborted([first, second], 3600.0)
+    found = count_aborted([first, second], 3600.0)
     assert found.kinds == dict.fromkeys(KINDS, 1)
     assert found.total == 4
-    np.testing.assert_array_equal(found.lost, [[0.0, 1.0, 1.0], [1.0, 1.0, np.nan]])
+    np.testing.assert_array_equal(found.is_aborted, [[0.0, 1.0, 1.0], [1.0, 1.0, np.nan]])
     np.testing.assert_allclose(found.missing_shares, [0.75, 1.5])
 
 
 def test_a_flight_that_lost_control_and_flew_on_misses_nothing():
-    assert aborted([corner(("ok", 1.0, 1))], 3600.0).missing_shares.tolist() == [0.0]
+    assert count_aborted([corner(("ok", 1.0, 1))], 3600.0).missing_shares.tolist() == [0.0]
 
 
 def test_limits_are_per_hour_flown():
@@ -43,16 +43,16 @@ def test_limits_are_per_hour_flown():
     half = corner(*[("diverged", 0.5, 1), ("ok", 1.0, 0)] * 200)
     kept_on = corner(*[("ok", 1.0, 1), ("ok", 1.0, 0)] * 200)
     (ended,), (flew_on,) = (
-        aborted([group], 3600.0).upper(0.025, None) for group in (half, kept_on)
+        count_aborted([group], 3600.0).upper(0.025, None) for group in (half, kept_on)
     )
     assert ended > 0.5 / 0.75
     assert 0.5 < flew_on < ended
 
 
 def test_nothing_flown_bounds_nothing():
-    assert aborted([corner(*[("diverged", 0.0, 1)] * 50)], 3600.0).upper(0.025, None).tolist() == [
-        np.inf
-    ]
+    assert count_aborted([corner(*[("diverged", 0.0, 1)] * 50)], 3600.0).upper(
+        0.025, None
+    ).tolist() == [np.inf]
 
 
 @pytest.mark.parametrize(

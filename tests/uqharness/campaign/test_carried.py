@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.campaign.statements import carried
+from uqharness.campaign.statements import bound_dispersion
 from uqharness.statistics import observed_dispersion, upper_limits
 
 FLIGHTS, ASSUMED, ERROR = 500, 2.0, 0.05
@@ -23,13 +23,13 @@ SILENT = np.zeros((1, FLIGHTS))
 
 
 def of(nearer: dict[float, np.ndarray], asked: np.ndarray = SILENT):
-    return carried({**nearer, 15.0: asked}, 15.0, HOURS, ASSUMED, ERROR)
+    return bound_dispersion({**nearer, 15.0: asked}, 15.0, HOURS, ASSUMED, ERROR)
 
 
 def test_without_a_smaller_radius_it_is_assumed():
     found = of({})
     assert found.dispersion == pytest.approx([ASSUMED])
-    assert (found.measured, found.beyond) == (0, False)
+    assert (found.measured, found.is_contradicted) == (0, False)
     assert np.isnan(found.nearest_m)
 
 
@@ -37,7 +37,7 @@ def test_single_excursions_nearer_by_are_carried_as_such():
     found = of({8.0: counts(0.5), 12.0: counts(0.2)})
     assert 1.0 <= found.dispersion[0] < 1.8
     assert found.radius_m == pytest.approx([12.0])
-    assert not found.beyond
+    assert not found.is_contradicted
 
 
 @pytest.mark.parametrize(("per_h", "measured"), [(0.02, 0), (0.2, 1), (3.0, 0)])
@@ -48,7 +48,7 @@ def test_too_few_and_too_frequent_ones_measure_nothing(per_h, measured):
 def test_clusters_nearer_by_are_carried_with_a_margin():
     found = of({10.0: counts(0.5, 4)})
     assert 4.0 < found.dispersion[0] < 10.0
-    assert not found.beyond
+    assert not found.is_contradicted
 
 
 def test_a_larger_radius_says_nothing():
@@ -61,17 +61,19 @@ def test_clusters_beyond_the_carried_limit_are_said():
     few[0, :5] = 4.0
     single = np.zeros((1, FLIGHTS))
     single[0, :20] = 1.0
-    assert of({10.0: few}).beyond
-    assert of({}, few).beyond
-    assert not of({10.0: single}).beyond
-    assert not of({}, single).beyond
+    assert of({10.0: few}).is_contradicted
+    assert of({}, few).is_contradicted
+    assert not of({10.0: single}).is_contradicted
+    assert not of({}, single).is_contradicted
 
 
 def test_a_corner_that_assumes_hears_of_the_others():
     few = np.zeros((2, FLIGHTS))
     few[0, :5] = 4.0
     hours = np.repeat(HOURS, 2)
-    assert carried({10.0: few, 15.0: np.zeros((2, FLIGHTS))}, 15.0, hours, ASSUMED, ERROR).beyond
+    assert bound_dispersion(
+        {10.0: few, 15.0: np.zeros((2, FLIGHTS))}, 15.0, hours, ASSUMED, ERROR
+    ).is_contradicted
 
 
 def false_yes(
@@ -88,7 +90,7 @@ def false_yes(
         for rate in (0.1001, nearer_per_h or 1.0)
     )
     found = [
-        carried(
+        bound_dispersion(
             {15.0: row} if nearer_per_h is None else {10.0: near, 15.0: row},
             15.0,
             flown,
@@ -101,7 +103,7 @@ def false_yes(
     limits = upper_limits(
         np.full(repeats, float(hours)), asked.sum(axis=(1, 2)), allowed, ERROR / 2
     )
-    return float(np.mean((limits <= 0.1) & ~np.array([item.beyond for item in found])))
+    return float(np.mean((limits <= 0.1) & ~np.array([item.is_contradicted for item in found])))
 
 
 @pytest.mark.parametrize(

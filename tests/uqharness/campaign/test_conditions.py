@@ -11,7 +11,7 @@ from uqharness.campaign.conditions import (
     Condition,
     conditions,
     excursion_cells,
-    hardest_of,
+    hardest_condition,
     in_condition,
     pboxes,
     samples,
@@ -56,8 +56,8 @@ def test_the_hardest_is_the_strongest_turbulence_before_the_strongest_wind():
         Condition(5.0, "severe"),
         Condition(12.0, "none"),
     ]
-    assert hardest_of(found) == Condition(5.0, "severe")
-    assert hardest_of(found[::3]) == Condition(9.0, "light")
+    assert hardest_condition(found) == Condition(5.0, "severe")
+    assert hardest_condition(found[::3]) == Condition(9.0, "light")
 
 
 def test_what_is_not_known_of_a_flight_is_counted():

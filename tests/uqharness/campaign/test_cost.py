@@ -100,17 +100,17 @@ def test_time_is_that_of_what_is_missing():
 def test_pace_separates_what_a_flight_takes_from_what_a_second_takes(monkeypatch):
     monkeypatch.setattr(
         cost,
-        "_timed",
+        "_flight_time",
         lambda flown, flight: 0.1 + 0.001 * flight.duration_s if flown(flight) else None,
     )
     brief, whole = (
         FlightSpec(Path("plane"), Path("loiter.xml"), duration_s=seconds)
         for seconds in (5.0, 600.0)
     )
-    pace = cost.measured_pace(lambda flight: True, brief, whole)
+    pace = cost.measure_pace(lambda flight: True, brief, whole)
     assert pace == cost.Pace(pytest.approx(0.1), pytest.approx(0.001))
-    assert cost.measured_pace(lambda flight: False, brief, whole) is None
-    assert cost.measured_pace(lambda flight: flight.duration_s < 60.0, brief, whole) is None
+    assert cost.measure_pace(lambda flight: False, brief, whole) is None
+    assert cost.measure_pace(lambda flight: flight.duration_s < 60.0, brief, whole) is None
 
 
 @pytest.mark.parametrize(
@@ -156,14 +156,14 @@ def test_the_pace_of_very_many_flights_is_known_before_their_cases_are_made(
     costs: list[cost.Cost] = []
     spec = fakes.small_spec(tmp_path, 3).with_engine(engine)
     everything = {"executor": ProcessExecutor(2, "fork"), "fly": batch_alike, "before_flying": stop}
-    monkeypatch.setattr("uqharness.campaign.run.MANY", 191)
+    monkeypatch.setattr("uqharness.campaign.run.MANY_FLIGHTS", 191)
     with monkeypatch.context() as patch:
         patch.setattr("uqharness.campaign.run.build_cases", None)
         with pytest.raises(Enough):
             run_campaign(spec, tmp_path / "out", **everything)
     assert not (tmp_path / "out").exists()
     # With one flight fewer than that the cases are made first, and the folder with them.
-    monkeypatch.setattr("uqharness.campaign.run.MANY", 192)
+    monkeypatch.setattr("uqharness.campaign.run.MANY_FLIGHTS", 192)
     with pytest.raises(Enough):
         run_campaign(spec, tmp_path / "out", **everything)
     assert (tmp_path / "out").exists()

@@ -11,11 +11,16 @@ import pytest
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.engine_fakes import Deadly, Flown, Raising, engines
 from uqharness.campaign.cases import build_cases
-from uqharness.campaign.engines import LEAST_SPREAD, compared, refuse_difference, spread
+from uqharness.campaign.engines import (
+    MIN_SCALE,
+    compare_outcomes,
+    difference_scale,
+    refuse_difference,
+)
 from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
 from uqharness.campaign.execution.worker import NEAREST, CaseOutcome
 from uqharness.campaign.folder.manifest import read_manifest
-from uqharness.campaign.folder.tables import ENGINE_CHECK, WHOLE, read_check, write_check
+from uqharness.campaign.folder.tables import ENGINE_CHECK, FULL_FLIGHT, read_check, write_check
 from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.cli.main import main
 from uqharness.errors import EnginesDifferError
@@ -76,7 +81,9 @@ def test_a_hundred_thousandth_of_the_spread_stops_the_campaign_and_a_hundred_mil
     assert not (tmp_path / "wrong" / "cases.parquet").exists()
     assert run(spec, tmp_path / "right", Flown(offset=1e-8 * iqr, late=late)).failed == 0
     rows = [
-        row for row in read_check(tmp_path / "right") if row.metric == METRIC and row.part == WHOLE
+        row
+        for row in read_check(tmp_path / "right")
+        if row.metric == METRIC and row.part == FULL_FLIGHT
     ]
     assert {row.verdict for row in rows} == {"alike"}
     assert max(float(row.difference) for row in rows) == pytest.approx(1e-8, rel=0.2)
@@ -93,7 +100,7 @@ def test_a_campaign_that_was_stopped_stops_again_also_with_an_engine_that_is_rig
 
 def test_the_first_case_of_each_condition_is_flown_in_both_and_again_by_nobody(spec, tmp_path):
     run(spec, tmp_path / "out")
-    rows = [row for row in read_check(tmp_path / "out") if row.part == WHOLE]
+    rows = [row for row in read_check(tmp_path / "out") if row.part == FULL_FLIGHT]
     found = {row.case_id for row in rows}
     every = build_cases(spec.with_engine("batch"), find_mission(spec))
     first = {next(case.case_id for case in every if case.wind_mps == wind) for wind in (0.0, 3.0)}
@@ -120,7 +127,7 @@ def test_flights_left_to_the_judge_are_flown_by_the_next_run(spec, tmp_path):
     assert tables(out) == tables(tmp_path / "undisturbed")
     # The first seconds are those of flights that were still missing, which depends on when the run was stopped.
     judged = [
-        {row.case_id for row in read_check(folder) if row.part == WHOLE}
+        {row.case_id for row in read_check(folder) if row.part == FULL_FLIGHT}
         for folder in (out, tmp_path / "undisturbed")
     ]
     assert judged[0] == judged[1] != set()
@@ -147,8 +154,8 @@ def test_workers_and_groups_move_no_byte(spec, tmp_path, monkeypatch):
 
     run(spec, tmp_path / "serial")
     run(spec, tmp_path / "two", executor=ProcessExecutor(2, "fork"))
-    monkeypatch.setattr(grouping, "LEAST_LANES", 7)
-    monkeypatch.setattr(grouping, "MOST_LANES", 7)
+    monkeypatch.setattr(grouping, "MIN_LANES", 7)
+    monkeypatch.setattr(grouping, "MAX_LANES", 7)
     run(spec, tmp_path / "seven", executor=ProcessExecutor(3, "fork"))
     assert tables(tmp_path / "two") == tables(tmp_path / "serial") == tables(tmp_path / "seven")
 
@@ -171,9 +178,16 @@ def test_the_command_ends_with_one_and_a_sentence(tmp_path, capsys, monkeypatch)
 
 def test_a_spread_is_the_interquartile_range_bounded_from_below():
     values = np.random.default_rng(1).normal(5.0, 2.0, 1001)
-    assert spread(values) == pytest.approx(np.percentile(values, 75) - np.percentile(values, 25))
-    assert spread([2000.0] * 5) == 2.0
-    assert spread([0.0] * 5) == spread([]) == spread([math.nan]) == LEAST_SPREAD
+    assert difference_scale(values) == pytest.approx(
+        np.percentile(values, 75) - np.percentile(values, 25)
+    )
+    assert difference_scale([2000.0] * 5) == 2.0
+    assert (
+        difference_scale([0.0] * 5)
+        == difference_scale([])
+        == difference_scale([math.nan])
+        == MIN_SCALE
+    )
 
 
 def outcome(status="ok", **metrics):
@@ -184,7 +198,7 @@ def verdicts(tmp_path, batch, jsbsim, moved=None):
     case = dataclasses.replace(
         build_cases(fakes.small_spec(tmp_path, 1), find_mission(fakes.small_spec(tmp_path, 1)))[0]
     )
-    rows = compared(WHOLE, case, (batch, jsbsim), {METRIC: 1.0}, lambda _: moved)
+    rows = compare_outcomes(FULL_FLIGHT, case, (batch, jsbsim), {METRIC: 1.0}, lambda _: moved)
     return {row.metric: (row.verdict, row.remark) for row in rows}
 
 
@@ -238,7 +252,7 @@ def test_what_differs_is_named_with_the_worst_first(tmp_path):
         0
     ]
     pair = (outcome(**{METRIC: 2.0, "other": 1.1}), outcome(**{METRIC: 1.0, "other": 1.0}))
-    rows = compared(WHOLE, case, pair, {METRIC: 1.0, "other": 1.0}, lambda _: pair[1])
+    rows = compare_outcomes(FULL_FLIGHT, case, pair, {METRIC: 1.0, "other": 1.0}, lambda _: pair[1])
     with pytest.raises(
         EnginesDifferError,
         match=f"has {METRIC} 2.0 in the batch engine and 1.0 in JSBSim, 1 of its spread apart",

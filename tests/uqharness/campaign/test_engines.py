@@ -11,17 +11,17 @@ from tests.helpers import campaign_fakes as fakes
 from tests.helpers.engine_fakes import Flown, Understanding, engines
 from uqharness.campaign.cases import Mission, build_cases
 from uqharness.campaign.engines import (
-    Earlier,
     Engines,
-    earlier_engine,
+    PreviousEngine,
+    choose_engine,
     engine_words,
-    settle,
+    previous_engine,
     varying_properties,
 )
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.folder.shards import merge, parse_shard, read_status
-from uqharness.campaign.folder.verify import Flying, salvage
+from uqharness.campaign.folder.verify import RunOptions, salvage
 from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.campaign.spec.samples import read_campaign
 from uqharness.cli.main import main
@@ -41,7 +41,7 @@ def spec(tmp_path):
 
 
 def settled(spec, given, earlier=None):
-    return settle(spec, find_mission(spec), given, earlier)
+    return choose_engine(spec, find_mission(spec), given, earlier)
 
 
 def run(spec, out, given=ALIKE, **keys):
@@ -62,7 +62,7 @@ def test_auto_takes_the_batch_engine_where_it_understands_everything(spec):
         == "jsbsim, because the flights are flown by a function of their own"
     )
     assert settled(spec.with_engine("jsbsim"), ALIKE).words == "jsbsim, because it was asked for"
-    assert settled(spec, ALIKE).asked == "auto"
+    assert settled(spec, ALIKE).requested == "auto"
 
 
 @pytest.mark.parametrize(
@@ -76,19 +76,19 @@ def test_what_was_asked_for_and_cannot_be_is_refused_with_the_reasons(spec, give
 
 def test_auto_goes_on_in_the_engine_of_the_earlier_flights(spec):
     assert (
-        settled(spec, ALIKE, Earlier("jsbsim", ("plane.xml:7: no",))).words
+        settled(spec, ALIKE, PreviousEngine("jsbsim", ("plane.xml:7: no",))).words
         == "jsbsim, because plane.xml:7: no"
     )
-    assert settled(spec, PUZZLED, Earlier("batch")).words == "batch"
+    assert settled(spec, PUZZLED, PreviousEngine("batch")).words == "batch"
     assert (
-        settled(spec.with_engine("jsbsim"), ALIKE, Earlier("batch")).words
+        settled(spec.with_engine("jsbsim"), ALIKE, PreviousEngine("batch")).words
         == "jsbsim, because it was asked for"
     )
     with pytest.raises(
         BadInputError,
         match="this campaign flies in the batch engine, and llvmlite is not installed",
     ):
-        settled(spec, WITHOUT, Earlier("batch"))
+        settled(spec, WITHOUT, PreviousEngine("batch"))
 
 
 def test_a_defect_of_the_batch_engine_leaves_the_campaign_to_jsbsim(spec):
@@ -141,7 +141,7 @@ def test_manifest_table_and_status_say_which_engine_and_why(spec, tmp_path):
     }
     assert set(read_table(tmp_path / "out" / "cases.parquet")["engine"].to_pylist()) == {"batch"}
     found = read_status(tmp_path / "out")
-    assert (found.engine, found.why) == (
+    assert (found.engine, found.reasons) == (
         "batch",
         ("it understands the whole aircraft and mission",),
     )
@@ -169,7 +169,7 @@ def test_a_folder_from_before_the_batch_engine_is_jsbsims(spec, tmp_path):
     manifest.pop("engine")
     write_manifest(out, manifest)
     assert "engine" not in json.loads((out / "manifest.json").read_text())["campaign"]["campaign"]
-    assert earlier_engine(out) == Earlier("jsbsim")
+    assert previous_engine(out) == PreviousEngine("jsbsim")
     assert run(spec, out).done_before == 64
     assert read_status(out).engine == "jsbsim"
 
@@ -177,7 +177,7 @@ def test_a_folder_from_before_the_batch_engine_is_jsbsims(spec, tmp_path):
 def test_shards_fly_in_one_engine(spec, tmp_path):
     out = tmp_path / "out"
     run(spec, out, shard=parse_shard("1/2"))
-    assert earlier_engine(out / "shards" / "2-of-2").engine == "batch"
+    assert previous_engine(out / "shards" / "2-of-2").engine == "batch"
     with pytest.raises(BadInputError, match="llvmlite is not installed"):
         run(spec, out, WITHOUT, shard=parse_shard("2/2"))
     run(spec.with_engine("jsbsim"), out, shard=parse_shard("2/2"))
@@ -199,8 +199,8 @@ def test_a_lost_manifest_is_rebuilt_in_the_engine_whose_flights_are_there(spec, 
     run(spec.with_engine(engine), out)
     before = (out / "cases.parquet").read_bytes()
     (out / "manifest.json").unlink()
-    found = salvage(out, Flying(SerialExecutor(), fly=ALIKE), spec, "command")
-    assert (found.kept, found.flown) == (64, 0)
+    found = salvage(out, RunOptions(SerialExecutor(), fly=ALIKE), spec, "command")
+    assert (found.retained, found.flights) == (64, 0)
     assert (out / "cases.parquet").read_bytes() == before
     assert read_status(out).engine == engine
 
@@ -209,7 +209,7 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
     import uqharness.campaign.engines as module
 
     path = fakes.campaign_file(tmp_path)
-    monkeypatch.setattr(module, "OwnBatch", lambda: PUZZLED.batch)
+    monkeypatch.setattr(module, "LocalBatch", lambda: PUZZLED.batch)
     assert (
         main(["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--engine", "batch"])
         == 2
@@ -224,4 +224,4 @@ def test_the_aircraft_is_looked_at_where_it_is_and_not_in_a_copy(spec):
             return (f"{spec.aircraft / 'plane.xml'}:3: no",)
 
     found = settled(spec, replace(ALIKE, batch=Asking()))
-    assert found.why == (f"{spec.path.parent / 'plane' / 'plane.xml'}:3: no",)
+    assert found.reasons == (f"{spec.path.parent / 'plane' / 'plane.xml'}:3: no",)

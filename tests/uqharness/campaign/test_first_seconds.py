@@ -103,7 +103,7 @@ def test_the_work_before_a_campaign_does_not_grow_with_its_grid_of_conditions(tm
     # The extremes are among them, and no wind of the grid is far from one that was flown.
     assert (min(tried), max(tried)) == (0.0, max(winds))
     assert np.max(np.diff(sorted(tried))) <= 2 * max(winds) / TRIAL_CONDITIONS * 1.1
-    assert size_of(spec).tried == TRIAL_CONDITIONS < size_of(spec).conditions
+    assert size_of(spec).trial_conditions == TRIAL_CONDITIONS < size_of(spec).conditions
 
 
 def test_every_condition_of_a_small_grid_is_tried_out():

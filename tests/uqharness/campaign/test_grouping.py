@@ -8,12 +8,12 @@ import pytest
 
 from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.cases import (
-    FLOWN_PER_CORE,
+    FLIGHT_S_PER_CORE_S,
     GROUP_S,
-    MOST_LANES,
+    MAX_LANES,
     Mission,
     build_cases,
-    groups_of,
+    group_cases,
 )
 
 
@@ -25,7 +25,7 @@ def cases(tmp_path, flights=6, **changes):
 def test_every_case_is_in_one_group_of_one_condition(tmp_path):
     every = cases(tmp_path, wind_mps=(0.0, 3.0))
     by_id = {case.case_id: case for case in every}
-    groups = groups_of(every, 2)
+    groups = group_cases(every, 2)
     flown = [case_id for group in groups for case_id, _ in group.cases]
     assert sorted(flown) == sorted(by_id)
     for group in groups:
@@ -39,19 +39,19 @@ def test_every_case_is_in_one_group_of_one_condition(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("duration_s", "most"), [(150.0, MOST_LANES), (3600.0, 491), (86_000.0, 20)]
+    ("duration_s", "most"), [(150.0, MAX_LANES), (3600.0, 491), (86_000.0, 20)]
 )
 def test_a_group_takes_no_longer_than_meant(tmp_path, duration_s, most):
-    groups = groups_of(cases(tmp_path, 40, duration_s=duration_s), 1)
+    groups = group_cases(cases(tmp_path, 40, duration_s=duration_s), 1)
     lanes = max(len(group.cases) for group in groups)
     assert lanes <= most
-    assert lanes * (duration_s + 60.0) / FLOWN_PER_CORE <= GROUP_S
-    assert groups_of([], 1) == []
+    assert lanes * (duration_s + 60.0) / FLIGHT_S_PER_CORE_S <= GROUP_S
+    assert group_cases([], 1) == []
 
 
 def test_what_is_left_of_a_round_may_be_odd(tmp_path):
     every = cases(tmp_path, 4)[5:200]
-    flown = [case_id for group in groups_of(every, 3) for case_id, _ in group.cases]
+    flown = [case_id for group in group_cases(every, 3) for case_id, _ in group.cases]
     assert sorted(flown) == sorted(case.case_id for case in every)
-    assert groups_of(every[:1], 8)[0].cases == ((every[0].case_id, every[0].flight),)
-    assert groups_of([replace(every[0])], 1)[0].engine == "batch"
+    assert group_cases(every[:1], 8)[0].cases == ((every[0].case_id, every[0].flight),)
+    assert group_cases([replace(every[0])], 1)[0].engine == "batch"

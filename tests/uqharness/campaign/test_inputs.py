@@ -17,7 +17,7 @@ from tests.helpers import campaign_fakes as fakes
 from tests.helpers.campaign_fakes import CAMPAIGN, campaign_file
 from tests.helpers.model_forms import PUBLISHED, made_up_form, with_parts
 from uqharness.campaign.cases import Mission, build_cases
-from uqharness.campaign.engines import bounds_notes, noise_notes, with_own_noise
+from uqharness.campaign.engines import bounds_notes, noise_notes, with_noise_of
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.manifest import describe, spec_of
 from uqharness.campaign.folder.tables import CASES
@@ -577,11 +577,11 @@ def test_noise_defaults_to_what_the_aircraft_has(tmp_path):
     (tmp_path / "campaign.toml").write_text(text)
     spec = read_campaign(tmp_path / "campaign.toml")
     assert spec.aleatory.sensor_noise is None
-    assert with_own_noise(spec, espaaro).aleatory.sensor_noise is True
-    without = with_own_noise(spec, SimpleNamespace(folder=bare))
+    assert with_noise_of(spec, espaaro).aleatory.sensor_noise is True
+    without = with_noise_of(spec, SimpleNamespace(folder=bare))
     assert without.aleatory.sensor_noise is False
     assert without.as_dict()["aleatory"]["sensor_noise"] is False
     # What the file says stays, right or wrong for the aircraft.
     stated = spec.with_sensor_noise(True)
-    assert with_own_noise(stated, SimpleNamespace(folder=bare)).aleatory.sensor_noise is True
+    assert with_noise_of(stated, SimpleNamespace(folder=bare)).aleatory.sensor_noise is True
     assert noise_notes(spec) == noise_notes(stated) == []

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uqharness.campaign.statements import number, statements, statements_csv
+from uqharness.campaign.statements import format_number, statements, statements_csv
 
 HOURS = 0.5
 
@@ -97,8 +97,8 @@ def test_the_table_has_a_row_a_statement_and_nothing_where_nothing_is_known():
     assert (row["condition"], row["radius_m"], row["flights"]) == ("3 m/s none", "15", "60")
     assert row["dispersion_observed"] == ""
     assert float(row["hours"]) == pytest.approx(60 * HOURS)
-    assert number(float("nan")) == ""
-    assert number(1.23456789) == "1.23457"
+    assert format_number(float("nan")) == ""
+    assert format_number(1.23456789) == "1.23457"
 
 
 def ended(frame: pd.DataFrame, share: float, flown: float = 0.1) -> pd.DataFrame:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uqharness.report.campaign import MOST_TRACKS, shown_cases, track_section, worst_case
+from uqharness.report.campaign import MOST_TRACKS, track_cases, track_section, worst_case
 from uqharness.report.parts import Facts, Figures, Words
 
 pytestmark = pytest.mark.usefixtures("flights_here")
@@ -48,7 +48,7 @@ def test_without_records_the_worst_flight_of_the_hardest_condition_is_named(tmp_
 
 
 def test_the_worst_and_the_median_flight_of_the_hardest_condition_are_shown():
-    assert shown_cases(FRAME) == ("d", "c")
+    assert track_cases(FRAME) == ("d", "c")
     five = pd.DataFrame(
         {
             "case_id": list("abcde"),
@@ -57,12 +57,12 @@ def test_the_worst_and_the_median_flight_of_the_hardest_condition_are_shown():
             "cross_track_median_m": [5, 1, 4, 2, 3.0],
         }
     )
-    assert shown_cases(five) == ("a", "e")
-    assert shown_cases(five.assign(cross_track_median_m=[np.nan, 1.0, np.nan, np.nan, np.nan])) == (
+    assert track_cases(five) == ("a", "e")
+    assert track_cases(five.assign(cross_track_median_m=[np.nan, 1.0, np.nan, np.nan, np.nan])) == (
         "b",
     )
-    assert shown_cases(five.assign(cross_track_median_m=np.nan)) == ()
-    assert shown_cases(five.drop(columns="cross_track_median_m")) == ()
+    assert track_cases(five.assign(cross_track_median_m=np.nan)) == ()
+    assert track_cases(five.drop(columns="cross_track_median_m")) == ()
 
 
 def test_records_are_drawn_the_farthest_first(tmp_path):

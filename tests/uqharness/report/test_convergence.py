@@ -7,7 +7,7 @@ import pytest
 from lxml import etree
 
 from uqharness.campaign.conditions import Condition
-from uqharness.campaign.convergence import Converged
+from uqharness.campaign.convergence import MetricConvergence
 from uqharness.report.pbox import convergence_section
 from uqharness.statistics.pbox import Growth, Repeats
 
@@ -30,7 +30,7 @@ GROWTH = (
     ],
 )
 def test_what_there_is_is_drawn(repeats, growth, names):
-    item = Converged("cross_track_median_m", Condition(3.0, "light"), "0", repeats, growth)
+    item = MetricConvergence("cross_track_median_m", Condition(3.0, "light"), "0", repeats, growth)
     section = convergence_section(item)
     (figures,) = section.blocks
     assert figures.file == "convergence-cross-track-median-m-3mps-light"

@@ -11,7 +11,7 @@ from uqharness.report.ground_track import (
     Circle,
     circle_of,
     equal_scales,
-    flown_track,
+    flight_track,
     ground_track,
     lap_of,
     track_distance,
@@ -224,28 +224,28 @@ def columns_of(flown, sign=1.0):
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_recorded_flight_has_its_track_and_the_commanded_circle(sign):
-    figure = flown_track("track", columns_of(lap(AWAY), sign))
+    figure = flight_track("track", columns_of(lap(AWAY), sign))
     words = {e.text for e in etree.fromstring(str(figure.svg)).iter("text")}
     assert {"flown", "start", "end", "commanded circle, radius 120 m"} <= words
 
 
 def test_a_circle_that_the_errors_do_not_tell_is_not_drawn():
     flown = columns_of(lap(AWAY)) | {"cross_track_m": np.abs(AWAY) + 1.0}
-    assert "commanded circle" not in str(flown_track("track", flown).svg)
+    assert "commanded circle" not in str(flight_track("track", flown).svg)
     wide = columns_of(lap(0.001 * AWAY, period_s=4e4, radius=2e4))
-    assert "commanded circle" not in str(flown_track("track", wide).svg)
+    assert "commanded circle" not in str(flight_track("track", wide).svg)
 
 
 def test_circles_that_a_log_names_are_drawn_without_errors():
     flown = {
         name: values for name, values in columns_of(lap(AWAY)).items() if name != "cross_track_m"
     }
-    assert "commanded circle" not in str(flown_track("track", flown).svg)
+    assert "commanded circle" not in str(flight_track("track", flown).svg)
     svg = str(
-        flown_track("track", flown, circles=[Circle(0.0, 0.0, 80.0), Circle(500.0, 0.0, 60.0)]).svg
+        flight_track("track", flown, circles=[Circle(0.0, 0.0, 80.0), Circle(500.0, 0.0, 60.0)]).svg
     )
     assert "commanded circle, radius 80 m" in svg
-    one = str(flown_track("track", flown, circles=[Circle(0.0, 0.0, 80.0)]).svg)
+    one = str(flight_track("track", flown, circles=[Circle(0.0, 0.0, 80.0)]).svg)
     rings = [e for e in etree.fromstring(svg).iter() if "third" in (e.get("class") or "")]
     assert (
         len(rings)
@@ -255,12 +255,12 @@ def test_circles_that_a_log_names_are_drawn_without_errors():
 
 def test_positions_are_integrated_where_there_are_velocities_alone():
     flown = {"time_s": TIME, "vn_mps": np.full(TIME.size, 20.0), "ve_mps": np.zeros(TIME.size)}
-    svg = etree.fromstring(str(flown_track("track", flown).svg))
+    svg = etree.fromstring(str(flight_track("track", flown).svg))
     ends = {
         e.get("class"): e for e in svg.iter("circle", "rect") if e.get("class") == "mark second"
     }
     assert ends
-    assert flown_track("track", {"time_s": TIME}) is None
+    assert flight_track("track", {"time_s": TIME}) is None
     assert (
-        flown_track("track", {"time_s": TIME, "north_m": 0.0 * TIME, "east_m": 0.0 * TIME}) is None
+        flight_track("track", {"time_s": TIME, "north_m": 0.0 * TIME, "east_m": 0.0 * TIME}) is None
     )

@@ -38,7 +38,7 @@ def test_the_worst_segments_come_first_and_all_when_asked():
             {"q_radps": 0.01},
             [MODEL],
             "T",
-            most=most,
+            max_segments=most,
             file=lambda rank, h: f"{rank}-{h.number}",
         )
         names[most] = [part.blocks[-1].file for part in section.parts]

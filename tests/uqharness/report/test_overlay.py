@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from tests.helpers import report_folders as folders
-from uqharness.report.campaign import overlay_section, read_found
+from uqharness.report.campaign import overlay_section, read_campaign_report
 from uqharness.report.parts import Figures, Table, Words
 
 pytestmark = pytest.mark.usefixtures("flights_here")
@@ -18,7 +18,7 @@ NAMES = {"before": "one", "after": "two"}
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory):
     root = folders.campaigns(tmp_path_factory.mktemp("campaigns"))
-    return [read_found(root / name) for name in ("before", "after")]
+    return [read_campaign_report(root / name) for name in ("before", "after")]
 
 
 def test_unlike_flights_are_told(pair):

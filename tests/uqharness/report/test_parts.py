@@ -11,18 +11,18 @@ from uqharness.report.parts import (
     Cell,
     Facts,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
     every_section,
     first_lines,
+    format_value,
     is_wanted,
     percent,
     provenance,
     remarks,
     render,
-    shown,
 )
 
 
@@ -40,7 +40,7 @@ def test_a_terminal_shows_the_verdict_and_what_is_key():
     page = Page(
         "Title",
         "What?",
-        (Say("So.", "good"), Say("But.", "warn")),
+        (Sentence("So.", "good"), Sentence("But.", "warn")),
         (Section("s", (*other, key), (inner,)),),
     )
     assert first_lines(page) == [
@@ -57,7 +57,7 @@ def test_a_terminal_shows_the_verdict_and_what_is_key():
 
 
 def test_what_is_undefined_says_so():
-    assert [shown(v) for v in (None, math.nan, math.inf, 0.0, 1234.5)] == [
+    assert [format_value(v) for v in (None, math.nan, math.inf, 0.0, 1234.5)] == [
         "undefined",
         "undefined",
         "open",
@@ -90,6 +90,6 @@ def test_provenance_is_facts():
 
 @pytest.mark.parametrize("text", ["<b>", "&", "a\x1b[31mb"])
 def test_a_page_shows_text_as_text(text):
-    page = render(Page(text, text, (Say(text),)))
+    page = render(Page(text, text, (Sentence(text),)))
     assert "<b>" not in page.replace("<body>", "")
     assert "\x1b" not in page

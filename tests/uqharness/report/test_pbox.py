@@ -9,12 +9,12 @@ import pytest
 from lxml import etree
 
 from uqharness.report.pbox import (
-    DrawnBox,
-    farthest,
+    LabelledBox,
     metric_label,
     pbox_figure,
     smooth_pbox,
     smooth_share,
+    smoothing_error,
 )
 from uqharness.statistics.pbox import Sample, pbox
 
@@ -24,7 +24,7 @@ def test_many_samples_make_no_large_page():
     samples = [Sample(f"s{k}", draw.gamma(4.0, size=200) * (1.0 + k / 2000.0)) for k in range(2000)]
     box = pbox(samples)
     words = {sample.epistemic_id: f"level of {sample.epistemic_id}" for sample in samples}
-    figure = pbox_figure("many", "error", "m", [DrawnBox("", box, samples, words)], "caption")
+    figure = pbox_figure("many", "error", "m", [LabelledBox("", box, samples, words)], "caption")
     assert len(figure.svg) + len(json.dumps(figure.cursor)) < 150_000
     assert "96 of 2000 samples" in figure.svg
     (cursor,) = figure.cursor["boxes"]
@@ -73,7 +73,7 @@ def test_the_smooth_box_keeps_failed_flights_and_a_band_that_holds_the_steps():
     curve = smooth_pbox(samples, box, np.linspace(0.0, 30.0, 160))
     assert curve.lower[-1] == pytest.approx(0.8)
     assert curve.upper[0] == pytest.approx(0.2)
-    assert 0.0 < farthest(samples, curve) < 0.1
+    assert 0.0 < smoothing_error(samples, curve) < 0.1
     places = np.searchsorted(box.value, curve.value, side="right") - 1
     known = places >= 0
     assert np.all(curve.band_lower[known] <= box.band_lower[places[known]] + 1e-12)
@@ -85,7 +85,7 @@ def test_smooth_curves_are_drawn_without_steps_and_say_how_far_they_are_from_the
     boxes = []
     for name in names:
         samples = drawn(40, 1.5 if name == "before" else 1.0)
-        boxes.append(DrawnBox(name, pbox(samples), samples, {}, smooth=True))
+        boxes.append(LabelledBox(name, pbox(samples), samples, {}, smooth=True))
     figure = pbox_figure("smooth", "error", "m", boxes, "Caption.")
     (inside,) = [e for e in etree.fromstring(str(figure.svg)).iter("g") if e.get("clip-path")]
     assert not any("V" in path.get("d") for path in inside.iter("path"))

@@ -12,7 +12,7 @@ import pytest
 from lxml import etree
 from markupsafe import Markup
 
-from uqharness.report.svg import Chart, Scale, log_scale, scale, standalone, style, thinned
+from uqharness.report.svg import Chart, Scale, log_scale, scale, standalone, style, thin_line
 
 
 def luminance(colour):
@@ -85,7 +85,7 @@ def test_thinning_keeps_the_peaks():
     x = np.linspace(0.0, 1.0, 20001)
     y = np.zeros(x.size)
     y[12345], y[777] = 5.0, -3.0
-    few, values = thinned(x, y)
+    few, values = thin_line(x, y)
     assert few.size <= 402
     assert (values.max(), values.min()) == (5.0, -3.0)
     assert few[values.argmax()] == x[12345]
@@ -104,7 +104,7 @@ def test_thinning_keeps_the_first_extremes_and_the_first_gap_of_each_bucket():
         wanted = [part.index(min(known)), part.index(max(known))] if known else []
         gaps = [k for k, v in enumerate(part) if math.isnan(v)]
         kept += [low + k for k in {*wanted, *gaps[:1]}]
-    few, values = thinned(x, y)
+    few, values = thin_line(x, y)
     np.testing.assert_array_equal(few, sorted(kept))
     np.testing.assert_array_equal(values, y[sorted(kept)])
     assert few.size < np.unique(np.concatenate([few, x[::40]])).size  # not every 40th

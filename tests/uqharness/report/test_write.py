@@ -12,7 +12,7 @@ from tests.helpers import report_folders as folders
 from tests.helpers.model_forms import made_up_form
 from tests.helpers.page_checks import problems
 from uqharness.errors import BadInputError
-from uqharness.report.parts import Figure, Figures, Page, Say, Section
+from uqharness.report.parts import Figure, Figures, Page, Section, Sentence
 from uqharness.report.svg import Chart, Scale
 from uqharness.report.write import (
     page_of,
@@ -136,7 +136,7 @@ def test_a_page_in_hand_is_written_like_any_other(tmp_path):
     page = Page(
         "Title",
         "What?",
-        (Say("It is so.", "good"),),
+        (Sentence("It is so.", "good"),),
         (Section("s", (Figures((figure("a"),), file="one"),)),),
     )
     report = write_page(tmp_path, page, page)

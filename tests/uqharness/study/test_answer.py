@@ -11,7 +11,7 @@ from uqharness.campaign.cases import Mission
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.samples import read_campaign
-from uqharness.campaign.statements import BEYOND, carried
+from uqharness.campaign.statements import DISPERSION_EXCEEDED, bound_dispersion
 from uqharness.study.answer import answer_of, performance, read_flown
 
 pytestmark = pytest.mark.usefixtures("flights_here")
@@ -84,7 +84,7 @@ def _no_check_flight(monkeypatch):
 
 
 def clustered(*asked):
-    return replace(carried(*asked), beyond=True)
+    return replace(bound_dispersion(*asked), is_contradicted=True)
 
 
 def answered(tmp_path, before, after=None, flights=40, winds="3", no=(), air='"moderate"'):
@@ -188,7 +188,7 @@ def test_conditions_of_several_turbulences_are_named_by_it(tmp_path):
 def test_clusters_beyond_the_carried_limit_are_the_reason_and_more_hours_no_advice(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("uqharness.campaign.statements.carried", clustered)
+    monkeypatch.setattr("uqharness.campaign.statements.bound_dispersion", clustered)
     found = answered(tmp_path, quiet)
     assert (found.level, found.answer[:52]) == (
         "warn",
@@ -210,7 +210,11 @@ def test_hours_and_clusters_are_each_named_with_their_conditions(tmp_path):
     answered(tmp_path, quiet, flights=4, winds="[1, 3]")
     flown = read_flown(tmp_path, both=False)
     first, *rest = flown["before"].signed
-    other = replace(first, reason=BEYOND, dispersion=replace(first.dispersion, beyond=True))
+    other = replace(
+        first,
+        reason=DISPERSION_EXCEEDED,
+        dispersion=replace(first.dispersion, is_contradicted=True),
+    )
     other = replace(flown["before"], signed=[other, *rest])
     found = answer_of({"before": other}, None, [])
     assert found.answer.startswith(

@@ -6,4 +6,4 @@ from .worker import CaseOutcome as CaseOutcome
 from .worker import FlightFunction as FlightFunction
 from .worker import Group as Group
 from .worker import attempt as attempt
-from .worker import why_not as why_not
+from .worker import unavailable_reason as unavailable_reason

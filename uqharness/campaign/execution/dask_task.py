@@ -1,7 +1,9 @@
-"""What a Dask worker does for a campaign: flies a group of cases in a process beside it, if it has what the campaign flies.
+"""Fly a group of cases on a Dask worker, in a child process of it.
 
-They never run in the Dask worker itself. A flight that ends the interpreter or hangs then costs a child process, is blamed for
-certain and counted with the words of a local run, and Dask sees nothing of it. Children stay for the next group.
+Flights never run in the Dask worker itself: a flight that ends the interpreter or hangs costs a
+child process, is identified and counted as in a local run, and Dask is not affected. Children stay
+for the next group. Orders and answers are JSON, not pickled objects, and an order is refused unless
+aircraft, script and versions of this machine are those of the campaign.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from uqharness.campaign.execution.worker import (
     Group,
     GroupFunction,
     OneByOne,
-    why_not,
+    unavailable_reason,
 )
 from uqharness.campaign.folder.manifest import binding_versions
 from uqharness.child_process import CHILD_ENVIRONMENT
@@ -42,20 +44,34 @@ from uqharness.flight import STATUSES
 from uqharness.simulator import folder_hash
 from uqharness.toml import dotted
 
-# What travels between a campaign and a Dask worker: orders and answers, as JSON that is data
-# and names what it wants flown.
+# Orders and answers as JSON.
 
 T = TypeVar("T")
 OWN_FLIGHT = "uqharness.flight.fly:fly"
 OWN_GROUP = "uqharness.campaign.execution.worker:fly_group"
 MODULES_VARIABLE = "UQHARNESS_FLIGHT_MODULES"
-"""Environment variable of a worker: modules whose functions it may fly with beside this program's own, separated by commas."""
+"""Environment variable of a worker: comma-separated modules whose functions it may fly with, in
+addition to those of this program.
+"""
 
 
 @dataclass(frozen=True)
 class Order:
-    """Cases for a worker elsewhere. ``fly`` names the function that flies them, "module:function", ``together`` whether it takes
-    the group; ``content`` and ``versions`` are what aircraft, script and program must be there."""
+    """Hold cases for a remote worker; fields are keys of the JSON.
+
+    Attributes
+    ----------
+    fly : str
+        Function that flies them, "module:function".
+    together : bool
+        Whether it takes groups.
+    group : Group
+        The cases.
+    content : tuple of str
+        Hashes of aircraft and script.
+    versions : tuple of (str, str)
+        Required versions of programs.
+    """
 
     fly: str
     together: bool
@@ -65,46 +81,52 @@ class Order:
 
     @property
     def case_ids(self) -> tuple[str, ...]:
-        """Ids of its cases, in order."""
+        """Ids of the cases, in order."""
         return tuple(case_id for case_id, _ in self.group.cases)
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Of a worker: the outcomes, or why it did not fly the cases, in a sentence."""
+    """Hold the outcomes of an order, or the reason why the worker refused it."""
 
     outcomes: tuple[CaseOutcome, ...] | None
     refused: str = ""
 
 
 def order_text(order: Order) -> str:
-    """The order as JSON; numbers and paths come back as they are. Raises BadInputError for a path that is no text."""
-    text = json.dumps(order, default=_plain, ensure_ascii=False)
+    """Return an order as JSON. Raises BadInputError for a path that is not valid text."""
+    text = json.dumps(order, default=_as_json_type, ensure_ascii=False)
     try:
         text.encode()
     except UnicodeEncodeError:
         case_id, flight = order.group.cases[0]
         raise BadInputError(
-            f"case {case_id}: a name with bytes that are no UTF-8 cannot be sent to a Dask cluster: aircraft "
-            f"{str(flight.aircraft)!r}, script {str(flight.script)!r}; rename it, or fly without --dask"
+            f"case {case_id}: a name with bytes that are no UTF-8 cannot be sent to a Dask cluster:"
+            f" aircraft {str(flight.aircraft)!r}, script {str(flight.script)!r}; rename it, or fly"
+            " without --dask"
         ) from None
     return text
 
 
 def order_from(text: str) -> Order:
-    """The order that `order_text` wrote. Raises BadInputError for any other text."""
+    """Return the order that `order_text` wrote. Raises BadInputError for any other text."""
     return _read(Order, text, "order")
 
 
 def answer_text(answer: Answer) -> str:
-    """The answer as JSON."""
+    """Return an answer as JSON."""
     return (
-        json.dumps(answer, default=_plain, ensure_ascii=False).encode("utf-8", "replace").decode()
+        json.dumps(answer, default=_as_json_type, ensure_ascii=False)
+        .encode("utf-8", "replace")
+        .decode()
     )
 
 
 def answer_from(text: Any, case_ids: tuple[str, ...]) -> list[CaseOutcome]:
-    """Outcomes of the cases asked for. Raises BadInputError where the worker refused them, or for any other text."""
+    """Return the outcomes of an answer.
+
+    Raises BadInputError if the worker refused the order or the text is no answer to these cases.
+    """
     answer = _read(Answer, text, "answer")
     if answer.outcomes is None:
         raise BadInputError(
@@ -112,84 +134,97 @@ def answer_from(text: Any, case_ids: tuple[str, ...]) -> list[CaseOutcome]:
         )
     if len(answer.outcomes) != len(case_ids):
         raise BadInputError(
-            f"a Dask worker answered with {len(answer.outcomes)} flights; asked for were {len(case_ids)}"
+            f"a Dask worker answered with {len(answer.outcomes)} flights; asked for were"
+            f" {len(case_ids)}"
         )
     for outcome, case_id in zip(answer.outcomes, case_ids, strict=True):
         if outcome.case_id != case_id or outcome.status not in STATUSES:
             raise BadInputError(
-                f"a Dask worker answered for case {outcome.case_id!r} with the status {outcome.status!r}; asked for was "
-                f"case {case_id!r} with one of {', '.join(STATUSES)}: every machine needs the same version of uqharness"
+                f"a Dask worker answered for case {outcome.case_id!r} with the status"
+                f" {outcome.status!r}; asked for was case {case_id!r} with one of"
+                f" {', '.join(STATUSES)}: every machine needs the same version of uqharness"
             )
     return list(answer.outcomes)
 
 
 def flight_name(fly: FlightFunction | GroupFunction) -> str:
-    """The name by which a worker finds a flight function. Raises BadInputError for what is not a function of a module."""
+    """Return the name by which a worker finds a flight function.
+
+    Raises BadInputError unless it is a top-level function of a module.
+    """
     name = f"{getattr(fly, '__module__', '')}:{getattr(fly, '__qualname__', '')}"
     try:
-        found = _function(name)
+        function = _function(name)
     except BadInputError:
-        found = None
-    if found is not fly:
+        function = None
+    if function is not fly:
         raise BadInputError(
-            f"a Dask cluster flies with a function that its module holds by name, and not with {fly!r}; fly this campaign without "
-            "--dask"
+            "a Dask cluster flies with a function that its module holds by name, and not with"
+            f" {fly!r}; fly this campaign without --dask"
         )
     return name
 
 
 def group_function(order: Order) -> GroupFunction:
-    """What flies an order's group. Raises BadInputError as `flight_function` does."""
-    found = flight_function(order.fly)
-    return found if order.together else OneByOne(found)
+    """Return the function that flies an order's group. Raises BadInputError as `flight_function`
+    does.
+    """
+    function = flight_function(order.fly)
+    return function if order.together else OneByOne(function)
 
 
 def flight_function(name: str) -> Any:
-    """The function of that name, if this machine flies with it: the program's own, or one of a module that its operator named.
+    """Return the function of that name if this machine allows it.
 
-    Nothing else is imported, for importing a module runs it. Raises BadInputError.
+    Allowed are the functions of this program and of modules in `MODULES_VARIABLE`. Nothing else is
+    imported, because importing a module runs it. Raises BadInputError.
     """
     allowed = {module.strip() for module in os.environ.get(MODULES_VARIABLE, "").split(",")}
     if name not in (OWN_FLIGHT, OWN_GROUP) and name.partition(":")[0] not in allowed - {""}:
         raise BadInputError(
-            f"this worker flies with {OWN_FLIGHT} alone, and not with {name!r}; whoever trusts that module starts the worker with "
-            f"the environment variable {MODULES_VARIABLE}={name.partition(':')[0]}"
+            f"this worker flies with {OWN_FLIGHT} alone, and not with {name!r}; whoever trusts that"
+            " module starts the worker with the environment variable"
+            f" {MODULES_VARIABLE}={name.partition(':')[0]}"
         )
     return _function(name)
 
 
 def _function(name: str) -> Any:
+    """Import a function by name. Raises BadInputError."""
     module, _, qualname = name.partition(":")
     try:
-        found = vars(importlib.import_module(module)).get(qualname)
+        function = vars(importlib.import_module(module)).get(qualname)
     except (ImportError, ValueError) as error:
         raise BadInputError(
             f"the module of the flight function {name!r} cannot be imported: {error}"
         ) from None
-    if not isinstance(found, types.FunctionType):
+    if not isinstance(function, types.FunctionType):
         raise BadInputError(f"there is no flight function {name!r}")
-    return found
+    return function
 
 
 @cache
 def _adapter(kind: Any) -> TypeAdapter[Any]:
+    """Return the pydantic adapter of a type."""
     return TypeAdapter(kind)
 
 
-def _read(kind: Callable[..., T], text: Any, what: str) -> T:
+def _read(kind: Callable[..., T], text: Any, kind_name: str) -> T:
+    """Parse and validate JSON of a given type. Raises BadInputError."""
     try:
-        found: T = _adapter(kind).validate_json(text, strict=True)
-        return found
+        parsed: T = _adapter(kind).validate_json(text, strict=True)
+        return parsed
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         place = dotted(first["loc"]) or "the whole"
         raise BadInputError(
-            f"malformed {what} on the Dask cluster: {place}: {first['msg']}; every machine needs the same version of uqharness"
+            f"malformed {kind_name} on the Dask cluster: {place}: {first['msg']}; every machine"
+            " needs the same version of uqharness"
         ) from None
 
 
-def _plain(value: Any) -> Any:
-    """What json does not know, in what it knows."""
+def _as_json_type(value: Any) -> Any:
+    """Convert dataclasses, mappings, paths and NumPy scalars for `json.dumps`."""
     if is_dataclass(value):
         return vars(value)
     if isinstance(value, Mapping):
@@ -203,11 +238,13 @@ def _plain(value: Any) -> Any:
 
 ABSENT = "not there"
 _LONGEST_S, _FASTEST_HZ = 1e7, 1e5
-"""Above what a campaign file allows; a flight without an end would hold the worker for good."""
+"""Limits above those of a campaign file; a flight without an end would block the worker."""
 
 
 def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
-    """Hashes of the aircraft's and the script's content on this machine, ``ABSENT`` where there is none."""
+    """Return the hashes of the aircraft's and the script's content, `ABSENT` where they do not
+    exist.
+    """
     return (
         folder_hash(aircraft) if aircraft.is_dir() else ABSENT,
         file_sha256(script) if script.is_file() else ABSENT,
@@ -215,39 +252,45 @@ def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
 
 
 def fly_order(text: str) -> str:
-    """Fly an order and give the answer, both as text; refused where this machine's files or versions are not the campaign's."""
+    """Fly an order and return the answer, both as text.
+
+    The order is refused if files or versions of this machine are not those of the campaign.
+    """
     try:
-        return answer_text(Answer(tuple(_flown(order_from(text)))))
+        return answer_text(Answer(tuple(_fly_group(order_from(text)))))
     except BadInputError as error:
         return answer_text(Answer(None, f"Dask worker on {socket.gethostname()}: {error}"))
 
 
-def _flown(order: Order) -> list[CaseOutcome]:
+def _fly_group(order: Order) -> list[CaseOutcome]:
+    """Validate an order and fly its group in a child process."""
+    # Check the order before anything is flown.
     fly = group_function(order)
     _refuse_unfit(order.group)
     _, flight = order.group.cases[0]
-    _refuse_unlike(order.versions, order.content, flight.aircraft, flight.script)
+    _refuse_other_versions(order.versions, order.content, flight.aircraft, flight.script)
     _refuse_without_engine(order.group.engine)
-    executor = _take(order.fly)
+    executor = _take_executor(order.fly)
     try:
-        found = {
+        outcomes = {
             item.case_id: item
             for batch in executor.run_groups(fly, [order.group])
             for item in batch
         }
     finally:
         _idle.append((order.fly, executor))
-    return [found[case_id] for case_id in order.case_ids]
+    return [outcomes[case_id] for case_id in order.case_ids]
 
 
 def _refuse_unfit(group: Group) -> None:
-    """Refuse a group that no campaign sends: its files would not be compared, or its flights would not end."""
+    """Raise BadInputError for a group that no campaign sends, e.g. one that would never end."""
     if not group.cases:
         raise BadInputError("malformed order on the Dask cluster: no case in it")
-    # An executor that was given a function of its own names no engine.
+    # A custom flight function has no engine name.
     if group.engine not in ("", BATCH, JSBSIM, JUDGE, ONE_ULP_OFF):
         raise BadInputError(
-            f"malformed order on the Dask cluster: engine {group.engine[:40]!r}; allowed are {BATCH} and {JSBSIM}"
+            f"malformed order on the Dask cluster: engine {group.engine[:40]!r}; allowed are"
+            f" {BATCH} and {JSBSIM}"
         )
     if len({case_id for case_id, _ in group.cases}) < len(group.cases):
         raise BadInputError("malformed order on the Dask cluster: one case twice")
@@ -261,16 +304,18 @@ def _refuse_unfit(group: Group) -> None:
             "burn_in_s": (flight.burn_in_s, _LONGEST_S),
             "record_rate_hz": (flight.record_rate_hz, _FASTEST_HZ),
         }
-        for name, (value, most) in limits.items():
+        for name, (value, upper) in limits.items():
             # NaN is within no limits.
-            if not 0.0 <= value <= most:
+            if not 0.0 <= value <= upper:
                 raise BadInputError(
-                    f"malformed order on the Dask cluster: {name} {value:g}; allowed is 0 to {most:g}"
+                    f"malformed order on the Dask cluster: {name} {value:g}; allowed is 0 to"
+                    f" {upper:g}"
                 )
 
 
 def _refuse_without_engine(name: str) -> None:
-    reason = why_not(name)
+    """Raise BadInputError if this machine cannot fly in that engine."""
+    reason = unavailable_reason(name)
     if reason is not None:
         raise BadInputError(f"the campaign flies in the batch engine, and {reason}")
 
@@ -279,18 +324,21 @@ def _refuse_without_engine(name: str) -> None:
 _idle: list[tuple[str, ProcessExecutor]] = []
 
 
-def _take(fly: str) -> ProcessExecutor:
+def _take_executor(fly: str) -> ProcessExecutor:
+    """Return an idle executor of that flight function, or a new one."""
+    # Reuse an idle executor of the same function; close those of others.
     while _idle:
         try:
-            found, executor = _idle.pop()
+            name, executor = _idle.pop()
         except IndexError:
             break
-        if found == fly:
+        if name == fly:
             return executor
         executor.close()
-    # Dask's nannies start workers as daemons, which Python forbids children, lest they be orphaned: ours follow their parent.
+    # Dask starts workers as daemons, which Python forbids to have children; ours end with their
+    # parent.
     multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
-    # For good: the executors of several threads would otherwise restore it under one another's feet.
+    # Permanently: executors of several threads would otherwise restore it while others need it.
     os.environ.update(CHILD_ENVIRONMENT)
     # This process has threads, so that a fork of it may hang.
     return ProcessExecutor(1, "spawn", keep=True)
@@ -299,23 +347,26 @@ def _take(fly: str) -> ProcessExecutor:
 _versions_here = lru_cache(maxsize=1)(binding_versions)
 
 
-def _refuse_unlike(
+def _refuse_other_versions(
     versions: tuple[tuple[str, str], ...], content: tuple[str, str], aircraft: Path, script: Path
 ) -> None:
-    there, here = dict(versions), dict(_versions_here())
+    """Raise BadInputError if versions or files of this machine are not those of the campaign."""
+    campaign_versions, local_versions = dict(versions), dict(_versions_here())
+    # Versions of programs, then content of the files.
     unlike = [
-        f"{name} {there.get(name, 'unknown')} there, {here.get(name, 'unknown')} here"
-        for name in dict.fromkeys([*there, *here])
-        if there.get(name) != here.get(name)
+        f"{name} {campaign_versions.get(name, 'unknown')} there,"
+        f" {local_versions.get(name, 'unknown')} here"
+        for name in dict.fromkeys([*campaign_versions, *local_versions])
+        if campaign_versions.get(name) != local_versions.get(name)
     ]
-    found = content_of(aircraft, script)
-    for what, path, wanted, have in zip(
-        ("aircraft", "script"), (aircraft, script), content, found, strict=True
+    local_content = content_of(aircraft, script)
+    for kind, path, expected_hash, local_hash in zip(
+        ("aircraft", "script"), (aircraft, script), content, local_content, strict=True
     ):
-        if have == ABSENT:
-            unlike.append(f"{what} {path} is not here")
-        elif have != wanted:
-            unlike.append(f"{what} {path} has other content here")
+        if local_hash == ABSENT:
+            unlike.append(f"{kind} {path} is not here")
+        elif local_hash != expected_hash:
+            unlike.append(f"{kind} {path} has other content here")
     if unlike:
         raise BadInputError(
             f"{'; '.join(unlike)}. Every machine needs the same versions, and the files "

@@ -1,4 +1,8 @@
-"""A campaign's worker: takes cases, flies them, sends what is kept of them. Imports little, for it starts often."""
+"""Fly cases in a worker process and return what a campaign keeps of them.
+
+The module is imported by every worker that starts, so it imports little; the simulators are
+imported when the first flight needs them.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +22,19 @@ from uqharness.parallel import end_with_parent
 
 FlightFunction = Callable[[FlightSpec], FlightResult]
 GroupFunction = Callable[[str, Sequence[FlightSpec]], Sequence[FlightResult]]
-"""Flies flights in the engine of that name; results in the order given."""
+"""Function that flies flights in the engine of a given name; results in the order of the flights.
+"""
 
 
 @dataclass(frozen=True)
 class Group:
-    """Cases (id, flight) that one worker flies together in the engine of that name."""
+    """Hold cases (id, flight) that one worker flies together in the engine of that name."""
 
     engine: str
     cases: tuple[tuple[str, FlightSpec], ...]
 
     def parts(self, number: int) -> list[Group]:
-        """At most that many groups of the same cases in the same order, sizes as even as can be."""
+        """Split into at most ``number`` groups of nearly equal size, in the same order."""
         share = -(-len(self.cases) // number)
         return [
             Group(self.engine, self.cases[first : first + share])
@@ -39,18 +44,32 @@ class Group:
 
 @dataclass(frozen=True)
 class OneByOne:
-    """A flight function as a group function: one flight after the other, whatever the engine is called."""
+    """Wrap a flight function as a group function that flies one flight after the other."""
 
     fly: FlightFunction
 
     def __call__(self, engine: str, flights: Sequence[FlightSpec]) -> list[FlightResult]:
-        """Fly them."""
+        """Fly the flights; the name of the engine is ignored."""
         return [self.fly(flight) for flight in flights]
 
 
 @dataclass(frozen=True)
 class CaseOutcome:
-    """What is kept of one flight: its result without the signals. ``bad_input``: refused as input, not flown."""
+    """Hold what a campaign keeps of one flight: the result without its signals.
+
+    Attributes
+    ----------
+    case_id, status, reason : str
+        Case, status (ok, crashed, ...) and the reason of an early end.
+    flown_s : float
+        Simulated time [s].
+    metrics : mapping of str to float
+        Metrics by name, NaN if undefined.
+    undefined : mapping of str to str
+        Why a metric is undefined.
+    bad_input : bool
+        Whether the flight was refused as input.
+    """
 
     case_id: str
     status: str
@@ -62,12 +81,14 @@ class CaseOutcome:
 
 
 def attempt(fly: FlightFunction, case_id: str, flight: FlightSpec) -> CaseOutcome:
-    """Fly one case; whatever it raises becomes a crashed outcome with its reason."""
+    """Fly one case; an exception becomes a crashed outcome with its message."""
     return attempt_group(OneByOne(fly), Group("", ((case_id, flight),)))[0]
 
 
 def attempt_group(fly: GroupFunction, group: Group) -> list[CaseOutcome]:
-    """Fly a group; of a case that raises, flown by itself, that becomes a crashed outcome with its reason."""
+    """Fly a group; if it raises, fly its halves until the failing case is alone and counts as
+    crashed.
+    """
     try:
         results = fly(group.engine, [flight for _, flight in group.cases])
         return [
@@ -75,6 +96,7 @@ def attempt_group(fly: GroupFunction, group: Group) -> list[CaseOutcome]:
             for (case_id, _), result in zip(group.cases, results, strict=True)
         ]
     except Exception as error:
+        # Bisect the group to find the failing case.
         if len(group.cases) > 1:
             return [outcome for part in group.parts(2) for outcome in attempt_group(fly, part)]
         ((case_id, _),) = group.cases
@@ -84,9 +106,11 @@ def attempt_group(fly: GroupFunction, group: Group) -> list[CaseOutcome]:
 
 
 def _outcome(case_id: str, result: FlightResult) -> CaseOutcome:
+    """Return the outcome of a result. Raises ValueError for an unknown status."""
     if result.status not in STATUSES:
         raise ValueError(
-            f"the flight function returned status '{result.status}', not one of {', '.join(STATUSES)}"
+            f"the flight function returned status '{result.status}', not one of"
+            f" {', '.join(STATUSES)}"
         )
     return CaseOutcome(
         case_id,
@@ -103,11 +127,14 @@ def _outcome(case_id: str, result: FlightResult) -> CaseOutcome:
 
 
 def _one_line(text: str) -> str:
+    """Return text with all white space collapsed."""
     return " ".join(text.split())
 
 
 def work(pipe: Connection, fly: GroupFunction) -> None:
-    """A worker's life: take a group, fly it, send the outcomes; end with the parent, or when it is sent None."""
+    """Run a worker: receive groups, fly them and send outcomes until None arrives or the parent
+    ends.
+    """
     # Ctrl-C reaches the whole group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
@@ -122,52 +149,58 @@ def work(pipe: Connection, fly: GroupFunction) -> None:
         return
 
 
-# What a worker flies with: JSBSim, one flight after the other, or the batch engine, many at
-# once. Imports little.
+# Engines: JSBSim flies one flight after the other, the batch engine many at once.
 
 BATCH, JSBSIM = "batch", "jsbsim"
 JUDGE, ONE_ULP_OFF = "jsbsim as judge", "jsbsim one ulp off"
-"""JSBSim once more for the sake of comparison: with distances from each radius, and from a start moved by rounding alone."""
+"""Engine names of comparison flights: JSBSim with distances to each radius, and JSBSim from a start
+moved by one unit in the last place.
+"""
 NEAREST = "nearest_"
-"""Before the name of a count: how near the flight came to a radius at which it counts [m]."""
+"""Prefix of the metric that holds the smallest distance to a radius at which a count changes [m].
+"""
 
 
 class Batch(Protocol):
-    """What a campaign asks of the batch engine before it flies."""
+    """Report what the batch engine can fly."""
 
     def available(self) -> str | None:
-        """None if it can fly on this machine, else the sentence that says why not."""
+        """Return None if it can fly on this machine, else the reason."""
         ...
 
     def refusals(self, spec: FlightSpec, varying: Collection[str]) -> tuple[str, ...]:
-        """What of aircraft and mission it does not understand, with file and line; ``varying``: properties that differ by case."""
+        """Return what it does not understand, with file and line.
+
+        ``varying`` names the properties that differ between cases.
+        """
         ...
 
 
-class OwnBatch:
-    """This program's batch engine."""
+class LocalBatch:
+    """Report what the batch engine of this program can fly."""
 
     def available(self) -> str | None:
-        """None if it can fly on this machine, else the sentence that says why not."""
-        return why_not(BATCH)
+        """Return None if it can fly on this machine, else the reason."""
+        return unavailable_reason(BATCH)
 
     def refusals(self, spec: FlightSpec, varying: Collection[str]) -> tuple[str, ...]:
-        """See :class:`Batch`."""
+        """Return what it does not understand, see `Batch`."""
         from uqharness.batch import refusals
 
         return refusals(spec, varying)
 
 
-def why_not(engine: str) -> str | None:
-    """None if this machine can fly in the engine of that name, else the sentence that says why not."""
-    # Imported here, as below: a worker of JSBSim needs no compiler, one of the batch engine no JSBSim.
+def unavailable_reason(engine: str) -> str | None:
+    """Return None if this machine can fly in the engine of that name, else the reason."""
+    # Imported here, as below: a worker of JSBSim needs no compiler, one of the batch engine no
+    # JSBSim.
     from uqharness.batch import available
 
     return available() if engine == BATCH else None
 
 
 def fly_group(engine: str, flights: Sequence[FlightSpec]) -> Sequence[FlightResult]:
-    """Fly flights in the engine of that name; results in the order given."""
+    """Fly flights in the engine of that name; results in the order of the flights."""
     if engine == BATCH:
         from uqharness.batch import fly_many
 
@@ -184,15 +217,18 @@ def fly_group(engine: str, flights: Sequence[FlightSpec]) -> Sequence[FlightResu
 
 
 def with_distances(result: FlightResult, flight: FlightSpec) -> FlightResult:
-    """The result with, for each count of excursions, how near the record came to a distance at which it counts or re-arms [m]."""
-    found: dict[str, float] = {}
+    """Add to the result, for each excursion count, the smallest distance to a radius or re-arm
+    limit [m].
+    """
+    distances: dict[str, float] = {}
     for radius in flight.excursion_radius_m:
         for distance_name, suffix in (("cross_track", ""), ("distance_3d", "_3d")):
             distance = np.abs(result.signals.get(distance_name, np.zeros(0)))
+            # Distance of the record to the radius and to the re-arm limit.
             gaps = [
                 np.min(np.abs(distance - limit))
                 for limit in (radius, radius - flight.rearm_m)
                 if distance.size
             ]
-            found[f"{NEAREST}excursions_{radius:g}m{suffix}"] = float(min(gaps, default=np.nan))
-    return replace(result, metrics={**result.metrics, **found})
+            distances[f"{NEAREST}excursions_{radius:g}m{suffix}"] = float(min(gaps, default=np.nan))
+    return replace(result, metrics={**result.metrics, **distances})

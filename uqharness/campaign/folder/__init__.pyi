@@ -7,7 +7,7 @@ from .manifest import read_manifest as read_manifest
 from .manifest import refuse_if_different as refuse_if_different
 from .manifest import spec_of as spec_of
 from .rerun import RERUN as RERUN
-from .rerun import Rerun as Rerun
+from .rerun import RerunResult as RerunResult
 from .rerun import rerun_case as rerun_case
 from .shards import merge as merge
 from .shards import parse_shard as parse_shard
@@ -15,8 +15,8 @@ from .shards import read_status as read_status
 from .store import LOCK as LOCK
 from .store import Store as Store
 from .store import run_lock as run_lock
+from .tables import FULL_FLIGHT as FULL_FLIGHT
 from .tables import STATUS as STATUS
-from .tables import WHOLE as WHOLE
 from .tables import CheckRow as CheckRow
 from .tables import as_number as as_number
 from .tables import read_cases as read_cases
@@ -25,7 +25,7 @@ from .tables import read_checked as read_checked
 from .tables import read_decisions as read_decisions
 from .tables import read_engine_check as read_engine_check
 from .tables import record_table as record_table
-from .verify import Flying as Flying
-from .verify import Salvaged as Salvaged
-from .verify import Verified as Verified
+from .verify import FolderCheck as FolderCheck
+from .verify import RunOptions as RunOptions
+from .verify import SalvageResult as SalvageResult
 from .verify import salvage as salvage

@@ -1,4 +1,9 @@
-"""manifest.json: what a campaign folder belongs to, and the refusal to mix two campaigns in one folder."""
+"""Read and write manifest.json, which says what campaign a folder belongs to.
+
+The manifest holds settings, versions, hashes of the inputs and, once the campaign is complete,
+digests of journal and tables. It is validated before use and carries a digest of itself, so damage
+is detected. `refuse_if_different` prevents flights of two campaigns in one folder.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +27,12 @@ from uqharness.campaign.spec.samples import campaign_from, checked_settings
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 
-# What may stand in manifest.json, checked before anything of it is believed.
+# Content of manifest.json, validated before use.
 
 FORMAT = 2
 FORMAT_WITHOUT_DIGESTS = 1
-"""What uqharness 0.1 wrote."""
-RUNNING, INTERRUPTED, COMPLETE, SPOILT = "running", "interrupted", "complete", "spoilt"
+"""Format of uqharness 0.1."""
+RUNNING, INTERRUPTED, COMPLETE, MIXED = "running", "interrupted", "complete", "spoilt"
 """States; spoilt: aircraft or script was edited while it flew."""
 
 _Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
@@ -35,25 +40,35 @@ _FileName = Annotated[str, Field(pattern="^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
 
 
 class _Part(BaseModel):
+    """Base of the parts of a manifest."""
+
     model_config = ConfigDict(strict=True, extra="ignore")
 
 
 class _Journal(_Part):
+    """Number of journal rows and a digest over them."""
+
     rows: int = Field(ge=0)
     digest: _Digest
 
 
 class _Engine(_Part):
+    """Requested engine and reasons of the choice; fields are keys of the file."""
+
     asked: Literal["auto", "batch", "jsbsim"]
     why: list[str]
 
 
 class _Bounds(_Part):
+    """Confidence of the model form and coefficients with a transient part."""
+
     confidence: float = Field(gt=0, lt=1)
     transient: list[str]
 
 
 class _Content(_Part):
+    """Content of manifest.json; fields are keys of the file."""
+
     format: Literal[1, 2]
     state: Literal["running", "interrupted", "complete", "spoilt"]
     command: str
@@ -71,7 +86,8 @@ class _Content(_Part):
     sums: Literal["SHA256SUMS"] | None = None
 
     @model_validator(mode="after")
-    def _whole(self) -> _Content:
+    def _check_complete(self) -> _Content:
+        """Require the hashes, and for a complete campaign the digest of its journal."""
         missing = [name for name in ("aircraft", "script") if name not in self.hashes]
         if missing:
             raise ValueError(f"hashes lack {missing[0]}")
@@ -81,24 +97,29 @@ class _Content(_Part):
 
 
 def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The content with every setting of the campaign filled in. ValueError naming the first thing that is not what it must be."""
+    """Return the content with all settings of the campaign filled in.
+
+    Raises ValueError naming the first invalid entry.
+    """
     try:
-        found = _Content.model_validate(data)
+        content = _Content.model_validate(data)
     except ValidationError as error:
-        raise ValueError(_words(error)) from None
+        raise ValueError(_error_text(error)) from None
     try:
-        settings = checked_settings(_as_it_was(found.campaign))
+        settings = checked_settings(_fill_old_defaults(content.campaign))
     except ValidationError as error:
-        raise ValueError(_words(error, "campaign")) from None
-    if settings["campaign"]["seed"] != found.seed:
+        raise ValueError(_error_text(error, "campaign")) from None
+    if settings["campaign"]["seed"] != content.seed:
         raise ValueError(
-            f"seed is {found.seed}, that of the campaign in it {settings['campaign']['seed']}"
+            f"seed is {content.seed}, that of the campaign in it {settings['campaign']['seed']}"
         )
     return {**data, "campaign": settings}
 
 
-def _as_it_was(campaign: dict[str, Any]) -> dict[str, Any]:
-    """Fill in what older versions flew: JSBSim as the engine, and corners without interior points or the nominal model."""
+def _fill_old_defaults(campaign: dict[str, Any]) -> dict[str, Any]:
+    """Fill in what older versions flew: JSBSim, and corners without interior points or nominal
+    model.
+    """
     filled = dict(campaign)
     if isinstance(section := campaign.get("campaign"), dict):
         filled["campaign"] = {"engine": "jsbsim", **section}
@@ -110,49 +131,71 @@ def _as_it_was(campaign: dict[str, Any]) -> dict[str, Any]:
     return filled
 
 
-def _words(error: ValidationError, *section: str) -> str:
+def _error_text(error: ValidationError, *section: str) -> str:
+    """Return the first validation error with its place in the file."""
     first = error.errors()[0]
     place = ".".join(map(str, (*section, *first["loc"])))
     if first["type"] == "missing":
         return f"{place} is missing"
-    said = first["msg"].removeprefix("Value error, ").replace("Input should", "must")
-    return f"{place}: {said}" if place else said
+    message = first["msg"].removeprefix("Value error, ").replace("Input should", "must")
+    return f"{place}: {message}" if place else message
 
 
-# Digests by which a campaign's folder shows damage, and the one sentence that tells of it.
+# Digests that reveal damage.
 
 _MODULUS = 2**256
 
 
 class DamageError(BadInputError):
-    """Something in a campaign's folder is not as it was written. ``what`` is the short reason, without path and advice."""
+    """Report that a file of a campaign folder is not as it was written.
 
-    def __init__(self, path: Path, what: str, folder: Path) -> None:
-        self.what = what
+    Attributes
+    ----------
+    what : str
+        The reason without path and advice.
+    """
+
+    def __init__(self, path: Path, problem: str, folder: Path) -> None:
+        """Compose the message with the commands that help."""
+        self.what = problem
         place = shlex.quote(str(folder))
         super().__init__(
-            f"{path}: damaged: {what}; nothing was changed. `uqharness campaign verify {place}` says what is whole, "
-            f"`uqharness campaign salvage {place}` keeps it and makes the rest again"
+            f"{path}: damaged: {problem}; nothing was changed. `uqharness campaign verify {place}`"
+            f" says what is whole, `uqharness campaign salvage {place}` keeps it and makes the rest"
+            " again"
         )
 
 
 def digest_of_text(values: Any) -> str:
-    """SHA-256 over the canonical JSON of plain values. TypeError or ValueError for what JSON does not hold."""
+    """Return a SHA-256 over the canonical JSON of plain values.
+
+    Raises TypeError or ValueError for values that JSON cannot hold.
+    """
     return sha256_hex(json.dumps(values, sort_keys=True, separators=(",", ":")).encode())
 
 
 def row_digest(columns: Sequence[Any]) -> str:
-    """Digest of one journal row: over all its columns but the digest itself."""
+    """Return the digest of a journal row, over all columns but the digest itself."""
     return digest_of_text(list(columns))
 
 
 def digest_of_rows(digests: Iterable[str]) -> str:
-    """One digest over those of all rows, in the order given."""
+    """Return one digest over those of all rows, in the order given."""
     return sha256_of_parts(digest.encode() for digest in digests)
 
 
-def summed(total: str, added: Iterable[str], removed: Iterable[str] = ()) -> str:
-    """Sum of digests as numbers: tells whether a set of rows is complete, and may be kept up to date row by row."""
+def sum_digests(total: str, added: Iterable[str], removed: Iterable[str] = ()) -> str:
+    """Return a sum of digests modulo 2**256, after rows were added and removed.
+
+    The sum shows whether a set of rows is complete and can be updated row by row.
+
+    Parameters
+    ----------
+    total : str
+        Sum so far, hexadecimal.
+    added, removed : iterable of str
+        Digests of rows.
+    """
     number = (
         int(total, 16)
         + sum(int(item, 16) for item in added)
@@ -164,29 +207,29 @@ def summed(total: str, added: Iterable[str], removed: Iterable[str] = ()) -> str
 MANIFEST = "manifest.json"
 _MOST_BYTES = 16_000_000
 
-# A change in one of these may change a flight; the others are recorded for the reader.
+# Only these versions can change a flight; the others are recorded for information.
 _BINDING_VERSIONS = ("uqharness", "jsbsim", "numpy")
 _RECORDED_VERSIONS = ("scipy", "pyarrow", "pandas", "llvmlite")
 
 
 def versions() -> dict[str, str]:
-    """Versions of this program, of what it flies with and of what writes its tables."""
-    found = {"uqharness": uqharness.__version__, "python": platform.python_version()}
+    """Return the versions of this program and of the libraries that fly and write tables."""
+    result = {"uqharness": uqharness.__version__, "python": platform.python_version()}
     for name in (*_BINDING_VERSIONS[1:], *_RECORDED_VERSIONS):
         # llvmlite may be left out.
         with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
+            result[name] = metadata.version(name)
+    return result
 
 
 def binding_versions() -> tuple[tuple[str, str], ...]:
-    """Names and versions of what must be alike wherever flights of one campaign are flown."""
-    found = versions()
-    return tuple((name, found[name]) for name in _BINDING_VERSIONS)
+    """Return names and versions that must agree for all flights of a campaign."""
+    installed = versions()
+    return tuple((name, installed[name]) for name in _BINDING_VERSIONS)
 
 
 def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> dict[str, Any]:
-    """Manifest of a campaign that is about to run."""
+    """Return the manifest of a campaign that is about to run."""
     inputs = spec.inputs
     bounds = {"confidence": inputs.confidence, "transient": list(inputs.transient_rates)}
     return {
@@ -208,21 +251,30 @@ def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> 
 
 
 def spec_of(manifest: Mapping[str, Any]) -> CampaignSpec:
-    """The campaign that a manifest describes. Raises BadInputError, if a file it names has gone for one."""
+    """Return the campaign that a manifest describes.
+
+    Raises BadInputError, e.g. if a file that it names is gone.
+    """
     return campaign_from(manifest["campaign"], Path(manifest.get("campaign_file", "campaign.toml")))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Manifest of a campaign folder, every part of it checked.
+    """Read and validate the manifest of a campaign folder.
 
-    Raises BadInputError if there is none or it is another program's; DamageError, which is one, if it is not as it was written.
+    Raises
+    ------
+    BadInputError
+        If there is no manifest or another program wrote it.
+    DamageError
+        If it is not as it was written.
     """
     path = folder / MANIFEST
     try:
         content = read_regular(path, _MOST_BYTES)
     except FileNotFoundError:
         raise BadInputError(
-            f"{folder}: not a campaign folder (no {MANIFEST}); make one with: uqharness campaign run CAMPAIGN.toml --out DIR"
+            f"{folder}: not a campaign folder (no {MANIFEST}); make one with: uqharness campaign"
+            " run CAMPAIGN.toml --out DIR"
         ) from None
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
@@ -234,41 +286,43 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def _parsed(content: bytes, path: Path) -> dict[str, Any]:
-    """ValueError for damage, BadInputError for what this program did not write."""
+    """Parse a manifest. ValueError means damage, BadInputError a file of another program."""
     try:
         manifest = json.loads(content.decode("utf-8"))
     except UnicodeDecodeError:
         raise ValueError("not text in UTF-8") from None
     except ValueError as error:
         raise ValueError(f"not JSON: {error}") from None
-    known = (FORMAT, FORMAT_WITHOUT_DIGESTS)
+    readable_formats = (FORMAT, FORMAT_WITHOUT_DIGESTS)
     if (
         not isinstance(manifest, dict)
-        or type(found := manifest.get("format")) is not int
-        or found not in known
+        or type(file_format := manifest.get("format")) is not int
+        or file_format not in readable_formats
     ):
         raise BadInputError(f"{path}: written by another version of uqharness, or not by uqharness")
+    # The digest covers everything but itself.
     digest = manifest.pop("digest", None)
-    if digest != (digest_of_text(manifest) if found == FORMAT else None):
+    if digest != (digest_of_text(manifest) if file_format == FORMAT else None):
         raise ValueError("its content does not fit its digest")
     return checked_content(manifest)
 
 
 def has_digests(manifest: Mapping[str, Any]) -> bool:
-    """Whether the folder's journal and tables can be held against digests; not those of uqharness 0.1."""
+    """Return whether journal and tables have digests; those of uqharness 0.1 do not."""
     return bool(manifest["format"] != FORMAT_WITHOUT_DIGESTS)
 
 
 def refuse_without_digests(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """BadInputError for a folder of uqharness 0.1: it may be read, but nothing may be flown into it."""
+    """Raise BadInputError for a folder of uqharness 0.1, which can be read but not continued."""
     if not has_digests(manifest):
         raise BadInputError(
-            f"{folder}: made by uqharness 0.1, whose flights carry no digests: finish it there, or fly it anew with another --out"
+            f"{folder}: made by uqharness 0.1, whose flights carry no digests: finish it there, or"
+            " fly it anew with another --out"
         )
 
 
 def read_complete(folder: Path) -> dict[str, Any]:
-    """Manifest of a campaign folder whose flights are all done. Raises BadInputError, also where some are missing."""
+    """Read the manifest of a complete campaign. Raises BadInputError if flights are missing."""
     manifest = read_manifest(folder)
     if manifest["state"] != COMPLETE:
         command = manifest["command"] or "the command that began it"
@@ -279,58 +333,67 @@ def read_complete(folder: Path) -> dict[str, Any]:
 
 
 def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Write it, with a digest over its content, whole or not at all."""
+    """Write the manifest with its digest in one atomic step."""
     content = {**manifest, "digest": digest_of_text(dict(manifest))}
     write_bytes(folder / MANIFEST, (json.dumps(content, indent=2) + "\n").encode())
 
 
 def refuse_if_different(
-    folder: Path, old: Mapping[str, Any], new: Mapping[str, Any], but_for: tuple[str, ...] = ()
+    folder: Path, old: Mapping[str, Any], new: Mapping[str, Any], ignore: tuple[str, ...] = ()
 ) -> None:
-    """BadInputError naming every difference that makes the folder's flights no part of the campaign now asked for.
+    """Raise BadInputError if the flights of a folder do not belong to the requested campaign.
 
-    Versions and hashes named in ``but_for`` may differ.
+    The message names every difference. Versions and hashes listed in ``ignore`` may differ.
     """
     differences = [
         f"{name} {old['versions'].get(name)} then, {new['versions'].get(name)} now"
         for name in _BINDING_VERSIONS
-        if name not in but_for and old["versions"].get(name) != new["versions"].get(name)
+        if name not in ignore and old["versions"].get(name) != new["versions"].get(name)
     ]
-    was, now = _flat(old["campaign"]), _flat(new["campaign"])
-    for key in sorted(was.keys() | now.keys()):
-        if key == "campaign.engine" and now.get(key, "auto") == "auto":
+    old_settings, new_settings = _flatten(old["campaign"]), _flatten(new["campaign"])
+    # Settings, except paths and an engine that was chosen automatically.
+    for key in sorted(old_settings.keys() | new_settings.keys()):
+        if key == "campaign.engine" and new_settings.get(key, "auto") == "auto":
             continue  # whichever flew before
-        if key not in ("campaign.aircraft", "campaign.mission") and was.get(key) != now.get(key):
+        if key not in ("campaign.aircraft", "campaign.mission") and old_settings.get(
+            key
+        ) != new_settings.get(key):
             section, _, name = key.partition(".")
             differences.append(
-                f"[{section}] {name} was {json.dumps(was.get(key))}, is {json.dumps(now.get(key))}"
+                f"[{section}] {name} was {json.dumps(old_settings.get(key))}, is"
+                f" {json.dumps(new_settings.get(key))}"
             )
     for name, setting in (("aircraft", "aircraft"), ("script", "mission")):
-        before, after = old["hashes"][name], new["hashes"][name]
-        if name not in but_for and before != after:
-            what = now.get(f"campaign.{setting}")
+        old_hash, new_hash = old["hashes"][name], new["hashes"][name]
+        if name not in ignore and old_hash != new_hash:
+            setting_value = new_settings.get(f"campaign.{setting}")
             differences.append(
-                f"the content of the {name} ({what}) has changed: {before[:12]} then, {after[:12]} now"
+                f"the content of the {name} ({setting_value}) has changed: {old_hash[:12]} then,"
+                f" {new_hash[:12]} now"
             )
+    # Further input files: bounds and fit.
     for role in sorted((old["hashes"].keys() | new["hashes"].keys()) - {"aircraft", "script"}):
-        before, after = (
+        old_hash, new_hash = (
             hashes.get(role, "absent")[:12] for hashes in (old["hashes"], new["hashes"])
         )
-        if before != after:
+        if old_hash != new_hash:
             differences.append(
-                f"the content of the file named as {role} has changed: {before} then, {after} now"
+                f"the content of the file named as {role} has changed: {old_hash} then,"
+                f" {new_hash} now"
             )
     if differences:
         raise BadInputError(
-            f"{folder}: this folder holds another campaign: {'; '.join(differences)}. Choose another --out, or restore what changed"
+            f"{folder}: this folder holds another campaign: {'; '.join(differences)}. Choose"
+            " another --out, or restore what changed"
         )
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
+def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return a nested mapping with dotted keys."""
+    flat: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, Mapping):
-            found |= _flat(value, f"{prefix}{key}.")
+            flat |= _flatten(value, f"{prefix}{key}.")
         else:
-            found[f"{prefix}{key}"] = value
-    return found
+            flat[f"{prefix}{key}"] = value
+    return flat

@@ -1,7 +1,8 @@
-"""A campaign in parts: each shard flies its share into a folder of its own, and merging makes one campaign folder of them.
+"""Report, seal and merge campaign folders: answers, status, digests, shards.
 
-For schedulers without a process pool across machines: n jobs with --shard 1/n ... n/n, on a shared folder or on folders that are
-copied together afterwards. A case belongs to a shard by its place in the campaign, so the merged tables are those of one run.
+A campaign can be flown in shards by a scheduler without a process pool across machines: n jobs with
+--shard 1/n ... n/n, each into a folder of its own. A case belongs to a shard by its place in the
+campaign, so the tables after `merge` are those of a single run.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ from uqharness.campaign.folder.manifest import (
     COMPLETE,
     INTERRUPTED,
     MANIFEST,
+    MIXED,
     RUNNING,
-    SPOILT,
     DamageError,
     describe,
     has_digests,
@@ -56,8 +57,7 @@ from uqharness.campaign.statements import STATEMENTS, joint_level, joint_words
 from uqharness.errors import BadInputError
 from uqharness.text_tables import csv_rows
 
-# How far a campaign's question is answered, cell by cell, from what its folder holds: while it
-# flies, and after.
+# Answers per condition, during a run and after it.
 
 _ORDER = ("yes", "no", "open", "flying")
 _WORDS = {"open": "inconclusive"}
@@ -65,7 +65,20 @@ _WORDS = {"open": "inconclusive"}
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer of one condition to "at most ``acceptable_per_h`` excursions beyond ``radius_m`` at every corner?"."""
+    """Answer for one condition whether excursions beyond ``radius_m`` are acceptable at every
+    corner.
+
+    Attributes
+    ----------
+    condition : str
+        Label of the condition.
+    radius_m, acceptable_per_h : float
+        Radius [m] and acceptable rate [1/h].
+    answer, reason : str
+        yes, no, open or flying, and why a condition is open.
+    hours : float
+        Hours flown.
+    """
 
     condition: str
     radius_m: float
@@ -74,13 +87,16 @@ class Answer:
     reason: str
     hours: float
     flight_share_upper: float | None = None
-    """Upper limit of the share of flights with an excursion at the worst corner, where the number of flights was fixed."""
+    """Upper limit of the share of flights with an excursion at the worst corner, if the number of
+    flights was fixed.
+    """
 
 
 def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
-    """From decisions.csv, which a run that decides keeps up to date; else from the statements of a complete campaign; else none.
+    """Return the answers of a campaign, per condition, for the smallest radius.
 
-    Raises BadInputError where the table is not as it was written.
+    They come from decisions.csv, which a run with *decide* updates, or from the statements of a
+    complete campaign; otherwise the list is empty. Raises BadInputError if a table is damaged.
     """
     rows = [row for row in read_decisions(folder, manifest) if row["epistemic_id"] == ALL_CORNERS]
     if not rows and (
@@ -91,6 +107,7 @@ def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
         every = csv_rows(
             content, folder / STATEMENTS, ("radius_m", "acceptable_per_h", "hours"), texts
         )
+        # Answer for the smallest radius, the one that the campaign asks about.
         smallest = min((float(row["radius_m"]) for row in every), default=0.0)
         rows = [
             row
@@ -101,6 +118,7 @@ def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
 
 
 def _answer(row: dict[str, str]) -> Answer:
+    """Return the answer of a row."""
     return Answer(
         row["condition"],
         float(row["radius_m"]),
@@ -113,40 +131,47 @@ def _answer(row: dict[str, str]) -> Answer:
 
 
 def as_json(answers: Sequence[Answer]) -> list[dict[str, object]]:
-    """The same as plain types."""
+    """Return the answers as plain types."""
     return [asdict(answer) for answer in answers]
 
 
 def lines(answers: Sequence[Answer]) -> list[str]:
-    """A summary, then one line per condition."""
+    """Return a summary line, then one line per condition."""
     if not answers:
         return []
     first, count = answers[0], Counter(answer.answer for answer in answers)
     summary = ", ".join(f"{count[word]} {_WORDS.get(word, word)}" for word in _ORDER if count[word])
-    found = [
-        f"at most {counted(first.acceptable_per_h, 'excursion')} per hour beyond {first.radius_m:g} m? {summary}"
+    result = [
+        (
+            f"at most {counted(first.acceptable_per_h, 'excursion')} per hour beyond"
+            f" {first.radius_m:g} m? {summary}"
+        )
     ]
     for answer in answers:
         reason = f" ({answer.reason})" if answer.reason else ""
         share = answer.flight_share_upper
-        said = (
+        share_text = (
             ""
             if share is None
-            else f", at most {percent(share)} of flights with an excursion at the worst corner (95 % limit)"
+            else (
+                f", at most {percent(share)} of flights with an excursion at the worst corner (95 %"
+                " limit)"
+            )
         )
         word = _WORDS.get(answer.answer, answer.answer)
-        found.append(f"  {answer.condition}: {word}{reason}, {answer.hours:.4g} flight h{said}")
-    return found
+        result.append(
+            f"  {answer.condition}: {word}{reason}, {answer.hours:.4g} flight h{share_text}"
+        )
+    return result
 
 
-# The end of a campaign: digests of its journal and tables in the manifest, and whether they
-# still fit.
+# Completion of a campaign: digests of journal and tables, and whether they still fit.
 
 
 def sealed(
     manifest: Mapping[str, Any], store: Store, tables: Mapping[str, bytes]
 ) -> dict[str, Any]:
-    """The manifest of a campaign that is complete now: with digests of the journal's flights and of the tables."""
+    """Return the manifest of a complete campaign, with digests of journal and tables."""
     digests = dict(manifest.get("tables", {})) | {
         name: sha256_hex(content) for name, content in tables.items()
     }
@@ -157,16 +182,18 @@ def sealed(
     return {**manifest, **ending, "sums": checksums.SUMS}
 
 
-def seal_files(folder: Path, earlier: checksums.DamageRecord | None = None) -> None:
-    """Write SHA256SUMS of a complete campaign's folder, the last file that a run writes. Raises BadInputError."""
-    damaged = {} if earlier is None else dict(earlier.damaged)
+def seal_files(folder: Path, previous: checksums.DamageRecord | None = None) -> None:
+    """Write SHA256SUMS of a complete campaign, the last file of a run. Raises BadInputError."""
+    damaged = {} if previous is None else dict(previous.damaged)
     for name in (MANIFEST, JOURNAL, *TABLE_NAMES):
         damaged.pop(name, None)  # they have just been held against digests of their own, or written
     checksums.write_sums(folder, checksums.DamageRecord(damaged))
 
 
-def refuse_if_not_whole(folder: Path, store: Store, manifest: Mapping[str, Any]) -> None:
-    """DamageError where the journal of a complete campaign is not the one that the manifest lists."""
+def refuse_if_changed(folder: Path, store: Store, manifest: Mapping[str, Any]) -> None:
+    """Raise DamageError if the journal of a complete campaign is not the one that the manifest
+    lists.
+    """
     store.finished()
     if store.summary() != manifest["journal"]:
         raise DamageError(
@@ -174,30 +201,33 @@ def refuse_if_not_whole(folder: Path, store: Store, manifest: Mapping[str, Any])
         )
 
 
-def mend_tables(
+def rewrite_damaged_tables(
     folder: Path,
     manifest: Mapping[str, Any],
     spec: CampaignSpec,
     cases: Sequence[Case],
     store: Store,
 ) -> tuple[str, ...]:
-    """Write the tables of a complete campaign again if one is not as it was written; names of those that were not.
+    """Write the tables of a complete campaign again if one is damaged; return the names of the
+    damaged.
 
-    The journal must be whole. A table of another command (sensitivity.csv) is left as it is.
+    The journal must be intact. Tables of other commands (sensitivity.csv) are left as they are.
     """
-    written = manifest.get("tables", {})
+    digests = manifest.get("tables", {})
     damaged = {
-        name for name, digest in table_digests(folder, manifest).items() if digest != written[name]
+        name for name, digest in table_digests(folder, manifest).items() if digest != digests[name]
     }
     if not damaged:
         return ()
     rounds = Rounds(spec, cases, None)
+    # Replay the rounds to obtain decisions.csv.
     for _ in rounds(store):
         pass
     tables = make_tables(spec, cases, store.outcomes(), rounds.decisions)
     if not damaged & set(tables):
         return ()
-    # Another version of a library may write other bytes of the same content: then all of them belong together.
+    # Another library version may write other bytes for the same content, so all tables are
+    # replaced.
     write_tables(folder, tables)
     write_manifest(folder, sealed(manifest, store, tables))
     return tuple(name for name in tables if name in damaged)
@@ -208,7 +238,7 @@ SHARDS = "shards"
 
 @dataclass(frozen=True)
 class Shard:
-    """Part ``number`` of ``count``, counted from 1."""
+    """Identify part ``number`` of ``count``, counted from 1."""
 
     number: int
     count: int
@@ -223,8 +253,22 @@ class Shard:
 
 
 @dataclass(frozen=True)
-class Merged:
-    """What a merge found: cases of the campaign, those that no shard has flown, failures; damaged tables that are whole again."""
+class MergeResult:
+    """Report a merge.
+
+    Attributes
+    ----------
+    folder : Path
+        Campaign folder.
+    cases, missing : int
+        Cases of the campaign and those that no shard has flown.
+    statuses : dict of str to int
+        Number of flights by status.
+    shards : tuple of str
+        Names of the shard folders.
+    rewritten : tuple of str
+        Damaged tables that were written again.
+    """
 
     folder: Path
     cases: int
@@ -234,7 +278,7 @@ class Merged:
     rewritten: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """The document of ``campaign merge --json``."""
+        """Return the document of ``campaign merge --json``."""
         return {
             "cases": self.cases,
             "done": self.cases - self.missing,
@@ -245,67 +289,86 @@ class Merged:
 
 
 def parse_shard(text: str) -> Shard:
-    """``2/8`` as a shard. Raises BadInputError."""
-    found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip())
-    if not found or not 1 <= int(found.group(1)) <= int(found.group(2)):
+    """Parse ``2/8``. Raises BadInputError.
+
+    Examples
+    --------
+    >>> parse_shard("2/8").folder
+    '2-of-8'
+    """
+    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip())
+    if not match or not 1 <= int(match.group(1)) <= int(match.group(2)):
         raise BadInputError(f"--shard {text}: must be i/n with 1 <= i <= n, such as 2/8")
-    return Shard(int(found.group(1)), int(found.group(2)))
+    return Shard(int(match.group(1)), int(match.group(2)))
 
 
 def shard_folders(folder: Path) -> list[Path]:
-    """Folders of the shards that lie in a campaign's folder."""
+    """Return the folders of the shards in a campaign folder."""
     return sorted(path.parent for path in (folder / SHARDS).glob(f"*/{MANIFEST}"))
 
 
-def merge(folder: Path) -> Merged:
-    """Bring the flights of all shards in ``folder`` together; with the last one in, write the tables.
+def merge(folder: Path) -> MergeResult:
+    """Collect the flights of all shards in ``folder``; with the last one, write the tables.
 
-    May be repeated: what is already there is kept. Raises BadInputError for shards of different campaigns and while one of them is
-    being flown.
+    The call may be repeated and keeps what is there.
+
+    Raises
+    ------
+    BadInputError
+        For shards of different campaigns, and while a shard is being flown.
+    DamageError
+        If a journal is damaged; nothing is written then.
     """
     folders = shard_folders(folder)
     if not folders:
         raise BadInputError(
-            f"{folder}: has no shards (no {SHARDS}/*/manifest.json); fly them with: uqharness campaign run CAMPAIGN.toml "
-            f"--out {folder} --shard 1/2 and so on"
+            f"{folder}: has no shards (no {SHARDS}/*/manifest.json); fly them with: uqharness"
+            f" campaign run CAMPAIGN.toml --out {folder} --shard 1/2 and so on"
         )
     first = read_manifest(folders[0])
     refuse_without_digests(folders[0], first)
     spec = spec_of(first)
-    # Identity comes from the flights' own record: the files may lie elsewhere, or be gone, on the machine that merges.
+    # The identity comes from the manifests: the files may lie elsewhere, or be gone, on this
+    # machine.
     hashes = first["hashes"]
     mission = Mission(Path(), hashes["aircraft"], Path(), hashes["script"])
     cases = build_cases(spec, mission)
-    wanted = {case.case_id for case in cases}
+    case_ids = {case.case_id for case in cases}
     command = first["command"].partition(" --shard ")[0]
     manifest = describe(spec, mission, len(cases), command) | {
         name: first[name] for name in ("versions", "engine") if name in first
     }
     with run_lock(folder):
-        old = _merged_before(folder, manifest)
+        # An earlier merge in the folder must be of the same campaign.
+        old = _previous_merge(folder, manifest)
         for part in folders:
-            found = read_manifest(part)
-            refuse_without_digests(part, found)
-            refuse_if_different(part, found, manifest)
-            if found["state"] == SPOILT:
+            part_manifest = read_manifest(part)
+            refuse_without_digests(part, part_manifest)
+            refuse_if_different(part, part_manifest, manifest)
+            if part_manifest["state"] == MIXED:
                 raise BadInputError(
-                    f"{part}: aircraft or script was edited while it flew; remove it and fly that shard again"
+                    f"{part}: aircraft or script was edited while it flew; remove it and fly that"
+                    " shard again"
                 )
         if old is not None and old["state"] == COMPLETE:
             with Store(folder) as store:
-                refuse_if_not_whole(folder, store, old)
-                rewritten = mend_tables(folder, old, spec, cases, store)
+                refuse_if_changed(folder, store, old)
+                rewritten = rewrite_damaged_tables(folder, old, spec, cases, store)
                 return _merged(folder, cases, store.statuses(), 0, folders, rewritten)
         manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
+        # Check every journal before anything is written.
         for part in (*folders, *([folder] if old is not None else [])):
             _refuse_damage(part, read_manifest(part))
-        earlier = checksums.remove_sums(folder)
+        previous_sums = checksums.remove_sums(folder)
         write_manifest(folder, manifest | {"state": INTERRUPTED})
         with Store(folder) as store:
             for part in folders:
-                with run_lock(part), Store(part, read_only=True) as flown:
-                    store.add(outcome for outcome in flown.outcomes() if outcome.case_id in wanted)
-            missing = len(wanted - store.finished())
+                with run_lock(part), Store(part, read_only=True) as part_store:
+                    store.add(
+                        outcome for outcome in part_store.outcomes() if outcome.case_id in case_ids
+                    )
+            # Tables are written only when all flights are there.
+            missing = len(case_ids - store.finished())
             if not missing:
                 tables = make_tables(spec, cases, store.outcomes())
                 write_tables(folder, tables)
@@ -313,21 +376,24 @@ def merge(folder: Path) -> Merged:
                 write_manifest(folder, sealed(manifest, store, tables))
             statuses = store.statuses()
         if not missing:
-            seal_files(folder, earlier)
+            seal_files(folder, previous_sums)
         return _merged(folder, cases, statuses, missing, folders, ())
 
 
 def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Before anything is written: DamageError where the journal is not as it was written."""
+    """Raise DamageError if a journal is not as it was written, before anything is changed."""
     with Store(folder, read_only=True) as store:
         if manifest["state"] == COMPLETE:
-            refuse_if_not_whole(folder, store, manifest)
+            refuse_if_changed(folder, store, manifest)
         else:
             store.finished()
 
 
-def _merged_before(folder: Path, manifest: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Manifest of the folder where an earlier merge left one with a journal. Raises BadInputError for that of another campaign."""
+def _previous_merge(folder: Path, manifest: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the manifest of an earlier merge; None without one.
+
+    Raises BadInputError if it belongs to another campaign.
+    """
     if not (folder / MANIFEST).exists():
         return None
     old = read_manifest(folder)
@@ -345,20 +411,41 @@ def _merged(
     missing: int,
     folders: Sequence[Path],
     rewritten: tuple[str, ...],
-) -> Merged:
+) -> MergeResult:
+    """Return the report of a merge."""
     names = tuple(path.name for path in folders)
-    return Merged(folder, len(cases), missing, dict(sorted(statuses.items())), names, rewritten)
+    return MergeResult(
+        folder, len(cases), missing, dict(sorted(statuses.items())), names, rewritten
+    )
 
 
-# How far a campaign is: its own folder, or the shards below it.
+# Status of a campaign folder, or of its shards.
 
 
 @dataclass(frozen=True)
 class Status:
-    """``state``: complete, running or interrupted; ``statuses``: number of finished flights by status.
+    """Report how far a campaign is.
 
-    ``engine`` flies the campaign, ``why`` says for what reasons. ``joint`` says what its intervals hold together, ``joint_level``
-    at which confidence; None where that of the intervals is not known.
+    Attributes
+    ----------
+    state : str
+        complete, running or interrupted.
+    cases : int
+        Cases of the campaign.
+    statuses : mapping of str to int
+        Finished flights by status.
+    answers : tuple of Answer
+        Answers per condition.
+    command : str
+        Command that continues it.
+    engine : str
+        Engine that flies it.
+    reasons : tuple of str
+        Reasons of the choice of the engine.
+    joint : tuple of str
+        Sentences on the uncertainty set.
+    joint_level : float or None
+        Joint confidence of the intervals; None if not known.
     """
 
     state: str
@@ -367,7 +454,7 @@ class Status:
     answers: tuple[Answer, ...]
     command: str
     engine: str = JSBSIM
-    why: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
     joint: tuple[str, ...] = ()
     joint_level: float | None = None
 
@@ -377,7 +464,7 @@ class Status:
         return sum(self.statuses.values())
 
     def as_dict(self) -> dict[str, Any]:
-        """The document of ``campaign status --json``."""
+        """Return the document of ``campaign status --json``."""
         return {
             "state": self.state,
             "cases": self.cases,
@@ -385,7 +472,7 @@ class Status:
             "failed": self.done - self.statuses.get("ok", 0),
             "statuses": dict(self.statuses),
             "engine": self.engine,
-            "engine_why": list(self.why),
+            "engine_why": list(self.reasons),
             "joint_level": self.joint_level,
             "joint": list(self.joint),
             "answers": as_json(self.answers),
@@ -393,21 +480,21 @@ class Status:
 
 
 def read_status(folder: Path) -> Status:
-    """Status of a campaign, running or not. Raises BadInputError."""
+    """Return the status of a campaign, running or not. Raises BadInputError."""
     folders = [folder]
     if not (folder / MANIFEST).exists() and shard_folders(folder):
         folders = shard_folders(folder)
     counted, cases, complete = Counter[str](), 0, True
     for part in folders:
         manifest = read_manifest(part)
-        counted.update(_counted(part, manifest))
+        counted.update(_count_statuses(part, manifest))
         cases += int(manifest["cases"])
         complete = complete and manifest["state"] == COMPLETE
-    # A killed run could not say so itself; whether somebody holds the folder tells.
+    # A killed run leaves the state "running"; the lock shows whether a process holds the folder.
     state = COMPLETE if complete else RUNNING if any(map(is_running, folders)) else INTERRUPTED
-    # Answers are of a campaign as a whole.
+    # Only a merged campaign has answers.
     answers = tuple(read_answers(folder, manifest)) if folders == [folder] else ()
-    engine, why = (
+    engine, reasons = (
         manifest["campaign"]["campaign"]["engine"],
         tuple(manifest.get("engine", {}).get("why", ())),
     )
@@ -420,29 +507,30 @@ def read_status(folder: Path) -> Status:
         answers,
         manifest["command"],
         engine,
-        why,
+        reasons,
         joint,
         joint_level(manifest),
     )
 
 
-def _counted(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, int]:
+def _count_statuses(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, int]:
+    """Return the number of flights by status, from the tally of the journal. Raises DamageError."""
     if not has_digests(manifest):
-        return _counted_without_digests(folder / JOURNAL)
+        return _count_statuses_without_digests(folder / JOURNAL)
     with Store(folder, read_only=True) as store:
-        found = store.statuses()
-    if is_sealed(manifest) and found.total() != manifest["journal"]["rows"]:
+        statuses = store.statuses()
+    if is_sealed(manifest) and statuses.total() != manifest["journal"]["rows"]:
         rows = manifest["journal"]["rows"]
         raise DamageError(
             folder / JOURNAL,
-            f"{found.total()} flights are in it, the manifest lists {rows}",
+            f"{statuses.total()} flights are in it, the manifest lists {rows}",
             folder,
         )
-    return found
+    return statuses
 
 
-def _counted_without_digests(path: Path) -> Mapping[str, int]:
-    """The journal of uqharness 0.1."""
+def _count_statuses_without_digests(path: Path) -> Mapping[str, int]:
+    """Return the number of flights by status in a journal of uqharness 0.1."""
     if not path.is_file():
         raise BadInputError(
             f"{path}: not there; the folder was made by uqharness 0.1 and is no longer whole"
@@ -451,15 +539,15 @@ def _counted_without_digests(path: Path) -> Mapping[str, int]:
         with closing(
             sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=30.0)
         ) as database:
-            found = dict(
+            statuses = dict(
                 database.execute("select status, count(*) from outcome group by status").fetchall()
             )
     except (sqlite3.Error, OverflowError, MemoryError, UnicodeError) as error:
         raise BadInputError(
             f"{path}: cannot be read: {error}; the folder was made by uqharness 0.1"
         ) from None
-    if not all(isinstance(status, str) for status in found):
+    if not all(isinstance(status, str) for status in statuses):
         raise BadInputError(
             f"{path}: damaged: a status is no text; the folder was made by uqharness 0.1"
         )
-    return found
+    return statuses

@@ -1,12 +1,13 @@
-"""A campaign's journal: finished cases, each on the disk before it counts, in one SQLite file with one writer.
+"""Store the finished cases of a campaign in a journal, each on the disk before it counts.
 
-SQLite's rollback journal (DELETE, synchronous=EXTRA) is chosen over an append-only text file, because a torn last write,
-a full disk and a power cut are then its tested business, and over its write-ahead log, because that needs shared memory,
-which cluster file systems lack. A killed run leaves a journal that the next opening rolls back: a batch is there whole or
-not at all.
+The journal is one SQLite file with one writer. A rollback journal (DELETE, synchronous=EXTRA)
+handles a torn last write, a full disk and a power cut; SQLite's write-ahead log would need shared
+memory, which cluster file systems lack. A killed run leaves a file that the next opening rolls
+back, so a batch is stored completely or not at all.
 
-Damage is found, not believed: each row carries a digest of all its columns, a tally in the same transaction the number of rows
-by status and the sum of their digests, and the structure of the file is looked at when it is opened.
+Damage is detected: each row carries a digest of its columns, a tally in the same transaction holds
+the number of rows by status and the sum of their digests, and opening checks the structure of the
+file. `JournalScan` recovers every intact row of a damaged journal.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from uqharness.campaign.folder.manifest import (
     digest_of_rows,
     digest_of_text,
     row_digest,
-    summed,
+    sum_digests,
 )
 from uqharness.checksums import LOCK as LOCK
 from uqharness.errors import BadInputError
@@ -47,17 +48,20 @@ SCHEMA = (
     "CREATE TABLE tally (statuses text not null, digest_sum text not null, digest text not null)",
 )
 COLUMNS = "case_id, status, reason, flown_s, metrics, undefined, digest"
-# A row of some 1200 bytes has no room on a page of 4096 with others and would take a page more: 4.7 kB a flight instead of 1.4.
+# Rows have about 1200 bytes. With pages of 4096 bytes a row would need an overflow page: 4.7 kB per
+# flight instead of 1.4.
 _PAGE_BYTES = 8192
-_BESIDE = ("-journal", "-wal", "-shm")
-"""Endings of the files that SQLite keeps beside a database; the first is the rollback file."""
+_SIDE_FILES = ("-journal", "-wal", "-shm")
+"""Endings of the files that SQLite keeps next to a database; the first is the rollback file."""
 _ROLLBACK_MAGIC = bytes.fromhex("d9d505f920a163d7")
-"""Begins a rollback file, and ends one that names a super journal (SQLite's file format, section 3.1)."""
-# Far above any row; a damaged length then asks for no memory.
+"""Bytes that begin a rollback file, and end one that names a super journal (SQLite file format,
+section 3.1).
+"""
+# Far above any row, so that a damaged length does not allocate memory.
 LONGEST_BYTES = 16_000_000
 
-# Failures of the machine and not of the file: what was stored is still there.
-_OF_THE_MACHINE = {
+# Errors of the machine, not of the file: what was stored is still intact.
+_MACHINE_ERRORS = {
     sqlite3.SQLITE_FULL,
     sqlite3.SQLITE_IOERR,
     sqlite3.SQLITE_READONLY,
@@ -71,18 +75,30 @@ _OF_THE_MACHINE = {
 
 
 class Store:
-    """Outcomes of a campaign's cases.
+    """Access the journal of a campaign folder.
 
-    Raises BadInputError where the folder cannot be written or read; DamageError, which is one, where the journal is not as it was
-    written.
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    read_only : bool
+        Whether nothing is written; a folder without a journal then appears empty.
+
+    Raises
+    ------
+    BadInputError
+        If the folder cannot be read or written.
+    DamageError
+        If the journal is not as it was written.
     """
 
     def __init__(self, folder: Path, read_only: bool = False) -> None:
+        """Open the journal, create it if necessary, and check its structure."""
         self.folder = folder
         self._path = folder / JOURNAL
-        begun = self._begun()
+        exists = self._has_journal()
         with contextlib.ExitStack() as on_failure, self._explained("open"):
-            self._database = self._connected(read_only, begun)
+            self._database = self._connected(read_only, exists)
             on_failure.callback(self._database.close)
             self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_BYTES)
             if not read_only:
@@ -94,9 +110,12 @@ class Store:
                 create_tables(self._database)
             on_failure.pop_all()
 
-    def _begun(self) -> bool:
-        """Whether there is a file that SQLite may have written to. Raises BadInputError for what is no file of its kind."""
-        # Looked at, not opened: closing a second handle would drop the locks that SQLite holds in this process.
+    def _has_journal(self) -> bool:
+        """Return whether there is a journal file. Raises BadInputError for anything else in its
+        place.
+        """
+        # The file is examined without opening it: closing a second handle would drop SQLite's
+        # locks.
         refuse_traps(self.folder)
         try:
             require_regular(self._path)
@@ -108,8 +127,9 @@ class Store:
             ) from None
         return True
 
-    def _connected(self, read_only: bool, begun: bool) -> sqlite3.Connection:
-        if read_only and not begun:
+    def _connected(self, read_only: bool, exists: bool) -> sqlite3.Connection:
+        """Open the database; an empty one in memory if there is nothing to read."""
+        if read_only and not exists:
             return sqlite3.connect(":memory:")
         if read_only and not os.access(self._path, os.W_OK):
             return sqlite3.connect(
@@ -118,26 +138,28 @@ class Store:
         return sqlite3.connect(self._path, timeout=30.0)
 
     def _schema(self) -> bool:
-        """Whether the tables are there; False in a file whose making was cut short, in which nothing was counted."""
-        found = [
+        """Return whether the tables exist; False for a file whose creation was interrupted."""
+        statements = [
             row[0] for row in self._database.execute("select sql from sqlite_master order by name")
         ]
-        if not found:
-            # Tables are made in one transaction: without them there is not one page.
+        # No table: an empty file, or one whose creation was interrupted.
+        if not statements:
+            # Tables are created in one transaction: without them the file has no page.
             if self._database.execute("pragma page_count").fetchone() != (0,):
                 raise self._damage("its tables are gone")
             return False
-        if found != list(SCHEMA):
+        if statements != list(SCHEMA):
             raise self._damage("its tables are not those that this program makes")
         return True
 
     def _check_structure(self) -> None:
-        said = self._database.execute("pragma integrity_check(1)").fetchone()[0]
-        if said != "ok":
-            raise self._damage(" ".join(str(said).split()))
+        """Raise DamageError if SQLite's integrity check fails."""
+        report = self._database.execute("pragma integrity_check(1)").fetchone()[0]
+        if report != "ok":
+            raise self._damage(" ".join(str(report).split()))
 
     def add(self, outcomes: Iterable[CaseOutcome]) -> None:
-        """Store a batch; on return it is on the disk. On failure nothing of it is, and the journal is as before."""
+        """Store a batch; on return it is on the disk. On failure the journal is unchanged."""
         rows = {item.case_id: row_of(item) for item in outcomes}
         if rows:
             with self._explained("write"), self._database:
@@ -145,20 +167,26 @@ class Store:
                 add_rows(self._database, rows.values(), *self._tally())
 
     def finished(self) -> set[str]:
-        """Ids of all cases that are done, every row looked at. Raises DamageError."""
+        """Return the ids of all stored cases after checking every row. Raises DamageError."""
         return {outcome.case_id for outcome in self.outcomes()}
 
     def statuses(self) -> Counter[str]:
-        """Number of finished cases by status, from the tally: reads none of the rows. Raises DamageError."""
+        """Return the number of cases by status from the tally, without reading rows. Raises
+        DamageError.
+        """
         with self._explained("read"):
             return self._tally()[0] if self._schema() else Counter()
 
     def outcomes(self) -> Iterator[CaseOutcome]:
-        """All outcomes, ordered by case id. Raises DamageError at the row that is damaged, at the end if rows are missing."""
+        """Yield all outcomes, ordered by case id.
+
+        Raises DamageError at a damaged row, and at the end if rows are missing.
+        """
         with self._explained("read"):
             if not self._schema():
                 return
             counted, total = Counter[str](), 0
+            # A read transaction: rows and tally belong to the same state.
             self._database.execute("begin")
             try:
                 expected = self._tally()
@@ -170,13 +198,14 @@ class Store:
                     total += int(row[-1], 16)
             finally:
                 self._database.rollback()
-            if (counted, summed(f"{total:x}", ())) != expected:
+            if (counted, sum_digests(f"{total:x}", ())) != expected:
                 raise self._damage(
-                    f"{counted.total()} flights are in it, {expected[0].total()} were stored, or they are not the same"
+                    f"{counted.total()} flights are in it, {expected[0].total()} were stored, or"
+                    " they are not the same"
                 )
 
     def outcome(self, case_id: str) -> CaseOutcome | None:
-        """Outcome of one case; None if it is not there. Raises DamageError."""
+        """Return the outcome of a case; None if it is not stored. Raises DamageError."""
         with self._explained("read"):
             if not self._schema():
                 return None
@@ -186,9 +215,10 @@ class Store:
             return None if row is None else self._outcome(row)
 
     def summary(self) -> dict[str, Any]:
-        """Number of ``rows`` and a ``digest`` over those of all rows in case-id order: what a manifest keeps of a finished journal.
+        """Return the number of ``rows`` and a ``digest`` over them in case-id order, for the
+        manifest.
 
-        Takes the rows' digests as they stand: whoever must not trust them goes through ``outcomes`` as well.
+        The stored digests of the rows are used without recomputing them; `outcomes` checks them.
         """
         with self._explained("read"):
             digests = [
@@ -198,22 +228,25 @@ class Store:
             return {"rows": len(digests), "digest": digest_of_rows(digests)}
 
     def _tally(self) -> tuple[Counter[str], str]:
+        """Read the tally. Raises DamageError."""
         try:
             return read_tally(self._database)
         except ValueError as error:
             raise self._damage(str(error)) from None
 
     def _outcome(self, row: Sequence[Any]) -> CaseOutcome:
+        """Return the outcome of a row. Raises DamageError."""
         try:
             return outcome_of(row)
         except ValueError as error:
             raise self._damage(str(error)) from None
 
-    def _damage(self, what: str) -> DamageError:
-        return DamageError(self._path, what, self.folder)
+    def _damage(self, problem: str) -> DamageError:
+        """Return the error for a damaged journal."""
+        return DamageError(self._path, problem, self.folder)
 
     def close(self) -> None:
-        """Close the journal's database."""
+        """Close the database."""
         self._database.close()
 
     def __enter__(self) -> Store:
@@ -224,34 +257,36 @@ class Store:
 
     @contextlib.contextmanager
     def _explained(self, verb: str) -> Iterator[None]:
+        """Turn errors of SQLite into BadInputError or DamageError."""
         try:
             yield
         except sqlite3.Error as error:
-            # Without a code it is Python's own complaint about what it was handed: text that is not UTF-8, say.
+            # Errors without a code come from Python, e.g. for text that is not UTF-8.
             code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
+            # A read-only error with write permission means that the file is damaged.
             forbidden = code == sqlite3.SQLITE_READONLY and os.access(self._path, os.W_OK)
-            if code not in _OF_THE_MACHINE or (forbidden and os.access(self.folder, os.W_OK)):
+            if code not in _MACHINE_ERRORS or (forbidden and os.access(self.folder, os.W_OK)):
                 raise self._damage(" ".join(str(error).split())) from None
             raise BadInputError(
                 f"{self._path}: cannot {verb}: {error}; everything counted so far is kept: "
                 "free space or mend the folder's permissions, then run the same command again"
             ) from None
         except (OverflowError, MemoryError, ValueError) as error:
-            # SQLite's own message may quote a damaged name, which is no text; a digest may be no number.
+            # SQLite's message may quote a damaged name that is not text.
             raise self._damage(f"cannot be read ({type(error).__name__})") from None
 
 
 def journal_trap(folder: Path) -> str:
-    """What SQLite would do elsewhere if it opened the journal of a folder, in words; "" if nothing.
+    """Return what SQLite would change outside the folder if it opened the journal; "" if nothing.
 
-    SQLite follows a link in the place of a journal or of the files beside it, and writes there. A rollback file may name a "super
-    journal", which SQLite removes; this program's never does.
+    SQLite follows a link in place of the journal or of the files next to it. A rollback file may
+    name a "super journal", which SQLite removes; journals of this program never have one.
     """
-    for name in (JOURNAL, *(f"{JOURNAL}{ending}" for ending in _BESIDE)):
+    for name in (JOURNAL, *(f"{JOURNAL}{ending}" for ending in _SIDE_FILES)):
         path = folder / name
         if path.is_symlink():
             return f"{path}: is a link to {os.readlink(path)}, and SQLite would write there"
-    leftover = folder / f"{JOURNAL}{_BESIDE[0]}"
+    leftover = folder / f"{JOURNAL}{_SIDE_FILES[0]}"
     with contextlib.suppress(FileNotFoundError), open_regular(leftover) as handle:
         size = os.fstat(handle.fileno()).st_size
         handle.seek(max(size - len(_ROLLBACK_MAGIC), 0))
@@ -261,7 +296,7 @@ def journal_trap(folder: Path) -> str:
 
 
 def refuse_traps(folder: Path) -> None:
-    """BadInputError where opening the journal would touch a file elsewhere."""
+    """Raise BadInputError if opening the journal would touch a file elsewhere."""
     try:
         trap = journal_trap(folder)
     except OSError as error:
@@ -271,7 +306,7 @@ def refuse_traps(folder: Path) -> None:
 
 
 def create_tables(database: sqlite3.Connection) -> None:
-    """Make the tables of an empty journal, all or none. Raises sqlite3.Error."""
+    """Create the tables of an empty journal in one transaction. Raises sqlite3.Error."""
     with database:
         database.execute("begin immediate")
         # Another process may have made them since this one looked.
@@ -279,14 +314,18 @@ def create_tables(database: sqlite3.Connection) -> None:
             for statement in SCHEMA:
                 database.execute(statement)
             database.execute(
-                "insert into tally values (?,?,?)", _tally_row(Counter(), summed("0", ()))
+                "insert into tally values (?,?,?)", _tally_row(Counter(), sum_digests("0", ()))
             )
 
 
 def add_rows(
     database: sqlite3.Connection, rows: Iterable[Sequence[Any]], statuses: Counter[str], total: str
 ) -> None:
-    """Write rows within the transaction that is open and bring the tally, which was ``statuses`` and ``total``, up to date."""
+    """Write rows within the open transaction and update the tally.
+
+    ``statuses`` and ``total`` are the tally so far.
+    """
+    # A row that replaces another one is subtracted from the tally first.
     statuses, added, removed = statuses.copy(), [], []
     for row in rows:
         query = "select status, digest from outcome where case_id = ?"
@@ -296,27 +335,31 @@ def add_rows(
         database.execute("insert or replace into outcome values (?,?,?,?,?,?,?)", row)
         statuses[row[1]] += 1
         added.append(row[-1])
-    total = summed(total, added, removed)
+    total = sum_digests(total, added, removed)
     database.execute(
         "update tally set statuses = ?, digest_sum = ?, digest = ?", _tally_row(+statuses, total)
     )
 
 
 def row_of(outcome: CaseOutcome) -> tuple[Any, ...]:
-    """An outcome as the journal's columns, digest last."""
+    """Return an outcome as the columns of the journal, digest last."""
     # SQLite has no negative zero.
     columns = (outcome.case_id, outcome.status, outcome.reason, float(outcome.flown_s) + 0.0)
-    columns = (*columns, _plain(outcome.metrics), _plain(outcome.undefined))  # type: ignore[assignment]
+    columns = (  # type: ignore[assignment]
+        *columns,
+        _json_text(outcome.metrics),
+        _json_text(outcome.undefined),
+    )
     return (*columns, row_digest(columns))
 
 
 def outcome_of(row: Sequence[Any]) -> CaseOutcome:
-    """The outcome that a row holds. ValueError saying what is wrong where it is not the row that was written."""
+    """Return the outcome of a row. Raises ValueError if the row is not as it was written."""
     case_id, status, reason, flown_s, metrics, undefined, digest = row
-    whole = all(
+    has_texts = all(
         isinstance(item, str) for item in (case_id, status, reason, metrics, undefined, digest)
     )
-    if not (whole and isinstance(flown_s, float) and row_digest(row[:-1]) == digest):
+    if not (has_texts and isinstance(flown_s, float) and row_digest(row[:-1]) == digest):
         name = f"flight {case_id}" if isinstance(case_id, str) and case_id.isalnum() else "a flight"
         raise ValueError(f"the row of {name} does not fit its digest")
     values, reasons = _mapping(metrics, (int, float)), _mapping(undefined, (str,))
@@ -326,7 +369,10 @@ def outcome_of(row: Sequence[Any]) -> CaseOutcome:
 
 
 def read_tally(database: sqlite3.Connection) -> tuple[Counter[str], str]:
-    """Number of rows by status and the sum of their digests. ValueError where they are not what was written."""
+    """Return the number of rows by status and the sum of their digests.
+
+    Raises ValueError if the tally is not as it was written.
+    """
     rows = database.execute("select statuses, digest_sum, digest from tally").fetchall()
     if (
         len(rows) != 1
@@ -341,49 +387,52 @@ def read_tally(database: sqlite3.Connection) -> tuple[Counter[str], str]:
 
 
 def _tally_row(statuses: Mapping[str, int], total: str) -> tuple[str, str, str]:
-    text = _plain(statuses)
+    """Return the row of the tally with its digest."""
+    text = _json_text(statuses)
     return text, total, digest_of_text([text, total])
 
 
 def _mapping(text: str, kinds: tuple[type, ...]) -> dict[str, Any] | None:
-    """JSON of one level, or None where it is something else."""
+    """Parse a flat JSON object with values of given types; None for anything else."""
     try:
-        found = json.loads(text)
+        mapping = json.loads(text)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(found, dict) or not all(type(value) in kinds for value in found.values()):
+    if not isinstance(mapping, dict) or not all(type(value) in kinds for value in mapping.values()):
         return None
-    return found
+    return mapping
 
 
-def _plain(mapping: Mapping[str, object]) -> str:
+def _json_text(mapping: Mapping[str, object]) -> str:
+    """Return canonical JSON of a flat mapping."""
     return json.dumps(dict(mapping), sort_keys=True)
 
 
 @contextlib.contextmanager
 def run_lock(folder: Path) -> Iterator[None]:
-    """Hold the folder for one run. Raises BadInputError if another process has it.
+    """Hold the lock of a folder for one run. Raises BadInputError if another process has it.
 
-    The system drops the lock when the process ends, however it ends. A record lock is used because children do not inherit
-    it: a worker that outlives a killed parent for a moment must not keep the folder shut.
+    The system releases the lock when the process ends. It is a record lock because children do not
+    inherit it: a worker that outlives a killed parent must not keep the folder locked.
     """
     path = folder / LOCK
     key = str(path.resolve())
-    if key in _held:
-        # Not even opened: closing a second handle would drop the lock of the first.
+    if key in _locked_here:
+        # Do not open the file: closing a second handle would drop the lock of the first.
         raise _in_use(folder, f"process {os.getpid()}, this one")
     try:
         handle = os.fdopen(open_without_links(path), "r+", encoding="utf-8")
     except OSError as error:
         raise BadInputError(
-            f"{path}: cannot be written: {error.strerror or error}; remove it or choose another --out"
+            f"{path}: cannot be written: {error.strerror or error}; remove it or choose another"
+            " --out"
         ) from None
     with handle:
-        # Somebody who only asks whether a run is on holds the lock for an instant, so one refusal is not yet an answer.
+        # `is_running` holds the lock for an instant, so one refusal is not conclusive.
         if not _try_lock(handle.fileno(), attempts=5):
             handle.seek(0)
             raise _in_use(folder, handle.read(200).strip() or "unknown process")
-        _held.add(key)
+        _locked_here.add(key)
         try:
             handle.seek(0)
             handle.truncate()
@@ -391,17 +440,17 @@ def run_lock(folder: Path) -> Iterator[None]:
             handle.flush()
             yield
         finally:
-            _held.discard(key)
-            # Empty between runs: what stands in it belongs to no result.
+            _locked_here.discard(key)
+            # Empty between runs: the content belongs to no result.
             with contextlib.suppress(OSError):
                 handle.seek(0)
                 handle.truncate()
 
 
 def is_running(folder: Path) -> bool:
-    """Whether a run holds the folder at this moment."""
+    """Return whether a run holds the folder now."""
     path = folder / LOCK
-    if str(path.resolve()) in _held:
+    if str(path.resolve()) in _locked_here:
         return True
     try:
         with os.fdopen(open_without_links(path, make=False), "r+b") as handle:
@@ -412,16 +461,19 @@ def is_running(folder: Path) -> bool:
 
 
 def _in_use(folder: Path, holder: str) -> BadInputError:
+    """Return the error for a folder that is in use."""
     return BadInputError(
-        f"{folder}: another run is using this folder ({holder}); wait for it, stop it, or choose another --out"
+        f"{folder}: another run is using this folder ({holder}); wait for it, stop it, or choose"
+        " another --out"
     )
 
 
 # A record lock does not exclude its own process: a second run in another thread would pass.
-_held: set[str] = set()
+_locked_here: set[str] = set()
 
 
 def _try_lock(descriptor: int, attempts: int = 1) -> bool:
+    """Try to lock a file, several times 50 ms apart."""
     for attempt in range(attempts):
         if attempt:
             time.sleep(0.05)
@@ -430,19 +482,30 @@ def _try_lock(descriptor: int, attempts: int = 1) -> bool:
     return False
 
 
-# What can still be read of a damaged journal: every row that fits its digest, wherever in the
-# file it is found.
+# Recovery of a damaged journal: every row that fits its digest.
 
 LEFTOVER = f"{JOURNAL}-journal"
-"""What a writer that was killed leaves beside the journal; SQLite takes back what was half written by it."""
+"""Rollback file that a killed writer leaves; SQLite uses it to undo an incomplete write."""
 
 _UNREADABLE = (sqlite3.Error, OverflowError, MemoryError, UnicodeError)
 
 
 class JournalScan:
-    """Goes through a journal that may be damaged, without changing it; ``scratch`` is an empty folder for copies.
+    """Read a journal that may be damaged, without changing it.
 
-    ``damaged``: rows met that do not fit their digests. ``unreadable``: why not all of the file could be read, empty if it could.
+    Parameters
+    ----------
+    folder : Path
+        Folder of the journal.
+    scratch : Path
+        Empty folder for copies.
+
+    Attributes
+    ----------
+    damaged : int
+        Rows that do not fit their digests.
+    unreadable : str
+        Why part of the file could not be read; empty if all of it was.
     """
 
     def __init__(self, folder: Path, scratch: Path) -> None:
@@ -450,84 +513,90 @@ class JournalScan:
         self.unreadable = ""
         self._folder, self._scratch = folder, scratch
 
-    def rows(self, wanted: Collection[str] = ()) -> Iterator[tuple[Any, ...]]:
-        """Sound rows, each once: forwards, backwards, each of the case ids ``wanted`` by itself, as far as that is needed.
+    def rows(self, case_ids: Collection[str] = ()) -> Iterator[tuple[Any, ...]]:
+        """Yield intact rows, each once.
 
-        Raises BadInputError where opening the journal would touch a file elsewhere.
+        The table is read forwards, then backwards, then by each of ``case_ids``, as far as
+        necessary. Raises BadInputError if opening the journal would touch a file elsewhere.
         """
         refuse_traps(self._folder)
-        seen = set[str]()
+        yielded = set[str]()
         for path in self._variants():
-            with closing(_opened(path)) as database:
-                for row in self._found(database, wanted, seen):
-                    seen.add(row[0])
+            with closing(_open_for_scan(path)) as database:
+                for row in self._scan_rows(database, case_ids, yielded):
+                    yielded.add(row[0])
                     yield row
             if not self.unreadable:
                 return
 
     def _variants(self) -> Iterator[Path]:
-        """The file as SQLite opens it, then with a first page that says again where its tables begin."""
+        """Yield the file as SQLite opens it, then a copy with a repaired first page."""
         source = self._folder / JOURNAL
         if (self._folder / LEFTOVER).is_file():
             source = copy_of(self._folder, self._scratch / "as-it-is")
         yield source
-        begun = self._scratch / "first-page"
-        begun.mkdir(parents=True, exist_ok=True)
-        mended = begun / JOURNAL
-        shutil.copyfile(source, mended)
-        if _give_first_page(mended, begun / "empty.sqlite"):
-            yield mended
+        patched_folder = self._scratch / "first-page"
+        patched_folder.mkdir(parents=True, exist_ok=True)
+        patched = patched_folder / JOURNAL
+        shutil.copyfile(source, patched)
+        if _replace_first_page(patched, patched_folder / "empty.sqlite"):
+            yield patched
 
-    def _found(
-        self, database: sqlite3.Connection, wanted: Collection[str], seen: Collection[str]
+    def _scan_rows(
+        self, database: sqlite3.Connection, case_ids: Collection[str], yielded: Collection[str]
     ) -> Iterator[tuple[Any, ...]]:
-        met = set[Any]()
+        """Yield intact rows of one variant of the file."""
+        visited = set[Any]()
+        # Forwards up to the damage, then backwards from the end.
         for direction in ("asc", "desc"):
-            yield from self._sound(
+            yield from self._sound_rows(
                 database,
                 f"select {COLUMNS} from outcome order by case_id {direction}",
                 (),
-                seen,
-                met,
+                yielded,
+                visited,
             )
             if not self.unreadable:
                 return
-        for case_id in wanted:
-            if case_id not in seen:
-                yield from self._sound(
+        for case_id in case_ids:
+            if case_id not in yielded:
+                yield from self._sound_rows(
                     database,
                     f"select {COLUMNS} from outcome where case_id = ?",
                     (case_id,),
-                    seen,
-                    met,
+                    yielded,
+                    visited,
                 )
 
-    def _sound(
+    def _sound_rows(
         self,
         database: sqlite3.Connection,
         query: str,
         values: tuple[str, ...],
-        seen: Collection[str],
-        met: set[Any],
+        yielded: Collection[str],
+        visited: set[Any],
     ) -> Iterator[tuple[Any, ...]]:
+        """Yield intact rows of a query that were not met before."""
         try:
             for row in database.execute(query, values):
-                if row[0] in met:
+                if row[0] in visited:
                     continue
-                met.add(row[0])
+                visited.add(row[0])
                 try:
                     outcome_of(row)
                 except ValueError:
-                    self.damaged += row[0] not in seen
+                    self.damaged += row[0] not in yielded
                 else:
-                    if row[0] not in seen:
+                    if row[0] not in yielded:
                         yield row
         except _UNREADABLE as error:
             self.unreadable = self.unreadable or " ".join(str(error).split())
 
 
 def copy_of(folder: Path, target: Path) -> Path:
-    """The journal and what lies beside it, copied: opening the copy changes nothing in ``folder``."""
+    """Copy the journal and the rollback file next to it, so that opening it changes nothing in
+    ``folder``.
+    """
     refuse_traps(folder)
     target.mkdir(parents=True, exist_ok=True)
     for name in (JOURNAL, LEFTOVER):
@@ -536,25 +605,30 @@ def copy_of(folder: Path, target: Path) -> Path:
     return target / JOURNAL
 
 
-def _opened(path: Path) -> sqlite3.Connection:
+def _open_for_scan(path: Path) -> sqlite3.Connection:
+    """Open a copy; invalid text becomes rows that do not fit their digests."""
     database = sqlite3.connect(path, timeout=30.0)
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_BYTES)
-    # Bytes that are no text make a row that does not fit its digest, and do not end the search.
+    # Invalid text must not end the search; such a row does not fit its digest.
     database.text_factory = lambda content: content.decode("utf-8", "surrogateescape")
     return database
 
 
-def _give_first_page(path: Path, empty: Path) -> bool:
-    """Put the first page of an empty journal over that of ``path``, for all begin alike. False for a file of no whole pages."""
+def _replace_first_page(path: Path, empty: Path) -> bool:
+    """Replace the first page, which is the same in all journals, by that of an empty journal.
+
+    Returns False for a file that does not consist of complete pages.
+    """
     empty.unlink(missing_ok=True)
     with closing(sqlite3.connect(empty)) as database:
         database.execute("pragma page_size = 8192")
         create_tables(database)
+    # The first page names the roots of the tables, which are the same in all journals.
     page = bytearray(empty.read_bytes()[:8192])
-    pages, rest = divmod(path.stat().st_size, len(page))
-    if rest or not pages:
+    pages, remainder = divmod(path.stat().st_size, len(page))
+    if remainder or not pages:
         return False
-    # Pages of the file; no free ones, which reading does not need.
+    # Write the number of pages; the list of free pages is not needed for reading.
     page[28:32], page[32:40] = pages.to_bytes(4, "big"), bytes(8)
     with path.open("r+b") as handle:
         handle.write(page)

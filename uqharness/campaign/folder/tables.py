@@ -1,4 +1,10 @@
-"""The tables a campaign leaves behind, each whole or not at all: cases, p-boxes, excursions, statements."""
+"""Build, write and read the tables of a campaign.
+
+A complete campaign has cases.parquet (a row per flight), pbox.parquet, excursions.csv and
+statements.csv, and with *decide* decisions.csv. Tables are written atomically, in case order, so
+the same results give the same bytes. They are read only if their digest is the one in the manifest.
+engine-check.csv holds the comparison of the engines.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +41,13 @@ from uqharness.campaign.folder.manifest import (
 )
 from uqharness.campaign.rounds import DECISIONS, band_confidence, decision_rows
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.statements import STATEMENTS, Statement, number, statements, statements_csv
+from uqharness.campaign.statements import (
+    STATEMENTS,
+    Statement,
+    format_number,
+    statements,
+    statements_csv,
+)
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.flight import COEFFICIENTS, STATUSES, TURBULENCE_W20_KT
@@ -43,7 +55,7 @@ from uqharness.parquet_files import parse_table, table_bytes
 from uqharness.statistics import best_and_worst
 from uqharness.text_tables import csv_rows
 
-# cases.parquet: one row per flight, in case order, the same bytes for the same results.
+# cases.parquet: one row per flight, in case order.
 
 CASES = "cases.parquet"
 _ENGINE = "engine"
@@ -61,78 +73,88 @@ _ALWAYS = (
 
 
 def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Table:
-    """Table of the cases that have an outcome.
+    """Return cases.parquet for the cases that have an outcome.
 
-    ``duration_s`` is scored time: of a flight that failed, what it flew of it. Such a flight has no error statistics (they
-    would be those of a shorter flight), but keeps its counts so far.
+    ``duration_s`` is the scored time [s]; of a failed flight it is the part that was flown. Failed
+    flights have no error statistics, which would describe a shorter flight, but keep their counts
+    so far.
     """
     by_id = {outcome.case_id: outcome for outcome in outcomes}
+    # Columns follow from the campaign: radii, uncommanded metrics, inputs.
     radii = cases[0].flight.excursion_radius_m if cases else ()
-    found = {name for outcome in by_id.values() for name in outcome.metrics}
-    more = tuple(name for name in UNCOMMANDED_METRICS if name in found)
-    schema = _schema(radii, more, tuple(cases[0].inputs) if cases else ())
+    metric_names = {name for outcome in by_id.values() for name in outcome.metrics}
+    uncommanded = tuple(name for name in UNCOMMANDED_METRICS if name in metric_names)
+    schema = _schema(radii, uncommanded, tuple(cases[0].inputs) if cases else ())
     columns: dict[str, list[Any]] = {name: [] for name in schema.names}
     for case in cases:
         outcome = by_id.get(case.case_id)
         if outcome is None:
             continue
-        for name, value in _row(case, outcome, radii, more).items():
+        for name, value in _row(case, outcome, radii, uncommanded).items():
             columns[name].append(value)
     return pa.table([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
 
 
 def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> pa.Table:
-    """The table, if it has every column of ``campaign`` (its settings as plain types) with values such as flights leave.
+    """Return the table if it has the columns and values of this campaign's flights.
 
-    Raises BadInputError naming the first column that is missing or of another type.
+    ``campaign`` holds the settings as plain types. Raises BadInputError naming the first column
+    that is missing, of another type, or has invalid values.
     """
     variables = campaign["aleatory"]["variables"]
     means = tuple(
         f"level_{name}" for name, item in variables.items() if isinstance(item.get("mean"), list)
     )
-    found = {field.name: field.type for field in table.schema}
+    types = {field.name: field.type for field in table.schema}
     for field in _schema(counted_radii(campaign["metrics"]), (), means):
-        if field.name == _ENGINE and field.name not in found:
+        # Tables of older versions have no engine column.
+        if field.name == _ENGINE and field.name not in types:
             continue  # a table from before there was another engine than JSBSim
-        if field.name not in found or len(table.schema.get_all_field_indices(field.name)) != 1:
+        if field.name not in types or len(table.schema.get_all_field_indices(field.name)) != 1:
             raise BadInputError(f"{path}: has no column {field.name}; run the campaign again")
-        if found[field.name] != field.type:
+        if types[field.name] != field.type:
             raise BadInputError(
-                f"{path}: column {field.name} is of type {found[field.name]}, not {field.type}; run the campaign again"
+                f"{path}: column {field.name} is of type {types[field.name]}, not {field.type}; run"
+                " the campaign again"
             )
-    wrong = [name for name in _ALWAYS if table[name].null_count]
+    # No flight leaves these columns empty or with other values.
+    bad_columns = [name for name in _ALWAYS if table[name].null_count]
     allowed: dict[str, tuple[str, ...]] = {
         "status": STATUSES,
         "turbulence": tuple(TURBULENCE_W20_KT),
     }
-    for name, known in (allowed | ({_ENGINE: (BATCH, JSBSIM)} if _ENGINE in found else {})).items():
-        wrong += [name] if set(table[name].unique().to_pylist()) - set(known) else []
-    if wrong or not table.num_rows:
+    for name, allowed_values in (
+        allowed | ({_ENGINE: (BATCH, JSBSIM)} if _ENGINE in types else {})
+    ).items():
+        bad_columns += [name] if set(table[name].unique().to_pylist()) - set(allowed_values) else []
+    if bad_columns or not table.num_rows:
         raise BadInputError(
-            f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the campaign again"
+            f"{path}: column {(bad_columns or ['case_id'])[0]} holds what no flight leaves; run the"
+            " campaign again"
         )
     return table
 
 
 def _schema(radii_m: Sequence[float], more: Sequence[str], inputs: Sequence[str]) -> pa.Schema:
-    text, real, whole = pa.string(), pa.float64(), pa.int64()
+    """Return the schema of cases.parquet."""
+    text, real, integer = pa.string(), pa.float64(), pa.int64()
     fields = [
         ("case_id", text),
         ("epistemic_id", text),
         *((f"level_{name}", real) for name in COEFFICIENTS),
     ]
     fields += [
-        ("aleatory_id", whole),
+        ("aleatory_id", integer),
         ("wind_mps", real),
         ("turbulence", text),
-        ("seed", whole),
+        ("seed", integer),
         (_ENGINE, text),
         ("duration_s", real),
     ]
     fields += [("status", text), ("reason", text), *((name, real) for name in ERROR_METRICS)]
-    fields += [(name, whole) for name in excursion_columns(radii_m)]
+    fields += [(name, integer) for name in excursion_columns(radii_m)]
     fields += [
-        ("loss_of_control", whole),
+        ("loss_of_control", integer),
         ("extrapolated_share", real),
         *((name, real) for name in (*more, *inputs)),
     ]
@@ -142,6 +164,7 @@ def _schema(radii_m: Sequence[float], more: Sequence[str], inputs: Sequence[str]
 def _row(
     case: Case, outcome: CaseOutcome, radii_m: Sequence[float], more: Sequence[str]
 ) -> dict[str, Any]:
+    """Return the row of a case."""
     ok = outcome.status == "ok"
     flight = case.flight
     scored_s = (
@@ -159,8 +182,10 @@ def _row(
         _ENGINE: case.engine,
         "duration_s": scored_s,
         "status": outcome.status,
-        "reason": outcome.reason
-        or "; ".join(f"{name}: {why}" for name, why in sorted(outcome.undefined.items())),
+        "reason": (
+            outcome.reason
+            or "; ".join(f"{name}: {reason}" for name, reason in sorted(outcome.undefined.items()))
+        ),
     }
     row |= {f"level_{name}": case.levels.get(name) for name in COEFFICIENTS} | dict(case.inputs)
     row |= {
@@ -174,7 +199,7 @@ def _row(
 
 
 def _finite(outcome: CaseOutcome, name: str) -> float | None:
-    """A metric, or None (null in the table) where it is undefined."""
+    """Return a metric, or None (null in the table) if it is undefined."""
     value = outcome.metrics.get(name, math.nan)
     return value if math.isfinite(value) else None
 
@@ -215,28 +240,29 @@ def make_tables(
     outcomes: Iterable[CaseOutcome],
     decisions: bytes | None = None,
 ) -> dict[str, bytes]:
-    """cases.parquet, pbox.parquet, excursions.csv and statements.csv of what was flown, and ``decisions``, by name."""
+    """Return the content of all tables by name, decisions.csv included if given."""
     table = build_table(cases, outcomes)
     frame, campaign = table.to_pandas(), spec.as_dict()
-    found = statements(
+    claims = statements(
         frame, campaign, [] if decisions is None else decision_rows(decisions, Path(DECISIONS))
     )
-    made = {
+    tables = {
         CASES: table_bytes(table),
         PBOXES: table_bytes(_pbox_table(frame, band_confidence(campaign, CONFIDENCE))),
-        EXCURSIONS: _excursions_csv(frame, found),
-        STATEMENTS: statements_csv(found),
+        EXCURSIONS: _excursions_csv(frame, claims),
+        STATEMENTS: statements_csv(claims),
     }
-    return made if decisions is None else made | {DECISIONS: decisions}
+    return tables if decisions is None else tables | {DECISIONS: decisions}
 
 
 def write_tables(folder: Path, tables: Mapping[str, bytes]) -> None:
-    """Write tables, each whole or not at all. Raises BadInputError."""
+    """Write tables, each in one atomic step. Raises BadInputError."""
     for name, content in tables.items():
         write_bytes(folder / name, content)
 
 
 def _pbox_table(frame: pd.DataFrame, confidence: float) -> pa.Table:
+    """Return pbox.parquet: envelopes and bands of every metric and condition."""
     text, real = pa.string(), pa.float64()
     names = ("value", "lower", "upper", "band_lower", "band_upper")
     fields = [("metric", text), ("condition", text), *((name, real) for name in names)]
@@ -260,12 +286,14 @@ def _pbox_table(frame: pd.DataFrame, confidence: float) -> pa.Table:
     return pa.concat_tables(parts).combine_chunks() if parts else schema.empty_table()
 
 
-def _excursions_csv(frame: pd.DataFrame, found: Sequence[Statement]) -> bytes:
+def _excursions_csv(frame: pd.DataFrame, claims: Sequence[Statement]) -> bytes:
+    """Return excursions.csv: a row per condition, radius, distance and corner."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_EXCURSION_COLUMNS)
-    for statement in found:
+    for statement in claims:
         cell = statement.cell
+        # Mark the best and the worst corner of each condition.
         best, worst = best_and_worst(cell.rates)
         shares = (
             in_condition(frame, cell.condition)
@@ -301,28 +329,37 @@ def _excursions_csv(frame: pd.DataFrame, found: Sequence[Statement]) -> bytes:
                     f"{limit:.6g}"
                     for limit in (*item.limits, *item.simultaneous, *limits, dispersion)
                 ]
-                + [number(shares[item.epistemic_id])]
+                + [format_number(shares[item.epistemic_id])]
             )
     return buffer.getvalue().encode()
 
 
-# engine-check.csv: flights that were flown in the batch engine and in JSBSim, a row a metric.
-#
-# It is outside the promise of the same bytes: which flights had been compared when a run ended
-# depends on the run.
+# engine-check.csv is not bit-identical between runs: which flights had been compared when a run
+# ended depends on the run.
 
 ENGINE_CHECK = "engine-check.csv"
-START, WHOLE = "start", "whole"
+START, FULL_FLIGHT = "start", "whole"
 STATUS = "status"
-"""Stands in the place of a metric in the row that compares how a flight ended."""
+"""Entry of the column metric in the row that compares how a flight ended."""
 MOST_CHECK_BYTES = 64_000_000
 
 
 @dataclass(frozen=True)
 class CheckRow:
-    """One metric of one flight in both engines, as text. ``part``: start (its first seconds) or whole.
+    """Hold one row of engine-check.csv: a metric of a flight in both engines, as text.
 
-    ``difference`` is over ``spread``; ``verdict`` is alike, excused (with ``remark``) or differs.
+    Attributes
+    ----------
+    part : str
+        start (first seconds) or whole.
+    condition, case_id, metric : str
+        Flight and metric.
+    batch, jsbsim : str
+        Values in the two engines.
+    spread, difference : str
+        Scale of the metric, and difference relative to it.
+    verdict, remark : str
+        alike, excused (with a remark) or differs.
     """
 
     part: str
@@ -341,17 +378,17 @@ _COLUMNS = tuple(field.name for field in fields(CheckRow))
 
 
 def as_text(value: float) -> str:
-    """A number that comes back bit for bit; empty where it is not defined."""
+    """Return a number as text that is read back exactly; empty if undefined."""
     return "" if math.isnan(value) else repr(float(value))
 
 
 def as_number(text: str) -> float:
-    """What `as_text` wrote. ValueError for what is no number."""
+    """Return what `as_text` wrote. Raises ValueError for other text."""
     return float(text) if text else math.nan
 
 
 def write_check(folder: Path, rows: Iterable[CheckRow]) -> None:
-    """Write it whole. Raises BadInputError."""
+    """Write engine-check.csv. Raises BadInputError."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_COLUMNS)
@@ -360,27 +397,29 @@ def write_check(folder: Path, rows: Iterable[CheckRow]) -> None:
 
 
 def read_check(folder: Path) -> list[CheckRow]:
-    """Its rows; none where it is not there or is not what this program wrote: then the flights are flown again."""
+    """Return the rows of engine-check.csv.
+
+    None if it is missing or invalid: the comparison flights are then flown again.
+    """
     path = folder / ENGINE_CHECK
     try:
         rows = csv_rows(read_regular(path, MOST_CHECK_BYTES), path, (), _COLUMNS)
-        found = [CheckRow(*(row[name] for name in _COLUMNS)) for row in rows]
-        for row in found:
+        checks = [CheckRow(*(row[name] for name in _COLUMNS)) for row in rows]
+        for row in checks:
             _ = [as_number(text) for text in (row.batch, row.jsbsim) if row.metric != STATUS]
     except (OSError, BadInputError, ValueError):
         return []
-    return found
+    return checks
 
 
 def merge_checks(folder: Path, parts: Sequence[Path]) -> None:
-    """That of a campaign from those of its shards, if they have any."""
+    """Write engine-check.csv of a campaign from those of its shards."""
     rows = [row for part in parts for row in read_check(part)]
     if rows:
         write_check(folder, dict.fromkeys(rows))
 
 
-# The tables of a campaign's folder: no byte of one is believed before its digest is what the
-# manifest says.
+# Reading of tables, with their digests.
 
 TABLE_NAMES = (
     CASES,
@@ -393,37 +432,42 @@ TABLE_NAMES = (
     "area.csv",
     ENGINE_CHECK,
 )
-"""Names of the tables that a campaign's folder may have."""
+"""Names of the tables that a campaign folder may have."""
 MOST_BYTES = 1_000_000_000
-"""A table of a million flights has a third of it."""
+"""Maximum size of a table; one of a million flights has a third of it."""
 _MOST_TEXT_BYTES = 64_000_000
 
 
 def is_sealed(manifest: Mapping[str, Any]) -> bool:
-    """Whether the manifest holds the digests of all tables there are: of a complete campaign, not of uqharness 0.1."""
+    """Return whether the manifest holds digests of all tables: a complete campaign, not of
+    uqharness 0.1.
+    """
     return has_digests(manifest) and manifest["state"] == COMPLETE
 
 
 def table_digests(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str | None]:
-    """Digest of each table that the manifest names as it is on the disk now; None for one that is not there.
+    """Return the digest of each listed table as it is on the disk; None for a missing one.
 
-    Raises BadInputError for one that cannot be read.
+    Raises BadInputError if a table cannot be read.
     """
-    found: dict[str, str | None] = {}
+    digests: dict[str, str | None] = {}
     for name in manifest.get("tables", {}):
         try:
-            found[name] = sha256_hex(read_regular(folder / name, MOST_BYTES))
+            digests[name] = sha256_hex(read_regular(folder / name, MOST_BYTES))
         except FileNotFoundError:
-            found[name] = None
+            digests[name] = None
         except OSError as error:
             raise BadInputError(
                 f"{folder / name}: cannot be read: {error.strerror or error}"
             ) from None
-    return found
+    return digests
 
 
 def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
-    """Bytes of a table of a campaign. Raises BadInputError where it is not there, DamageError where it is not as it was written."""
+    """Return the bytes of a table after checking its digest.
+
+    Raises BadInputError if it is missing, DamageError if it is not as it was written.
+    """
     path = folder / name
     try:
         content = read_regular(path, MOST_BYTES if path.suffix == ".parquet" else _MOST_TEXT_BYTES)
@@ -447,24 +491,44 @@ def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
 
 
 def read_cases(folder: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
-    """Flights of a complete campaign, with every column that such a table has. Raises BadInputError."""
+    """Return the flights of a complete campaign.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    manifest : mapping
+        Its manifest.
+
+    Returns
+    -------
+    DataFrame
+        A row per flight with all columns of cases.parquet.
+
+    Raises
+    ------
+    BadInputError
+        If the table is missing, damaged, or lacks a column.
+    """
     path = folder / CASES
     table = parse_table(read_checked(folder, manifest, CASES), path, int(manifest["cases"]))
     return checked_table(table, path, manifest["campaign"]).to_pandas()
 
 
 def read_decisions(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Rows of decisions.csv, as text; none where the campaign has no such table. Raises BadInputError."""
-    known = is_sealed(manifest)
-    if DECISIONS not in manifest.get("tables", {}) if known else not (folder / DECISIONS).exists():
+    """Return the rows of decisions.csv as text; empty if there is no such table. Raises
+    BadInputError.
+    """
+    sealed = is_sealed(manifest)
+    if DECISIONS not in manifest.get("tables", {}) if sealed else not (folder / DECISIONS).exists():
         return []
     return decision_rows(read_checked(folder, manifest, DECISIONS), folder / DECISIONS)
 
 
 def read_engine_check(folder: Path, manifest: Mapping[str, Any]) -> list[CheckRow]:
-    """Rows of engine-check.csv; none where the campaign has no such file.
+    """Return the rows of engine-check.csv; empty if there is none.
 
-    Raises BadInputError where it is lost or damaged.
+    Raises BadInputError if it is listed and missing or damaged.
     """
     if ENGINE_CHECK in manifest.get("tables", {}):
         read_checked(folder, manifest, ENGINE_CHECK)
@@ -472,7 +536,7 @@ def read_engine_check(folder: Path, manifest: Mapping[str, Any]) -> list[CheckRo
 
 
 def record_table(folder: Path, name: str, content: bytes) -> None:
-    """Write a table that a command adds to a complete campaign's folder, and its digest into the manifest. Raises BadInputError."""
+    """Write a table of another command into a complete campaign, and its digest."""
     write_bytes(folder / name, content)
     manifest = read_manifest(folder)
     if has_digests(manifest):

@@ -1,7 +1,8 @@
-"""Is a folder of results as it was written? Changes nothing.
+"""Verify a folder of results, and salvage a damaged campaign.
 
-Manifest, journal, tables and shards of a campaign are each looked at for themselves; every other file of a campaign, and those of a
-study or a refinement, by the digest in SHA256SUMS.
+`verify` changes nothing. It checks manifest, journal, tables and shards of a campaign separately,
+and all other files of a campaign, a study or a refinement by SHA256SUMS. `salvage` keeps the intact
+flights, gives damaged files another name and flies the missing flights again.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from uqharness.campaign.folder.manifest import (
     COMPLETE,
     INTERRUPTED,
     MANIFEST,
-    SPOILT,
+    MIXED,
     DamageError,
     binding_versions,
     describe,
@@ -40,7 +41,7 @@ from uqharness.campaign.folder.manifest import (
     spec_of,
     write_manifest,
 )
-from uqharness.campaign.folder.shards import SHARDS, Shard, merge, parse_shard, refuse_if_not_whole
+from uqharness.campaign.folder.shards import SHARDS, Shard, merge, parse_shard, refuse_if_changed
 from uqharness.campaign.folder.store import (
     JOURNAL,
     LEFTOVER,
@@ -59,12 +60,15 @@ from uqharness.checksums import SUMS, SumsError, faults, is_behind_link, read_su
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 
-WHOLE, DAMAGED, MISSING, NO_DIGEST = "whole", "damaged", "missing", "no digests"
+INTACT, DAMAGED, MISSING, NO_DIGEST = "whole", "damaged", "missing", "no digests"
 
 
 @dataclass(frozen=True)
 class Item:
-    """Manifest, journal or table: its state, a remark, and of a table the digest of its bytes as they are now."""
+    """Hold the state of a manifest, journal or table.
+
+    ``digest`` is that of a table's current bytes.
+    """
 
     name: str
     state: str
@@ -73,25 +77,31 @@ class Item:
 
 
 @dataclass(frozen=True)
-class Verified:
-    """What was found of one folder, and of the shards below it. ``complete`` None where the manifest cannot be read."""
+class FolderCheck:
+    """Report the check of a folder and of its shards.
+
+    ``complete`` is None if the manifest cannot be read.
+    """
 
     folder: Path
     complete: bool | None
     items: tuple[Item, ...]
-    shards: tuple[Verified, ...] = ()
+    shards: tuple[FolderCheck, ...] = ()
 
     @property
-    def whole(self) -> bool:
+    def is_intact(self) -> bool:
         """Whether everything is as it was written."""
-        return all(item.state == WHOLE for item in self.items) and all(
-            part.whole for part in self.shards
+        return all(item.state == INTACT for item in self.items) and all(
+            part.is_intact for part in self.shards
         )
 
 
 @dataclass(frozen=True)
-class JournalFound:
-    """Rows of a journal that fit their digests, that do not, and that are missing (None: not known how many there were)."""
+class JournalScanResult:
+    """Count the rows of a journal that are intact, damaged and missing.
+
+    ``missing`` is None if the original number is not known; ``problem`` says what is wrong.
+    """
 
     sound: int
     damaged: int
@@ -100,32 +110,49 @@ class JournalFound:
 
     @property
     def words(self) -> str:
-        """The numbers, and what is wrong."""
+        """The counts and the problem as a phrase."""
         missing = "an unknown number" if self.missing is None else str(self.missing)
         counts = f"flights: {self.sound} sound, {self.damaged} damaged, {missing} missing"
         return f"{counts}; {self.problem}" if self.problem else counts
 
 
-def verify(folder: Path) -> Verified:
-    """Look at a folder of a campaign, study or refinement and those within. Raises BadInputError for any other folder."""
-    own = (folder / MANIFEST).exists() or (folder / JOURNAL).exists()
+def verify(folder: Path) -> FolderCheck:
+    """Check a folder of a campaign, study or refinement, and the folders within.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+
+    Returns
+    -------
+    FolderCheck
+        State of each item.
+
+    Raises
+    ------
+    BadInputError
+        For any other folder.
+    """
+    is_campaign = (folder / MANIFEST).exists() or (folder / JOURNAL).exists()
     parts = [*part_folders(folder), *_sealed_within(folder)]
     sealed = (folder / SUMS).exists() or (folder / SUMS).is_symlink()
-    if not own and not parts and not sealed:
+    if not is_campaign and not parts and not sealed:
         raise BadInputError(
             f"{folder}: not a folder of a campaign, a study or a refinement (no {MANIFEST}, no "
             f"{JOURNAL}, no {SHARDS}/, no {SUMS})"
         )
-    complete, items = _verify_own(folder) if own else (None, ())
-    # A campaign that is not complete has none yet, or those of an earlier end.
+    # Manifest, journal and tables first; other files by SHA256SUMS.
+    complete, items = _verify_campaign(folder) if is_campaign else (None, ())
+    # An incomplete campaign has no SHA256SUMS, or those of an earlier completion.
     files = _file_items(folder, items) if sealed and complete is not False else ()
-    return Verified(
+    return FolderCheck(
         folder, complete, (*items, *files), tuple(verify(part) for part in dict.fromkeys(parts))
     )
 
 
 def _sealed_within(folder: Path) -> list[Path]:
-    """Folders within a study or refinement that have sums of their own."""
+    """Return the folders within a study or refinement that have their own SHA256SUMS."""
     with contextlib.suppress(SumsError, OSError):
         sums = read_sums(folder)
         names = () if sums is None else sums.folders
@@ -134,50 +161,55 @@ def _sealed_within(folder: Path) -> list[Path]:
 
 
 def _file_items(folder: Path, items: Sequence[Item]) -> Iterator[Item]:
-    """Files that are not as SHA256SUMS lists them, then the others, counted in one item."""
-    known = {item.name: item for item in items}
-    found = faults(folder, include_inner=False)
-    for fault in found:
-        if fault.name not in known or known[fault.name].state == WHOLE:
+    """Yield files that differ from SHA256SUMS, then one item that counts the others."""
+    items_by_name = {item.name: item for item in items}
+    file_faults = faults(folder, include_inner=False)
+    for fault in file_faults:
+        if fault.name not in items_by_name or items_by_name[fault.name].state == INTACT:
             yield Item(fault.name, MISSING if fault.missing else DAMAGED, fault.problem)
     with contextlib.suppress(SumsError, OSError):
         if (sums := read_sums(folder)) is None:
             yield Item(SUMS, DAMAGED, "it is not this program's")
         else:
-            whole = len(set(sums.files) - {fault.name for fault in found})
-            yield Item(SUMS, WHOLE, f"{whole} of {len(sums.files)} files as they were written")
+            intact = len(set(sums.files) - {fault.name for fault in file_faults})
+            yield Item(SUMS, INTACT, f"{intact} of {len(sums.files)} files as they were written")
 
 
 def part_folders(folder: Path) -> list[Path]:
-    """Folders of shards, also of those that have lost their manifest."""
-    found = {
+    """Return the folders of shards, including those without a manifest."""
+    folders = {
         path.parent for name in (MANIFEST, JOURNAL) for path in (folder / SHARDS).glob(f"*/{name}")
     }
-    return sorted(found)
+    return sorted(folders)
 
 
-def _verify_own(folder: Path) -> tuple[bool | None, tuple[Item, ...]]:
+def _verify_campaign(folder: Path) -> tuple[bool | None, tuple[Item, ...]]:
+    """Check manifest, journal and tables.
+
+    Return whether the campaign is complete, and the items.
+    """
     manifest: dict[str, Any] | None = None
     try:
         manifest = read_manifest(folder)
-        first = Item(MANIFEST, WHOLE)
+        first = Item(MANIFEST, INTACT)
     except DamageError as error:
         first = Item(MANIFEST, DAMAGED, error.what)
     except BadInputError as error:
         first = Item(MANIFEST, DAMAGED if (folder / MANIFEST).exists() else MISSING, str(error))
     if manifest is not None and not has_digests(manifest):
-        names = (JOURNAL, *_there(folder))
+        names = (JOURNAL, *_existing_tables(folder))
         old = Item(MANIFEST, NO_DIGEST, "made by uqharness 0.1")
         return manifest["state"] == COMPLETE, (old, *(Item(name, NO_DIGEST) for name in names))
     journal = _journal_item(folder, manifest)
     tables = () if manifest is None else tuple(_table_items(folder, manifest))
-    lost = manifest is not None and "sums" in manifest and not (folder / SUMS).exists()
-    if lost and manifest is not None and is_sealed(manifest):
+    sums_missing = manifest is not None and "sums" in manifest and not (folder / SUMS).exists()
+    if sums_missing and manifest is not None and is_sealed(manifest):
         tables = (*tables, Item(SUMS, MISSING, "the same run command writes it again"))
     return (None if manifest is None else manifest["state"] == COMPLETE), (first, journal, *tables)
 
 
 def _journal_item(folder: Path, manifest: Mapping[str, Any] | None) -> Item:
+    """Check the journal."""
     sealed = manifest is not None and is_sealed(manifest)
     try:
         if trap := journal_trap(folder):
@@ -186,27 +218,29 @@ def _journal_item(folder: Path, manifest: Mapping[str, Any] | None) -> Item:
     except FileNotFoundError:
         if manifest is None or sealed:
             return Item(JOURNAL, MISSING)
-        return Item(JOURNAL, WHOLE, "no flight was counted yet")
+        return Item(JOURNAL, INTACT, "no flight was counted yet")
     except OSError as error:
         return Item(JOURNAL, DAMAGED, f"{error.strerror or error}")
-    found = look_at_journal(folder, manifest)
-    return Item(JOURNAL, DAMAGED if found.problem else WHOLE, found.words)
+    scan_result = scan_journal(folder, manifest)
+    return Item(JOURNAL, DAMAGED if scan_result.problem else INTACT, scan_result.words)
 
 
-def look_at_journal(folder: Path, manifest: Mapping[str, Any] | None) -> JournalFound:
-    """Every row of a journal, damaged or not, and whether it is what the manifest of a complete campaign lists."""
+def scan_journal(folder: Path, manifest: Mapping[str, Any] | None) -> JournalScanResult:
+    """Read every row of a journal and compare it with the manifest of a complete campaign."""
     with scratch_folder("verify") as scratch:
         try:
             if (folder / LEFTOVER).is_file() and not is_running(folder):
-                # Opening the journal itself would take back what was half written, which is for the next run to do.
+                # Opening the journal itself would undo an incomplete write; that is left to the
+                # next run.
                 copy_of(folder, scratch.path / "opened")
+                # First as every command opens it, then row by row.
                 problem, expected = _opened(scratch.path / "opened", folder)
             else:
                 problem, expected = _opened(folder, folder)
             scan = JournalScan(folder, scratch.path)
             digests = {row[0]: row[-1] for row in scan.rows()}
         except (sqlite3.Error, OSError, UnicodeError) as error:
-            return JournalFound(0, 0, None, f"cannot be read: {error}")
+            return JournalScanResult(0, 0, None, f"cannot be read: {error}")
     if manifest is not None and is_sealed(manifest):
         expected = int(manifest["journal"]["rows"])
         fits = (
@@ -215,11 +249,13 @@ def look_at_journal(folder: Path, manifest: Mapping[str, Any] | None) -> Journal
         )
         problem = problem or ("" if fits else "its flights are not those that the manifest lists")
     missing = None if expected is None else max(expected - len(digests) - scan.damaged, 0)
-    return JournalFound(len(digests), scan.damaged, missing, problem)
+    return JournalScanResult(len(digests), scan.damaged, missing, problem)
 
 
 def _opened(place: Path, folder: Path) -> tuple[str, int | None]:
-    """What is wrong with a journal as every command opens it, and how many flights its tally counts."""
+    """Open a journal as every command does; return the problem and the number of flights in its
+    tally.
+    """
     expected = None
     try:
         with closing(Store(place, read_only=True)) as store:
@@ -232,31 +268,30 @@ def _opened(place: Path, folder: Path) -> tuple[str, int | None]:
     return "", expected
 
 
-def _there(folder: Path) -> list[str]:
+def _existing_tables(folder: Path) -> list[str]:
+    """Return the names of the tables that exist."""
     return [name for name in TABLE_NAMES if (folder / name).exists()]
 
 
 def _table_items(folder: Path, manifest: Mapping[str, Any]) -> Iterator[Item]:
+    """Yield the state of each table."""
     if not is_sealed(manifest):
         return
-    written = manifest.get("tables", {})
+    digests = manifest.get("tables", {})
     for name, digest in table_digests(folder, manifest).items():
         if digest is None:
             yield Item(name, MISSING)
-        elif digest == written[name]:
-            yield Item(name, WHOLE, "", digest)
+        elif digest == digests[name]:
+            yield Item(name, INTACT, "", digest)
         else:
-            yield Item(name, DAMAGED, f"the manifest has {written[name]}", digest)
-    for name in _there(folder):
-        if name not in written:
+            yield Item(name, DAMAGED, f"the manifest has {digests[name]}", digest)
+    for name in _existing_tables(folder):
+        if name not in digests:
             yield Item(name, DAMAGED, "the manifest knows of no such table")
 
 
-# Make a damaged campaign folder whole: keep the sound flights, put what is damaged aside, fly
-# the rest again.
-#
-# At every moment the folder is one that ``salvage`` can be called on again: the new journal is
-# made in a folder of its own and put in place at once, after the old one has been given another
+# Salvage. At every moment the folder is one that `salvage` can be called on again: the new journal
+# is made in a folder of its own and moved into place at once, after the old one has got another
 # name and the manifest says that the campaign is not complete.
 
 _WORK = ".salvage"
@@ -265,25 +300,40 @@ _OWN_TABLES = ("sensitivity.csv", "convergence.csv", "area.csv", ENGINE_CHECK)
 
 
 @dataclass(frozen=True)
-class Salvaged:
-    """What was done in one folder: flights kept and flown again, tables written again, files put aside by their new names.
+class SalvageResult:
+    """Report what salvage did in a folder.
 
-    ``missing``: flights that no shard has flown yet; ``parts``: the same for the shards that were not whole.
+    Attributes
+    ----------
+    folder : Path
+        Campaign folder.
+    retained, flights : int
+        Flights kept, and flights flown again.
+    missing : int
+        Flights that no shard has flown yet.
+    statuses : mapping of str to int
+        Number of flights by status.
+    rewritten : tuple of str
+        Tables written again.
+    renamed : tuple of str
+        New names of the damaged files.
+    parts : tuple of SalvageResult
+        The same for damaged shards.
     """
 
     folder: Path
-    kept: int
-    flown: int
+    retained: int
+    flights: int
     missing: int
     statuses: Mapping[str, int]
     rewritten: tuple[str, ...]
-    aside: tuple[str, ...]
-    parts: tuple[Salvaged, ...] = ()
+    renamed: tuple[str, ...]
+    parts: tuple[SalvageResult, ...] = ()
 
 
 @dataclass(frozen=True)
-class Flying:
-    """How the missing flights are flown: see :func:`uqharness.campaign.run.run_campaign`."""
+class RunOptions:
+    """Hold the options with which missing flights are flown, see `run_campaign`."""
 
     executor: Executor
     before_flying: Callable[[Cost], None] = lambda _: None
@@ -292,31 +342,46 @@ class Flying:
 
 
 def salvage(
-    folder: Path, flying: Flying, campaign: CampaignSpec | None = None, command: str = ""
-) -> Salvaged:
-    """Make the campaign in ``folder`` whole. ``campaign`` takes the place of a manifest that is damaged or gone, and ``command``
-    that of the command in it.
+    folder: Path, flying: RunOptions, campaign: CampaignSpec | None = None, command: str = ""
+) -> SalvageResult:
+    """Make a damaged campaign intact again.
 
-    Shards are made whole and merged again. Raises BadInputError where that cannot be done: nothing is lost then.
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    flying : RunOptions
+        How to fly missing flights.
+    campaign : CampaignSpec, optional
+        Campaign to use if the manifest is damaged or gone.
+    command : str
+        Command line for a new manifest.
+
+    Raises
+    ------
+    BadInputError
+        If the campaign cannot be restored; nothing is lost then.
     """
     parts = part_folders(folder)
     if not parts:
         return _salvage_campaign(folder, flying, campaign, command)
+    # Shards first: merging needs them intact.
     done = tuple(
         _salvage_campaign(part, flying, campaign, command) for part in parts if not _is_whole(part)
     )
-    aside: list[str] = []
+    renamed: list[str] = []
     if (folder / MANIFEST).exists() or (folder / JOURNAL).exists():
         with run_lock(folder):
-            aside = _mend_merged(folder)
+            renamed = _mend_merged(folder)
     merged = merge(folder)
-    kept = sum(merged.statuses.values()) - sum(part.flown for part in done)
-    return Salvaged(
-        folder, kept, 0, merged.missing, merged.statuses, merged.rewritten, tuple(aside), done
+    retained = sum(merged.statuses.values()) - sum(part.flights for part in done)
+    return SalvageResult(
+        folder, retained, 0, merged.missing, merged.statuses, merged.rewritten, tuple(renamed), done
     )
 
 
 def _is_whole(folder: Path) -> bool:
+    """Return whether manifest and journal of a shard are intact."""
     if not (folder / MANIFEST).exists():
         return False
     try:
@@ -329,11 +394,14 @@ def _is_whole(folder: Path) -> bool:
 
 
 def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """DamageError where the journal is not whole; a file whose writer was killed is looked at in a copy."""
+    """Raise DamageError if the journal is not intact.
+
+    One with a rollback file is read in a copy.
+    """
     if is_sealed(manifest) and not (folder / JOURNAL).exists():
         raise DamageError(folder / JOURNAL, "it is gone", folder)
     if is_sealed(manifest):
-        # Its flights may be sound where its free pages are not.
+        # Intact flights do not exclude damage in unused pages.
         for fault in faults(folder, include_inner=False):
             if fault.name == JOURNAL:
                 raise DamageError(folder / JOURNAL, fault.problem, folder)
@@ -344,19 +412,19 @@ def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
             place = work / "look"
         with Store(place, read_only=True) as store:
             if is_sealed(manifest):
-                refuse_if_not_whole(folder, store, manifest)
+                refuse_if_changed(folder, store, manifest)
             else:
                 store.finished()
 
 
 def _mend_merged(folder: Path) -> list[str]:
-    """Put aside what is damaged in a folder of merged shards: merging makes it again, with the flights it has itself."""
-    aside: list[str] = []
+    """Rename damaged files of a folder of merged shards; merging writes them again."""
+    renamed: list[str] = []
     try:
         manifest = read_manifest(folder)
         refuse_without_digests(folder, manifest)
     except DamageError:
-        aside.append(_put_aside(folder / MANIFEST))
+        renamed.append(_rename_damaged(folder / MANIFEST))
         manifest = None
     except BadInputError:
         if (folder / MANIFEST).exists():
@@ -369,34 +437,38 @@ def _mend_merged(folder: Path) -> list[str]:
     except DamageError:
         if manifest is not None:
             write_manifest(folder, _not_complete(manifest))
-        aside += _replace_journal(folder, None)
-    return aside + ([] if manifest is None else _put_tables_aside(folder, manifest))
+        renamed += _replace_journal(folder, None)
+    return renamed + ([] if manifest is None else _rename_damaged_tables(folder, manifest))
 
 
 def _salvage_campaign(
-    folder: Path, flying: Flying, campaign: CampaignSpec | None, command: str
-) -> Salvaged:
+    folder: Path, flying: RunOptions, campaign: CampaignSpec | None, command: str
+) -> SalvageResult:
+    """Salvage one campaign folder without shards."""
     if not (folder / MANIFEST).exists() and not (folder / JOURNAL).exists():
         raise BadInputError(
             f"{folder}: not a campaign folder (no {MANIFEST}, no {JOURNAL}); nothing to salvage"
         )
     with run_lock(folder):
-        spec, manifest, aside = _known_campaign(folder, campaign, command)
-        if manifest["state"] == SPOILT:
+        # Identify the campaign, then replace what is damaged.
+        spec, manifest, renamed = _identify_campaign(folder, campaign, command)
+        if manifest["state"] == MIXED:
             raise BadInputError(
-                f"{folder}: aircraft or script was edited while this campaign flew; remove it and run again"
+                f"{folder}: aircraft or script was edited while this campaign flew; remove it and"
+                " run again"
             )
-        wanted = _case_ids(folder, spec, manifest)
+        case_ids = _case_ids(folder, spec, manifest)
         try:
             _refuse_damage(folder, manifest)
         except DamageError:
             write_manifest(folder, _not_complete(manifest))
-            aside += _replace_journal(folder, wanted)
+            renamed += _replace_journal(folder, case_ids)
         if not (folder / MANIFEST).exists():
             write_manifest(folder, _not_complete(manifest))
-        aside += _put_tables_aside(folder, manifest)
+        renamed += _rename_damaged_tables(folder, manifest)
         with Store(folder) as store:
-            kept = store.statuses().total()
+            retained = store.statuses().total()
+    # Fly what is missing now.
     shard = None if "shard" not in manifest else parse_shard(manifest["shard"])
     summary = run_campaign(
         spec,
@@ -408,49 +480,56 @@ def _salvage_campaign(
         shard=shard,
         before_flying=flying.before_flying,
     )
-    flown = sum(summary.statuses.values()) - kept
-    return Salvaged(folder, kept, flown, 0, summary.statuses, summary.rewritten, tuple(aside))
+    new_flights = sum(summary.statuses.values()) - retained
+    return SalvageResult(
+        folder, retained, new_flights, 0, summary.statuses, summary.rewritten, tuple(renamed)
+    )
 
 
-def _known_campaign(
+def _identify_campaign(
     folder: Path, campaign: CampaignSpec | None, command: str
 ) -> tuple[CampaignSpec, dict[str, Any], list[str]]:
-    """The campaign of the folder and its manifest, rebuilt from ``campaign`` where it is damaged; what was put aside."""
+    """Return the campaign of a folder, its manifest and the names of renamed files.
+
+    A damaged manifest is rebuilt from ``campaign``.
+    """
     try:
         manifest = read_manifest(folder)
     except BadInputError as error:
         if campaign is None:
             raise BadInputError(
-                f"{error}. Without a manifest, say what was flown: uqharness campaign salvage {folder} --campaign CAMPAIGN.toml"
+                f"{error}. Without a manifest, say what was flown: uqharness campaign salvage"
+                f" {folder} --campaign CAMPAIGN.toml"
             ) from None
         _refuse_other_versions(folder)
         shard = _shard_of(folder)
+        # Rebuild the manifest from the campaign file.
         mission = find_mission(campaign, folder)
         campaign = with_default_noise(campaign, mission)
-        campaign = _in_the_engine_flown(folder, campaign, mission)
+        campaign = _with_engine_of_journal(folder, campaign, mission)
         cases = build_cases(campaign, mission)
         if shard is None:
-            made = describe(campaign, mission, len(cases), command)
+            rebuilt = describe(campaign, mission, len(cases), command)
         else:
             share = len(cases[shard.number - 1 :: shard.count])
-            made = describe(campaign, mission, share, f"{command} --shard {shard}") | {
+            rebuilt = describe(campaign, mission, share, f"{command} --shard {shard}") | {
                 "shard": str(shard)
             }
-        _refuse_foreign_flights(folder, campaign, made)
-        aside = [_put_aside(folder / MANIFEST)] if (folder / MANIFEST).exists() else []
-        return campaign, made | {"state": INTERRUPTED}, aside
+        _refuse_foreign_flights(folder, campaign, rebuilt)
+        renamed = [_rename_damaged(folder / MANIFEST)] if (folder / MANIFEST).exists() else []
+        return campaign, rebuilt | {"state": INTERRUPTED}, renamed
     refuse_without_digests(folder, manifest)
     return spec_of(manifest), manifest, []
 
 
 def _refuse_other_versions(folder: Path) -> None:
-    """A damaged manifest can often still be read for the versions that flew; flights of two are not mixed."""
+    """Raise BadInputError if a damaged manifest still shows that other versions flew."""
     with contextlib.suppress(OSError, ValueError, RecursionError, AttributeError):
-        said = json.loads(read_regular(folder / MANIFEST)).get("versions")
+        old_versions = json.loads(read_regular(folder / MANIFEST)).get("versions")
         differences = [
-            f"{name} {said[name]} then, {now} now"
-            for name, now in binding_versions()
-            if said.get(name, now) != now
+            f"{name} {old_versions[name]} then, {installed} now"
+            for name, installed in binding_versions()
+            if old_versions.get(name, installed) != installed
         ]
         if differences:
             raise BadInputError(
@@ -461,35 +540,38 @@ def _refuse_other_versions(folder: Path) -> None:
 def _refuse_foreign_flights(
     folder: Path, campaign: CampaignSpec, manifest: Mapping[str, Any]
 ) -> None:
-    wanted = _case_ids(folder, campaign, manifest)
-    found = _sound_ids(folder, wanted)
-    foreign = len(found - wanted)
+    """Raise BadInputError if the journal holds flights of another campaign."""
+    case_ids = _case_ids(folder, campaign, manifest)
+    sound_ids = _sound_ids(folder, case_ids)
+    foreign = len(sound_ids - case_ids)
     if foreign:
         raise BadInputError(
-            f"{folder}: {foreign} of its {len(found)} sound flights are no part of {campaign.path}; give the campaign file, the "
-            "aircraft and the --hours or --samples that it was flown with"
+            f"{folder}: {foreign} of its {len(sound_ids)} sound flights are no part of"
+            f" {campaign.path}; give the campaign file, the aircraft and the --hours or --samples"
+            " that it was flown with"
         )
 
 
-def _sound_ids(folder: Path, wanted: Collection[str]) -> set[str]:
+def _sound_ids(folder: Path, case_ids: Collection[str]) -> set[str]:
+    """Return the case ids of all intact rows."""
     with _work_folder(folder) as work:
         return {
             row[0]
             for source in _sources(folder)
-            for row in JournalScan(source, work / "scan").rows(wanted)
+            for row in JournalScan(source, work / "scan").rows(case_ids)
         }
 
 
-def _in_the_engine_flown(folder: Path, campaign: CampaignSpec, mission: Mission) -> CampaignSpec:
-    """The campaign in the engine whose flights the journal holds: ids tell, where the file leaves it to the first run."""
+def _with_engine_of_journal(folder: Path, campaign: CampaignSpec, mission: Mission) -> CampaignSpec:
+    """Return the campaign in the engine whose case ids the journal holds."""
     if campaign.campaign.engine != "auto":
         return campaign
-    both = {
+    ids_by_engine = {
         engine: {case.case_id for case in build_cases(campaign.with_engine(engine), mission)}
         for engine in (JSBSIM, BATCH)
     }
-    found = _sound_ids(folder, set().union(*both.values()))
-    hits = {engine: len(found & ids) for engine, ids in both.items()}
+    sound_ids = _sound_ids(folder, set().union(*ids_by_engine.values()))
+    hits = {engine: len(sound_ids & ids) for engine, ids in ids_by_engine.items()}
     return (
         campaign.with_engine(max(hits, key=lambda engine: hits[engine]))
         if any(hits.values())
@@ -498,44 +580,55 @@ def _in_the_engine_flown(folder: Path, campaign: CampaignSpec, mission: Mission)
 
 
 def _case_ids(folder: Path, spec: CampaignSpec, manifest: Mapping[str, Any]) -> set[str]:
-    """Ids of the campaign's flights. Raises BadInputError where aircraft, script or versions are not what they were."""
+    """Return the ids of a campaign's cases.
+
+    Raises BadInputError if aircraft, script or versions have changed.
+    """
     mission = find_mission(spec, folder)
     refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""))
     return {case.case_id for case in build_cases(spec, mission)}
 
 
 def _not_complete(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the manifest in the state interrupted."""
     return {name: value for name, value in manifest.items() if name != "journal"} | {
         "state": INTERRUPTED
     }
 
 
-def _replace_journal(folder: Path, wanted: Collection[str] | None) -> list[str]:
-    """A new journal with every sound flight that can be found, in the place of the damaged one; the name that this has now."""
+def _replace_journal(folder: Path, case_ids: Collection[str] | None) -> list[str]:
+    """Replace the journal by a new one with all intact rows; return the new name of the damaged
+    one.
+    """
     with _work_folder(folder) as work:
         with Store(work) as store:
             for source in _sources(folder):
-                rows = JournalScan(source, work / "scan").rows(wanted or ())
+                rows = JournalScan(source, work / "scan").rows(case_ids or ())
                 for batch in _batches(
-                    outcome_of(row) for row in rows if wanted is None or row[0] in wanted
+                    # Rows of other campaigns are left out.
+                    outcome_of(row)
+                    for row in rows
+                    if case_ids is None or row[0] in case_ids
                 ):
                     store.add(batch)
-        moved = _keep_copy(folder)
-        # Beside a new journal it would be taken for what is to be taken back of that one.
+        renamed = _rename_journal(folder)
+        # Next to a new journal the rollback file would be applied to it.
         (folder / LEFTOVER).unlink(missing_ok=True)
         os.replace(work / JOURNAL, folder / JOURNAL)
-    return moved
+    return renamed
 
 
 def _sources(folder: Path) -> Iterator[Path]:
-    """Folders to read a ``journal.sqlite`` from: those put aside by an earlier salvage first, for the last one counts."""
+    """Yield folders with a journal to read, those of an earlier salvage first: the last one
+    counts.
+    """
     for number in itertools.count(1):
-        aside = folder / f"journal.damaged-{number}.sqlite"
-        if not aside.exists():
+        damaged = folder / f"journal.damaged-{number}.sqlite"
+        if not damaged.exists():
             break
         with _work_folder(folder, f"{_WORK}-{number}") as work:
-            shutil.copyfile(aside, work / JOURNAL)
-            if (leftover := Path(f"{aside}-journal")).exists():
+            shutil.copyfile(damaged, work / JOURNAL)
+            if (leftover := Path(f"{damaged}-journal")).exists():
                 shutil.copyfile(leftover, work / LEFTOVER)
             yield work
     if (folder / JOURNAL).exists():
@@ -543,18 +636,19 @@ def _sources(folder: Path) -> Iterator[Path]:
 
 
 def _batches(outcomes: Iterator[CaseOutcome]) -> Iterator[list[CaseOutcome]]:
+    """Yield outcomes in batches."""
     while batch := list(itertools.islice(outcomes, _BATCH)):
         yield batch
 
 
-def _keep_copy(folder: Path) -> list[str]:
-    """Give the damaged journal, and what lies beside it, a second name."""
+def _rename_journal(folder: Path) -> list[str]:
+    """Give the damaged journal, and its rollback file, a second name."""
     if not (folder / JOURNAL).exists():
         return []
-    aside = _free_name(folder / JOURNAL)
+    new_path = _free_name(folder / JOURNAL)
     for source, target in (
-        (folder / LEFTOVER, Path(f"{aside}-journal")),
-        (folder / JOURNAL, aside),
+        (folder / LEFTOVER, Path(f"{new_path}-journal")),
+        (folder / JOURNAL, new_path),
     ):
         if source.exists():
             try:
@@ -564,32 +658,37 @@ def _keep_copy(folder: Path) -> list[str]:
                 part.unlink(missing_ok=True)  # it may be a link
                 shutil.copyfile(source, part)
                 os.replace(part, target)
-    return [aside.name]
+    return [new_path.name]
 
 
-def _put_tables_aside(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
-    """Tables of other commands that are not as written cannot be made again here, and must not be taken for whole."""
-    written = manifest.get("tables", {})
-    found = table_digests(folder, manifest)
-    damaged = [name for name in _OWN_TABLES if name in found and found[name] != written[name]]
-    unknown = [name for name in _OWN_TABLES if name not in written and (folder / name).exists()]
-    aside = [_put_aside(folder / name) for name in (*damaged, *unknown) if (folder / name).exists()]
+def _rename_damaged_tables(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
+    """Rename damaged tables of other commands, which cannot be computed again here."""
+    expected = manifest.get("tables", {})
+    digests = table_digests(folder, manifest)
+    damaged = [name for name in _OWN_TABLES if name in digests and digests[name] != expected[name]]
+    unknown = [name for name in _OWN_TABLES if name not in expected and (folder / name).exists()]
+    renamed = [
+        _rename_damaged(folder / name) for name in (*damaged, *unknown) if (folder / name).exists()
+    ]
     if damaged and (folder / MANIFEST).exists():
-        now = read_manifest(folder)
+        current = read_manifest(folder)
         write_manifest(
-            folder, now | {"tables": {k: v for k, v in now["tables"].items() if k not in damaged}}
+            folder,
+            current | {"tables": {k: v for k, v in current["tables"].items() if k not in damaged}},
         )
-    return aside
+    return renamed
 
 
-def _put_aside(path: Path) -> str:
-    aside = _free_name(path)
-    os.replace(path, aside)
+def _rename_damaged(path: Path) -> str:
+    """Rename a damaged file and return the new name."""
+    new_path = _free_name(path)
+    os.replace(path, new_path)
     update_sums(path)
-    return aside.name
+    return new_path.name
 
 
 def _free_name(path: Path) -> Path:
+    """Return an unused name for a damaged file."""
     names = (
         path.with_name(f"{path.stem}.damaged-{number}{path.suffix}")
         for number in itertools.count(1)
@@ -599,7 +698,7 @@ def _free_name(path: Path) -> Path:
 
 @contextlib.contextmanager
 def _work_folder(folder: Path, name: str = _WORK) -> Iterator[Path]:
-    """An empty folder within ``folder``; what a killed salvage left there goes."""
+    """Yield an empty folder within ``folder``, removed afterwards."""
     work = folder / name
     _remove(work)
     try:
@@ -613,25 +712,27 @@ def _work_folder(folder: Path, name: str = _WORK) -> Iterator[Path]:
 
 
 def _remove(work: Path) -> None:
+    """Remove a file, link or folder."""
     if work.is_symlink() or work.is_file():
         work.unlink()
     shutil.rmtree(work, ignore_errors=True)
 
 
 def _shard_of(folder: Path) -> Shard | None:
-    """What a folder's place says of the shard in it."""
+    """Return the shard that a folder's name indicates."""
     if folder.resolve().parent.name != SHARDS:
         return None
     return parse_shard(folder.resolve().name.replace("-of-", "/"))
 
 
 def _out_of(folder: Path, shard: Shard | None) -> Path:
-    """The folder to give to a run so that it flies into ``folder``."""
+    """Return the output folder with which a run flies into ``folder``."""
     if shard is None:
         return folder
     place = folder.resolve()
     if (place.parent.name, place.name) != (SHARDS, shard.folder):
         raise BadInputError(
-            f"{folder}: holds shard {shard} and must lie in {SHARDS}/{shard.folder} of the campaign's folder"
+            f"{folder}: holds shard {shard} and must lie in {SHARDS}/{shard.folder} of the"
+            " campaign's folder"
         )
     return place.parent.parent

@@ -1,6 +1,8 @@
-"""campaign.toml: what a campaign flies, strictly validated.
+"""Validate campaign.toml and the files that it names.
 
-Errors name file, line, what was received and what is allowed.
+Each section of the file is a strict pydantic model; `CampaignSpec` is the validated campaign with
+its inputs. Error messages name file and line, what was received and what is allowed.
+`uqharness.campaign.spec.samples` builds the epistemic samples from it.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     from sysid.model_form import ModelForm
 
 
-# Names that sections of campaign.toml share: turbulence, coefficients.
+# Names shared by the sections.
 
 Turbulence = Literal["none", "light", "moderate", "severe"]
 Coefficient = Literal["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -42,31 +44,36 @@ assert Coefficient.__args__ == COEFFICIENTS  # type: ignore[attr-defined]
 
 
 def ordered(value: tuple[str, ...]) -> tuple[str, ...]:
-    """Coefficients in the order in which they are always listed. ValueError for none or one twice."""
+    """Return coefficients in the order CX, CY, CZ, Cl, Cm, Cn.
+
+    Raises ValueError for an empty or repeated list.
+    """
     if not value or len(set(value)) != len(value):
         raise ValueError("must name at least one coefficient, and none twice")
     return tuple(name for name in COEFFICIENTS if name in value)
 
 
-# [epistemic] of campaign.toml: uncertainty of the model, and how it is sampled.
+# Section [epistemic].
 
 SAMPLED = ("lhs", "white", "walk")
 """Methods that draw ``samples`` epistemic samples; the others list theirs."""
 
-MOST_SAMPLES = 1_000_000
+MAX_SAMPLES = 1_000_000
 
 INTERIOR = 16
-"""Most interior points by default: so many with a model form, at most one per corner with constant bounds."""
+"""Default number of interior points with a model form, and their maximum with constant bounds."""
 
 PUBLISHED_WALK_RATE_PER_SQRT_S = 0.0017 * 50.0**0.5
-"""0.17 % of the interval a sample (Hale 2016, Fig 3.3, CZ), the record taken as 50 Hz: what a walk moves at unless told."""
+"""Default rate of a walk: 0.17 % of the interval per sample (Hale 2016, Fig 3.3, CZ), at 50 Hz."""
 
 
 class ParametersSection(Section):
-    """Uncertainty of the identified parameters, from a fit: one draw of all of them belongs to an epistemic sample.
+    """Section [epistemic.parameters]: uncertainty of identified parameters, from a fit.
 
-    ``distribution`` normal draws from the fit's covariance; box fills, by a Latin hypercube, the box of ``confidence`` (all
-    parameters at once, Bonferroni) about the estimates. ``parameters`` picks some of the fit's; absent = all identified ones.
+    One draw of all parameters belongs to an epistemic sample. ``distribution`` normal draws from
+    the covariance of the fit; box fills, by a Latin hypercube, the box of ``confidence`` (all
+    parameters at once, Bonferroni) around the estimates. ``parameters`` selects some; default: all
+    identified ones.
     """
 
     fit: str = Field(min_length=1)
@@ -76,6 +83,7 @@ class ParametersSection(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> ParametersSection:
+        """Refuse a confidence without a box, and empty or repeated parameters."""
         if self.confidence is not None and self.distribution != "box":
             raise ValueError(
                 'confidence belongs to distribution = "box"; a normal distribution has no edge'
@@ -87,42 +95,48 @@ class ParametersSection(Section):
 
     @property
     def box_confidence(self) -> float:
-        """Confidence of the box over all parameters at once, 0.95 where none is given."""
+        """Confidence of the box over all parameters at once; default 0.95."""
         return 0.95 if self.confidence is None else self.confidence
 
 
 class EpistemicSection(Section):
-    """Ignorance: how the deltas move between their bounds.
+    """Section [epistemic]: uncertainty of the model between the bounds of its deltas.
 
-    ``bounds`` per coefficient, or the name of a model-form.json; absent = the aircraft's own. ``set``: the intervals' box, or the
-    ellipsoid of their joint confidence. ``transient``: the model form's transient error flies as well; absent = where there
-    is such a part. ``interior``: points of a Latin hypercube flown with the corners. ``nominal``: the model with all deltas zero is
-    flown with the corners as well (absent = true).
+    ``bounds`` are numbers per coefficient or a model-form.json; default: those of the aircraft.
+    ``set`` is the box of the intervals or the ellipsoid of their joint confidence. ``transient``
+    adds the transient error of the model form; default: if it has one. ``interior`` is the number
+    of points of a Latin hypercube flown with the corners. ``nominal`` adds the model with zero
+    deltas; default: true.
     """
 
     method: Literal["none", "corners", "levels", "lhs", "white", "walk"]
-    coefficients: Annotated[tuple[Coefficient, ...], BeforeValidator(list_as_tuple)] = COEFFICIENTS  # type: ignore[assignment]
+    coefficients: Annotated[  # type: ignore[assignment]
+        tuple[Coefficient, ...], BeforeValidator(list_as_tuple)
+    ] = COEFFICIENTS
     bounds: dict[Coefficient, tuple[Number, Number]] | str | None = None
     levels: tuple[Number, ...] | None = None
-    samples: int | None = Field(default=None, ge=1, le=MOST_SAMPLES)
+    samples: int | None = Field(default=None, ge=1, le=MAX_SAMPLES)
     walk_rate_per_sqrt_s: dict[Coefficient, Number] | None = None
     transient: bool | None = None
     set: Literal["box", "ellipsoid"] = "box"
-    interior: int | None = Field(default=None, ge=0, le=MOST_SAMPLES)
+    interior: int | None = Field(default=None, ge=0, le=MAX_SAMPLES)
     nominal: bool | None = None
     parameters: ParametersSection | None = None
 
     @field_validator("coefficients")
     @classmethod
     def _in_order(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        """Sort the coefficients."""
         return ordered(value)
 
     @field_validator("bounds", mode="before")
     @classmethod
     def _bounds(cls, value: Any) -> Any:
+        """Expand half-widths to intervals."""
         if isinstance(value, str) and not value.endswith(".json"):
             raise ValueError(
-                'must be numbers, as { CX = 0.008, ... }, or the file of a model form, as "model-form.json"'
+                "must be numbers, as { CX = 0.008, ... }, or the file of a model form, as"
+                ' "model-form.json"'
             )
         return (
             {n: _interval(str(n), item) for n, item in value.items()}
@@ -133,6 +147,7 @@ class EpistemicSection(Section):
     @field_validator("levels", mode="before")
     @classmethod
     def _levels(cls, value: Any) -> Any:
+        """Require distinct levels between 0 and 1."""
         value = list_as_tuple(value)
         if isinstance(value, tuple) and not all(
             is_number(item) and 0 <= item <= 1 for item in value
@@ -145,17 +160,21 @@ class EpistemicSection(Section):
     @field_validator("walk_rate_per_sqrt_s", mode="before")
     @classmethod
     def _rates(cls, value: Any) -> Any:
+        """Expand a single walk rate to all coefficients."""
+        # One number holds for all coefficients.
         rates = value if isinstance(value, dict) else dict.fromkeys(COEFFICIENTS, value)
         for name, rate in rates.items():
             if not is_number(rate) or not rate > 0:
                 raise ValueError(
-                    f"{name} = {as_toml(rate)}: a rate is a number above 0, the walk's standard deviation after one second as "
-                    "a share of the interval's width (0.012 for the published CZ)"
+                    f"{name} = {as_toml(rate)}: a rate is a number above 0, the walk's standard"
+                    " deviation after one second as a share of the interval's width (0.012 for the"
+                    " published CZ)"
                 )
         return {name: float(rate) for name, rate in rates.items()}
 
     @model_validator(mode="after")
     def _consistent(self) -> EpistemicSection:
+        """Check keys that depend on each other."""
         if (self.method == "levels") != (self.levels is not None):
             raise ValueError(
                 'levels belongs to method = "levels", which needs it: levels = [0, 0.5, 1]'
@@ -167,7 +186,7 @@ class EpistemicSection(Section):
         return self
 
     def interior_samples(self, corners: int) -> int:
-        """Return the number of interior points flown with so many corners."""
+        """Return the number of interior points flown with that number of corners."""
         if self.interior is not None:
             return self.interior
         if self.method != "corners":
@@ -176,10 +195,11 @@ class EpistemicSection(Section):
 
     @property
     def flies_nominal(self) -> bool:
-        """Whether the model without deltas flies with the corners."""
+        """Whether the model without deltas is flown with the corners."""
         return self.method == "corners" and self.nominal is not False
 
     def _check_bounds(self) -> None:
+        """Require bounds for exactly the uncertain coefficients."""
         if not isinstance(self.bounds, dict):
             return
         for name in self.bounds:
@@ -192,19 +212,22 @@ class EpistemicSection(Section):
             )
 
     def _check_samples(self) -> None:
-        wanted = self.method in SAMPLED or self.parameters is not None
-        if wanted and self.samples is None:
-            what = (
+        """Require the number of samples where samples are drawn."""
+        draws_samples = self.method in SAMPLED or self.parameters is not None
+        if draws_samples and self.samples is None:
+            key = (
                 f'method = "{self.method}"' if self.method in SAMPLED else "[epistemic.parameters]"
             )
-            raise ValueError(f"{what} needs samples, the number of draws: samples = 2000")
-        if not wanted and self.samples is not None:
+            raise ValueError(f"{key} needs samples, the number of draws: samples = 2000")
+        if not draws_samples and self.samples is not None:
             raise ValueError(
-                f'samples belongs to the methods {", ".join(SAMPLED)} and to [epistemic.parameters]; method = "{self.method}" '
-                "flies every combination there is"
+                f"samples belongs to the methods {', '.join(SAMPLED)} and to"
+                f' [epistemic.parameters]; method = "{self.method}" flies every combination'
+                " there is"
             )
 
     def _check_rates(self) -> None:
+        """Require walk rates for all uncertain coefficients."""
         if self.walk_rate_per_sqrt_s is None:
             return
         if self.method != "walk":
@@ -214,29 +237,32 @@ class EpistemicSection(Section):
         missing = [name for name in self.coefficients if name not in self.walk_rate_per_sqrt_s]
         if missing and not isinstance(self.bounds, str):
             raise ValueError(
-                f"walk_rate_per_sqrt_s lacks {', '.join(missing)}: give them, or leave them out of coefficients"
+                f"walk_rate_per_sqrt_s lacks {', '.join(missing)}: give them, or leave them out of"
+                " coefficients"
             )
 
     def _check_set(self) -> None:
+        """Refuse sets and points that the method does not fly."""
         if self.set == "ellipsoid" and self.method not in ("corners", "lhs"):
             raise ValueError(
                 f'set = "ellipsoid" belongs to the methods corners and lhs, not to "{self.method}"'
             )
         if self.interior and self.method != "corners":
             raise ValueError(
-                f'interior = {self.interior}: interior points are flown beside corners, not with method = "{self.method}"'
+                f"interior = {self.interior}: interior points are flown beside corners, not with"
+                f' method = "{self.method}"'
             )
         if self.nominal and self.method != "corners":
             raise ValueError(
-                f'nominal = true: the nominal model is flown with corners, not with method = "{self.method}"; method = "none" '
-                "flies it alone"
+                "nominal = true: the nominal model is flown with corners, not with method ="
+                f' "{self.method}"; method = "none" flies it alone'
             )
         if self.transient and self.method == "none":
             raise ValueError('transient = true: method = "none" flies no model error')
 
 
 def _interval(name: str, item: Any) -> Any:
-    """``0.008`` means ±0.008; a pair means [lower, upper] with 0 between."""
+    """Return a pair [lower, upper] with 0 between; ``0.008`` means ±0.008."""
     if is_number(item):
         if item < 0:
             raise ValueError(
@@ -247,14 +273,15 @@ def _interval(name: str, item: Any) -> Any:
         raise ValueError(f"{name} = {as_toml(item)}: must be a number (±) or a pair [lower, upper]")
     if not item[0] <= 0 <= item[1]:
         raise ValueError(
-            f"{name} = {as_toml(item)}: must have lower <= 0 <= upper, so that the model itself lies inside"
+            f"{name} = {as_toml(item)}: must have lower <= 0 <= upper, so that the model itself"
+            " lies inside"
         )
     return (float(item[0]), float(item[1]))
 
 
-# [stop] of campaign.toml: when the flying ends.
+# Section [stop].
 
-_OF_RULE: Mapping[str, tuple[str, ...]] = {
+_KEYS_OF_RULE: Mapping[str, tuple[str, ...]] = {
     "flights": (),
     "hours": ("hours",),
     "band-width": ("band_width",),
@@ -271,12 +298,13 @@ _SETS_FLIGHTS = {"hours": "hours", "band-width": "band_width"}
 
 
 class StopSection(Section):
-    """When it ends.
+    """Section [stop]: when a campaign ends.
 
-    ``flights``: [aleatory] flights everywhere. ``hours``: that many flight hours per corner and condition. ``band-width``: as many
-    flights as bring the p-box's band within ``band_width`` (probability) of its envelope. All three are known beforehand.
-    ``decide``: a cell ends once "at most [metrics] acceptable_per_h excursions beyond radius_m?" is answered, [aleatory] flights at
-    the latest.
+    ``flights``: [aleatory] flights everywhere. ``hours``: that many flight hours per corner and
+    condition. ``band-width``: as many flights as bring the band of a p-box within ``band_width``
+    (probability) of its envelope. These three are known beforehand. ``decide``: a condition ends
+    once the question "at most [metrics] acceptable_per_h excursions beyond radius_m?" is answered,
+    at the latest after [aleatory] flights.
     """
 
     rule: Literal["flights", "hours", "band-width", "decide"] = "flights"
@@ -297,7 +325,9 @@ class StopSection(Section):
 
     @model_validator(mode="after")
     def _of_its_rule(self) -> StopSection:
-        for rule, keys in _OF_RULE.items():
+        """Refuse keys of another rule."""
+        # A key of another rule would be ignored silently, so it is refused.
+        for rule, keys in _KEYS_OF_RULE.items():
             strange = [key for key in keys if getattr(self, key) is not None and rule != self.rule]
             if strange:
                 raise ValueError(f'{strange[0]} belongs to rule = "{rule}", not to "{self.rule}"')
@@ -312,7 +342,7 @@ class StopSection(Section):
 
 
 def without_flights(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The content of a file whose rule says how many flights there are, with a place for the number; any other as it is."""
+    """Fill in a number of flights where the stopping rule determines it."""
     stop, air = data.get("stop"), data.get("aleatory")
     if not isinstance(stop, dict) or not isinstance(air, dict) or "flights" in air:
         return data
@@ -320,17 +350,18 @@ def without_flights(data: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**data, "aleatory": {**air, "flights": 1}} if key is not None and key in stop else data
 
 
-# [aleatory.variables."PROPERTY"] of campaign.toml: what differs from flight to flight besides
-# air and noise, such as the load.
+# Section [aleatory.variables]: what varies between flights besides air and noise, such as the
+# payload.
 
 Pair = tuple[Number, Number]
 
 
 class VariableSection(Section):
-    """One random property, drawn once a flight. normal: ``mean``, ``std``; uniform: ``low``, ``high``, or ``mean``, ``half_width``.
+    """Section [aleatory.variables."PROPERTY"]: a random property, drawn once per flight.
 
-    ``mean`` may be an interval [low, high]: then where the mean lies is not known, which is an epistemic input of its own.
-    Units are those of the JSBSim property (its name says them).
+    normal: ``mean``, ``std``; uniform: ``low``, ``high``, or ``mean``, ``half_width``. ``mean`` may
+    be an interval [low, high]: the mean is then unknown within it, an epistemic input. Units are
+    those of the JSBSim property.
     """
 
     distribution: Literal["normal", "uniform"]
@@ -342,7 +373,8 @@ class VariableSection(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> VariableSection:
-        given = {
+        """Require exactly the keys of the distribution."""
+        present = {
             name
             for name in ("mean", "std", "low", "high", "half_width")
             if getattr(self, name) is not None
@@ -352,9 +384,9 @@ class VariableSection(Section):
             if self.distribution == "normal"
             else [{"low", "high"}, {"mean", "half_width"}]
         )
-        if given not in allowed:
+        if present not in allowed:
             needs = " or ".join(" and ".join(sorted(names, key=_ORDER.index)) for names in allowed)
-            got = ", ".join(sorted(given, key=_ORDER.index)) or "none"
+            got = ", ".join(sorted(present, key=_ORDER.index)) or "none"
             raise ValueError(
                 f'distribution = "{self.distribution}" needs {needs}, and no more; received {got}'
             )
@@ -362,45 +394,65 @@ class VariableSection(Section):
             raise ValueError(f"low = {self.low:g} must be less than high = {self.high:g}")
         if isinstance(self.mean, tuple) and not self.mean[0] < self.mean[1]:
             raise ValueError(
-                f"mean = [{self.mean[0]:g}, {self.mean[1]:g}]: an interval is [low, high] with low < high"
+                f"mean = [{self.mean[0]:g}, {self.mean[1]:g}]: an interval is [low, high] with low"
+                " < high"
             )
         return self
 
     @property
     def mean_interval(self) -> Pair | None:
-        """Ends of an uncertain mean; None where the mean is known."""
+        """Ends of an uncertain mean; None if the mean is known."""
         return self.mean if isinstance(self.mean, tuple) else None
 
     def value(self, unit_draw: float, mean_level: float) -> float:
-        """The variable for a draw in its unit (standard normal, or uniform in -1..1) and a level 0..1 of an uncertain mean."""
+        """Return the variable for a draw and a level of the mean.
+
+        Parameters
+        ----------
+        unit_draw : float
+            Standard normal, or uniform in -1..1.
+        mean_level : float
+            Place of an uncertain mean in its interval, 0..1.
+        """
         if self.mean is None:
             assert self.low is not None
             assert self.high is not None
             return 0.5 * (self.low + self.high) + 0.5 * (self.high - self.low) * unit_draw
         mean = self.mean
         centre = mean[0] + mean_level * (mean[1] - mean[0]) if isinstance(mean, tuple) else mean
-        spread = self.std if self.std is not None else self.half_width
-        assert spread is not None
-        return centre + spread * unit_draw
+        scale = self.std if self.std is not None else self.half_width
+        assert scale is not None
+        return centre + scale * unit_draw
 
 
 _ORDER = ("mean", "std", "low", "high", "half_width")
 
 
-# Files that a campaign.toml names as inputs: a model form (bounds and walk rates) and a fit
-# (parameters with covariance).
+# Input files: a model form (bounds and walk rates) and a fit (parameters with covariance).
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """Identified parameters: ``names`` (JSBSim properties), ``values`` (n,) and ``covariance`` (n, n), positive definite."""
+    """Hold identified parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+        JSBSim properties (n).
+    values : array
+        Estimates (n,).
+    covariance : array
+        Their covariance (n, n), positive definite.
+    """
 
     names: tuple[str, ...]
     values: NDArray[np.float64]
     covariance: NDArray[np.float64]
 
     def factor(self) -> NDArray[np.float64]:
-        """Lower triangle L (n, n) with L L' = covariance."""
+        """Return the lower triangle L (n, n) with L L' = covariance."""
+        # Factor the correlation matrix, which is better conditioned, with arithmetic that is the
+        # same everywhere.
         std = np.sqrt(np.diag(self.covariance))
         correlation = self.covariance / np.outer(std, std)
         factor: NDArray[np.float64] = std[:, None] * np.array(
@@ -411,11 +463,26 @@ class Estimates:
 
 @dataclass(frozen=True)
 class CampaignInputs:
-    """What the named files hold: the path of the model form, the coefficients it bounds, walk rates in 1/sqrt(s), the fit.
+    """Hold what the files named by a campaign contain.
 
-    ``confidence`` is that of the model form's intervals; ``has_parts``: it separates transient from persistent model
-    error; ``transient_rates``, in 1/sqrt(s), are of the coefficients whose transient part is flown. ``hashes`` are SHA-256 of
-    the files by what they are named as: bounds, fit.
+    Attributes
+    ----------
+    model_form : Path or None
+        File of the model form.
+    coefficients : tuple of str
+        Uncertain coefficients.
+    walk_rates : mapping of str to float
+        Walk rates [1/sqrt(s)].
+    estimates : Estimates or None
+        Parameters of the fit.
+    confidence : float or None
+        Confidence of the intervals of the model form.
+    has_parts : bool
+        Whether the model form separates transient and persistent error.
+    transient_rates : mapping of str to float
+        Rates [1/sqrt(s)] of coefficients whose transient error is flown.
+    hashes : mapping of str to str
+        SHA-256 of the files by role (bounds, fit).
     """
 
     model_form: Path | None = None
@@ -428,11 +495,25 @@ class CampaignInputs:
     hashes: Mapping[str, str] = field(default_factory=dict)
 
 
-def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
-    """Read the files that ``section`` names, relative to the folder ``beside`` first. Raises BadInputError."""
+def read_inputs(section: EpistemicSection, folder: Path) -> CampaignInputs:
+    """Read the files that the section [epistemic] names.
+
+    Parameters
+    ----------
+    section : EpistemicSection
+        Validated section.
+    folder : Path
+        Folder of the campaign file; names are looked up there first.
+
+    Raises
+    ------
+    BadInputError
+        If a file is missing or does not hold what is needed.
+    """
     hashes: dict[str, str] = {}
     model_form: Path | None = None
     coefficients: tuple[str, ...] = section.coefficients
+    # Walk rates: from the file, the published one, or the model form.
     rates: dict[str, float] = {
         str(name): rate for name, rate in (section.walk_rate_per_sqrt_s or {}).items()
     }
@@ -440,7 +521,7 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
         rates = dict.fromkeys(coefficients, PUBLISHED_WALK_RATE_PER_SQRT_S)
     form: ModelForm | None = None
     if isinstance(section.bounds, str):
-        model_form = _find(section.bounds, beside, "bounds", hashes)
+        model_form = _find(section.bounds, folder, "bounds", hashes)
         form = read_bounds(model_form)
         coefficients = _coefficients(section, model_form, form)
         if section.method == "walk":
@@ -450,27 +531,27 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
             lacking = [name for name in coefficients if not rates[name] > 0]
             if lacking:
                 raise BadInputError(
-                    f"{model_form}: no walk_rate for {', '.join(lacking)}; give walk_rate_per_sqrt_s in [epistemic], "
-                    "or take the bounds from a longer flight"
+                    f"{model_form}: no walk_rate for {', '.join(lacking)}; give"
+                    " walk_rate_per_sqrt_s in [epistemic], or take the bounds from a longer flight"
                 )
     estimates = None
     if section.parameters is not None:
-        path = _find(section.parameters.fit, beside, "fit", hashes)
+        path = _find(section.parameters.fit, folder, "fit", hashes)
         estimates = _estimates(path, section.parameters.parameters)
-    found = CampaignInputs(model_form, coefficients, rates, estimates, hashes=hashes)
-    return found if form is None else replace(found, **_of_form(section, form, coefficients))
+    inputs = CampaignInputs(model_form, coefficients, rates, estimates, hashes=hashes)
+    return inputs if form is None else replace(inputs, **_form_fields(section, form, coefficients))
 
 
-def _of_form(
+def _form_fields(
     section: EpistemicSection, form: ModelForm, coefficients: tuple[str, ...]
 ) -> dict[str, Any]:
-    """What a model form says beside its bounds."""
+    """Return the fields of `CampaignInputs` that come from a model form."""
     parts = {name: form.coefficients[name].parts for name in coefficients}
-    flown = section.transient is not False and section.method != "none"
+    has_transient = section.transient is not False and section.method != "none"
     rates = {
         name: part.transient_rate_per_sqrt_s
         for name, part in parts.items()
-        if flown and part is not None and part.transient_half_width > 0.0
+        if has_transient and part is not None and part.transient_half_width > 0.0
     }
     return {
         "confidence": form.confidence,
@@ -480,8 +561,8 @@ def _of_form(
 
 
 def read_bounds(path: Path) -> ModelForm:
-    """A model form from its file. Raises BadInputError."""
-    # Imported here: most campaigns do without.
+    """Read a model form. Raises BadInputError."""
+    # Imported here because most campaigns have no model form.
     from sysid.model_form import read_model_form
 
     try:
@@ -492,12 +573,14 @@ def read_bounds(path: Path) -> ModelForm:
         ) from None
 
 
-def _find(name: str, beside: Path, role: str, hashes: dict[str, str]) -> Path:
-    given = Path(name)
-    path = next((p for p in (beside / given, given) if p.is_file()), None)
+def _find(name: str, folder: Path, role: str, hashes: dict[str, str]) -> Path:
+    """Locate and hash a named file. Raises BadInputError."""
+    named_path = Path(name)
+    path = next((p for p in (folder / named_path, named_path) if p.is_file()), None)
     if path is None:
         raise BadInputError(
-            f"{beside / given}: named as {role} and not there, nor is {given} in this folder"
+            f"{folder / named_path}: named as {role} and not there, nor is {named_path} in this"
+            " folder"
         )
     try:
         hashes[role] = sha256_hex(read_regular(path))
@@ -507,18 +590,20 @@ def _find(name: str, beside: Path, role: str, hashes: dict[str, str]) -> Path:
 
 
 def _coefficients(section: EpistemicSection, path: Path, form: ModelForm) -> tuple[str, ...]:
-    asked = section.coefficients
+    """Return the coefficients that are uncertain with this model form."""
+    requested = section.coefficients
     if "coefficients" not in section.model_fields_set:
-        return tuple(name for name in asked if name in form.coefficients)
-    missing = [name for name in asked if name not in form.coefficients]
+        return tuple(name for name in requested if name in form.coefficients)
+    missing = [name for name in requested if name not in form.coefficients]
     if missing:
         raise BadInputError(
             f"{path}: has no bounds for {', '.join(missing)}, which [epistemic] coefficients names"
         )
-    return asked
+    return requested
 
 
-def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
+def _estimates(path: Path, requested: tuple[str, ...] | None) -> Estimates:
+    """Read the parameters of a fit. Raises BadInputError."""
     try:
         document = parse_json(read_regular(path))
     except OSError as error:
@@ -527,51 +612,57 @@ def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
         raise BadInputError(f"{path}: {error}") from None
     try:
         names = [str(name) for name in document["names"]]
+        # Validate shape, symmetry and definiteness before anything is drawn.
         covariance = np.array(document["cov"], dtype=np.float64)
         values = np.array(
             [document["parameters"][name]["value"] for name in names], dtype=np.float64
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadInputError(
-            f"{path}: not a fit with parameters, names and cov ({error}); make one with: uqharness identify"
+            f"{path}: not a fit with parameters, names and cov ({error}); make one with: uqharness"
+            " identify"
         ) from None
     if not names:
         raise BadInputError(
-            f"{path}: nothing was identified in this fit, so there is no parameter uncertainty to draw from"
+            f"{path}: nothing was identified in this fit, so there is no parameter uncertainty to"
+            " draw from"
         )
     if covariance.shape != (len(names), len(names)) or not (
         np.isfinite(covariance).all() and np.isfinite(values).all()
     ):
         raise BadInputError(
-            f"{path}: cov must be a finite {len(names)} x {len(names)} matrix, as many as there are names"
+            f"{path}: cov must be a finite {len(names)} x {len(names)} matrix, as many as there are"
+            " names"
         )
     if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
         raise BadInputError(f"{path}: cov is not symmetric")
-    found = Estimates(tuple(names), values, 0.5 * (covariance + covariance.T))
-    if asked is not None:
-        unknown = [name for name in asked if name not in names]
+    # Symmetrise: the file may be symmetric to rounding only.
+    estimates = Estimates(tuple(names), values, 0.5 * (covariance + covariance.T))
+    if requested is not None:
+        unknown = [name for name in requested if name not in names]
         if unknown:
             raise BadInputError(
-                f"{path}: {', '.join(unknown)} is not among the identified parameters ({', '.join(names)})"
+                f"{path}: {', '.join(unknown)} is not among the identified parameters"
+                f" ({', '.join(names)})"
             )
-        rows = [names.index(name) for name in asked]
-        found = Estimates(asked, values[rows], found.covariance[np.ix_(rows, rows)])
+        rows = [names.index(name) for name in requested]
+        estimates = Estimates(requested, values[rows], estimates.covariance[np.ix_(rows, rows)])
     try:
-        if not (np.diag(found.covariance) > 0).all():
+        if not (np.diag(estimates.covariance) > 0).all():
             raise ValueError("a variance is not positive")
-        found.factor()
+        estimates.factor()
     except ValueError:
         raise BadInputError(
             f"{path}: cov is not positive definite, so nothing can be drawn from it"
         ) from None
-    return found
+    return estimates
 
 
 class CampaignSection(Section):
-    """What flies: an aircraft (name under aircraft/, or folder), a run script, and the root seed of all streams.
+    """Section [campaign]: aircraft, run script and root seed of all random streams.
 
-    ``engine`` auto is batch where the batch engine understands aircraft and mission as a whole, else jsbsim; settled at the first
-    run.
+    ``engine`` auto means batch where the batch engine understands aircraft and mission completely,
+    else jsbsim; the first run decides.
     """
 
     aircraft: str = Field(min_length=1)
@@ -581,9 +672,10 @@ class CampaignSection(Section):
 
 
 class AleatorySection(Section):
-    """Chance: flights per corner and condition, each ``duration_s`` scored after ``burn_in_s`` that is not.
+    """Section [aleatory]: random variation from flight to flight.
 
-    ``sensor_noise`` absent: on where the aircraft has a sensors system, which is settled before the campaign is flown.
+    ``flights`` is the number per corner and condition; each scores ``duration_s`` after
+    ``burn_in_s``. ``sensor_noise`` is on by default if the aircraft has a sensors system.
     """
 
     flights: int = Field(ge=1, le=1_000_000)
@@ -601,17 +693,19 @@ class AleatorySection(Section):
     @field_validator("wind_mps", "turbulence")
     @classmethod
     def _distinct(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Refuse an empty or repeated list."""
         if not value or len(set(value)) != len(value):
             raise ValueError("must name at least one value, and none twice")
         return value
 
 
 class MetricsSection(Section):
-    """What is counted: excursions beyond each radius [m], re-armed ``rearm_m`` inside it, and how many of them are acceptable.
+    """Section [metrics]: excursions beyond each radius [m], re-armed ``rearm_m`` inside it.
 
-    ``acceptable_loss_per_h`` is that of aborted flights (default: as many as excursions).
-    ``dispersion`` is the largest ratio of variance to mean of the excursions of a flight that limits allow for (1: independent)
-    where the same air does not show one at a smaller radius; ``dispersion_radius_m`` are further radii counted for that alone.
+    ``acceptable_per_h`` and ``acceptable_loss_per_h`` are acceptable rates of excursions and of
+    aborted flights (default: the same). ``dispersion`` is the largest ratio of variance to mean of
+    a flight's excursions that limits allow for (1: independent) where it cannot be measured at a
+    smaller radius; ``dispersion_radius_m`` are further radii counted for that measurement.
     """
 
     excursion_radius_m: Annotated[
@@ -627,23 +721,28 @@ class MetricsSection(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> MetricsSection:
-        asked, further = self.excursion_radius_m, self.dispersion_radius_m or ()
-        radii = (*asked, *further)
-        if not asked or len(set(asked)) != len(asked):
+        """Check the radii."""
+        excursion_radii, dispersion_radii = self.excursion_radius_m, self.dispersion_radius_m or ()
+        radii = (*excursion_radii, *dispersion_radii)
+        if not excursion_radii or len(set(excursion_radii)) != len(excursion_radii):
             raise ValueError("excursion_radius_m must name at least one radius, and none twice")
-        if len(set(radii)) != len(radii) or max(further, default=0.0) > max(asked):
+        if len(set(radii)) != len(radii) or max(dispersion_radii, default=0.0) > max(
+            excursion_radii
+        ):
             raise ValueError(
-                "dispersion_radius_m must name radii below the largest of excursion_radius_m, none twice and none of those again"
+                "dispersion_radius_m must name radii below the largest of excursion_radius_m, none"
+                " twice and none of those again"
             )
         if self.rearm_m >= min(radii):
             raise ValueError(
-                f"rearm_m = {self.rearm_m:g} must be less than the smallest radius, {min(radii):g} m"
+                f"rearm_m = {self.rearm_m:g} must be less than the smallest radius,"
+                f" {min(radii):g} m"
             )
         return self
 
 
 class Document(Section):
-    """A campaign file's content."""
+    """Content of a campaign file."""
 
     campaign: CampaignSection
     aleatory: AleatorySection
@@ -654,17 +753,30 @@ class Document(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Document:
+        """Require [start] with the steady mission, and only with it."""
         if (self.campaign.mission == STEADY) != (self.start is not None):
             raise ValueError(
-                f'mission = "{STEADY}" and a section [start] with V_mps and altitude_m belong together: '
-                "a trimmed flight needs both, a run script neither"
+                f'mission = "{STEADY}" and a section [start] with V_mps and altitude_m belong'
+                " together: a trimmed flight needs both, a run script neither"
             )
         return self
 
 
 @dataclass(frozen=True)
 class CampaignSpec:
-    """A validated campaign. ``path`` is the file it came from; ``source`` its text; ``inputs`` what the files it names hold."""
+    """Hold a validated campaign.
+
+    Attributes
+    ----------
+    path : Path
+        File that it came from.
+    source : str
+        Text of the file.
+    campaign, aleatory, epistemic, metrics, stop, start
+        Sections of the file.
+    inputs : CampaignInputs
+        Content of the files that it names.
+    """
 
     path: Path
     source: str
@@ -677,17 +789,21 @@ class CampaignSpec:
     inputs: CampaignInputs = field(default_factory=CampaignInputs)
 
     def as_dict(self) -> dict[str, Any]:
-        """Every setting, defaults included, as plain JSON types: two files that mean the same give the same."""
+        """Return every setting, defaults included, as JSON types.
+
+        Two files with the same meaning give the same dictionary.
+        """
         sections = {name: getattr(self, name) for name in Document.model_fields}
-        found = {
+        settings = {
             name: section.model_dump(mode="json", exclude_none=True)
             for name, section in sections.items()
             if section is not None
         }
-        found["aleatory"].setdefault("sensor_noise", True)
-        epistemic = found["epistemic"]
+        settings["aleatory"].setdefault("sensor_noise", True)
+        epistemic = settings["epistemic"]
         epistemic["coefficients"] = list(self.inputs.coefficients)
         for name in ("interior", "nominal", "transient"):
+            # Keys that do not apply are absent, so that equal campaigns give equal dictionaries.
             epistemic.pop(name, None)
         if self.epistemic.method == "corners":
             epistemic["interior"] = self.interior_samples
@@ -698,18 +814,19 @@ class CampaignSpec:
             epistemic["walk_rate_per_sqrt_s"] = {
                 name: self.inputs.walk_rates[name] for name in self.inputs.coefficients
             }
-        return found
+        return settings
 
     @property
     def corner_count(self) -> int:
-        """Number of combinations that ``method`` lists: of bounds (or levels) and of the ends of uncertain means."""
+        """Number of combinations of bounds (or levels) and ends of uncertain means."""
         section = self.epistemic
+        # Every combination of bounds (or levels) with both ends of every uncertain mean.
         means = sum(item.mean_interval is not None for item in self.aleatory.variables.values())
-        moved = 0 if section.method == "none" else len(self.inputs.coefficients)
+        coefficients = 0 if section.method == "none" else len(self.inputs.coefficients)
         values = len(section.levels) if section.method == "levels" and section.levels else 2
-        points: int = values**moved
-        if section.set == "ellipsoid" and moved > 1:
-            points += 2 * moved
+        points: int = values**coefficients
+        if section.set == "ellipsoid" and coefficients > 1:
+            points += 2 * coefficients
         return int(points * values**means)
 
     @property
@@ -718,37 +835,42 @@ class CampaignSpec:
         return self.epistemic.interior_samples(self.corner_count)
 
     def with_hours(self, hours: float) -> CampaignSpec:
-        """The same campaign with as many flights as give ``hours`` of scored flight per corner and condition."""
+        """Return the campaign with the flights that give ``hours`` of scored flight per corner and
+        condition.
+
+        Raises BadInputError for hours that are not positive, and with the rule band-width.
+        """
         if not (math.isfinite(hours) and hours > 0):
             raise BadInputError(
                 f"--hours {hours:g}: must be a number of flight hours greater than 0"
             )
         if self.stop.rule == "band-width":
             raise BadInputError(
-                f'--hours {hours:g}: [stop] rule = "band-width" says how much is flown; leave out one of them'
+                f'--hours {hours:g}: [stop] rule = "band-width" says how much is flown; leave out'
+                " one of them"
             )
         flights = math.ceil(hours * 3600.0 / self.aleatory.duration_s - 1e-9)
-        given = (
+        stop = (
             self.stop.model_copy(update={"hours": float(hours)})
             if self.stop.rule == "hours"
             else self.stop
         )
-        return dataclasses.replace(self.with_flights(max(1, flights)), stop=given)
+        return dataclasses.replace(self.with_flights(max(1, flights)), stop=stop)
 
     def with_engine(self, engine: str) -> CampaignSpec:
-        """The same campaign flown in the engine of that name."""
+        """Return the campaign in another engine."""
         return dataclasses.replace(
             self, campaign=self.campaign.model_copy(update={"engine": engine})
         )
 
     def with_sensor_noise(self, noise: bool) -> CampaignSpec:
-        """The same campaign flown with sensor noise or without."""
+        """Return the campaign with or without sensor noise."""
         return dataclasses.replace(
             self, aleatory=self.aleatory.model_copy(update={"sensor_noise": noise})
         )
 
     def with_flights(self, flights: int) -> CampaignSpec:
-        """The same campaign with another number of flights per corner and condition."""
+        """Return the campaign with another number of flights per corner and condition."""
         return dataclasses.replace(
             self, aleatory=self.aleatory.model_copy(update={"flights": flights})
         )

@@ -1,6 +1,9 @@
-"""Epistemic samples of a campaign: corners, levels, a Latin hypercube, white or walking levels.
+"""Build the epistemic samples of a campaign and read campaign files.
 
-Draws of parameters and the levels of uncertain means belong to them.
+Samples are corners or levels of the coefficients' intervals, points of a Latin hypercube, or levels
+that vary in flight (white, walk). Draws of identified parameters and levels of uncertain means
+belong to them. `read_campaign` validates a file, reports every mistake with its line, and fills in
+the number of flights that the stopping rule requests.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from pydantic import ValidationError
 
 from sysid.arrays import FloatArray
 from uqharness.campaign.spec.campaign import (
-    MOST_SAMPLES,
+    MAX_SAMPLES,
     SAMPLED,
     AleatorySection,
     CampaignSpec,
@@ -42,27 +45,45 @@ from uqharness.flight import (
 )
 from uqharness.toml import as_toml, explain, line_of, read_toml
 
-# Levels of a joint confidence set: an ellipsoid in place of the box of intervals that each hold
-# for one coefficient.
-#
-# Coefficients are taken as independent, their errors as normal, each interval's half-width as
-# its quantile: the joint set is then a ball in the intervals' half-widths, of the chi
-# distribution's quantile over the normal one. Its ends may lie outside 0..1.
+# Joint confidence set: an ellipsoid in place of the box of intervals. Coefficients are taken as
+# independent, their errors as normal, and each half-width as a quantile. The joint set is then a
+# ball in half-widths; its radius is the quantile of the chi distribution over that of the normal
+# one. Its ends may lie outside 0..1.
 
-_MOST_SIGMA = 40.0
+_MAX_SIGMA = 40.0
 _TERMS = 2000
 
 
 def joint_radius(dof: int, confidence: float) -> float:
-    """Radius [standard deviations] within which ``dof`` independent normals lie together: the root of chi-square's quantile.
+    """Return the radius within which ``dof`` independent standard normals lie together.
 
-    3.548 for six at 0.95. The same bits on every processor. ValueError for no dof, or a confidence not between 0 and 1 - 1e-9.
+    It is the square root of the chi-square quantile: 3.548 for six at 0.95. The value is
+    bit-identical on every processor.
+
+    Parameters
+    ----------
+    dof : int
+        Number of normals, at least 1.
+    confidence : float
+        Probability, above 0 and at most 1 - 1e-9.
+
+    Raises
+    ------
+    ValueError
+        Outside these ranges.
+
+    Examples
+    --------
+    >>> round(joint_radius(6, 0.95), 3)
+    3.548
     """
     if dof < 1 or not 0.0 < confidence <= 1.0 - 1e-9:
         raise ValueError(
-            f"dof = {dof}, confidence = {confidence}: at least 1, and a number above 0 and below 1 are needed"
+            f"dof = {dof}, confidence = {confidence}: at least 1, and a number above 0 and below 1"
+            " are needed"
         )
-    low, high = 0.0, _MOST_SIGMA
+    # Bisection to the last bit: no library function with other rounding is involved.
+    low, high = 0.0, _MAX_SIGMA
     while True:
         middle = 0.5 * (low + high)
         if middle in (low, high):
@@ -71,31 +92,40 @@ def joint_radius(dof: int, confidence: float) -> float:
 
 
 def marginal_radius(confidence: float) -> float:
-    """Half-width of one interval, in standard deviations: 1.960 at 0.95."""
+    """Return the half-width of one interval in standard deviations: 1.960 at 0.95."""
     return random_numbers.normal_quantile(0.5 + 0.5 * confidence)
 
 
 @lru_cache(maxsize=16)
-def reach(dof: int, confidence: float) -> float:
-    """Radius of the ball in half-widths of the intervals; 1 for one coefficient."""
+def joint_reach(dof: int, confidence: float) -> float:
+    """Return the radius of the joint set in half-widths of the intervals; 1 for one coefficient."""
     return 1.0 if dof == 1 else joint_radius(dof, confidence) / marginal_radius(confidence)
 
 
-def at(direction: Sequence[float], radius: float) -> tuple[float, ...]:
-    """Levels ``radius`` half-widths from the intervals' middles, component by component of ``direction``."""
+def levels_at(direction: Sequence[float], radius: float) -> tuple[float, ...]:
+    """Return the levels ``radius`` half-widths from the middles of the intervals along
+    ``direction``.
+    """
     return tuple(0.5 + 0.5 * component * radius for component in direction)
 
 
-def in_ball(levels: Sequence[float]) -> tuple[float, ...]:
-    """A point of the box of levels 0..1 as a point of the unit ball: the box's shells become the ball's, directions stay."""
+def box_to_ball(levels: Sequence[float]) -> tuple[float, ...]:
+    """Map a point of the box of levels 0..1 into the unit ball; shells map to shells, directions
+    stay.
+    """
     cube = [2.0 * level - 1.0 for level in levels]
     length = math.sqrt(math.fsum(c * c for c in cube))
     return tuple(c * max(map(abs, cube)) / length if length > 0.0 else 0.0 for c in cube)
 
 
 def _chi_distribution(r: float, dof: int) -> float:
-    """Probability that the length of ``dof`` standard normals is at most r, by the series of the incomplete gamma function."""
+    """Return the probability that the length of ``dof`` standard normals is at most ``r``.
+
+    The series of the incomplete gamma function is summed with arithmetic that is the same
+    everywhere.
+    """
     factor = random_numbers.exp(-0.5 * r * r) * (math.sqrt(2.0 / math.pi) if dof % 2 else 1.0)
+    # Leading term r^dof exp(-r^2/2) over the double factorial, then the series.
     for n in range(dof, 0, -2):
         factor *= r * r / n if n > 1 else r
     term = total = 1.0
@@ -108,16 +138,27 @@ def _chi_distribution(r: float, dof: int) -> float:
 
 
 INTERIOR_MARK = "lhs-"
-"""How ids of points of a Latin hypercube begin."""
+"""Beginning of the ids of points of a Latin hypercube."""
 NOMINAL = "nominal"
-"""Id of the model with all deltas zero."""
+"""Id of the model with zero deltas."""
 
 
 @dataclass(frozen=True)
 class Epistemic:
-    """One epistemic sample. ``levels``: level of each coefficient that is uncertain and stands still, 0..1 in the box of intervals.
+    """Hold one epistemic sample.
 
-    ``driver``: those that move; ``means``: level, 0..1, of each uncertain mean; ``parameters``: values of the drawn parameters.
+    Attributes
+    ----------
+    epistemic_id : str
+        Id, see `epistemic_samples`.
+    levels : mapping of str to float
+        Constant level of each uncertain coefficient; 0..1 within the box of intervals.
+    driver : LevelDriver or None
+        Levels that vary in flight.
+    means : mapping of str to float
+        Level 0..1 of each uncertain mean.
+    parameters : mapping of str to float
+        Values of drawn parameters.
     """
 
     epistemic_id: str
@@ -128,20 +169,23 @@ class Epistemic:
 
 
 def epistemic_samples(spec: CampaignSpec) -> tuple[Epistemic, ...]:
-    """The epistemic samples in their one order. Depends on the campaign alone.
+    """Return the epistemic samples in their one order, which depends on the campaign alone.
 
-    A corner's id has one digit per coefficient in the order CX CY CZ Cl Cm Cn (``-`` for one that is not uncertain), then, after a
-    ``+``, one per uncertain mean; a draw of parameters adds ``+p`` and its number. Drawn samples are numbered: ``walk-000007``, and
-    the points between corners as those of a Latin hypercube. Of an ellipsoid, ``e010011`` is the point in a corner's direction,
-    ``a..1...`` the end of an axis, with ``.`` for a coefficient in the middle of its interval. ``nominal`` is the model with all
-    deltas zero and uncertain means in the middle of their intervals.
+    A corner's id has one digit per coefficient in the order CX CY CZ Cl Cm Cn (``-`` for one that
+    is not uncertain), then, after a ``+``, one per uncertain mean; a draw of parameters adds ``+p``
+    and its number. Drawn samples are numbered (``walk-000007``), interior points as those of a
+    Latin hypercube. For an ellipsoid, ``e010011`` is the point in the direction of a corner and
+    ``a..1...`` the end of an axis, with ``.`` for a coefficient in the middle of its interval.
+    ``nominal`` has zero deltas and uncertain means in the middle of their intervals.
     """
+    # Uncertain means are a further dimension of every combination.
     means = [
         name for name, item in spec.aleatory.variables.items() if item.mean_interval is not None
     ]
     draws = _parameter_draws(spec)
     if spec.epistemic.method in SAMPLED:
-        return tuple(_drawn(spec, means, draws))
+        return tuple(_drawn_samples(spec, means, draws))
+    # Corners, interior points, and last the nominal model.
     points = [*_combined(spec, means), *_interior(spec, means)]
     if spec.epistemic.flies_nominal:
         points.append(Epistemic(NOMINAL, {}, None, dict.fromkeys(means, 0.5)))
@@ -151,7 +195,7 @@ def epistemic_samples(spec: CampaignSpec) -> tuple[Epistemic, ...]:
 def _with_draws(
     points: Sequence[Epistemic], draws: Sequence[Mapping[str, float]]
 ) -> Iterator[Epistemic]:
-    """Every point with every draw of parameters, draws fastest."""
+    """Combine every point with every draw of parameters, draws fastest."""
     for point in points:
         if not draws:
             yield point
@@ -162,7 +206,7 @@ def _with_draws(
 
 
 def _combined(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
-    """Every combination, first coefficient slowest, uncertain means next."""
+    """Yield every combination, first coefficient slowest, uncertain means fastest."""
     section = spec.epistemic
     values = section.levels if section.method == "levels" else (0.0, 1.0)
     assert values is not None
@@ -184,21 +228,25 @@ def _combined(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
 
 
 def _product(values: Sequence[float], repeat: int) -> Iterator[tuple[float, ...]]:
+    """Return the Cartesian power of a set of values."""
     return itertools.product(values, repeat=repeat)
 
 
 def _marked(levels: Mapping[str, float], separator: str = "") -> str:
+    """Return the digits of a corner's id."""
     return separator.join(
         f"{levels[name]:.17g}" if name in levels else "-" for name in COEFFICIENTS
     )
 
 
 def _on_ellipsoid(spec: CampaignSpec) -> Iterator[tuple[str, dict[str, float]]]:
-    """Id and levels of the ellipsoid's points in the directions of the corners, then those at the ends of its axes."""
+    """Yield id and levels of the points in the directions of the corners, then of the ends of the
+    axes.
+    """
     moved = spec.inputs.coefficients
     radius, share = _reach(spec), 1.0 / math.sqrt(len(moved))
     for corner in _product((0.0, 1.0), len(moved)):
-        levels = at([share * (2.0 * end - 1.0) for end in corner], radius)
+        levels = levels_at([share * (2.0 * end - 1.0) for end in corner], radius)
         yield (
             f"e{_marked(dict(zip(moved, corner, strict=True)))}",
             dict(zip(moved, levels, strict=True)),
@@ -209,17 +257,18 @@ def _on_ellipsoid(spec: CampaignSpec) -> Iterator[tuple[str, dict[str, float]]]:
         marks = "".join(
             str(end) if name == axis else "." if name in moved else "-" for name in COEFFICIENTS
         )
-        levels = at([(2.0 * end - 1.0) if name == axis else 0.0 for name in moved], radius)
+        levels = levels_at([(2.0 * end - 1.0) if name == axis else 0.0 for name in moved], radius)
         yield f"a{marks}", dict(zip(moved, levels, strict=True))
 
 
 def _reach(spec: CampaignSpec) -> float:
+    """Return the radius of the campaign's ellipsoid in half-widths."""
     assert spec.inputs.confidence is not None
-    return reach(len(spec.inputs.coefficients), spec.inputs.confidence)
+    return joint_reach(len(spec.inputs.coefficients), spec.inputs.confidence)
 
 
 def _interior(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
-    """Points of a Latin hypercube over the same set."""
+    """Yield the points of a Latin hypercube over the uncertainty set."""
     number = spec.interior_samples
     columns = {
         name: latin_column(spec.campaign.seed, name, number)
@@ -235,19 +284,24 @@ def _interior(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
 
 
 def _inside(spec: CampaignSpec, columns: Mapping[str, FloatArray], number: int) -> dict[str, float]:
-    """Levels of one point of a Latin hypercube, brought into the ellipsoid where that is the set."""
+    """Return the levels of one point of a Latin hypercube, mapped into the ellipsoid if that is the
+    set.
+    """
+    # A point of the unit box; for an ellipsoid it is mapped into the ball.
     levels = [float(columns[name][number]) for name in spec.inputs.coefficients]
     if spec.epistemic.set == "ellipsoid":
-        levels = list(at(in_ball(levels), _reach(spec)))
+        levels = list(levels_at(box_to_ball(levels), _reach(spec)))
     return dict(zip(spec.inputs.coefficients, levels, strict=True))
 
 
-def _drawn(
+def _drawn_samples(
     spec: CampaignSpec, means: Sequence[str], draws: Sequence[Mapping[str, float]]
 ) -> Iterator[Epistemic]:
+    """Yield the samples of the methods lhs, white and walk."""
     section, root_seed = spec.epistemic, spec.campaign.seed
     moved = spec.inputs.coefficients
     assert section.samples is not None
+    # One column per coefficient and per uncertain mean.
     columns = {name: latin_column(root_seed, name, section.samples) for name in (*moved, *means)}
     for number in range(section.samples):
         name = f"{section.method}-{number:06d}"
@@ -265,9 +319,11 @@ def _drawn(
 
 
 def latin_column(root_seed: int, name: str, samples: int) -> FloatArray:
-    """One dimension of a Latin hypercube, (samples,) in 0..1: one value in each of ``samples`` equal cells, in random order.
+    """Return one dimension of a Latin hypercube (samples,), with one value in each of equal cells
+    of 0..1.
 
-    The stream is named after the dimension: adding another one moves none of these.
+    The random stream has the name of the dimension, so adding a dimension leaves the others
+    unchanged.
     """
     generator = np.random.Generator(np.random.PCG64(named_stream(root_seed, "levels", name)))
     column: FloatArray = (generator.permutation(samples) + generator.random(samples)) / samples
@@ -275,6 +331,7 @@ def latin_column(root_seed: int, name: str, samples: int) -> FloatArray:
 
 
 def _parameter_draws(spec: CampaignSpec) -> list[dict[str, float]]:
+    """Return the draws of the identified parameters by name; empty without them."""
     section, estimates = spec.epistemic.parameters, spec.inputs.estimates
     if section is None or estimates is None:
         return []
@@ -286,18 +343,23 @@ def _parameter_draws(spec: CampaignSpec) -> list[dict[str, float]]:
 def parameter_draws(
     section: ParametersSection, estimates: Estimates, samples: int, root_seed: int
 ) -> FloatArray:
-    """Draws of the parameters, (samples, n): from N(values, covariance), or filling the simultaneous confidence box."""
+    """Return draws of the parameters (samples, n).
+
+    They come from N(values, covariance), or fill the simultaneous confidence box.
+    """
     if section.distribution == "normal":
         rows = [
             random_numbers.draw_normals(numbered_stream(root_seed, "parameters", n), len(estimates.names))
             for n in range(samples)
         ]
-        found = np.tile(estimates.values, (samples, 1))
-        # Column by column: a matrix product's order, and so its last bits, is the library's and the processor's.
+        draws = np.tile(estimates.values, (samples, 1))
+        # Column by column: order of summation, and so the last bits, of a matrix product depend on
+        # the library and the processor.
         for column, weights in zip(np.vstack(rows).T, estimates.factor().T, strict=True):
-            found += column[:, None] * weights
-        return found
-    # Bonferroni: each interval at 1 - (1 - confidence)/n, so that all n hold at once with at least ``confidence``.
+            draws += column[:, None] * weights
+        return draws
+    # Bonferroni: each interval at 1 - (1 - confidence)/n, so that all n hold at once with at least
+    # ``confidence``.
     reach = random_numbers.normal_quantile(
         1.0 - (1.0 - section.box_confidence) / (2.0 * len(estimates.names))
     )
@@ -306,147 +368,181 @@ def parameter_draws(
     return np.asarray(estimates.values + unit * reach * np.sqrt(np.diag(estimates.covariance)))
 
 
-# campaign.toml read: every mistake named with its line, and the number of flights that its rule
-# asks for.
+# Reading of campaign.toml.
 
 
 def read_campaign(path: str | Path) -> CampaignSpec:
-    """Read and validate a campaign file. Raises BadInputError that lists every mistake as ``file:line: ...``."""
+    """Read and validate a campaign file.
+
+    Parameters
+    ----------
+    path : str or Path
+        campaign.toml.
+
+    Returns
+    -------
+    CampaignSpec
+        With the number of flights that its stopping rule requests.
+
+    Raises
+    ------
+    BadInputError
+        Lists every mistake as ``file:line: ...``.
+    """
     path = Path(path)
     data, text = read_toml(path)
     return campaign_from(data, path, text)
 
 
 def checked_settings(data: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a campaign as a manifest holds them, defaults filled in. Looks at no file; raises pydantic's ValidationError."""
+    """Return the settings of a manifest with defaults filled in.
+
+    No file is read. Raises pydantic's ValidationError.
+    """
     document = Document.model_validate(without_flights(data))
     return document.model_dump(mode="json", exclude_none=True)
 
 
 def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignSpec:
-    """Validate the content of a campaign file, as TOML or a manifest holds it. ``path`` is where files it names are looked for."""
+    """Validate the content of a campaign file, as TOML or a manifest holds it.
+
+    ``path`` is where the files that it names are looked up. Raises BadInputError.
+    """
     try:
         document = Document.model_validate(without_flights(data))
     except ValidationError as error:
+        # Report all mistakes at once, in the order of their lines.
         problems = [explain(Document, text, data, dict(item)) for item in error.errors()]
         lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
         raise BadInputError(*dict.fromkeys(lines)) from None
     sections = {name: getattr(document, name) for name in Document.model_fields}
     inputs = read_inputs(document.epistemic, path.resolve().parent)
     spec = CampaignSpec(path, text, **sections, inputs=inputs)
-    return settled(spec, stated="flights" in data["aleatory"])
+    return with_planned_flights(spec, has_flights="flights" in data["aleatory"])
 
 
-def settled(spec: CampaignSpec, stated: bool) -> CampaignSpec:
-    """The campaign with the number of flights its rule asks for; ``stated``: the file gives a number as well.
+def with_planned_flights(spec: CampaignSpec, has_flights: bool) -> CampaignSpec:
+    """Return the campaign with the number of flights that its rule requests.
 
-    Raises BadInputError, with the line, where the two differ, where [stop] and [metrics] do not belong together, and where
-    [epistemic] asks for what its bounds do not hold.
+    ``has_flights`` says whether the file gives a number as well. Raises BadInputError, with the
+    line, if the two differ or if sections contradict each other.
     """
-    _agree_with_turbulence_model(spec)
-    _agree_with_metrics(spec)
-    _agree_with_form(spec)
-    found, said = _planned(spec)
-    if stated and found.aleatory.flights != spec.aleatory.flights:
+    _check_turbulence_model(spec)
+    _check_metrics(spec)
+    _check_model_form(spec)
+    planned_spec, reason = _plan_flights(spec)
+    if has_flights and planned_spec.aleatory.flights != spec.aleatory.flights:
         raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('aleatory', 'flights'))}: [aleatory] flights = {spec.aleatory.flights}, but "
-            f"[stop] {said} asks for {found.aleatory.flights}; leave [aleatory] flights out"
+            f"{spec.path}:{line_of(spec.source, ('aleatory', 'flights'))}: [aleatory] flights ="
+            f" {spec.aleatory.flights}, but [stop] {reason} asks for"
+            f" {planned_spec.aleatory.flights}; leave [aleatory] flights out"
         )
-    return found
+    return planned_spec
 
 
-def planned(spec: CampaignSpec) -> CampaignSpec:
-    """The campaign with the number of flights its rule asks for, after something that bears on it has been changed."""
-    return _planned(spec)[0]
+def replan_flights(spec: CampaignSpec) -> CampaignSpec:
+    """Return the campaign with the flights of its rule, after another setting was changed."""
+    return _plan_flights(spec)[0]
 
 
-def _agree_with_metrics(spec: CampaignSpec) -> None:
+def _check_metrics(spec: CampaignSpec) -> None:
+    """Refuse a [stop] that does not fit [metrics]."""
     stop, metrics = spec.stop, spec.metrics
     if stop.radius_m is not None and stop.radius_m not in metrics.excursion_radius_m:
-        known = ", ".join(f"{radius:g}" for radius in metrics.excursion_radius_m)
+        radii = ", ".join(f"{radius:g}" for radius in metrics.excursion_radius_m)
         raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('stop', 'radius_m'))}: [stop] radius_m = {stop.radius_m:g}: must be among "
-            f"[metrics] excursion_radius_m ({known})"
+            f"{spec.path}:{line_of(spec.source, ('stop', 'radius_m'))}: [stop] radius_m ="
+            f" {stop.radius_m:g}: must be among [metrics] excursion_radius_m ({radii})"
         )
     zone = stop.indifference_per_h
     if zone is not None and not zone[0] <= metrics.acceptable_per_h <= zone[1]:
         raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('stop', 'indifference_per_h'))}: [stop] indifference_per_h = [{zone[0]:g}, "
-            f"{zone[1]:g}]: must hold [metrics] acceptable_per_h = {metrics.acceptable_per_h:g}"
+            f"{spec.path}:{line_of(spec.source, ('stop', 'indifference_per_h'))}: [stop]"
+            f" indifference_per_h = [{zone[0]:g}, {zone[1]:g}]: must hold [metrics]"
+            f" acceptable_per_h = {metrics.acceptable_per_h:g}"
         )
 
 
-def _agree_with_turbulence_model(spec: CampaignSpec) -> None:
-    """Refuse a [start] above the turbulence model; the height of a script's start is found out by flying it."""
+def _check_turbulence_model(spec: CampaignSpec) -> None:
+    """Refuse a [start] above the validity of the turbulence model; script starts are checked in
+    flight.
+    """
     air, start = spec.aleatory, spec.start
     turbulent = [name for name in air.turbulence if name != "none"]
     if start is None or not turbulent or air.turbulence_source != "spec":
         return
     if start.altitude_m > TURBULENCE_CEILING_M:
         raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('start', 'altitude_m'))}: [start] altitude_m = {start.altitude_m:g}: "
-            f"[aleatory] turbulence = {as_toml(turbulent)} is the low-altitude model of MIL-F-8785C, which "
-            f"reaches to {TURBULENCE_CEILING_M:g} m (1000 ft); {BELOW_CEILING}"
+            f"{spec.path}:{line_of(spec.source, ('start', 'altitude_m'))}: [start] altitude_m ="
+            f" {start.altitude_m:g}: [aleatory] turbulence = {as_toml(turbulent)} is the"
+            f" low-altitude model of MIL-F-8785C, which reaches to {TURBULENCE_CEILING_M:g} m (1000"
+            f" ft); {BELOW_CEILING}"
         )
 
 
 @contextlib.contextmanager
 def naming_keys(spec: CampaignSpec) -> Iterator[None]:
-    """Put file, line and section before a flight's refusal that begins with the name of a key of [aleatory]."""
+    """Add file, line and section to a flight's refusal that begins with a key of [aleatory]."""
     try:
         yield
     except BadInputError as error:
         key = str(error).partition(" = ")[0]
         if type(error) is not BadInputError or key not in AleatorySection.model_fields:
             raise
-        # A campaign from a Python dictionary has no lines.
+        # A campaign from a dictionary has no lines.
         place = f"{spec.path}:{line_of(spec.source, ('aleatory', key))}: " if spec.source else ""
         raise BadInputError(f"{place}[aleatory] {error}") from None
 
 
-def _agree_with_form(spec: CampaignSpec) -> None:
+def _check_model_form(spec: CampaignSpec) -> None:
+    """Refuse [epistemic] settings that need a model form with other content."""
     section, form = spec.epistemic, spec.inputs.model_form
     if section.transient and not spec.inputs.has_parts:
         lacks = "bounds are no model-form.json" if form is None else f"{form} has no transient part"
         raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('epistemic', 'transient'))}: [epistemic] transient = true: {lacks}; make a "
-            "model-form.json with `uqharness bounds`, or leave transient out"
+            f"{spec.path}:{line_of(spec.source, ('epistemic', 'transient'))}: [epistemic] transient"
+            f" = true: {lacks}; make a model-form.json with `uqharness bounds`, or leave"
+            " transient out"
         )
     if section.set == "ellipsoid" and form is None:
         raise BadInputError(
-            f'{spec.path}:{line_of(spec.source, ("epistemic", "set"))}: [epistemic] set = "ellipsoid": it needs intervals whose '
-            'confidence is known, bounds = "model-form.json"; bounds given as numbers, or an aircraft\'s own, are a box'
+            f"{spec.path}:{line_of(spec.source, ('epistemic', 'set'))}: [epistemic] set ="
+            ' "ellipsoid": it needs intervals whose confidence is known, bounds ='
+            ' "model-form.json"; bounds given as numbers, or an aircraft\'s own, are a box'
         )
 
 
-def _planned(spec: CampaignSpec) -> tuple[CampaignSpec, str]:
-    """The campaign with the flights its rule asks for, and what asks for them."""
+def _plan_flights(spec: CampaignSpec) -> tuple[CampaignSpec, str]:
+    """Return the campaign with the flights of its rule, and the text that explains them."""
     stop = spec.stop
     if stop.rule == "hours" and stop.hours is not None:
-        said = f"hours = {stop.hours:g} of flights of {spec.aleatory.duration_s:g} s"
-        return spec.with_hours(stop.hours), said
+        reason = f"hours = {stop.hours:g} of flights of {spec.aleatory.duration_s:g} s"
+        return spec.with_hours(stop.hours), reason
     if stop.rule == "band-width":
-        # Imported here: pandas and scipy are for this rule alone.
+        # Imported here because only this rule needs pandas and scipy.
         from uqharness.campaign.conditions import CONFIDENCE
         from uqharness.statistics import flights_for_band
 
         assert stop.band_width is not None
         samples = len(epistemic_samples(spec))
-        wanted = flights_for_band(stop.band_width, samples, CONFIDENCE)
-        said = f"band_width = {stop.band_width:g} over {samples} epistemic samples"
-        return spec.with_flights(wanted), said
+        flights = flights_for_band(stop.band_width, samples, CONFIDENCE)
+        reason = f"band_width = {stop.band_width:g} over {samples} epistemic samples"
+        return spec.with_flights(flights), reason
     return spec, ""
 
 
 def with_samples(spec: CampaignSpec, samples: int) -> CampaignSpec:
-    """The same campaign with another number of drawn epistemic samples. Raises BadInputError where none are drawn."""
+    """Return the campaign with another number of drawn epistemic samples.
+
+    Raises BadInputError if none are drawn.
+    """
     if spec.epistemic.samples is None:
         raise BadInputError(
-            f'--samples {samples}: {spec.path} draws no epistemic samples (method = "{spec.epistemic.method}"), '
-            "so their number cannot be changed"
+            f"--samples {samples}: {spec.path} draws no epistemic samples (method ="
+            f' "{spec.epistemic.method}"), so their number cannot be changed'
         )
-    if not 1 <= samples <= MOST_SAMPLES:
-        raise BadInputError(f"--samples {samples}: must be from 1 to {MOST_SAMPLES}")
-    return planned(
+    if not 1 <= samples <= MAX_SAMPLES:
+        raise BadInputError(f"--samples {samples}: must be from 1 to {MAX_SAMPLES}")
+    return replan_flights(
         dataclasses.replace(spec, epistemic=spec.epistemic.model_copy(update={"samples": samples}))
     )

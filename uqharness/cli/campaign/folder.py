@@ -24,9 +24,9 @@ from uqharness.campaign import (
 from uqharness.campaign.execution import ProcessExecutor
 from uqharness.campaign.folder import (
     RERUN,
-    Flying,
-    Salvaged,
-    Verified,
+    FolderCheck,
+    RunOptions,
+    SalvageResult,
     merge,
     read_cases,
     read_manifest,
@@ -52,7 +52,7 @@ from uqharness.parallel import usable_cores
 from uqharness.report import (
     convergence_section,
     draw_rerun,
-    shown_cases,
+    track_cases,
     write_campaign_report,
     write_figures,
 )
@@ -144,7 +144,7 @@ def _status(args: argparse.Namespace) -> int:
         print(json.dumps(found.as_dict()))
     else:
         summary = f"{args.folder}: {found.state}, {done} of {found.cases} flights done, {failures(statuses)}"
-        summary += f"\nengine {engine_words(found.engine, found.why)}"
+        summary += f"\nengine {engine_words(found.engine, found.reasons)}"
         print("\n".join([summary, *found.joint, *lines(found.answers)]))
         if found.state == "interrupted":
             print(f"resume with: {found.command or 'the command that began it'}", file=sys.stderr)
@@ -172,7 +172,7 @@ def _fly_shown(folder: Path) -> list[str]:
     manifest = read_manifest(folder)
     if manifest.get("state") != "complete" or any((folder / RERUN).glob("*/record.parquet")):
         return []
-    cases = shown_cases(read_cases(folder, manifest))
+    cases = track_cases(read_cases(folder, manifest))
     seconds = len(cases) * sum(
         float(manifest["campaign"]["aleatory"][key]) for key in ("duration_s", "burn_in_s")
     )
@@ -396,10 +396,10 @@ def add_salvage(parser: argparse.ArgumentParser) -> None:
 def _verify(args: argparse.Namespace) -> int:
     found = verify(args.folder)
     print(json.dumps(_verified_json(found)) if args.json else "\n".join(_verified_lines(found)))
-    return 0 if found.whole else 1
+    return 0 if found.is_intact else 1
 
 
-def _verified_json(found: Verified) -> dict[str, Any]:
+def _verified_json(found: FolderCheck) -> dict[str, Any]:
     items = [
         {
             "name": item.name,
@@ -411,15 +411,15 @@ def _verified_json(found: Verified) -> dict[str, Any]:
     ]
     document: dict[str, Any] = {
         "folder": str(found.folder),
-        "whole": found.whole,
+        "whole": found.is_intact,
         "complete": found.complete,
         "items": items,
     }
     return document | {"shards": [_verified_json(part) for part in found.shards]}
 
 
-def _verified_lines(found: Verified) -> Iterator[str]:
-    state = "whole" if found.whole else "NOT whole"
+def _verified_lines(found: FolderCheck) -> Iterator[str]:
+    state = "whole" if found.is_intact else "NOT whole"
     running = (
         ""
         if found.complete in (True, None)
@@ -443,7 +443,7 @@ def _salvage(args: argparse.Namespace) -> int:
     spec = None if args.campaign is None else asked_campaign(args)
     command = "" if spec is None else shlex.join(flying_command(args, args.folder))
     with ProgressView() as view:
-        flying = Flying(
+        flying = RunOptions(
             ProcessExecutor(args.workers or usable_cores()),
             tell_cost(args.yes, args.folder),
             view.update,
@@ -453,28 +453,30 @@ def _salvage(args: argparse.Namespace) -> int:
     return 1 if found.missing else 0
 
 
-def _salvaged_json(found: Salvaged) -> dict[str, Any]:
+def _salvaged_json(found: SalvageResult) -> dict[str, Any]:
     document: dict[str, Any] = {
         "folder": str(found.folder),
-        "kept": found.kept,
-        "flown": found.flown,
+        "kept": found.retained,
+        "flown": found.flights,
         "missing": found.missing,
     }
     document |= {
         "statuses": dict(found.statuses),
         "rewritten": list(found.rewritten),
-        "aside": list(found.aside),
+        "aside": list(found.renamed),
     }
     return document | {"shards": [_salvaged_json(part) for part in found.parts]}
 
 
-def _salvaged_lines(found: Salvaged) -> Iterator[str]:
+def _salvaged_lines(found: SalvageResult) -> Iterator[str]:
     for part in found.parts:
         yield from _salvaged_lines(part)
-    text = f"{found.folder}: {found.kept} flights kept, {found.flown} flown again"
+    text = f"{found.folder}: {found.retained} flights kept, {found.flights} flown again"
     text += f", {found.missing} are in no shard" if found.missing else ""
     text += f"; written again: {', '.join(found.rewritten)}" if found.rewritten else ""
-    yield text + (f"; damaged, under another name: {', '.join(found.aside)}" if found.aside else "")
+    yield text + (
+        f"; damaged, under another name: {', '.join(found.renamed)}" if found.renamed else ""
+    )
     for name, command in _REMADE.items():
-        if any(item.startswith(f"{name}.damaged-") for item in found.aside):
+        if any(item.startswith(f"{name}.damaged-") for item in found.renamed):
             yield f"  {name}.csv is written again by: uqharness {command} {shlex.quote(str(found.folder))}"

@@ -26,7 +26,12 @@ from uqharness.campaign import (
     size_of,
 )
 from uqharness.campaign import run as campaign_run
-from uqharness.campaign.execution import Executor, ProcessExecutor, SerialExecutor, why_not
+from uqharness.campaign.execution import (
+    Executor,
+    ProcessExecutor,
+    SerialExecutor,
+    unavailable_reason,
+)
 from uqharness.campaign.folder import describe as describe_campaign
 from uqharness.campaign.folder import parse_shard, read_status
 from uqharness.campaign.spec import CampaignSpec, read_campaign, with_samples
@@ -192,7 +197,7 @@ def _check(args: argparse.Namespace) -> int:
     if args.json:
         found = {
             "engine": settled.engine,
-            "engine_why": list(settled.why),
+            "engine_why": list(settled.reasons),
             "joint_level": joint_level(described),
             "joint": joint,
             "bounds_hold_at": points_flown(described["campaign"]["epistemic"]),
@@ -200,9 +205,9 @@ def _check(args: argparse.Namespace) -> int:
         print(json.dumps(_cost_json(cost) | found))
     else:
         told = [f"{cost.words}{asked}", f"engine {settled.words}", *joint, *remarks]
-        if cost.size.tried < cost.size.conditions:
+        if cost.size.trial_conditions < cost.size.conditions:
             told.append(
-                f"{cost.size.tried} of {cost.size.conditions} conditions were tried out: each turbulence with its weakest and "
+                f"{cost.size.trial_conditions} of {cost.size.conditions} conditions were tried out: each turbulence with its weakest and "
                 "strongest wind and winds between them"
             )
         print("\n".join(f"{args.campaign}: {line}" for line in told))
@@ -216,7 +221,7 @@ def _cost_json(cost: Cost) -> dict[str, Any]:
         "at_most": size.at_most,
         "flights_each": size.aleatory,
         "conditions": size.conditions,
-        "conditions_tried": size.tried,
+        "conditions_tried": size.trial_conditions,
         "epistemic_samples": size.epistemic,
         "interior_samples": size.interior,
         "flight_hours": size.hours,
@@ -243,7 +248,7 @@ def _run(args: argparse.Namespace) -> int:
             size = size_of(spec, 1 if shard is None else shard.count)
             fastest = (
                 "jsbsim"
-                if spec.campaign.engine == "jsbsim" or why_not("batch") is not None
+                if spec.campaign.engine == "jsbsim" or unavailable_reason("batch") is not None
                 else "batch"
             )
             refuse_if_long(

@@ -1,4 +1,4 @@
-"""A campaign's page: p-boxes, the grid of answers, rates, sensitivity, failures and provenance."""
+"""Build the page of a campaign: p-boxes, answers, rates, sensitivity, failures, provenance."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from uqharness.campaign import (
 from uqharness.campaign.conditions import conditions
 from uqharness.report import campaign as report_statements
 from uqharness.report.campaign import (
-    CampaignFound,
+    CampaignReport,
     Finding,
     answer_level,
-    called,
     engine_section,
     hardest_first,
     kind_of,
     sensitivity_section,
     span,
     track_section,
+    with_sample_noun,
 )
 from uqharness.report.parts import (
     Block,
@@ -41,15 +41,15 @@ from uqharness.report.parts import (
     Section,
     Table,
     Words,
+    format_value,
     is_wanted,
     provenance,
-    shown,
 )
-from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
+from uqharness.report.pbox import LabelledBox, corner_words, pbox_figure
 from uqharness.statistics import ExcursionRate, best_and_worst, poisson_upper
 
 CONDITIONS_DRAWN = 4
-"""Conditions whose p-boxes are drawn in the page, the hardest; the tables hold all."""
+"""Number of conditions, the hardest, whose p-boxes are drawn; the tables hold all."""
 
 PBOXES = "P-boxes of the median errors"
 _FAILURES_LISTED = 40
@@ -58,54 +58,87 @@ _MARKS = {"yes": "✓", "no": "✕", "open": "?"}
 
 
 def campaign_page(
-    found: CampaignFound, prefix: str = "", only: Collection[str] | None = None
+    report: CampaignReport, prefix: str = "", only: Collection[str] | None = None
 ) -> Page:
-    """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page.
+    """Return the page of a campaign.
 
-    ``only``: titles of the sections that are shown, if not all.
+    Parameters
+    ----------
+    report : CampaignReport
+        Complete campaign.
+    prefix : str
+        Prefix of figure names, unique if several campaigns share a page.
+    only : collection of str, optional
+        Titles of the sections to build; default: all.
     """
-    kind = kind_of(found.campaign["epistemic"])
-    sections = [called(grid_section(found.signed), kind)]
+    # Texts are written for corners and adapted to the samples that were flown.
+    kind = kind_of(report.campaign["epistemic"])
+    sections = [with_sample_noun(grid_section(report.signed), kind)]
     if is_wanted(PBOXES, only):
-        section = called(pbox_section(found, prefix), kind)
+        section = with_sample_noun(pbox_section(report, prefix), kind)
         remarks = tuple(
             Words(f"{text[0].upper()}{text[1:]}.")
-            for text in corners_only_words(found.campaign["epistemic"])
+            for text in corners_only_words(report.campaign["epistemic"])
         )
         sections.append(replace(section, blocks=(*remarks, *section.blocks)))
-    sections += track_section(found.folder, found.frame, prefix)
-    sections += sensitivity_section(found.folder, found.manifest, prefix)
-    sections += [*(called(s, kind) for s in rate_sections(found)), failure_section(found.frame)]
-    sections += [engine_section(found.manifest, found.engine_check), _provenance(found)]
-    return Page(f"Campaign of {found.aircraft}", found.asked, found.verdict, tuple(sections))
+    sections += track_section(report.folder, report.frame, prefix)
+    sections += sensitivity_section(report.folder, report.manifest, prefix)
+    sections += [
+        *(with_sample_noun(s, kind) for s in rate_sections(report)),
+        failure_section(report.frame),
+    ]
+    sections += [engine_section(report.manifest, report.engine_check), _provenance(report)]
+    return Page(f"Campaign of {report.aircraft}", report.question, report.verdict, tuple(sections))
 
 
-def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
-    """P-boxes of the medians in the first conditions, and the table of their middles in all."""
-    drawn = hardest_first(conditions(found.frame))[:CONDITIONS_DRAWN]
-    words = corner_words(found.frame)
+def pbox_section(report: CampaignReport, prefix: str = "") -> Section:
+    """Return the p-boxes of the medians in the hardest conditions, and a table of all.
+
+    Parameters
+    ----------
+    report : CampaignReport
+        Complete campaign.
+    prefix : str
+        Prefix of figure names.
+
+    Returns
+    -------
+    Section
+        Drawings of at most `CONDITIONS_DRAWN` conditions and the table of medians.
+    """
+    # Draw the hardest conditions only.
+    displayed = hardest_first(conditions(report.frame))[:CONDITIONS_DRAWN]
+    words = corner_words(report.frame)
     figures = tuple(
         _figure(item, words, prefix)
-        for condition in drawn
-        for item in found.findings
+        for condition in displayed
+        for item in report.findings
         if item.condition == condition
     )
     intro = (
-        "Each thin curve is one epistemic sample: the cumulative probability of its flights' median error. "
-        "The bold pair is their envelope, the p-box; its width is epistemic uncertainty, its slope aleatory. The "
-        "dashed band adds the sampling error of a finite number of flights: it holds for all corners and all values together at "
-        f"{_SURE}. At the cursor the figure names the sample behind either side: − for a coefficient at its lower bound, + "
-        "for one at its upper."
+        "Each thin curve is one epistemic sample: the cumulative probability of its flights'"
+        " median error. The bold pair is their envelope, the p-box; its width is epistemic"
+        " uncertainty, its slope aleatory. The dashed band adds the sampling error of a finite"
+        f" number of flights: it holds for all corners and all values together at {_SURE}. At the"
+        " cursor the figure names the sample behind either side: − for a coefficient at its lower"
+        " bound, + for one at its upper."
     )
-    published = any(item.published is not None for item in found.findings)
+    published = any(item.published is not None for item in report.findings)
     if published:
-        intro += " The published flight was measured by its own sensors, so it is marked only where the curves are measured too."
+        intro += (
+            " The published flight was measured by its own sensors, so it is marked only where the"
+            " curves are measured too."
+        )
     blocks: list[Block] = [Words(intro, note=True), Figures(figures, file="")]
-    undrawn = len(conditions(found.frame)) - len(drawn)
+    # Say how many conditions are not drawn.
+    undrawn = len(conditions(report.frame)) - len(displayed)
     if undrawn > 0:
-        text = f"Further conditions, not drawn: {undrawn}; they are in the tables below and in pbox.parquet."
+        text = (
+            f"Further conditions, not drawn: {undrawn}; they are in the tables below and in"
+            " pbox.parquet."
+        )
         blocks.append(Words(text, note=True))
-    between = any(item.widened is not None for item in found.findings)
+    between = any(item.widened is not None for item in report.findings)
     head = [
         "Error",
         "Condition",
@@ -119,7 +152,8 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
         *(["Published flight"] if published else []),
     ]
     caption = (
-        "Where half of the flights stay below: the p-box's middle, the same with the band, and the samples that set its two ends"
+        "Where half of the flights stay below: the p-box's middle, the same with the band, and the"
+        " samples that set its two ends"
         + (
             ", and by which share of its area the interior points widen the whole."
             if between
@@ -130,13 +164,14 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
         Table(
             caption,
             tuple(head),
-            tuple(_median_row(item, words, between, published) for item in found.findings),
+            tuple(_median_row(item, words, between, published) for item in report.findings),
         )
     )
     return Section(PBOXES, tuple(blocks))
 
 
 def _figure(item: Finding, words: dict[str, str], prefix: str) -> Figure:
+    """Draw the p-box of one median."""
     place = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}"
     name = f"{prefix}pbox-{item.metric.replace('_', '-')}-{place}".replace(".", "p")
     mark = (
@@ -144,16 +179,18 @@ def _figure(item: Finding, words: dict[str, str], prefix: str) -> Figure:
         if item.published is None
         else (item.published, f"published flight, {item.published:g} {item.unit}")
     )
-    drawn = DrawnBox("", item.box, item.samples, words)
+    labelled_box = LabelledBox("", item.box, item.samples, words)
     return pbox_figure(
-        name, item.axis, item.unit, [drawn], f"{item.title}; {item.condition.words}.", mark
+        name, item.axis, item.unit, [labelled_box], f"{item.title}; {item.condition.words}.", mark
     )
 
 
 def _median_row(
     item: Finding, words: dict[str, str], between: bool, published: bool
 ) -> tuple[str, ...]:
-    band = " to ".join(shown(end) for end in item.box.band_quantile(0.5))
+    """Return the table row of one median."""
+    # Median of the p-box with its band, and the samples that set its ends.
+    band = " to ".join(format_value(end) for end in item.box.band_quantile(0.5))
     ends = [words.get(name, name) for name in item.box.set_by(0.5)]
     row = [
         f"{item.title} [{item.unit}]",
@@ -174,17 +211,33 @@ def _median_row(
 def grid_section(
     signed: Sequence[Statement], title: str = "Where the answer is yes, no or inconclusive"
 ) -> Section:
-    """One grid a radius: wind across, turbulence down, each cell the answer and the worst corner's rate."""
+    """Return a grid of answers per radius: wind across, turbulence down.
+
+    Parameters
+    ----------
+    signed : sequence of Statement
+        Claims on excursions.
+    title : str
+        Heading.
+
+    Returns
+    -------
+    Section
+        Each cell holds the answer and the rate at the worst corner.
+    """
     acceptable = f"{signed[0].acceptable_per_h:g}" if signed else ""
     text = (
-        f"The question of each cell: at most {acceptable} excursions per flight hour at every corner? ✓ yes: every corner lies at "
-        "or below; ✕ no: some corner lies above; ? inconclusive: too few flight hours, or for the reason in the cell. Below the "
-        f"answer stands the rate at the worst corner with its {_SURE} limits, in excursions per flight hour."
+        f"The question of each cell: at most {acceptable} excursions per flight hour at every"
+        " corner? ✓ yes: every corner lies at or below; ✕ no: some corner lies above; ?"
+        " inconclusive: too few flight hours, or for the reason in the cell. Below the answer"
+        f" stands the rate at the worst corner with its {_SURE} limits, in excursions per flight"
+        " hour."
     )
     if not signed:
         return Section(title, (Words("This campaign counts no excursions.", note=True),))
     tables: list[Block] = []
     for radius in dict.fromkeys(item.cell.radius_m for item in signed):
+        # Cells of this radius, horizontal distance only.
         cells = {
             (item.cell.condition.turbulence, item.cell.condition.wind_mps): item
             for item in signed
@@ -208,9 +261,10 @@ def grid_section(
 
 
 def _grid_cell(item: Statement | None) -> Cell:
+    """Return the answer of a condition with the rate at the worst corner."""
     if item is None:
         return Cell("not flown")
-    limits = f"{item.worst.lower:.2g} to {shown(item.worst.upper)}"
+    limits = f"{item.worst.lower:.2g} to {format_value(item.worst.upper)}"
     rate = (
         "undefined: no flight was scored"
         if math.isnan(item.worst.rate)
@@ -225,16 +279,20 @@ def _grid_cell(item: Statement | None) -> Cell:
     )
 
 
-def rate_sections(found: CampaignFound) -> list[Section]:
-    """Supportable claims, and the counts behind it."""
-    signed = found.signed
-    acceptable = f"{found.campaign['metrics']['acceptable_per_h']:g}"
+def rate_sections(report: CampaignReport) -> list[Section]:
+    """Return the supportable claims, and the counts behind them."""
+    signed = report.signed
+    acceptable = f"{report.campaign['metrics']['acceptable_per_h']:g}"
     text = (
-        f"Excursions per flight hour of the best and the worst corner with limits ({_SURE} each) that take the flight as the unit, "
-        'so they hold also where excursions come in clusters, and that hold for having picked the corner. The answer "yes" '
-        f'says that every corner lies at or below {acceptable} per hour, "no" that some corner lies above; each is wrong with '
+        f"Excursions per flight hour of the best and the worst corner with limits ({_SURE} each)"
+        " that take the flight as the unit, "
+        "so they hold also where excursions come in clusters, and that hold for having picked the"
+        ' corner. The answer "yes" '
+        f'says that every corner lies at or below {acceptable} per hour, "no" that some corner lies'
+        " above; each is wrong with "
         "a probability of at most the error rate of its condition."
     )
+    # Columns of aborted flights only if there are some.
     kinds = report_statements.aborted_kinds(signed)
     head = (
         "Condition",
@@ -248,7 +306,7 @@ def rate_sections(found: CampaignFound) -> list[Section]:
         "Allowed for, and hours needed without excursions",
         "Time outside the data",
     )
-    words = corner_words(found.frame)
+    words = corner_words(report.frame)
     rows = tuple(_signed_row(item, words, kinds) for item in signed)
     first = Section(
         "Supportable claims",
@@ -259,14 +317,15 @@ def rate_sections(found: CampaignFound) -> list[Section]:
                 head,
                 rows,
             ),
-            Bullets(tuple(report_statements.assumptions(signed, found.campaign))),
+            Bullets(tuple(report_statements.assumptions(signed, report.campaign))),
         ),
     )
     text = (
-        f"In brackets: exact Poisson limits ({_SURE}) of that corner alone; after 0 the one-sided limit. The last limits hold for "
-        "all corners at once, so for having picked the best and the worst. Poisson limits take excursions as independent and "
-        "the hours as chosen beforehand; where that is not so, the table above holds. A failed flight counts as one more "
-        "excursion on the upper side."
+        f"In brackets: exact Poisson limits ({_SURE}) of that corner alone; after 0 the one-sided"
+        " limit. The last limits hold for all corners at once, so for having picked the best and"
+        " the worst. Poisson limits take excursions as independent and the hours as chosen"
+        " beforehand; where that is not so, the table above holds. A failed flight counts as one"
+        " more excursion on the upper side."
     )
     counted = (
         "Condition",
@@ -291,6 +350,7 @@ def rate_sections(found: CampaignFound) -> list[Section]:
 def _signed_row(
     item: Statement, words: dict[str, str], kinds: Sequence[str]
 ) -> tuple[str | Cell, ...]:
+    """Return the row of a claim."""
     row = report_statements.row(item)
     worst = Cell(row["worst"], small=words.get(row["worst_corner"], row["worst_corner"]))
     answer = Cell(item.answer, answer_level(item), item.reason, mark=_MARKS[item.answer])
@@ -309,6 +369,7 @@ def _signed_row(
 
 
 def _excursion_row(cell: ExcursionCell, words: dict[str, str]) -> tuple[str | Cell, ...]:
+    """Return the row of counted excursions, best and worst corner."""
     best, worst = best_and_worst(cell.rates)
     return (
         cell.condition.label,
@@ -321,25 +382,28 @@ def _excursion_row(cell: ExcursionCell, words: dict[str, str]) -> tuple[str | Ce
             _rate(worst, worst.rate_upper, worst.events_upper),
             small=words.get(worst.epistemic_id, worst.epistemic_id),
         ),
-        f"{best.simultaneous[0]:.2g} to {shown(worst.simultaneous[1])}",
+        f"{best.simultaneous[0]:.2g} to {format_value(worst.simultaneous[1])}",
         f"{worst.hours:.3g}",
         str(sum(rate.failed for rate in cell.rates)),
     )
 
 
 def _rate(item: ExcursionRate, rate: float, events: int) -> str:
+    """Format a rate with its exact Poisson limits."""
     if math.isnan(rate):
         return "undefined: no hours"
+    # Without an event only the one-sided limit is meaningful.
     if events == 0:
         return f"0 (< {poisson_upper(0, item.hours, CONFIDENCE):.2g})"
-    return f"{shown(rate)} [{item.limits[0]:.2g}, {shown(item.limits[1])}]"
+    return f"{format_value(rate)} [{item.limits[0]:.2g}, {format_value(item.limits[1])}]"
 
 
 def failure_section(frame: pd.DataFrame) -> Section:
-    """Flights that failed, the first of them by name."""
+    """Return the list of failed flights."""
     failed = frame[frame["status"] != "ok"]
     if failed.empty:
         return Section("Failed flights", (Words("None."),))
+    # List the first failures by name.
     more = (
         f", the first {_FAILURES_LISTED} are listed; all are in cases.parquet"
         if len(failed) > _FAILURES_LISTED
@@ -358,10 +422,11 @@ def failure_section(frame: pd.DataFrame) -> Section:
     return Section("Failed flights", (Table(f"{len(failed)} failed{more}.", head, tuple(rows)),))
 
 
-def _provenance(found: CampaignFound) -> Section:
-    """Commands, seed, versions and hashes: what it takes to do it again."""
-    manifest, settings = found.manifest, found.campaign["campaign"]
+def _provenance(report: CampaignReport) -> Section:
+    """Return commands, seed, versions and hashes with which the campaign can be repeated."""
+    manifest, settings = report.manifest, report.campaign["campaign"]
     names = {"aircraft": settings["aircraft"], "script": settings["mission"]}
+    # Hash of each input with its name.
     hashes = [
         (f"{role.capitalize()} (SHA-256)", " ".join([digest, str(names.get(role, ""))]).strip())
         for role, digest in manifest["hashes"].items()
@@ -377,6 +442,9 @@ def _provenance(found: CampaignFound) -> Section:
         *hashes,
         (
             "Tables",
-            "cases.parquet (one row per flight), pbox.parquet, excursions.csv, statements.csv, beside this page",
+            (
+                "cases.parquet (one row per flight), pbox.parquet, excursions.csv, statements.csv,"
+                " beside this page"
+            ),
         ),
     )

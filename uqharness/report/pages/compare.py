@@ -1,4 +1,6 @@
-"""The page of a comparison of a flight with a model, from compare.json and histories.parquet."""
+"""Build the page of a comparison of a flight with a model, from compare.json and
+histories.parquet.
+"""
 
 from __future__ import annotations
 
@@ -24,33 +26,47 @@ from uqharness.report.parts import (
     Figures,
     Level,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     provenance,
     remarks,
-    shown,
 )
 from uqharness.report.svg import Scale, rows_chart
 from uqharness.result_documents import Compare, read_document
 
 COMPARE = "compare.json"
 LIMIT = 1.15
+"""Largest ratio of residual rms to noise at which a channel counts as "at the noise"."""
 
 
 def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEGMENTS) -> Page:
-    """The page of the folder that ``uqharness compare`` wrote, with so many segments' histories (None: all).
+    """Return the page of a folder that ``uqharness compare`` wrote.
 
-    Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    prefix : str
+        Prefix of figure names.
+    segments : int, optional
+        Number of segments with histories; None for all.
+
+    Raises
+    ------
+    BadInputError
+        If the folder cannot be read.
     """
-    found = read_document(folder / COMPARE, Compare)
+    document = read_document(folder / COMPARE, Compare)
     histories = read_histories(folder / HISTORIES)
-    # What is not judged (height, heading) may have a noise that says nothing.
+    # The noise of channels that are not compared (height, heading) may be meaningless.
     noise = {
-        c: row["noise"] if row.get("judged", True) else None for c, row in found["channels"].items()
+        c: row["noise"] if row.get("judged", True) else None
+        for c, row in document["channels"].items()
     }
-    sections = [_channel_section(found["channels"], prefix)]
+    sections = [_channel_section(document["channels"], prefix)]
     sections += history_section(
         histories,
         noise,
@@ -61,54 +77,93 @@ def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEG
         lambda _, h: file_name(f"{h.number:02d}-{h.manoeuvre}"),
     )
     sections += [
-        _coefficient_section(found["coefficients"], histories, prefix),
-        _manoeuvre_section(found),
+        _coefficient_section(document["coefficients"], histories, prefix),
+        _manoeuvre_section(document),
     ]
-    sections += remarks({"notes": [with_shown_names(n, CHANNELS) for n in found.get("notes", ())]})
-    files = "compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv, histories.parquet, beside this page"
+    sections += remarks(
+        {"notes": [with_shown_names(n, CHANNELS) for n in document.get("notes", ())]}
+    )
+    files = (
+        "compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv,"
+        " histories.parquet, beside this page"
+    )
     facts = (
-        ("Command", found.get("command") or "not recorded"),
-        ("Rule", found.get("rule", "not recorded")),
+        ("Command", document.get("command") or "not recorded"),
+        ("Rule", document.get("rule", "not recorded")),
         ("Files", files),
     )
     sections.append(provenance(*facts))
-    asked = f"Does {found['aircraft']} fly {found['flight']} as it was flown, to within the sensors' noise?"
+    question = (
+        f"Does {document['aircraft']} fly {document['flight']} as it was flown, to within the"
+        " sensors' noise?"
+    )
     return Page(
-        f"{found['flight']} beside {found['aircraft']}", asked, _verdict(found), tuple(sections)
+        f"{document['flight']} beside {document['aircraft']}",
+        question,
+        _verdict(document),
+        tuple(sections),
     )
 
 
 def noise_floor(reached: bool, above: Mapping[str, float], rule: str = "") -> str:
-    """Whether a model reaches the noise floor, in a sentence. above: channel -> rms over noise of those that do not."""
+    """Return one sentence on whether a model reaches the noise floor.
+
+    Parameters
+    ----------
+    reached : bool
+        Whether it does.
+    above : mapping of str to float
+        Ratio of residual rms to noise of the channels that do not.
+    rule : str
+        Rule to quote.
+    """
     by = f" ({rule})" if rule else ""
+    # The rule is quoted where it was recorded.
     if reached:
         return f"The model reaches the noise floor{by}."
     worst = ", ".join(f"{c} {ratio:.2f}" for c, ratio in above.items())
     return f"The model does not reach the noise floor: rms over noise is {worst}{by}."
 
 
-def _verdict(found: Mapping[str, Any]) -> tuple[Say, ...]:
-    reached = bool(found["reached_noise_floor"])
-    above = {c: found["channels"][c]["ratio"] for c in found.get("above", ())}
-    text = with_shown_names(found.get("verdict") or noise_floor(reached, above), CHANNELS)
-    said = [Say(text, "good" if reached else "bad")]
-    known = {
+def _verdict(document: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    """Return the verdict and the largest residual of a coefficient."""
+    reached = bool(document["reached_noise_floor"])
+    above = {c: document["channels"][c]["ratio"] for c in document.get("above", ())}
+    text = with_shown_names(document.get("verdict") or noise_floor(reached, above), CHANNELS)
+    sentences = [Sentence(text, "good" if reached else "bad")]
+    ratios = {
         c: r["rms"] / r["noise"]
-        for c, r in found["coefficients"].items()
+        for c, r in document["coefficients"].items()
         if r.get("rms") is not None and r.get("noise")
     }
-    if known:
-        worst = max(known, key=lambda c: known[c])
-        said.append(
-            Say(
-                f"Largest gap of a coefficient: {worst}, {known[worst]:.2f} times the rms that noise alone gives."
+    if ratios:
+        worst = max(ratios, key=lambda c: ratios[c])
+        sentences.append(
+            Sentence(
+                f"Largest gap of a coefficient: {worst}, {ratios[worst]:.2f} times the rms that"
+                " noise alone gives."
             )
         )
-    return tuple(said)
+    return tuple(sentences)
 
 
 def in_shown_unit(name: str, row: Mapping[str, Any], *keys: str) -> tuple[str, list[float | None]]:
-    """``q [deg/s]`` of a channel or coefficient, and numbers of its row in that unit; None for one that is not known."""
+    """Return a label with unit, and numbers of a row in that unit.
+
+    Parameters
+    ----------
+    name : str
+        Channel or coefficient.
+    row : mapping
+        Numbers in SI units.
+    keys : str
+        Keys of the numbers.
+
+    Returns
+    -------
+    tuple of (str, list of float or None)
+        Label such as ``q [deg/s]``; None for unknown numbers.
+    """
     quantity, unit, factor = shown_channel(name)
     return f"{quantity} [{unit}]", [
         None if row.get(key) is None else factor * row[key] for key in keys
@@ -116,21 +171,24 @@ def in_shown_unit(name: str, row: Mapping[str, Any], *keys: str) -> tuple[str, l
 
 
 def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> Section:
+    """Return the residuals by channel."""
     rows = []
     for name, row in channels.items():
         label, (rms, noise) = in_shown_unit(name, row, "rms", "noise")
+        # Ratio of residual rms to noise, with the limit of "at the noise".
         ratio = row["ratio"]
-        judged = row.get("judged", True)
-        level: Level = "" if not judged or ratio is None else "good" if ratio <= LIMIT else "bad"
-        # The noise of what is not judged says nothing, and neither does a ratio to it.
-        sizes = (shown(noise), shown(ratio, ".2f")) if judged else ("-", "-")
+        is_judged = row.get("judged", True)
+        level: Level = "" if not is_judged or ratio is None else "good" if ratio <= LIMIT else "bad"
+        # Neither noise nor ratio is meaningful for channels that are not compared.
+        sizes = (format_value(noise), format_value(ratio, ".2f")) if is_judged else ("-", "-")
         answer = "undefined" if ratio is None else "at the noise" if level == "good" else "above"
-        answer = answer if judged else _why_not_judged(name)
+        answer = answer if is_judged else _why_not_judged(name)
+        # A delay that cannot be estimated carries its reason.
         delay = f"{_milli(row.get('delay_s'))} ± {_milli(row.get('delay_std_s'))}"
         if row.get("delay_s") is None:
             delay = f"undefined: {row.get('delay_undefined') or 'no reason recorded'}"
-        theil = shown(row.get("theil_u"), ".3f")
-        rows.append((label, shown(rms), *sizes, Cell(answer, level), delay, theil))
+        theil = format_value(row.get("theil_u"), ".3f")
+        rows.append((label, format_value(rms), *sizes, Cell(answer, level), delay, theil))
     head = (
         "Channel",
         "rms of log minus model",
@@ -154,37 +212,53 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
 
 
 def _why_not_judged(channel: str) -> str:
+    """Return why a channel is not compared with its noise."""
     if channel in OUTPUTS:
         return "not judged: the log's own estimate"
     return "not judged: integral of other channels, drifts"
 
 
 def _milli(value: float | None) -> str:
-    # Adding 0 takes the sign off what rounds to zero.
-    return shown(None if value is None else round(1e3 * value, 1) + 0.0, ".1f")
+    # Adding 0 removes the sign of a rounded zero.
+    """Format seconds as milliseconds."""
+    return format_value(None if value is None else round(1e3 * value, 1) + 0.0, ".1f")
 
 
 def ratio_figure(
     name: str,
     ratios: Mapping[str, Mapping[str, float]],
     series: Sequence[tuple[str, str, str]],
-    what: str,
+    subject: str,
 ) -> Figure | None:
-    """rms over noise by row, one mark a series (key, class, shape); 1 is the noise itself. None without rows."""
+    """Draw the ratio of residual rms to noise by row.
+
+    Parameters
+    ----------
+    name : str
+        Name of the figure.
+    ratios : mapping
+        Row -> key -> ratio; without rows the result is None.
+    series : sequence of (str, str, str)
+        Key, class and shape of each mark.
+    subject : str
+        What the rows are, for the caption.
+    """
     if not ratios:
         return None
+    # Axis from 0 to the largest ratio, at least beyond the limit.
     largest = max(v for row in ratios.values() for v in row.values())
     label = "; ".join(
         f"{row}: {' to '.join(f'{v:.2f}' for v in values.values())}"
         for row, values in ratios.items()
     )
     x = Scale("rms of log minus model over noise [-]", 0.0, 1.08 * max(largest, 1.3))
-    label = f"Gap over noise [-] of the {what}. {label}."
+    label = f"Gap over noise [-] of the {subject}. {label}."
     chart = rows_chart(name, label, x, tuple(ratios))
     chart.upright(1.0, "zero", "the noise itself")
     chart.upright(LIMIT, "limit", f"limit {LIMIT:g}")
     for k, row in enumerate(ratios):
         values = [ratios[row][key] for key, _, _ in series if key in ratios[row]]
+        # A line joins the values of a row.
         if len(values) > 1:
             chart.across(min(values), max(values), k, "link")
         for key, kind, shape in series:
@@ -194,20 +268,29 @@ def ratio_figure(
     return Figure(
         name,
         chart.svg(),
-        f"Gap over noise [-] of the {what}; {shapes}. 1 is what noise alone gives.",
+        f"Gap over noise [-] of the {subject}; {shapes}. 1 is what noise alone gives.",
     )
 
 
 def _coefficient_section(
     rows: Mapping[str, Mapping[str, Any]], histories: Sequence[History], prefix: str
 ) -> Section:
+    """Return the residuals by coefficient."""
     cells = []
     for name, row in rows.items():
         ratio = (
             row["rms"] / row["noise"] if row.get("rms") is not None and row.get("noise") else None
         )
-        measured = shown(row.get("rms")), shown(row.get("noise"))
-        cells.append((f"{name} [-]", *measured, shown(ratio, ".2f"), shown(row.get("mean"), ".2g")))
+        # Residual of the coefficient, and what noise alone would give.
+        measured = format_value(row.get("rms")), format_value(row.get("noise"))
+        cells.append(
+            (
+                f"{name} [-]",
+                *measured,
+                format_value(ratio, ".2f"),
+                format_value(row.get("mean"), ".2g"),
+            )
+        )
     head = ("Coefficient", "rms of flight minus model", "rms of noise alone", "Ratio", "Mean")
     table = Table(
         "Gap between demanded and modelled coefficients (dimensionless, body axes).",
@@ -219,7 +302,7 @@ def _coefficient_section(
     series = [("{}_flight", "second thin", ""), ("{}_model", "first thin", "")]
     for c in COEFFICIENTS:
         if have(histories, (f"{c}_flight", f"{c}_model")):
-            drawn = [(key.format(c), kind, words) for key, kind, words in series]
+            coefficient_series = [(key.format(c), kind, words) for key, kind, words in series]
             label = (
                 f"{c} [-] that the flight demanded and that the model gives, segments end to end."
             )
@@ -227,7 +310,7 @@ def _coefficient_section(
                 end_to_end(
                     histories,
                     f"{prefix}gap-{c}",
-                    drawn,
+                    coefficient_series,
                     None,
                     label,
                     f"{c} [-]",
@@ -239,17 +322,22 @@ def _coefficient_section(
     return Section("Gap by coefficient", (*blocks, table))
 
 
-def _manoeuvre_section(found: Mapping[str, Any]) -> Section:
-    manoeuvres = found.get("manoeuvres", {})
+def _manoeuvre_section(document: Mapping[str, Any]) -> Section:
+    """Return the residuals by manoeuvre and the largest deviations."""
+    manoeuvres = document.get("manoeuvres", {})
     blocks: list[Any] = []
     if manoeuvres:
+        # All manoeuvres have the same channels and coefficients.
         first = next(iter(manoeuvres.values()))
         names = [*first["channels"], *first["coefficients"]]
         head = ("Manoeuvre", *(shown_channel(n)[0] for n in names))
         rows = tuple(
             (
                 label,
-                *(shown(({**row["channels"], **row["coefficients"]}).get(n), ".2f") for n in names),
+                *(
+                    format_value(({**row["channels"], **row["coefficients"]}).get(n), ".2f")
+                    for n in names
+                ),
             )
             for label, row in manoeuvres.items()
         )
@@ -261,9 +349,9 @@ def _manoeuvre_section(found: Mapping[str, Any]) -> Section:
             f"{m['time_s']:.2f}",
             shown_channel(m["channel"])[0],
             m["manoeuvre"],
-            shown(m["noises"], ".1f"),
+            format_value(m["noises"], ".1f"),
         )
-        for m in found.get("moments", ())[:10]
+        for m in document.get("moments", ())[:10]
     ]
     if moments:
         head = ("Time [s]", "Channel", "Manoeuvre", "Gap in sigma [-]")

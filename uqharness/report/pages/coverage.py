@@ -1,4 +1,4 @@
-"""The page of a validation of model-form bounds, from coverage.json and residuals.parquet."""
+"""Build the page of a validation of model-form bounds, from coverage.json and residuals.parquet."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from uqharness.report.parts import (
     Cell,
     Level,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     is_wanted,
     percent,
     provenance,
     remarks,
-    shown,
 )
 from uqharness.result_documents import Coverage, read_document
 
 
 def coverage_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
-    """The page of the folder that ``uqharness validate-bounds --out`` wrote. ``only``: titles of the sections shown, if not all.
+    """Return the page of a folder that ``uqharness validate-bounds --out`` wrote.
 
-    Raises BadInputError.
+    ``only`` lists titles of the sections to build. Raises BadInputError.
     """
     return coverage_page_of(
         read_document(folder / COVERAGE, Coverage), read_histories(folder / RESIDUALS), prefix, only
@@ -37,60 +37,89 @@ def coverage_page(folder: Path, prefix: str = "", only: Collection[str] | None =
 
 
 def coverage_page_of(
-    found: Mapping[str, Any],
+    document: Mapping[str, Any],
     pieces: Sequence[History] = (),
     prefix: str = "",
     only: Collection[str] | None = None,
 ) -> Page:
-    """The page of a validation from its document and its residuals."""
-    sections = [_coverage_section(found)]
+    """Return the page of a validation from its document and residuals.
+
+    Parameters
+    ----------
+    document : mapping
+        Content of coverage.json.
+    pieces : sequence of History
+        Residuals of the new flight.
+    prefix : str
+        Prefix of figure names.
+    only : collection of str, optional
+        Titles of the sections to build; default: all.
+
+    Returns
+    -------
+    Page
+        The verdict says whether the bounds hold, fail, or the flight is too short to tell.
+    """
+    sections = [_coverage_section(document)]
     if is_wanted(title := "The new flight within the bounds", only):
-        sections += within_section(pieces, list(found["coverage"]), title, "coverage", prefix)
+        sections += within_section(pieces, list(document["coverage"]), title, "coverage", prefix)
     sections += [
-        *_manoeuvre_section(found),
-        *_bin_section(found),
-        *_conformal_section(found),
-        *remarks(found, key=("notes",)),
+        *_manoeuvre_section(document),
+        *_bin_section(document),
+        *_conformal_section(document),
+        *remarks(document, key=("notes",)),
     ]
-    sections.append(provenance(("Command", found.get("command") or "not recorded")))
-    said = found.get("verdicts") or {
-        c: "holds" if row["0.95"] >= HOLDS_FROM else "fails" for c, row in found["coverage"].items()
+    sections.append(provenance(("Command", document.get("command") or "not recorded")))
+    # Older documents have no verdicts; they follow from the coverage.
+    verdicts = document.get("verdicts") or {
+        c: "holds" if row["0.95"] >= HOLDS_FROM else "fails"
+        for c, row in document["coverage"].items()
     }
-    bad, unsure = ([c for c, v in said.items() if v == kind] for kind in ("fails", "inconclusive"))
-    if bad:
-        shares = ", ".join(f"{c} {100 * found['coverage'][c]['0.95']:.1f} %" for c in bad)
-        verdict = Say(
+    failing, unsure = (
+        [c for c, v in verdicts.items() if v == kind] for kind in ("fails", "inconclusive")
+    )
+    if failing:
+        shares = ", ".join(f"{c} {100 * document['coverage'][c]['0.95']:.1f} %" for c in failing)
+        verdict = Sentence(
             f"The 95 % bounds do not hold: they contain only {shares} of the samples.", "bad"
         )
     elif unsure:
-        verdict = Say(
-            f"Inconclusive: the flight is too short to tell whether the bounds of {', '.join(unsure)} hold.",
+        verdict = Sentence(
+            "Inconclusive: the flight is too short to tell whether the bounds of"
+            f" {', '.join(unsure)} hold.",
             "warn",
         )
     else:
-        verdict = Say(
-            "The bounds hold: every coefficient's share of this flight agrees with the 95 % that its bounds state.",
+        verdict = Sentence(
+            "The bounds hold: every coefficient's share of this flight agrees with the 95 % that"
+            " its bounds state.",
             "good",
         )
-    asked = "Do the bounds hold on a flight that they were not made from?"
-    return Page("Validation of model-form bounds", asked, (verdict,), tuple(sections))
+    question = "Do the bounds hold on a flight that they were not made from?"
+    return Page("Validation of model-form bounds", question, (verdict,), tuple(sections))
 
 
 _LEVELS: Mapping[str, Level] = {"holds": "good", "fails": "bad", "inconclusive": "warn"}
 
 
-def _coverage_section(found: Mapping[str, Any]) -> Section:
+def _coverage_section(document: Mapping[str, Any]) -> Section:
+    """Return the coverage by coefficient."""
     rows = []
-    for c, row in found["coverage"].items():
+    for c, row in document["coverage"].items():
         level = _LEVELS[
-            found.get("verdicts", {}).get(c, "holds" if row["0.95"] >= HOLDS_FROM else "fails")
+            document.get("verdicts", {}).get(c, "holds" if row["0.95"] >= HOLDS_FROM else "fails")
         ]
-        errors = found.get("errors", {}).get(c, {})
+        # Coverage with its standard error, at both confidences.
+        errors = document.get("errors", {}).get(c, {})
         first, second = (
             f"{100 * row[k]:.1f} ± {percent(errors.get(k), '.1f')}" for k in ("0.95", "0.68")
         )
-        beyond = percent(found.get("outside_data", {}).get(c), ".1f")
-        size = (shown(row.get("n_effective"), ".0f"), shown(row.get("mean_width")), beyond)
+        outside_share = percent(document.get("outside_data", {}).get(c), ".1f")
+        size = (
+            format_value(row.get("n_effective"), ".0f"),
+            format_value(row.get("mean_width")),
+            outside_share,
+        )
         rows.append((c, Cell(first, level), second, *size))
     head = (
         "Coefficient",
@@ -101,8 +130,8 @@ def _coverage_section(found: Mapping[str, Any]) -> Section:
         "Outside the data [%]",
     )
     text = (
-        "Samples are measured: the noise of this flight's sensors is added to the bounds. Mean width is without it. The standard "
-        "error counts autocorrelation."
+        "Samples are measured: the noise of this flight's sensors is added to the bounds. Mean"
+        " width is without it. The standard error counts autocorrelation."
     )
     table = Table(
         "Share of a new flight's samples inside the bounds, ± standard error.",
@@ -113,8 +142,9 @@ def _coverage_section(found: Mapping[str, Any]) -> Section:
     return Section("Coverage by coefficient", (Words(text, note=True), table))
 
 
-def _manoeuvre_section(found: Mapping[str, Any]) -> tuple[Section, ...]:
-    names = tuple(found["coverage"])
+def _manoeuvre_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
+    """Return the coverage by manoeuvre; empty if it was not recorded."""
+    names = tuple(document["coverage"])
     rows = tuple(
         (
             m,
@@ -123,7 +153,7 @@ def _manoeuvre_section(found: Mapping[str, Any]) -> tuple[Section, ...]:
                 for c in names
             ),
         )
-        for m, row in found.get("manoeuvres", {}).items()
+        for m, row in document.get("manoeuvres", {}).items()
     )
     table = Table(
         "Share of the samples inside the 95 / 68 % bounds [%].", ("Manoeuvre", *names), rows
@@ -131,11 +161,13 @@ def _manoeuvre_section(found: Mapping[str, Any]) -> tuple[Section, ...]:
     return (Section("Coverage by manoeuvre", (table,)),) if rows else ()
 
 
-def _bin_section(found: Mapping[str, Any]) -> tuple[Section, ...]:
-    names = tuple(found["coverage"])
+def _bin_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
+    """Return the coverage by thirds of speed and incidence; empty if it was not recorded."""
+    names = tuple(document["coverage"])
     rows = []
-    for row in (*found.get("by_speed", ()), *found.get("by_incidence", ())):
+    for row in (*document.get("by_speed", ()), *document.get("by_incidence", ())):
         quantity, unit, factor = shown_channel(row["state"])
+        # Range of the state in displayed units.
         ends = f"{quantity} {factor * row['from']:.3g} to {factor * row['to']:.3g} {unit}"
         rows.append(
             (ends, str(row["samples"]), *(percent(row["share"].get(c), ".0f") for c in names))
@@ -148,28 +180,31 @@ def _bin_section(found: Mapping[str, Any]) -> tuple[Section, ...]:
     return (Section("Coverage by speed and incidence", (table,)),) if rows else ()
 
 
-def _conformal_section(found: Mapping[str, Any]) -> tuple[Section, ...]:
+def _conformal_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
+    """Return the conformal factors; empty if there are none."""
     rows = tuple(
         (
             c,
-            shown(r.get("factor"), ".2f"),
+            format_value(r.get("factor"), ".2f"),
             percent(r.get("level"), ".0f"),
-            shown(r.get("manoeuvres"), ".0f"),
+            format_value(r.get("manoeuvres"), ".0f"),
         )
-        for c, r in found.get("conformal", {}).items()
+        for c, r in document.get("conformal", {}).items()
     )
     if not rows:
         return ()
     text = (
-        "Bounds this many times as wide hold 95 % of the samples of a further manoeuvre, at the level given, whatever the "
-        "distributions are, if manoeuvres are alike."
+        "Bounds this many times as wide hold 95 % of the samples of a further manoeuvre, at the"
+        " level given, whatever the distributions are, if manoeuvres are alike."
     )
     words = [Words(text, note=True)]
-    unknown = [c for c, std in found.get("flight_variance", {}).items() if std is None]
+    # With one flight the variation between flights cannot be estimated.
+    unknown = [c for c, std in document.get("flight_variance", {}).items() if std is None]
     if unknown:
         words.append(
             Words(
-                f"How model error varies from flight to flight is not estimable for {', '.join(unknown)}: one flight.",
+                "How model error varies from flight to flight is not estimable for"
+                f" {', '.join(unknown)}: one flight.",
                 note=True,
             )
         )

@@ -1,4 +1,9 @@
-"""The dossier of a folder of results: evidence as those who judge a model read it, in one document that can be printed."""
+"""Build the dossier of a folder of results: the evidence for a model, as one printable document.
+
+It lists provenance, a proof of match against the tolerances for flight simulators, credibility
+factors, statements with their assumptions, the validity envelope, what was not done, and all source
+files with their hashes. It claims no compliance.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +39,7 @@ from uqharness.dossier import (
 from uqharness.dossier import Band as Tolerance
 from uqharness.errors import BadInputError
 from uqharness.replay import History, axis_label, shown_channel
-from uqharness.report.campaign import CampaignFound, read_found
+from uqharness.report.campaign import CampaignReport, read_campaign_report
 from uqharness.report.parts import (
     Block,
     Bullets,
@@ -43,19 +48,18 @@ from uqharness.report.parts import (
     Figures,
     Level,
     Page,
-    Say,
     Section,
+    Sentence,
+    Sentences,
     Table,
-    Told,
     Words,
+    format_value,
     percent,
-    shown,
 )
 from uqharness.report.svg import Chart, Scale, scale
 from uqharness.simulator import folder_hash
 
-# The proof of match in a dossier: tests, tolerances, segments, and the worst of each test drawn
-# with its band.
+# Proof of match: tests, tolerances, segments, and the worst segment of each test.
 
 _LEVELS: dict[str, Level] = {PASS: "good", FAIL: "bad", INCONCLUSIVE: "warn", ABSENT: ""}
 _MOST_ROWS = 60
@@ -63,8 +67,22 @@ _MOST_DOTS = 250
 
 
 @dataclass(frozen=True)
-class Compared:
-    """Log and model of a step: which model (the ending of its columns), and in words on which flights."""
+class LogComparison:
+    """Hold log and model of a step.
+
+    Attributes
+    ----------
+    step : Step
+        Step of the evidence.
+    segments : sequence of History
+        Time histories.
+    suffix : str
+        Ending of the model's columns.
+    model : str
+        Which model on which flights, in words.
+    match : Match
+        Results of the tests.
+    """
 
     step: Step
     segments: Sequence[History]
@@ -73,56 +91,96 @@ class Compared:
     match: Match
 
 
-def compared(found: Evidence) -> Compared | None:
-    """What the proof of match is made from: the last refinement's hold-out flights, else a comparison, else the identification."""
+def compare_with_log(evidence: Evidence) -> LogComparison | None:
+    """Return the basis of the proof of match.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Steps of the folder.
+
+    Returns
+    -------
+    LogComparison or None
+        Hold-out flights of the last refinement, else a comparison, else the identification; None
+        without time histories.
+    """
+    # Prefer flights that were not used for choosing or fitting the model.
     for kind, suffix, model in (
         (
             "refine",
             "_after",
-            "the refined model on hold-out flights, which were used neither for choosing nor for fitting",
+            (
+                "the refined model on hold-out flights, which were used neither for choosing nor"
+                " for fitting"
+            ),
         ),
         ("compare", "_model", "the model on a flight that it was compared with"),
         (
             "identify",
             "_model",
-            "the identified model on the flights that it was identified from: no hold-out flight is here",
+            (
+                "the identified model on the flights that it was identified from: no hold-out"
+                " flight is here"
+            ),
         ),
     ):
-        for step in reversed(found.of(kind)):
+        for step in reversed(evidence.of(kind)):
             segments = [
-                s for s in found.histories(step) if any(c.endswith(suffix) for c in s.columns)
+                s for s in evidence.histories(step) if any(c.endswith(suffix) for c in s.columns)
             ]
             if segments:
-                return Compared(
+                return LogComparison(
                     step, segments, suffix, model, proof_of_match(segments, suffix, _noise(step))
                 )
     return None
 
 
 def _noise(step: Step) -> dict[str, float | None]:
+    """Return the noise of each channel from the document of a step."""
     document = step.document or {}
+    # The noise is stored under different keys by each command.
     if step.kind == "refine":
         return {c: r.get("noise_rms") for c, r in document["gap"]["test"]["channels"].items()}
+    # identify stores channels under "fit", compare under "channels".
     rows = document["fit"] if step.kind == "identify" else document["channels"]
     return {c: r.get("noise") for c, r in rows.items()}
 
 
-def match_section(title: str, source: Compared | None) -> Section:
-    """The section: what was compared, a line for each test of the table, a line for each segment, the figures."""
+def match_section(title: str, source: LogComparison | None) -> Section:
+    """Return the section on the proof of match.
+
+    Parameters
+    ----------
+    title : str
+        Heading.
+    source : LogComparison or None
+        Basis of the proof; None without time histories.
+
+    Returns
+    -------
+    Section
+        Basis, a row per test, a row per segment, and the worst segment of each test drawn.
+    """
     if source is None:
-        text = f"Not in the data: the folder has no time histories of log and model, so none of the tests of {REGULATION} is here."
+        text = (
+            "Not in the data: the folder has no time histories of log and model, so none of the"
+            f" tests of {REGULATION} is here."
+        )
         return Section(title, (Words(text),))
     match = source.match
     intro = (
-        f"Judged is {source.model} ({source.step.kind}, {source.step.place}). Start states, sensor biases and delays of each "
-        "segment are estimated from that segment. Nothing is filtered: the sensors' noise is part of what was measured. The "
-        "controls are those of the log. A segment counts for a test where the test's control moves and no other does, whatever the "
-        "size of the input."
+        f"Judged is {source.model} ({source.step.kind}, {source.step.place}). Start states, sensor"
+        " biases and delays of each segment are estimated from that segment. Nothing is filtered:"
+        " the sensors' noise is part of what was measured. The controls are those of the log. A"
+        " segment counts for a test where the test's control moves and no other does, whatever the"
+        " size of the input."
     )
     about = (
-        f"Tolerances of {REGULATION}, edition of 1 January 2014, which is written for the evaluation of full flight simulators. "
-        "The numbers are used here as a yardstick. Flight conditions, configurations and the other tests of the table are not "
-        "looked at. Of two tolerances for one parameter the less restrictive counts."
+        f"Tolerances of {REGULATION}, edition of 1 January 2014, which is written for the"
+        " evaluation of full flight simulators. The numbers are used here as a yardstick. Flight"
+        " conditions, configurations and the other tests of the table are not looked at. Of two"
+        " tolerances for one parameter the less restrictive counts."
     )
     blocks: list[Block] = [Words(intro), Words(about, note=True), _summary(match), *_details(match)]
     figures = _figures(source)
@@ -137,18 +195,20 @@ def match_section(title: str, source: Compared | None) -> Section:
 
 
 def _summary(match: Match) -> Table:
+    """Return the table of tests with their answers."""
     rows = []
+    # A test fails if one of its segments fails.
     for test in TESTS:
-        found = match.of(test.entry)
-        answers = [j.answer for j in found]
+        results = match.of(test.entry)
+        answers = [j.answer for j in results]
         answer = next((a for a in (FAIL, INCONCLUSIVE, PASS) if a in answers), ABSENT)
         words = ", ".join(f"{answers.count(a)} {a}" for a in (PASS, FAIL, INCONCLUSIVE) if a in answers)
-        small = words if found else match.missing.get(test.entry, "")
+        small = words if results else match.missing.get(test.entry, "")
         rows.append(
             (
                 f"{test.entry} {test.title}",
                 test.tolerance,
-                str(len(found)),
+                str(len(results)),
                 Cell(answer, _LEVELS[answer], small=small),
             )
         )
@@ -161,42 +221,62 @@ def _summary(match: Match) -> Table:
 
 
 def _details(match: Match) -> list[Block]:
-    judged = sorted(match.results, key=lambda j: (j.test.entry, -_worst(j)))
-    if not judged:
+    """Return the table of segments, the largest difference over tolerance first."""
+    # Worst segment of each test first.
+    segments = sorted(match.results, key=lambda j: (j.test.entry, -_worst(j)))
+    if not segments:
         return []
     rows = []
-    for j in judged[:_MOST_ROWS]:
-        said = "; ".join(_row_words(r) for r in j.rows)
+    for j in segments[:_MOST_ROWS]:
+        differences = "; ".join(_row_words(r) for r in j.rows)
         segment = f"{j.segment.flight}, {j.segment.manoeuvre}, {j.segment.time_s[0]:.1f} s"
-        rows.append((j.test.entry, segment, said, Cell(j.answer, _LEVELS[j.answer], small=j.reason)))
-    caption = "Segments by test, the largest difference over its tolerance first: greatest difference / tolerance at that time."
-    if len(judged) > _MOST_ROWS:
-        caption += f" {_MOST_ROWS} of {len(judged)} segments; dossier --json has all."
+        rows.append(
+            (j.test.entry, segment, differences, Cell(j.answer, _LEVELS[j.answer], small=j.reason))
+        )
+    caption = (
+        "Segments by test, the largest difference over its tolerance first: greatest difference /"
+        " tolerance at that time."
+    )
+    if len(segments) > _MOST_ROWS:
+        caption += f" {_MOST_ROWS} of {len(segments)} segments; dossier --json has all."
     return [Table(caption, ("Test", "Segment", "Greatest difference", "Answer"), tuple(rows))]
 
 
-def _worst(judged: SegmentResult) -> float:
-    known = [r.ratio for r in judged.rows if math.isfinite(r.ratio)]
-    return max(known, default=math.inf)
+def _worst(result: SegmentResult) -> float:
+    """Return the largest ratio of difference to tolerance; infinite if none is finite."""
+    ratios = [r.ratio for r in result.rows if math.isfinite(r.ratio)]
+    return max(ratios, default=math.inf)
 
 
 def _row_words(row: Row) -> str:
+    """Return one compared quantity as text."""
     quantity, unit, factor = shown_channel(row.quantity)
     unit = "" if unit == "-" else f" {unit}"
+    # Oscillation periods and dampings are compared as two numbers.
     if math.isfinite(row.measured):
-        values = f"measured {shown(factor * row.measured)}, model {shown(factor * row.model)}"
-        return f"{quantity} {values}, tolerance {shown(factor * row.band)}{unit}: {row.answer}"
+        values = (
+            f"measured {format_value(factor * row.measured)}, model"
+            f" {format_value(factor * row.model)}"
+        )
+        return (
+            f"{quantity} {values}, tolerance {format_value(factor * row.band)}{unit}: {row.answer}"
+        )
     share = "" if row.share == 1.0 else f", {100.0 * row.share:.1f} % inside"
-    return f"{quantity} {shown(factor * abs(row.worst))} / {shown(factor * row.band)}{unit}{share}"
+    return (
+        f"{quantity} {format_value(factor * abs(row.worst))} /"
+        f" {format_value(factor * row.band)}{unit}{share}"
+    )
 
 
-def _figures(source: Compared) -> tuple[Figure, ...]:
+def _figures(source: LogComparison) -> tuple[Figure, ...]:
+    """Draw the worst segment of each test."""
     out = []
     for test in TESTS:
-        found = source.match.of(test.entry)
-        if not found:
+        results = source.match.of(test.entry)
+        if not results:
             continue
-        worst = max(found, key=_worst)
+        # Draw the segment with the largest difference over tolerance.
+        worst = max(results, key=_worst)
         bands: list[tuple[str, Tolerance | None]] = [(b.channel, b) for b in test.bands]
         if test.oscillation is not None:
             bands = [(test.oscillation.channel, None)]
@@ -205,21 +285,41 @@ def _figures(source: Compared) -> tuple[Figure, ...]:
                 channel in worst.segment.columns
                 and f"{channel}{source.suffix}" in worst.segment.columns
             ):
-                out += _drawn(worst, channel, band, source.suffix, len(found))
+                out += _test_figures(worst, channel, band, source.suffix, len(results))
     return tuple(out)
 
 
-def _drawn(
-    judged: SegmentResult, channel: str, band: Tolerance | None, suffix: str, of: int
+def _test_figures(
+    result: SegmentResult, channel: str, band: Tolerance | None, suffix: str, segment_count: int
 ) -> list[Figure]:
-    """Measured and model with the tolerance; beside it their difference, on which the tolerance is large enough to be seen."""
-    segment = judged.segment
+    """Draw measurement and model with the tolerance, and their difference on a scale of its own.
+
+    Parameters
+    ----------
+    result : Judged
+        Segment with the largest difference.
+    channel : str
+        Channel to draw.
+    band : Tolerance or None
+        Tolerance; None for tests of an oscillation.
+    suffix : str
+        Ending of the model's columns.
+    segment_count : int
+        Number of segments of the test.
+    """
+    segment = result.segment
     quantity, unit, factor = shown_channel(channel)
     measured, model = (factor * segment.columns[c] for c in (channel, f"{channel}{suffix}"))
-    name = f"match-{judged.test.entry.replace('.', '-')}-{channel}"
-    label = f"{judged.test.entry} {judged.test.title}: {quantity} [{unit}] against time, measured and model, {segment.title}."
-    which = f"the worst of {of} segments" if of > 1 else "the only segment"
-    caption = f"{judged.test.entry}, {quantity}: {segment.manoeuvre}, {which}"
+    name = f"match-{result.test.entry.replace('.', '-')}-{channel}"
+    label = (
+        f"{result.test.entry} {result.test.title}: {quantity} [{unit}] against time, measured and"
+        f" model, {segment.title}."
+    )
+    selection = (
+        f"the worst of {segment_count} segments" if segment_count > 1 else "the only segment"
+    )
+    caption = f"{result.test.entry}, {quantity}: {segment.manoeuvre}, {selection}"
+    # Without a tolerance band both curves share one chart.
     if band is None:
         return [
             _chart(
@@ -232,26 +332,27 @@ def _drawn(
                 caption,
             )
         ]
+    # The tolerance around the measurement, possibly relative to its size.
     half = factor * limits(band, segment.columns[channel])
-    row = next((r for r in judged.rows if r.quantity == channel), None)
+    row = next((r for r in result.rows if r.quantity == channel), None)
     share = (
         "" if row is None else f"; {100.0 * row.share:.1f} % of the samples within the tolerance"
     )
-    both: list[tuple[str, FloatArray]] = [("dot", measured), ("first", model)]
+    series: list[tuple[str, FloatArray]] = [("dot", measured), ("first", model)]
     gap = f"{quantity} measured minus model [{unit}]"
     return [
         _chart(
             name,
             label,
             segment,
-            both,
+            series,
             (measured - half, measured + half),
             axis_label(channel),
             caption,
         ),
         _chart(
             f"{name}-gap",
-            f"{judged.test.entry}: {gap}, {segment.title}.",
+            f"{result.test.entry}: {gap}, {segment.title}.",
             segment,
             [("dot", measured - model)],
             (-half, half),
@@ -270,13 +371,14 @@ def _chart(
     axis: str,
     caption: str,
 ) -> Figure:
+    """Draw series of a segment with an optional band."""
     t = segment.time_s
-    seen = [*(y for _, y in series), *(band or ())]
+    curves = [*(y for _, y in series), *(band or ())]
     chart = Chart(
         name,
         label,
         Scale("time of the log [s]", float(t[0]), float(t[-1])),
-        scale(axis, seen),
+        scale(axis, curves),
         height=160,
     )
     if band is not None:
@@ -288,7 +390,7 @@ def _chart(
         else:
             chart.line(t, y, kind)
     if band is not None and len(series) == 1:
-        # Few samples are drawn, but none that lies outside is left out.
+        # The line of dots is thinned, but samples outside the band are all drawn.
         out = (series[0][1] < band[0]) | (series[0][1] > band[1])
         chart.dots(t[out], series[0][1][out], "dotout", radius=1.6)
     return Figure(name, chart.svg(), caption)
@@ -322,47 +424,66 @@ _TITLES = (
 
 @dataclass(frozen=True)
 class Dossier:
-    """The page, the proof of match that it holds (None: the folder has no time histories), and what is missing."""
+    """Hold the page, the proof of match (None without time histories) and what is missing."""
 
     page: Page
-    source: Compared | None
+    source: LogComparison | None
     missing: tuple[str, ...]
 
 
-def dossier_of(found: Evidence) -> Dossier:
-    """The dossier of a folder's evidence; same folder, same bytes."""
-    source = compared(found)
+def dossier_of(evidence: Evidence) -> Dossier:
+    """Return the dossier of a folder's evidence; the same folder gives the same bytes.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Steps, documents and source files of the folder. Errors met while the sections are built are
+        added to its list of missing items.
+
+    Returns
+    -------
+    Dossier
+        Page, proof of match, and what is missing.
+    """
+    source = compare_with_log(evidence)
     match = Match((), {}) if source is None else source.match
-    campaigns = _campaigns(found)
+    campaigns = _campaigns(evidence)
+    # Build all sections, then the list of what is missing.
     numbered = [f"{k}. {title}" for k, title in enumerate(_TITLES, start=1)]
     histories = {
-        s.place: found.histories(s)
+        s.place: evidence.histories(s)
         for kind in ("identify", "refine", "compare")
-        for s in found.of(kind)
+        for s in evidence.of(kind)
     }
     sections = [
-        _provenance(numbered[0], found),
+        _provenance(numbered[0], evidence),
         match_section(numbered[1], source),
-        _credibility(numbered[2], found, match),
-        _said(numbered[3], found, campaigns, source),
-        _envelope(numbered[4], found, histories, campaigns),
-        _not_done(numbered[5], found, source),
-        _sources(numbered[6], found),
+        _credibility(numbered[2], evidence, match),
+        _statement_section(numbered[3], evidence, campaigns, source),
+        _envelope(numbered[4], evidence, histories, campaigns),
+        _not_done(numbered[5], evidence, source),
+        _sources(numbered[6], evidence),
     ]
-    # Last, for what is missing is met on the way.
-    missing = tuple(found.missing)
+    # Last, because building the sections reveals what is missing.
+    missing = tuple(evidence.missing)
     front = [Section("Contents", (Bullets(tuple(numbered)),))]
     if missing:
         front.append(Section("Missing or damaged", (Bullets(missing, key=True),)))
-    title = f"Dossier: {_name(found)}"
-    asked = "What was flown, what does the model rest on, how near is it to the measured flight, and what is not known?"
+    title = f"Dossier: {_name(evidence)}"
+    question = (
+        "What was flown, what does the model rest on, how near is it to the measured flight, and"
+        " what is not known?"
+    )
     return Dossier(
-        Page(title, asked, _verdict(match, missing, found), (*front, *sections)), source, missing
+        Page(title, question, _verdict(match, missing, evidence), (*front, *sections)),
+        source,
+        missing,
     )
 
 
-def _name(found: Evidence) -> str:
-    for step in reversed(found.steps):
+def _name(evidence: Evidence) -> str:
+    """Return the name of aircraft or study."""
+    for step in reversed(evidence.steps):
         document = step.document or {}
         if step.kind == "campaign" and step.document is not None:
             return Path(document["campaign"]["campaign"]["aircraft"]).name
@@ -371,23 +492,28 @@ def _name(found: Evidence) -> str:
     return "results"
 
 
-def _verdict(match: Match, missing: Sequence[str], found: Evidence) -> tuple[Say, ...]:
-    said = [
-        Say(
-            "This dossier lays out evidence. It claims no compliance with any regulation or standard."
+def _verdict(match: Match, missing: Sequence[str], evidence: Evidence) -> tuple[Sentence, ...]:
+    """Return the verdict: missing files, simulated flights, and tests passed, failed or absent."""
+    sentences = [
+        Sentence(
+            "This dossier lays out evidence. It claims no compliance with any regulation or"
+            " standard."
         )
     ]
     if missing:
-        said.append(
-            Say(f"The folder is incomplete or damaged: {len(missing)} points, listed below.", "bad")
+        sentences.append(
+            Sentence(
+                f"The folder is incomplete or damaged: {len(missing)} points, listed below.", "bad"
+            )
         )
-    for aircraft in simulating_models(found):
-        said.append(
-            Say(
+    for aircraft in simulating_models(evidence):
+        sentences.append(
+            Sentence(
                 f"The flights are simulated, by the model {aircraft}. No real aircraft was flown.",
                 "warn",
             )
         )
+    # Answer of each test: fail before inconclusive before pass.
     tests: dict[str, str] = {}
     for test in TESTS:
         answers = [j.answer for j in match.of(test.entry)]
@@ -397,61 +523,72 @@ def _verdict(match: Match, missing: Sequence[str], found: Evidence) -> tuple[Say
         for a in (PASS, FAIL, INCONCLUSIVE, "")
     }
     if match.results:
-        said.append(
-            Say(
+        sentences.append(
+            Sentence(
                 f"Within tolerance in every segment: {_list(counts[PASS])}.",
                 "good" if counts[PASS] else "",
             )
         )
         if counts[FAIL]:
-            said.append(Say(f"Outside tolerance: {_list(counts[FAIL])}.", "bad"))
+            sentences.append(Sentence(f"Outside tolerance: {_list(counts[FAIL])}.", "bad"))
         if counts[INCONCLUSIVE]:
-            said.append(Say(f"Inconclusive: {_list(counts[INCONCLUSIVE])}.", "warn"))
-    said.append(
-        Say(
+            sentences.append(Sentence(f"Inconclusive: {_list(counts[INCONCLUSIVE])}.", "warn"))
+    sentences.append(
+        Sentence(
             f"Not in the data: {_list(counts[''])}, of {len(TESTS)} tests that flights may contain."
         )
     )
-    return tuple(said)
+    return tuple(sentences)
 
 
 def _list(names: Sequence[str]) -> str:
+    """Join names; "none" for an empty list."""
     return ", ".join(names) if names else "none"
 
 
-def _provenance(title: str, found: Evidence) -> Section:
+def _provenance(title: str, evidence: Evidence) -> Section:
+    """Return the steps and the models they wrote or used."""
     rows = []
-    for number, step in enumerate(found.steps, start=1):
+    # One row per step with the model that it wrote or used.
+    for number, step in enumerate(evidence.steps, start=1):
         model = _model(step)
         digest = Cell(model[:16], code=True) if model else Cell("")
         where = "this folder" if step.place == "." else step.place
         rows.append((f"S{number}", step.kind, where, _outcome(step), digest))
     text = (
-        "Steps in the order in which they were made, each with the model that it wrote or used (the first 16 digits of the SHA-256 "
-        "over its files). Commands and versions stand with the sources."
+        "Steps in the order in which they were made, each with the model that it wrote or used (the"
+        " first 16 digits of the SHA-256 over its files). Commands and versions stand with the"
+        " sources."
     )
     blocks: list[Block] = [
         Words(text, note=True),
         Table("Steps.", ("Step", "Command", "Folder", "What it found", "Model"), tuple(rows)),
     ]
-    for step in found.of("refine"):
+    for step in evidence.of("refine"):
         blocks += _effects(step)
-    return Section(title, (*blocks, *_parameters(found)))
+    return Section(title, (*blocks, *_parameters(evidence)))
 
 
-def _parameters(found: Evidence) -> list[Block]:
-    """Each parameter at the beginning and after every step that estimated it."""
-    fits = [s for s in found.steps if s.kind in ("identify", "refine") and s.document is not None]
+def _parameters(evidence: Evidence) -> list[Block]:
+    """Return each parameter at the beginning and after every step that estimated it."""
+    fits = [
+        s for s in evidence.steps if s.kind in ("identify", "refine") and s.document is not None
+    ]
     tables: list[Mapping[str, Any]] = [(s.document or {}).get("parameters", {}) for s in fits]
     names = list(dict.fromkeys(n for table in tables for n in table))
     if not names:
         return []
+    # Initial values are those of the first identification.
     initial = next((t for s, t in zip(fits, tables, strict=True) if s.kind == "identify"), {})
     rows: list[tuple[str | Cell, ...]] = []
     for name in names[:_MOST_PARAMETERS]:
         values = [_estimate(table.get(name)) for table in tables]
         rows.append(
-            (Cell(name, code=True), shown(initial.get(name, {}).get("initial"), ".5g"), *values)
+            (
+                Cell(name, code=True),
+                format_value(initial.get(name, {}).get("initial"), ".5g"),
+                *values,
+            )
         )
     head = ("Parameter", "Initial", *(s.place if s.place != "." else s.kind for s in fits))
     caption = "Parameters from step to step: estimate and standard error."
@@ -461,14 +598,16 @@ def _parameters(found: Evidence) -> list[Block]:
 
 
 def _estimate(row: Mapping[str, Any] | None) -> str:
+    """Format an estimate with its standard error."""
     if row is None:
         return "not estimated"
     if row.get("status", "identified") != "identified":
         return "not identified"
-    return f"{shown(row.get('value'), '.5g')} ± {shown(row.get('std'), '.2g')}"
+    return f"{format_value(row.get('value'), '.5g')} ± {format_value(row.get('std'), '.2g')}"
 
 
 def _model(step: Step) -> str:
+    """Return the hash of the model that a step wrote or used; empty if there is none."""
     document = step.document or {}
     if step.kind in ("bounds", "campaign"):
         return str(
@@ -477,8 +616,9 @@ def _model(step: Step) -> str:
     if step.kind not in ("identify", "refine"):
         return ""
     try:
-        # identify writes its aircraft there, refine one folder further down.
+        # identify writes the aircraft there, refine one folder further down.
         home = step.folder / "aircraft"
+        # The aircraft folder itself, or the one below it.
         places = [home, *(p for p in sorted(home.glob("*")) if p.is_dir())]
         return next(
             (
@@ -493,18 +633,25 @@ def _model(step: Step) -> str:
 
 
 def _outcome(step: Step) -> str:
+    """Return the outcome of a step as text."""
     document = step.document
     if document is None:
         return "cannot be read"
     if step.kind == "identify":
         rows = document["parameters"].values()
-        sure = sum(r["status"] == "identified" for r in rows)
+        identified = sum(r["status"] == "identified" for r in rows)
         converged = "converged" if document.get("converged") else "did not converge"
-        return f"{sure} of {len(rows)} parameters of {document['aircraft']} from {_list(document['flights'])}; {converged}"
+        return (
+            f"{identified} of {len(rows)} parameters of {document['aircraft']} from"
+            f" {_list(document['flights'])}; {converged}"
+        )
     if step.kind == "refine":
-        named = "; ".join(e["name"] for e in document["effects"])
-        flights = f"chosen on {_list(document.get('train', ()))}, shown on {_list(document.get('test', ()))}"
-        return f"{document['verdict']}: {named or 'no effect'}; {flights}"
+        effect_names = "; ".join(e["name"] for e in document["effects"])
+        flights = (
+            f"chosen on {_list(document.get('train', ()))}, shown on"
+            f" {_list(document.get('test', ()))}"
+        )
+        return f"{document['verdict']}: {effect_names or 'no effect'}; {flights}"
     if step.kind == "compare":
         return f"{document['aircraft']} beside {document['flight']}"
     if step.kind == "bounds":
@@ -513,21 +660,28 @@ def _outcome(step: Step) -> str:
         verdicts = document.get("verdicts") or {}
         return "; ".join(f"{c} {v}" for c, v in verdicts.items()) or "coverage of the intervals"
     if step.kind == "campaign":
-        return f"{document.get('cases', '?')} flights of {Path(document['campaign']['campaign']['aircraft']).as_posix()}"
+        return (
+            f"{document.get('cases', '?')} flights of"
+            f" {Path(document['campaign']['campaign']['aircraft']).as_posix()}"
+        )
     return f"study {document['study']}: {document.get('state', 'running')}"
 
 
 def _effects(step: Step) -> list[Block]:
+    """Return the table of effects that a refinement added or withdrew."""
     document = step.document or {}
     rows = []
-    for kept, effects in (
+    for decision, effects in (
         ("kept", document["effects"]),
         ("withdrawn", document.get("withdrawn", ())),
     ):
         for e in effects:
             t = e.get("evidence", {}).get("t")
             unit = "" if e.get("unit") in (None, "1", "-") else f" {e['unit']}"
-            value = f"{shown(e.get('value'), '.4g')} ± {shown(e.get('std'), '.2g')}{unit}"
+            value = (
+                f"{format_value(e.get('value'), '.4g')} ± {format_value(e.get('std'), '.2g')}{unit}"
+            )
+            # Alternatives that the flights cannot separate from the effect.
             alike = [
                 a["name"].removesuffix(" off")
                 for a in e.get("alternatives", ())
@@ -537,7 +691,14 @@ def _effects(step: Step) -> list[Block]:
             name = Cell(e["name"], small=f"confounded with {'; '.join(alike)}" if alike else "")
             where = Cell(str(e.get("property") or e.get("subsystem", "")), code=True)
             rows.append(
-                (name, where, value, shown(None if t is None else abs(t), ".1f"), tested, kept)
+                (
+                    name,
+                    where,
+                    value,
+                    format_value(None if t is None else abs(t), ".1f"),
+                    tested,
+                    decision,
+                )
             )
     if not rows:
         return [Words(f"{step.place}: no effect was added to the model.")]
@@ -560,21 +721,24 @@ def _effects(step: Step) -> list[Block]:
 
 
 def _lines(path: Path) -> int:
+    """Return the number of changed lines of a difference."""
     if not path.is_file():
         return 0
     text = path.read_text(encoding="utf-8", errors="replace").splitlines()
     return sum(line[:1] in "+-" and line[:3] not in ("+++", "---") for line in text if line)
 
 
-def _credibility(title: str, found: Evidence, match: Match) -> Section:
+def _credibility(title: str, evidence: Evidence, match: Match) -> Section:
+    """Return the evidence by credibility factor."""
     text = (
-        f"Factors of credibility after {STANDARD}, with the evidence that this folder holds. No level is given: that is for those "
-        "who decide with the model's results. The names of the factors are to be checked against the edition that applies."
+        f"Factors of credibility after {STANDARD}, with the evidence that this folder holds. No"
+        " level is given: that is for those who decide with the model's results. The names of the"
+        " factors are to be checked against the edition that applies."
     )
     rows = []
-    for factor in factors(found, match):
-        evidence = "; ".join(factor.evidence)
-        rows.append((factor.name, factor.about, evidence or Cell(NOT_ASSESSED, "warn")))
+    for factor in factors(evidence, match):
+        evidence_text = "; ".join(factor.evidence)
+        rows.append((factor.name, factor.about, evidence_text or Cell(NOT_ASSESSED, "warn")))
     return Section(
         title,
         (
@@ -584,43 +748,45 @@ def _credibility(title: str, found: Evidence, match: Match) -> Section:
     )
 
 
-def _campaigns(found: Evidence) -> list[tuple[Step, CampaignFound]]:
-    """The complete campaigns that can be read."""
+def _campaigns(evidence: Evidence) -> list[tuple[Step, CampaignReport]]:
+    """Return the complete campaigns that can be read; errors are added to the evidence."""
     out = []
-    for step in found.of("campaign"):
+    for step in evidence.of("campaign"):
         try:
-            out.append((step, read_found(step.folder)))
+            out.append((step, read_campaign_report(step.folder)))
         except BadInputError as error:
-            found.add_error(error)
+            evidence.add_error(error)
     return out
 
 
 def _statements(
-    found: Evidence, campaigns: Sequence[tuple[Step, CampaignFound]]
-) -> list[tuple[str, tuple[Say, ...]]]:
-    """Sentences that the results allow, by where they stand: a study's own where it has drawn them, else each campaign's."""
-    said: list[tuple[str, tuple[Say, ...]]] = []
-    for study in found.of("study"):
-        drawn = tuple(
-            Say(v["text"], v["level"] if v.get("level") in ("good", "warn", "bad") else "")
+    evidence: Evidence, campaigns: Sequence[tuple[Step, CampaignReport]]
+) -> list[tuple[str, tuple[Sentence, ...]]]:
+    """Return the conclusions of the study, or else the verdicts of the campaigns, by place."""
+    statements: list[tuple[str, tuple[Sentence, ...]]] = []
+    for study in evidence.of("study"):
+        conclusions = tuple(
+            Sentence(v["text"], v["level"] if v.get("level") in ("good", "warn", "bad") else "")
             for v in _verdict_of(study)
         )
-        said += [("study", drawn)] if drawn else []
-    return said or [(step.place, campaign.verdict) for step, campaign in campaigns]
+        statements += [("study", conclusions)] if conclusions else []
+    return statements or [(step.place, campaign.verdict) for step, campaign in campaigns]
 
 
 def _verdict_of(study: Step) -> Sequence[Mapping[str, Any]]:
+    """Return the verdict of a study."""
     return (study.document or {}).get("verdict") or ()
 
 
-def _said(
+def _statement_section(
     title: str,
-    found: Evidence,
-    campaigns: Sequence[tuple[Step, CampaignFound]],
-    source: Compared | None,
+    evidence: Evidence,
+    campaigns: Sequence[tuple[Step, CampaignReport]],
+    source: LogComparison | None,
 ) -> Section:
+    """Return the statements and their assumptions."""
     blocks: list[Block] = []
-    statements = _statements(found, campaigns)
+    statements = _statements(evidence, campaigns)
     for where, sentences in statements:
         head = (
             "The study's own sentences:"
@@ -629,7 +795,7 @@ def _said(
             if where != "."
             else "The campaign:"
         )
-        blocks += [Words(head), Told(sentences[:_MOST_SENTENCES])]
+        blocks += [Words(head), Sentences(sentences[:_MOST_SENTENCES])]
         if len(sentences) > _MOST_SENTENCES:
             blocks.append(
                 Words(
@@ -643,44 +809,50 @@ def _said(
         )
     blocks += [
         Words("They hold under these assumptions:"),
-        Bullets(tuple(_assumptions(found, source))),
+        Bullets(tuple(_assumptions(evidence, source))),
     ]
     return Section(title, tuple(blocks))
 
 
-def _assumptions(found: Evidence, source: Compared | None) -> list[str]:
-    said = [
+def _assumptions(evidence: Evidence, source: LogComparison | None) -> list[str]:
+    """Return the assumptions on which the statements rest."""
+    lines = [
         "The aircraft is as it was in the flights: mass, centre of gravity, configuration, servos."
     ]
     if source is not None:
-        said.append(
-            "Sensors are where the aircraft's card puts them, and their noise is white with the standard deviations estimated."
+        lines.append(
+            "Sensors are where the aircraft's card puts them, and their noise is white with the"
+            " standard deviations estimated."
         )
-    if found.of("bounds"):
-        said.append(
-            "Outside the flight states of the flights that they were made from, intervals of the model's error are extrapolated."
+    if evidence.of("bounds"):
+        lines.append(
+            "Outside the flight states of the flights that they were made from, intervals of the"
+            " model's error are extrapolated."
         )
-    for step in found.of("campaign"):
+    for step in evidence.of("campaign"):
+        # Turbulence model, flight length and uncertainty of each campaign.
         campaign = (step.document or {})["campaign"]
         air, unknown = campaign["aleatory"], campaign["epistemic"]
-        said.append(
-            f"{step.place if step.place != '.' else 'Campaign'}: Dryden turbulence ({air['turbulence_source']}), steady wind; "
-            f"flights of {air['duration_s']:g} s; the model's error lies within its bounds ({unknown['method']})."
+        lines.append(
+            f"{step.place if step.place != '.' else 'Campaign'}: Dryden turbulence"
+            f" ({air['turbulence_source']}), steady wind; flights of {air['duration_s']:g} s; the"
+            f" model's error lies within its bounds ({unknown['method']})."
         )
-    return said
+    return lines
 
 
 def _envelope(
     title: str,
-    found: Evidence,
+    evidence: Evidence,
     histories: Mapping[str, Sequence[History]],
-    campaigns: Sequence[tuple[Step, CampaignFound]],
+    campaigns: Sequence[tuple[Step, CampaignReport]],
 ) -> Section:
+    """Return the range of flight states that flights cover."""
     shares = _extrapolated(campaigns)
     columns = [
         (s, histories.get(s.place, ()))
         for kind in ("identify", "refine", "compare")
-        for s in found.of(kind)
+        for s in evidence.of(kind)
     ]
     columns = [(s, h) for s, h in columns if h]
     if not columns:
@@ -695,6 +867,7 @@ def _envelope(
         )
     rows = []
     for name in (*_STATES, *_CONTROLS):
+        # Range of each state in the segments of each step.
         cells = [_range(name, segments) for _, segments in columns]
         if any(cells):
             quantity, unit, _ = shown_channel(name)
@@ -708,19 +881,23 @@ def _envelope(
         "Quantity",
         *(f"{s.place if s.place != '.' else s.kind}: {flights[s.kind]}" for s, _ in columns),
     )
-    text = "Smallest and largest measured values of the segments. Outside them no flight supports the model."
+    text = (
+        "Smallest and largest measured values of the segments. Outside them no flight supports the"
+        " model."
+    )
     return Section(
         title,
         (Words(text, note=True), Table("Envelope box of the flights.", head, tuple(rows)), *shares),
     )
 
 
-def _extrapolated(campaigns: Sequence[tuple[Step, CampaignFound]]) -> list[Block]:
-    """How much of each campaign's time was flown outside the states of its bounds."""
+def _extrapolated(campaigns: Sequence[tuple[Step, CampaignReport]]) -> list[Block]:
+    """Return the share of each campaign's time outside the flight states of its bounds."""
     rows: dict[tuple[str, str], str] = {}
     for step, campaign in campaigns:
         for statement in campaign.signed:
             where = step.place if step.place != "." else step.kind
+            # Constant bounds have no envelope, so nothing is recorded.
             share = statement.extrapolated_share
             words = (
                 "not recorded: its bounds are constants or have no envelope"
@@ -736,24 +913,27 @@ def _extrapolated(campaigns: Sequence[tuple[Step, CampaignFound]]) -> list[Block
 
 
 def _range(name: str, segments: Sequence[History]) -> str:
+    """Format the range of a channel over segments; empty if it is not recorded."""
     factor = shown_channel(name)[2]
     values = [s.columns[name][np.isfinite(s.columns[name])] for s in segments if name in s.columns]
-    known = np.concatenate(values) if values else np.empty(0)
-    return f"{factor * known.min():.3g} to {factor * known.max():.3g}" if known.size else ""
+    finite = np.concatenate(values) if values else np.empty(0)
+    return f"{factor * finite.min():.3g} to {factor * finite.max():.3g}" if finite.size else ""
 
 
-def _not_done(title: str, found: Evidence, source: Compared | None) -> Section:
-    said = [
+def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> Section:
+    """Return the list of tests, steps and assessments that are missing."""
+    lines = [
         f"{t.entry} {t.title}: {source.match.missing[t.entry]}."
         for t in TESTS
         if source and t.entry in source.match.missing
     ]
     if source is None:
-        said.append(
+        lines.append(
             "No test of the proof of match: the folder has no time histories of log and model."
         )
-    said.append(
-        f"Tests of {REGULATION} on the ground, at take-off and landing, of engines, control forces and failures."
+    lines.append(
+        f"Tests of {REGULATION} on the ground, at take-off and landing, of engines, control forces"
+        " and failures."
     )
     for kind, words in (
         ("identify", "identification"),
@@ -762,49 +942,55 @@ def _not_done(title: str, found: Evidence, source: Compared | None) -> Section:
         ("validate-bounds", "validation of bounds on a new flight"),
         ("campaign", "campaign"),
     ):
-        if not found.of(kind):
-            said.append(f"No {words} is in this folder.")
-    for step in found.of("identify"):
-        lost = [
+        if not evidence.of(kind):
+            lines.append(f"No {words} is in this folder.")
+    for step in evidence.of("identify"):
+        unidentified = [
             n for n, r in (step.document or {})["parameters"].items() if r["status"] != "identified"
         ]
-        said += (
-            [f"Not identified, left at their initial values: {', '.join(lost)}."] if lost else []
+        lines += (
+            [f"Not identified, left at their initial values: {', '.join(unidentified)}."]
+            if unidentified
+            else []
         )
-    for step in found.of("refine"):
+    for step in evidence.of("refine"):
         if (step.document or {})["remaining"].get("unexplained"):
-            said.append(f"{step.place}: something is left that no effect explains.")
-    said += [
+            lines.append(f"{step.place}: something is left that no effect explains.")
+    lines += [
         f"{f.name}: {NOT_ASSESSED}."
-        for f in factors(found, Match((), {}) if source is None else source.match)
+        for f in factors(evidence, Match((), {}) if source is None else source.match)
         if not f.evidence
     ]
-    if simulating_models(found):
-        said.append("No flight of a real aircraft.")
-    return Section(title, (Bullets(tuple(said)),))
+    if simulating_models(evidence):
+        lines.append("No flight of a real aircraft.")
+    return Section(title, (Bullets(tuple(lines)),))
 
 
-def _sources(title: str, found: Evidence) -> Section:
+def _sources(title: str, evidence: Evidence) -> Section:
+    """Return commands and source files with hashes."""
     commands = tuple(
         (f"S{k}", Cell(s.command or "not recorded", code=True), s.version or "not recorded")
-        for k, s in enumerate(found.steps, start=1)
+        for k, s in enumerate(evidence.steps, start=1)
     )
     rows = tuple(
         (
             Cell(s.file, code=True),
             Cell(s.sha256, code=True),
-            _step_of(found, s.file),
+            _step_of(evidence, s.file),
             s.version or "not recorded",
         )
-        for s in found.sources[:_MOST_SOURCES]
+        for s in evidence.sources[:_MOST_SOURCES]
     )
-    caption = f"Files with their SHA-256. {len(found.sources)} files"
+    caption = f"Files with their SHA-256. {len(evidence.sources)} files"
     caption += (
         "."
-        if len(found.sources) <= _MOST_SOURCES
+        if len(evidence.sources) <= _MOST_SOURCES
         else f", the first {_MOST_SOURCES} of which are listed; dossier --json has all."
     )
-    text = f"Written by uqharness {__version__} from the files below and nothing else; nothing was flown or fitted for it."
+    text = (
+        f"Written by uqharness {__version__} from the files below and nothing else; nothing was"
+        " flown or fitted for it."
+    )
     blocks = (
         Words(text, note=True),
         Table("Commands.", ("Step", "Command", "Version of uqharness"), commands),
@@ -813,10 +999,11 @@ def _sources(title: str, found: Evidence) -> Section:
     return Section(title, blocks)
 
 
-def _step_of(found: Evidence, file: str) -> str:
-    """The step in whose folder a file lies, the deepest first."""
+def _step_of(evidence: Evidence, file: str) -> str:
+    """Return the step in whose folder a file lies, the deepest first."""
     best, name = -1, ""
-    for number, step in enumerate(found.steps, start=1):
+    for number, step in enumerate(evidence.steps, start=1):
+        # A deeper folder is more specific.
         depth = 0 if step.place == "." else len(Path(step.place).parts)
         if depth > best and (depth == 0 or Path(file).is_relative_to(step.place)):
             best, name = depth, f"S{number}"

@@ -1,4 +1,4 @@
-"""The page of one recorded flight: ground track, every channel over time, manoeuvres shaded."""
+"""Build the page of a recorded flight: ground track, every channel over time, manoeuvres."""
 
 from __future__ import annotations
 
@@ -11,27 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.report.channels import Shade, channel_sections, named_stretches, shown_signal
-from uqharness.report.ground_track import Circle, flown_track
+from uqharness.report.ground_track import Circle, flight_track
 from uqharness.report.parts import (
     Figures,
     Level,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     provenance,
-    shown,
 )
 
 Columns = Mapping[str, NDArray[Any]]
-MOST_LISTED = 60
-"""Manoeuvres in the table; all are shaded."""
+MAX_LISTED = 60
+"""Number of manoeuvres in the table; all are shaded."""
 
 
 @dataclass(frozen=True)
-class FlightAsked:
-    """What was flown: aircraft, script or mission, conditions in words, the record's file, the command that flies it again."""
+class FlightRequest:
+    """Describe a flight: aircraft, script, conditions, record file, and the command that repeats
+    it.
+    """
 
     aircraft: str
     script: str
@@ -40,15 +42,26 @@ class FlightAsked:
     command: str
 
 
-def flight_page(asked: FlightAsked, columns: Columns, status: str, reason: str) -> Page:
-    """The page of a record, name -> (n,) with ``time_s``; ``status`` ok or what ended the flight, for which ``reason``."""
+def flight_page(request: FlightRequest, columns: Columns, status: str, reason: str) -> Page:
+    """Return the page of a record.
+
+    Parameters
+    ----------
+    request : FlightRequest
+        What was flown.
+    columns : mapping of str to array
+        Channels (n,) by name, ``time_s`` included.
+    status, reason : str
+        ok, or what ended the flight and why.
+    """
     time_s = np.asarray(columns["time_s"], dtype=float)
     length = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
+    # Manoeuvres of the record; a single one over the whole flight is not worth shading.
     names = (
         named_stretches(time_s, np.asarray(columns["manoeuvre"])) if "manoeuvre" in columns else []
     )
-    whole = len(names) == 1 and names[0][1] - names[0][0] >= 0.99 * length
-    stretches = [] if whole else names
+    is_single = len(names) == 1 and names[0][1] - names[0][0] >= 0.99 * length
+    stretches = [] if is_single else names
     shades = manoeuvre_shades(stretches)
     legend = (("fill1", "manoeuvre"),) if shades else ()
     sections = [
@@ -57,51 +70,65 @@ def flight_page(asked: FlightAsked, columns: Columns, status: str, reason: str) 
         *manoeuvre_section(stretches),
     ]
     sections.append(_ranges(columns))
-    question = f"How did {asked.aircraft} fly {asked.script}? {asked.conditions}"
-    facts = provenance(("Command", asked.command), ("Record", asked.record))
+    question = f"How did {request.aircraft} fly {request.script}? {request.conditions}"
+    facts = provenance(("Command", request.command), ("Record", request.record))
     return Page(
-        f"Flight of {asked.aircraft}: {asked.script}",
+        f"Flight of {request.aircraft}: {request.script}",
         question,
         _verdict(length, columns, status, reason),
         (*sections, facts),
     )
 
 
-def _verdict(length: float, columns: Columns, status: str, reason: str) -> tuple[Say, ...]:
+def _verdict(length: float, columns: Columns, status: str, reason: str) -> tuple[Sentence, ...]:
+    """Return how the flight ended and its distance from the commanded path."""
     level: Level = "good" if status == "ok" else "bad"
     end = (
         "The flight ended as planned"
         if status == "ok"
         else f"The flight ended early, {status}: {reason}"
     )
-    said = [Say(f"{end}; {length:.1f} s, {len(columns['time_s'])} rows.", level)]
+    sentences = [Sentence(f"{end}; {length:.1f} s, {len(columns['time_s'])} rows.", level)]
     if "cross_track_m" in columns:
+        # Median and largest distance from the commanded path, if it was recorded.
         error = np.abs(np.asarray(columns["cross_track_m"], dtype=float))
         if np.isfinite(error).any():
-            said.append(
-                Say(
-                    f"Distance from the commanded path: median {np.nanmedian(error):.3g} m, largest {np.nanmax(error):.3g} m."
+            sentences.append(
+                Sentence(
+                    f"Distance from the commanded path: median {np.nanmedian(error):.3g} m, largest"
+                    f" {np.nanmax(error):.3g} m."
                 )
             )
-    return tuple(said)
+    return tuple(sentences)
 
 
 def manoeuvre_shades(stretches: Sequence[tuple[float, float, str]]) -> list[Shade]:
-    """Shading of manoeuvres, numbered as in `manoeuvre_section`."""
+    """Return shades of manoeuvres, numbered as in `manoeuvre_section`."""
     return [
         Shade(start, end, "fill1", str(k)) for k, (start, end, _) in enumerate(stretches, start=1)
     ]
 
 
 def manoeuvre_section(stretches: Sequence[tuple[float, float, str]]) -> tuple[Section, ...]:
-    """The table of manoeuvres by number; none without any."""
+    """Return the numbered table of manoeuvres.
+
+    Parameters
+    ----------
+    stretches : sequence of (float, float, str)
+        Start and end [s], and name.
+
+    Returns
+    -------
+    tuple of Section
+        Empty without manoeuvres.
+    """
     if not stretches:
         return ()
     rows = tuple(
         (str(k), name, f"{start:.2f}", f"{end:.2f}")
-        for k, (start, end, name) in enumerate(stretches[:MOST_LISTED], start=1)
+        for k, (start, end, name) in enumerate(stretches[:MAX_LISTED], start=1)
     )
-    more = f", the first {MOST_LISTED} of {len(stretches)}" if len(stretches) > MOST_LISTED else ""
+    more = f", the first {MAX_LISTED} of {len(stretches)}" if len(stretches) > MAX_LISTED else ""
     table = Table(
         f"Manoeuvres, by the number above their shading{more}.",
         ("Number", "Manoeuvre", "From [s]", "To [s]"),
@@ -113,23 +140,37 @@ def manoeuvre_section(stretches: Sequence[tuple[float, float, str]]) -> tuple[Se
 def track_section(
     columns: Columns, words: str = "", circles: Sequence[Circle] = ()
 ) -> tuple[Section, ...]:
-    """The ground track, with circles that it was to keep where they are known; none where the position is not recorded."""
-    figure = flown_track("ground-track", columns, words, circles)
+    """Return the ground track; empty without a recorded position.
+
+    Parameters
+    ----------
+    columns : mapping of str to array
+        Channels (n,) by name.
+    words : str
+        Addition to the caption.
+    circles : sequence of Circle
+        Commanded circles, if known.
+    """
+    figure = flight_track("ground-track", columns, words, circles)
     return () if figure is None else (Section("Ground track", (Figures((figure,), file=""),)),)
 
 
 def _ranges(columns: Columns) -> Section:
+    """Return smallest, median and largest value of each channel."""
     rows = []
     for name, values in columns.items():
         if name == "time_s" or np.asarray(values).dtype.kind not in "fiub":
             continue
         quantity, unit, factor = shown_signal(name)
-        known = factor * np.asarray(values, dtype=float)
-        known = known[np.isfinite(known)]
+        # Values in displayed units, without NaN.
+        finite = factor * np.asarray(values, dtype=float)
+        finite = finite[np.isfinite(finite)]
         low, middle, high = (
-            float(f(known)) if known.size else math.nan for f in (np.min, np.median, np.max)
+            float(f(finite)) if finite.size else math.nan for f in (np.min, np.median, np.max)
         )
-        rows.append((name, f"{quantity} [{unit}]", *(shown(v, ".4g") for v in (low, middle, high))))
+        rows.append(
+            (name, f"{quantity} [{unit}]", *(format_value(v, ".4g") for v in (low, middle, high)))
+        )
     if not rows:
         return Section("Ranges", (Words("The record has no channel."),))
     head = ("Column", "Quantity", "Smallest", "Median", "Largest")

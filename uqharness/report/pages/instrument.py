@@ -1,4 +1,6 @@
-"""The page of an instrumented aircraft: the bounds of each delta coefficient over the envelope, and where the deltas act."""
+"""Build the page of an instrumented aircraft: bounds of each delta coefficient, and where deltas
+act.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +21,12 @@ from uqharness.report.parts import (
     Figure,
     Figures,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     provenance,
-    shown,
 )
 from uqharness.report.svg import rows_chart, scale
 
@@ -34,9 +36,20 @@ Constant = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Instrumentation:
-    """What was done: aircraft, (coefficient, axis, place) of each delta, notes, the check (None: not made), the command.
+    """Describe what was done to an aircraft.
 
-    check: whether the result flies as it should, and that in a sentence.
+    Attributes
+    ----------
+    aircraft : str
+        Name.
+    rows : sequence of (str, str, str)
+        Coefficient, axis and place of each delta.
+    notes : tuple of str
+        Remarks.
+    check : tuple of (bool, str) or None
+        Whether the result flies as it should, with a sentence; None if it was not checked.
+    command : str
+        Command line.
     """
 
     aircraft: str
@@ -47,10 +60,21 @@ class Instrumentation:
 
 
 def instrument_page(done: Instrumentation, form: ModelForm | None, constant: Constant) -> Page:
-    """The page of bounds from a model form, or ``constant`` (lower, upper) by coefficient; of neither, where all are zero."""
-    asked = (
-        f"By how much may the coefficients of {done.aircraft} be off in a campaign? Each delta coefficient, dimensionless, in body "
-        "axes, stands between the lower and the upper bound: delta = lower + level (upper − lower), level 0 to 1."
+    """Return the page of an instrumented aircraft.
+
+    Parameters
+    ----------
+    done : Instrumentation
+        What was done.
+    form : ModelForm or None
+        Bounds as functions of the flight state.
+    constant : mapping of str to tuple of float
+        Constant (lower, upper) by coefficient; without bounds at all every delta is 0.
+    """
+    question = (
+        f"By how much may the coefficients of {done.aircraft} be off in a campaign? Each delta"
+        " coefficient, dimensionless, in body axes, stands between the lower and the upper bound:"
+        " delta = lower + level (upper − lower), level 0 to 1."
     )
     sections = [_sizes(form, constant)]
     if form is not None:
@@ -75,18 +99,23 @@ def instrument_page(done: Instrumentation, form: ModelForm | None, constant: Con
         sections.append(Section("Notes", (Bullets(done.notes),)))
     sections.append(provenance(("Command", done.command)))
     return Page(
-        f"Bounds of {done.aircraft}", asked, _verdict(done, form, constant), tuple(sections)
+        f"Bounds of {done.aircraft}", question, _verdict(done, form, constant), tuple(sections)
     )
 
 
-def _verdict(done: Instrumentation, form: ModelForm | None, constant: Constant) -> tuple[Say, ...]:
+def _verdict(
+    done: Instrumentation, form: ModelForm | None, constant: Constant
+) -> tuple[Sentence, ...]:
+    """Return the origin of the bounds, coefficients without uncertainty, and the check."""
     if form is not None:
         flights = ", ".join(f.name for f in form.flights) or "no flight named"
-        said = [
-            Say(
-                f"Bounds of {len(form.coefficients)} coefficients over the flight state, from {flights}."
+        sentences = [
+            Sentence(
+                f"Bounds of {len(form.coefficients)} coefficients over the flight state, from"
+                f" {flights}."
             )
         ]
+        # Coefficients without bounds have no uncertainty.
         zero = [c for c in COEFFICIENTS if c not in form.coefficients]
     else:
         kind = (
@@ -94,30 +123,33 @@ def _verdict(done: Instrumentation, form: ModelForm | None, constant: Constant) 
             if constant
             else "No bounds were given: every delta is 0"
         )
-        said = [Say(f"{kind}.", "" if constant else "warn")]
+        sentences = [Sentence(f"{kind}.", "" if constant else "warn")]
         zero = [c for c in COEFFICIENTS if c not in constant] if constant else []
     if zero:
-        said.append(Say(f"No uncertainty in {', '.join(zero)}.", "warn"))
+        sentences.append(Sentence(f"No uncertainty in {', '.join(zero)}.", "warn"))
     if done.check is not None:
-        said.append(Say(done.check[1], "good" if done.check[0] else "bad"))
-    return tuple(said)
+        sentences.append(Sentence(done.check[1], "good" if done.check[0] else "bad"))
+    return tuple(sentences)
 
 
 def main_state(b: CoefficientBounds, form: ModelForm) -> str:
-    """The state along whose range in the data the bounds move most, the other states at their medians."""
+    """Return the state along which the bounds vary most, the others at their medians."""
 
-    def moved(k: int) -> float:
+    def range_of_bounds(k: int) -> float:
+        """Return by how much both bounds vary along a state."""
         at = np.linspace(float(b.hull.low[k]), float(b.hull.high[k]), _SLICE)
         ends = b.bounds(slice_states(b, b.states[k], at), form.confidence, form.outside)
         return sum(float(np.ptp(end)) for end in ends)
 
-    return b.states[max(range(len(b.states)), key=moved)]
+    return b.states[max(range(len(b.states)), key=range_of_bounds)]
 
 
 def _sizes(form: ModelForm | None, constant: Constant) -> Section:
+    """Return the table of bounds."""
     if form is None:
         rows = tuple(
-            (f"{c} [-]", *(shown(end) for end in constant.get(c, (0.0, 0.0)))) for c in COEFFICIENTS
+            (f"{c} [-]", *(format_value(end) for end in constant.get(c, (0.0, 0.0))))
+            for c in COEFFICIENTS
         )
         return Section(
             "Sizes",
@@ -130,11 +162,13 @@ def _sizes(form: ModelForm | None, constant: Constant) -> Section:
                 ),
             ),
         )
-    found = []
+    size_rows = []
     for c, b in form.coefficients.items():
+        # Bounds with all states at their medians.
         middle = {s: np.array([m]) for s, m in zip(b.states, b.hull.middle[:, 1], strict=True)}
         low, high = b.bounds(middle, form.confidence, form.outside)
         lows, highs = [], []
+        # Extremes along each slice within the data.
         for k, state in enumerate(b.states):
             at = np.linspace(float(b.hull.low[k]), float(b.hull.high[k]), _SLICE)
             ends = b.bounds(slice_states(b, state, at), form.confidence, form.outside)
@@ -142,7 +176,7 @@ def _sizes(form: ModelForm | None, constant: Constant) -> Section:
             highs.append(float(ends[1].max()))
         quantity, unit, _ = shown_channel(main_state(b, form))
         sizes = (float(low[0]), float(high[0]), min(lows), max(highs))
-        found.append((f"{c} [-]", *(shown(v) for v in sizes), f"{quantity} [{unit}]"))
+        size_rows.append((f"{c} [-]", *(format_value(v) for v in sizes), f"{quantity} [{unit}]"))
     head = (
         "Coefficient",
         "Lower, at the medians",
@@ -152,25 +186,28 @@ def _sizes(form: ModelForm | None, constant: Constant) -> Section:
         "Main state",
     )
     text = (
-        "At the medians: every state at the median of the data. Least and largest: along the slices below, within the range of the "
-        "data. Main state: along which the bounds move most."
+        "At the medians: every state at the median of the data. Least and largest: along the slices"
+        " below, within the range of the data. Main state: along which the bounds move most."
     )
-    table = Table(f"{100.0 * form.confidence:g} % bounds.", head, tuple(found), key=True)
+    table = Table(f"{100.0 * form.confidence:g} % bounds.", head, tuple(size_rows), key=True)
     return Section("Sizes", (Words(text, note=True), table))
 
 
 def _constant(constant: Constant) -> Section:
+    """Draw constant bounds."""
     names = [c for c in COEFFICIENTS if c in constant]
     ends = np.array([constant[c] for c in names])
-    told = ", ".join(
-        f"{c} {shown(low)} to {shown(high)}" for c, (low, high) in zip(names, ends, strict=True)
+    bounds_text = ", ".join(
+        f"{c} {format_value(low)} to {format_value(high)}"
+        for c, (low, high) in zip(names, ends, strict=True)
     )
     chart = rows_chart(
         "bounds",
-        f"Constant bounds [-]: {told}.",
+        f"Constant bounds [-]: {bounds_text}.",
         scale("delta coefficient [-]", [ends.ravel(), np.zeros(1)]),
         names,
     )
+    # One bar per coefficient.
     for k, (low, high) in enumerate(ends):
         chart.across(low, high, float(k), "wide")
         for end in (low, high):

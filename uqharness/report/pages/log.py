@@ -1,4 +1,4 @@
-"""The quick look at a log: what it serves, its findings flagged in the channels they concern, phases and manoeuvres shaded."""
+"""Build the page of a log: purposes, findings in their channels, phases, manoeuvres."""
 
 from __future__ import annotations
 
@@ -17,32 +17,54 @@ from uqharness.report.channels import (
 )
 from uqharness.report.ground_track import Circle
 from uqharness.report.pages.flight import (
-    MOST_LISTED,
+    MAX_LISTED,
     manoeuvre_section,
     manoeuvre_shades,
     track_section,
 )
-from uqharness.report.parts import Cell, Code, Level, Page, Say, Section, Table, Words, provenance
+from uqharness.report.parts import (
+    Cell,
+    Code,
+    Level,
+    Page,
+    Section,
+    Sentence,
+    Table,
+    Words,
+    provenance,
+)
 
 _LEVELS: Mapping[str, Level] = {"error": "bad", "warning": "warn", "info": ""}
 _ORDER = ("error", "warning", "info")
-_MOST_MODES = 12
-"""Flight modes whose changes are drawn; the table lists more."""
-_MOST_CIRCLES = 6
-"""Commanded circles that are drawn."""
-_SAME = 6
-"""Channels of one kind of finding that are named in a row."""
+_MAX_MODES = 12
+"""Number of flight modes whose changes are drawn; the table lists more."""
+_MAX_CIRCLES = 6
+"""Number of commanded circles that are drawn."""
+_MAX_CHANNELS = 6
+"""Number of channels named for one kind of finding."""
 
 
 def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
-    """The page of a whole log as `import_log` returns it, and of what `log_info` said of it."""
+    """Return the page of a complete log.
+
+    Parameters
+    ----------
+    info : LogInfo
+        Result of `log_info`.
+    record : FlightRecord
+        The log as `import_log` returns it.
+    command : str
+        Command line.
+    """
     modes = named_stretches(record["time_s"], record["mode"]) if "mode" in record else []
     names = named_stretches(record["time_s"], record["manoeuvre"]) if "manoeuvre" in record else []
+    # Many changes of mode would hide the data.
     changes = (
         [Shade(start, start, "joint") for start, _, _ in modes[1:]]
-        if len(modes) <= _MOST_MODES
+        if len(modes) <= _MAX_MODES
         else []
     )
+    # Times outside free flight, mode changes, manoeuvres.
     shades = [*_phases(record), *changes, *manoeuvre_shades(names)]
     flags = flags_of(record)
     legend = (
@@ -52,12 +74,13 @@ def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
     legend += [("joint", "change of mode")] if changes else []
     legend += (
         [("fillbad", "finding")]
-        if any(flag.spans for found in flags.values() for flag in found)
+        if any(flag.spans for channel_flags in flags.values() for flag in channel_flags)
         else []
     )
     sections = [_purposes(info), _findings(record), *_mends(info)]
+    # Each commanded circle once.
     circles = list(dict.fromkeys(Circle(x.north_m, x.east_m, x.radius_m) for x in info.loiters))[
-        :_MOST_CIRCLES
+        :_MAX_CIRCLES
     ]
     sections += [
         *track_section(record.columns, circles=circles),
@@ -68,53 +91,58 @@ def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
         ("Command", command),
         ("Log (SHA-256)", f"{record.metadata.sha256 or 'not computed'} {info.source}"),
     ]
-    asked = f"What does {info.source} hold, what is wrong with it, and what does it serve?"
-    return Page(f"Log {info.source}", asked, _verdict(info), (*sections, provenance(*facts)))
+    question = f"What does {info.source} hold, what is wrong with it, and what does it serve?"
+    return Page(f"Log {info.source}", question, _verdict(info), (*sections, provenance(*facts)))
 
 
-def _verdict(info: LogInfo) -> tuple[Say, ...]:
+def _verdict(info: LogInfo) -> tuple[Sentence, ...]:
+    """Return vehicle and length, purposes served, and the number of findings."""
     flight = (
         "no free flight"
         if info.flight_s is None
         else f"free flight from {info.flight_s[0]:.1f} to {info.flight_s[1]:.1f} s"
     )
     vehicle = info.vehicle or "vehicle not said"
-    said = [
-        Say(
-            f"{vehicle}, {info.dialect}: {info.duration_s:.1f} s on a grid of {info.grid_hz:.4g} Hz, {flight}."
+    sentences = [
+        Sentence(
+            f"{vehicle}, {info.dialect}: {info.duration_s:.1f} s on a grid of {info.grid_hz:.4g}"
+            f" Hz, {flight}."
         )
     ]
-    serves, rest = ([p.name for p in info.purposes if p.serves is yes] for yes in (True, False))
+    # Purposes that the log supports, and those that it does not.
+    serves, unserved = ([p.name for p in info.purposes if p.serves is yes] for yes in (True, False))
     if serves:
-        said.append(
-            Say(
+        sentences.append(
+            Sentence(
                 f"The log serves {', '.join(serves)}."
-                + (f" It does not serve {', '.join(rest)}." if rest else ""),
+                + (f" It does not serve {', '.join(unserved)}." if unserved else ""),
                 "good",
             )
         )
     else:
-        said.append(Say("The log serves no purpose.", "bad"))
+        sentences.append(Sentence("The log serves no purpose.", "bad"))
     for severity in ("error", "warning"):
-        found = [f for f in info.findings if f.severity == severity]
-        if found:
-            codes = ", ".join(dict.fromkeys(f.code for f in found))
-            count = f"{len(found)} {severity}{'s' if len(found) > 1 else ''}"
-            said.append(Say(f"{count}: {codes}.", _LEVELS[severity]))
-    return tuple(said)
+        findings = [f for f in info.findings if f.severity == severity]
+        if findings:
+            codes = ", ".join(dict.fromkeys(f.code for f in findings))
+            count = f"{len(findings)} {severity}{'s' if len(findings) > 1 else ''}"
+            sentences.append(Sentence(f"{count}: {codes}.", _LEVELS[severity]))
+    return tuple(sentences)
 
 
 def _phases(record: FlightRecord) -> list[Shade]:
-    """What lies before, between and after the stretches of free flight."""
+    """Return shades for the times outside free flight."""
     time_s = record["time_s"]
     free = record.metadata.free_flight_s
     if not free:
         return []
+    # Complement of the intervals of free flight.
     ends = [float(time_s[0]), *(end for stretch in free for end in stretch), float(time_s[-1])]
     return [Shade(a, b, "fillrange") for a, b in zip(ends[::2], ends[1::2], strict=True) if b > a]
 
 
 def _purposes(info: LogInfo) -> Section:
+    """Return the purposes of the log with reasons."""
     rows = tuple(
         (p.name, Cell("yes" if p.serves else "no", "good" if p.serves else "warn"), p.reason)
         for p in info.purposes
@@ -126,9 +154,11 @@ def _purposes(info: LogInfo) -> Section:
 
 
 def _findings(record: FlightRecord) -> Section:
+    """Return the table of findings, one row per kind."""
     findings = record.metadata.findings
     if not findings:
         return Section("Findings", (Words("None."),))
+    # Errors first, one row per kind of finding.
     groups: dict[tuple[str, str], list[Finding]] = {}
     for f in sorted(
         findings, key=lambda f: _ORDER.index(f.severity) if f.severity in _ORDER else len(_ORDER)
@@ -137,43 +167,48 @@ def _findings(record: FlightRecord) -> Section:
     rows = []
     for (severity, code), members in groups.items():
         first = members[0]
-        others = [f.channel for f in members[1:] if f.channel]
-        more = f" Also: {', '.join(others)}." if others else ""
-        what = f"{first.message.rstrip('.')}.{more}"
+        further_channels = [f.channel for f in members[1:] if f.channel]
+        more = f" Also: {', '.join(further_channels)}." if further_channels else ""
+        description = f"{first.message.rstrip('.')}.{more}"
         rows.append(
             (
                 code,
                 Cell(severity, _LEVELS.get(severity, "")),
                 _where(members, record),
-                what,
+                description,
                 first.spoils or "-",
             )
         )
     head = ("Finding", "Severity", "Where", "What", "Spoils")
     table = Table("Findings by severity, one row a kind.", head, tuple(rows))
-    text = "In the charts below a finding stands in the caption of its channel; where the log tells when, the time is shaded."
+    text = (
+        "In the charts below a finding stands in the caption of its channel; where the log tells"
+        " when, the time is shaded."
+    )
     return Section("Findings", (Words(text, note=True), table))
 
 
 def _where(members: Sequence[Finding], record: FlightRecord) -> str:
-    """Channels of findings of one kind, or their message, and the times where they are known."""
+    """Return the channels of findings of one kind and the times where they hold."""
     names = list(
-        dict.fromkeys(n for f in members for n in (channels_of(f, record) or (f.channel,)) if n)
+        dict.fromkeys(n for f in members for n in channels_of(f, record) or (f.channel,) if n)
     )
-    shown = ", ".join(names[:_SAME]) + (
-        f" and {len(names) - _SAME} more" if len(names) > _SAME else ""
+    channels = ", ".join(names[:_MAX_CHANNELS]) + (
+        f" and {len(names) - _MAX_CHANNELS} more" if len(names) > _MAX_CHANNELS else ""
     )
     spans = [
         span for f in members for n in channels_of(f, record)[:1] for span in spans_of(f, n, record)
     ]
     if not spans:
-        return shown or "whole log"
+        return channels or "whole log"
+    # The longest interval.
     start, end = min(spans, key=lambda s: s[0] - s[1])
     longest = "" if len(spans) == 1 else f"{len(spans)} stretches, the longest "
-    return f"{shown}: {longest}{start:.2f} to {end:.2f} s"
+    return f"{channels}: {longest}{start:.2f} to {end:.2f} s"
 
 
 def _mends(info: LogInfo) -> tuple[Section, ...]:
+    """Return lines of a signal map that correct findings; empty if there are none."""
     mends = [f for f in info.findings if f.mend]
     if not mends:
         return ()
@@ -183,10 +218,11 @@ def _mends(info: LogInfo) -> tuple[Section, ...]:
 
 
 def _modes(modes: Sequence[tuple[float, float, str]]) -> tuple[Section, ...]:
+    """Return the table of flight modes; empty if they were not logged."""
     if not modes:
         return ()
-    rows = tuple((f"{start:.2f}", f"{end:.2f}", name) for start, end, name in modes[:MOST_LISTED])
-    more = f", the first {MOST_LISTED} of {len(modes)}" if len(modes) > MOST_LISTED else ""
+    rows = tuple((f"{start:.2f}", f"{end:.2f}", name) for start, end, name in modes[:MAX_LISTED])
+    more = f", the first {MAX_LISTED} of {len(modes)}" if len(modes) > MAX_LISTED else ""
     return (
         Section(
             "Flight modes",
@@ -197,6 +233,7 @@ def _modes(modes: Sequence[tuple[float, float, str]]) -> tuple[Section, ...]:
 
 
 def _channels(info: LogInfo) -> Section:
+    """Return the source and rate of each channel."""
     rows = tuple(
         (name, f"{info.rates_hz[name]:.4g}" if name in info.rates_hz else "-", label)
         for name, label in info.channels.items()

@@ -1,4 +1,4 @@
-"""The page of an autopilot's stability margins: each loop's frequency response in Bode's and Nichols' charts, margins marked."""
+"""Build the page of an autopilot's stability margins: Bode and Nichols charts of each loop."""
 
 from __future__ import annotations
 
@@ -13,61 +13,82 @@ from uqharness.report.parts import (
     Figure,
     Figures,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     provenance,
-    shown,
 )
 from uqharness.report.svg import Chart, Scale, log_scale, scale
 
 _TURN = 360.0
 _SPACED_DEG = (30.0, 45.0, 90.0, 180.0, 360.0)
+"""Tick distances of a phase axis [deg]."""
 _MOST_TICKS = 8
 
 
 def margins_page(aircraft: str, flight: str, measured: Sequence[LoopMargins], command: str) -> Page:
-    """The page of loops measured on the ``flight`` (loiter or straight) of an aircraft."""
-    asked = (
-        f"How far are the loops of {aircraft}'s autopilot from instability? Measured in flight ({flight}, calm air, no sensor "
-        "noise): each loop is opened at its controller's output, the others stay closed."
+    """Return the page of loops measured in a flight.
+
+    Parameters
+    ----------
+    aircraft, flight : str
+        Name, and loiter or straight.
+    measured : sequence of LoopMargins
+        Responses and margins.
+    command : str
+        Command line.
+    """
+    question = (
+        f"How far are the loops of {aircraft}'s autopilot from instability? Measured in flight"
+        f" ({flight}, calm air, no sensor noise): each loop is opened at its controller's output,"
+        " the others stay closed."
     )
-    verdict = tuple(Say(_sentence(item)) for item in measured)
+    verdict = tuple(Sentence(_sentence(item)) for item in measured)
     sections = [_table(measured), *(_loop(item) for item in measured)]
     text = (
-        "The response is L = -output/applied at the frequencies of an injected multisine, with servo, airframe, sensors, control "
-        "law, computing delay and hold in it. Where the autopilot mixes the output into a second actuator, the injection is mixed "
-        "in too. The multisine is flown with both signs, and the difference is read. The flight was stable, so the nearest "
-        "crossings of the negative real axis on either side of -1 are the gain margins. Between the frequencies gain and phase "
-        "are interpolated over the logarithm of frequency. Grey dots are frequencies at which the responses of the two signs "
-        "differ by 10 % or more; no margin is read there."
+        "The response is L = -output/applied at the frequencies of an injected multisine, with"
+        " servo, airframe, sensors, control law, computing delay and hold in it. Where the"
+        " autopilot mixes the output into a second actuator, the injection is mixed in too. The"
+        " multisine is flown with both signs, and the difference is read. The flight was stable, so"
+        " the nearest crossings of the negative real axis on either side of -1 are the gain"
+        " margins. Between the frequencies gain and phase are interpolated over the logarithm of"
+        " frequency. Grey dots are frequencies at which the responses of the two signs differ by 10"
+        " % or more; no margin is read there."
     )
     sections.append(Section("How it was measured", (Words(text),)))
     return Page(
         f"Stability margins of {aircraft}, {flight}",
-        asked,
+        question,
         verdict,
         (*sections, provenance(("Command", command))),
     )
 
 
 def _decibel(value: float) -> str:
+    """Format a gain margin."""
     return f"{value:.1f} dB" if math.isfinite(value) else "none in the measured band"
 
 
 def _sentence(item: LoopMargins) -> str:
+    """Return the margins of a loop as a sentence."""
+    # Margins in words; infinite ones are absent.
     m = item.margins
     phase = f"{m.phase_deg:.1f} deg" if math.isfinite(m.phase_deg) else "none"
     delay = f"{1000.0 * m.delay_s:.0f} ms" if math.isfinite(m.delay_s) else "none"
     return (
-        f"{item.loop.capitalize()}: gain margin up {_decibel(m.gain_up_dB)}, down {_decibel(m.gain_down_dB)}; "
-        f"phase margin {phase}; delay margin {delay}; smallest |1+L| {m.modulus:.2f}."
+        f"{item.loop.capitalize()}: gain margin up {_decibel(m.gain_up_dB)}, down"
+        f" {_decibel(m.gain_down_dB)}; phase margin {phase}; delay margin {delay}; smallest |1+L|"
+        f" {m.modulus:.2f}."
     )
 
 
 def _table(measured: Sequence[LoopMargins]) -> Section:
+    """Return the table of margins."""
+
     def at(value: float, form: str, radps: float) -> str:
+        """Format a margin with its frequency."""
         return f"{value:{form}} at {radps:.3g}" if math.isfinite(value) else "none"
 
     rows = []
@@ -104,6 +125,7 @@ def _table(measured: Sequence[LoopMargins]) -> Section:
 
 
 def _loop(item: LoopMargins) -> Section:
+    """Return the charts of one loop."""
     response = _Response(item)
     figures = (_gain(response), _phase(response), _nichols(response))
     return Section(
@@ -113,32 +135,41 @@ def _loop(item: LoopMargins) -> Section:
 
 
 class _Response:
-    """A loop's gain [dB] and phase [deg] at its reliable frequencies, on the branch whose phase margin is read at -180 deg."""
+    """Hold a loop's gain [dB] and phase [deg] at its reliable frequencies.
+
+    The branch of the phase is the one on which the phase margin is read at -180 deg.
+    """
 
     def __init__(self, item: LoopMargins) -> None:
+        """Unwrap the phase and shift it to that branch."""
         self.item, self.margins = item, item.margins
-        good = item.reliable
-        self.w = item.frequency_radps[good]
+        is_reliable = item.reliable
+        self.w = item.frequency_radps[is_reliable]
         self.log_w = np.log(self.w)
-        self.gain = 20.0 * np.log10(np.abs(item.response[good]))
-        phase = np.degrees(np.unwrap(np.angle(item.response[good])))
+        self.gain = 20.0 * np.log10(np.abs(item.response[is_reliable]))
+        # Continuous phase, known up to whole turns.
+        phase = np.degrees(np.unwrap(np.angle(item.response[is_reliable])))
         at = self.margins.phase_radps
-        here = (
+        margin_phase = (
             float(np.interp(math.log(at), self.log_w, phase))
             if math.isfinite(at)
             else float(np.median(phase))
         )
-        lag = (here + 180.0) % _TURN
-        self.phase = phase + ((lag if lag <= 180.0 else lag - _TURN) - 180.0 - here)
-        # Lines that were not read: their phase on the branch nearest to the curve.
-        self.bad_w = item.frequency_radps[~good]
-        self.bad_gain = 20.0 * np.log10(np.abs(item.response[~good]))
-        raw = np.degrees(np.angle(item.response[~good]))
-        near = np.interp(np.log(self.bad_w), self.log_w, self.phase)
-        self.bad_phase = raw + _TURN * np.round((near - raw) / _TURN)
+        # Shift the curve so that the phase margin is read at -180 deg.
+        lag = (margin_phase + 180.0) % _TURN
+        self.phase = phase + ((lag if lag <= 180.0 else lag - _TURN) - 180.0 - margin_phase)
+        # Frequencies without a reliable response: their phase on the branch next to the curve.
+        self.bad_w = item.frequency_radps[~is_reliable]
+        self.bad_gain = 20.0 * np.log10(np.abs(item.response[~is_reliable]))
+        # Unreliable points go to the branch next to the curve.
+        raw = np.degrees(np.angle(item.response[~is_reliable]))
+        curve_phase = np.interp(np.log(self.bad_w), self.log_w, self.phase)
+        self.bad_phase = raw + _TURN * np.round((curve_phase - raw) / _TURN)
 
     def at(self, radps: float) -> tuple[float, float]:
-        """Gain [dB] and phase [deg] at a frequency."""
+        """Return gain [dB] and phase [deg] at a frequency [rad/s], interpolated over its
+        logarithm.
+        """
         x = math.log(radps)
         return float(np.interp(x, self.log_w, self.gain)), float(
             np.interp(x, self.log_w, self.phase)
@@ -146,23 +177,23 @@ class _Response:
 
     @property
     def delayed(self) -> FloatArray | None:
-        """The phase [deg] with the delay margin added; None where there is no such margin."""
+        """Phase [deg] with the delay margin added; None without such a margin."""
         delay = self.margins.delay_s
         return self.phase - np.degrees(self.w * delay) if math.isfinite(delay) else None
 
     @property
     def gain_margins(self) -> list[tuple[float, str, str]]:
-        """Frequency [rad/s], class and words of each gain margin that there is."""
+        """Frequency [rad/s], class and words of each gain margin."""
         m = self.margins
-        found = [
+        margins = [
             (m.gain_up_radps, "second", f"gain up {m.gain_up_dB:.1f} dB"),
             (m.gain_down_radps, "mark", f"gain down {m.gain_down_dB:.1f} dB"),
         ]
-        return [row for row in found if math.isfinite(row[0])]
+        return [row for row in margins if math.isfinite(row[0])]
 
 
 def _critical(low: float, high: float) -> list[float]:
-    """Phases [deg] of the point -1 within a range."""
+    """Return the phases [deg] of the point -1 within a range."""
     return [
         _TURN * k - 180.0
         for k in range(math.ceil((low + 180.0) / _TURN), math.floor((high + 180.0) / _TURN) + 1)
@@ -170,21 +201,23 @@ def _critical(low: float, high: float) -> list[float]:
 
 
 def _phase_scale(values: Sequence[FloatArray]) -> Scale:
-    found = scale("phase of L [deg]", [*values, np.array([-180.0])])
-    step = next((s for s in _SPACED_DEG if (found.high - found.low) / s <= _MOST_TICKS), 720.0)
-    ticks = [
-        step * k for k in range(math.ceil(found.low / step), math.floor(found.high / step) + 1)
-    ]
+    """Return a phase axis with round ticks."""
+    axis = scale("phase of L [deg]", [*values, np.array([-180.0])])
+    # The finest tick distance that gives few enough ticks.
+    step = next((s for s in _SPACED_DEG if (axis.high - axis.low) / s <= _MOST_TICKS), 720.0)
+    ticks = [step * k for k in range(math.ceil(axis.low / step), math.floor(axis.high / step) + 1)]
     return Scale(
-        found.label, found.low, found.high, tuple((t, f"{t:g}".replace("-", "−")) for t in ticks)
+        axis.label, axis.low, axis.high, tuple((t, f"{t:g}".replace("-", "−")) for t in ticks)
     )
 
 
 def _gain_scale(r: _Response) -> Scale:
+    """Return a gain axis."""
     return scale("gain of L [dB]", [r.gain, r.bad_gain, np.zeros(1)])
 
 
 def _gain(r: _Response) -> Figure:
+    """Draw the gain over frequency."""
     loop = r.item.loop
     label = f"Gain of the {loop} loop [dB] over frequency [rad/s]; {_sentence(r.item)}"
     chart = Chart(
@@ -194,6 +227,7 @@ def _gain(r: _Response) -> Figure:
     chart.dots(r.bad_w, r.bad_gain, "dot", "not read", radius=1.8)
     chart.line(r.w, r.gain, "first", "L, measured")
     chart.dots(r.w, r.gain, "dotfirst", radius=1.6)
+    # Gain margins from the curve to 0 dB.
     for w, kind, words in r.gain_margins:
         chart.path(np.array([w, w]), np.array([r.at(w)[0], 0.0]), kind, words)
     if math.isfinite(r.margins.phase_radps):
@@ -206,6 +240,7 @@ def _gain(r: _Response) -> Figure:
 
 
 def _phase(r: _Response) -> Figure:
+    """Draw the phase over frequency."""
     loop, m = r.item.loop, r.margins
     delayed = r.delayed
     y = _phase_scale([r.phase, r.bad_phase])
@@ -219,10 +254,10 @@ def _phase(r: _Response) -> Figure:
     chart.line(r.w, r.phase, "first", "L, measured")
     chart.dots(r.w, r.phase, "dotfirst", radius=1.6)
     if math.isfinite(m.phase_deg):
-        _, here = r.at(m.phase_radps)
+        _, phase_deg = r.at(m.phase_radps)
         chart.path(
             np.array([m.phase_radps] * 2),
-            np.array([here, -180.0]),
+            np.array([phase_deg, -180.0]),
             "second",
             f"phase margin {m.phase_deg:.1f} deg",
         )
@@ -233,6 +268,7 @@ def _phase(r: _Response) -> Figure:
 
 
 def _nichols(r: _Response) -> Figure:
+    """Draw gain over phase, with the circle of the smallest distance from -1."""
     loop, m = r.item.loop, r.margins
     x = _phase_scale([r.phase])
     y = _gain_scale(r)
@@ -240,6 +276,7 @@ def _nichols(r: _Response) -> Figure:
     chart = Chart(f"nichols-{loop}", label, x, y, 290)
     chart.level(0.0, "zero")
     angle = np.linspace(0.0, 2.0 * math.pi, 241)
+    # Circle around -1 that touches the response, as a curve of gain over phase.
     circle = -1.0 + m.modulus * np.exp(1j * angle)
     phase = np.degrees(np.unwrap(np.angle(circle)))
     if m.modulus < 1.0:  # a larger circle holds the origin and is no closed line here
@@ -253,19 +290,19 @@ def _nichols(r: _Response) -> Figure:
     chart.path(r.phase, r.gain, "first", "L, measured")
     chart.dots(r.phase, r.gain, "dotfirst", radius=1.6)
     for w, kind, words in r.gain_margins:
-        gain, here = r.at(w)
-        chart.path(np.array([here, here]), np.array([gain, 0.0]), kind, words)
+        gain, phase_deg = r.at(w)
+        chart.path(np.array([phase_deg, phase_deg]), np.array([gain, 0.0]), kind, words)
     if math.isfinite(m.phase_deg):
-        _, here = r.at(m.phase_radps)
+        _, phase_deg = r.at(m.phase_radps)
         chart.path(
-            np.array([here, -180.0]),
+            np.array([phase_deg, -180.0]),
             np.zeros(2),
             "second thin",
             f"phase margin {m.phase_deg:.1f} deg",
         )
     for turn in _critical(x.low, x.high):
         chart.marker(turn, 0.0, "", "cross", "the point −1")
-    rising = f"{shown(float(r.w[0]))} to {shown(float(r.w[-1]))} rad/s"
+    rising = f"{format_value(float(r.w[0]))} to {format_value(float(r.w[-1]))} rad/s"
     return Figure(
         chart.name,
         chart.svg(),

@@ -1,4 +1,8 @@
-"""The page of model-form bounds and of their validation, from model-form.json, bounds.json, coverage.json, residuals.parquet."""
+"""Build the page of model-form bounds and write the files of bounds and their validation.
+
+The page comes from model-form.json, bounds.json and residuals.parquet. Coefficients are
+dimensionless and refer to body axes; a residual is flight minus model.
+"""
 
 from __future__ import annotations
 
@@ -51,14 +55,14 @@ from uqharness.report.parts import (
     Figure,
     Figures,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     is_wanted,
     provenance,
     remarks,
-    shown,
 )
 from uqharness.report.svg import Chart, scale
 from uqharness.result_documents import Bounds, read_document
@@ -69,24 +73,41 @@ FORM, DETAILS, COVERAGE, RESIDUALS = (
     "coverage.json",
     "residuals.parquet",
 )
-NEAR = 1.0
-"""A residual is near a slice when each of the other states is within so many standard deviations of the slice's."""
-BEYOND = 0.3
-"""Share of the data's width that a slice goes on beyond them."""
+NEAR_SIGMA = 1.0
+"""Distance from a slice, in standard deviations of each other state, within which a residual is
+drawn.
+"""
+SLICE_MARGIN = 0.3
+"""Share of the width of the data by which a slice extends beyond them."""
 _MOST_DOTS = 220
 
 
 def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
-    """The page of the folder that ``uqharness bounds`` wrote. ``only``: titles of the sections that are shown, if not all.
+    """Return the page of a folder that ``uqharness bounds`` wrote.
 
-    Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    prefix : str
+        Prefix of figure names.
+    only : collection of str, optional
+        Titles of the sections to build; default: all.
+
+    Raises
+    ------
+    BadInputError
+        If the folder cannot be read.
     """
+    # Form, details and residuals of the folder; details may be missing.
     form = load_form(folder / FORM)
     details = read_document(folder / DETAILS, Bounds) if (folder / DETAILS).is_file() else {}
     pieces = read_histories(folder / RESIDUALS)
+    # Residuals of another command or version lack columns.
     if pieces and not have(pieces, needed := [*form.states, *form.coefficients]):
         raise BadInputError(
-            f"{folder / RESIDUALS}: must have the columns {', '.join(needed)}; run its command again"
+            f"{folder / RESIDUALS}: must have the columns {', '.join(needed)}; run its command"
+            " again"
         )
     sections = [
         _width_section(form, details.get("coefficients", {})),
@@ -95,90 +116,105 @@ def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     if is_wanted(title := "The flights within their own bounds", only):
         sections += within_section(pieces, list(form.coefficients), title, "data", prefix)
     sections += [_left_out_section(details), _hull_section(form), *_filter_section(form, details)]
-    said = {
+    remark_texts = {
         key: [with_shown_names(text, CHANNELS) for text in details.get(key, ())]
         for key in ("warnings", "notes")
     }
-    sections += [*remarks(said, key=("notes",)), _provenance(form, details)]
+    sections += [*remarks(remark_texts, key=("notes",)), _provenance(form, details)]
     flights = ", ".join(f.name for f in form.flights)
-    asked = (
-        f"By how much may the coefficients of {form.aircraft.name} be wrong, as functions of the flight state, judged by "
-        f"{flights}? {100 * form.confidence:g} % intervals of the model's error, dimensionless, body axes."
+    question = (
+        f"By how much may the coefficients of {form.aircraft.name} be wrong, as functions of the"
+        f" flight state, judged by {flights}? {100 * form.confidence:g} % intervals of the model's"
+        " error, dimensionless, body axes."
     )
     return Page(
         f"Model-form bounds of {form.aircraft.name}",
-        asked,
+        question,
         _verdict(details, form),
         tuple(sections),
     )
 
 
-def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
+def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Sentence, ...]:
+    """Return the size of the model error, the left-out coverage, and the states of the bounds."""
     rows = details.get("coefficients", {})
-    said = []
+    sentences = []
+    # Forms that separate noise state the size of the model error.
     parts = {c: b.parts for c, b in form.coefficients.items() if b.parts is not None}
     if parts:
         errors = [f"{c} ±{_limit(p):.2g} ({_beside_noise(p)})" for c, p in parts.items() if p.found]
         none = [f"{c} ±{_limit(p):.2g}" for c, p in parts.items() if not p.found]
         if errors:
             sizes = ", ".join(errors)
-            said.append(Say(f"Model error, at most (95 %): {sizes}."))
+            sentences.append(Sentence(f"Model error, at most (95 %): {sizes}."))
         if none:
-            said.append(Say(f"No model error found above {', '.join(none)}.", "good"))
+            sentences.append(Sentence(f"No model error found above {', '.join(none)}.", "good"))
     else:
-        said.append(
-            Say("These intervals hold the sensors' noise besides the model's error.", "warn")
+        sentences.append(
+            Sentence("These intervals hold the sensors' noise besides the model's error.", "warn")
         )
-    kept = {c: r["left_out_share"] for c, r in rows.items() if r.get("left_out_share") is not None}
-    if kept:
-        worst = min(kept, key=lambda c: kept[c])
-        level: Any = "good" if kept[worst] >= HOLDS_FROM else "warn"
-        text = f"Bounds made without a manoeuvre hold {100 * kept[worst]:.0f} % of its samples or more ({worst} least)."
-        said.append(Say(text, level))
-    most, name = max((len(b.states), c) for c, b in form.coefficients.items())
-    far = "grow" if form.outside == "grow" else "keep their values at the edge"
-    text = f"Bounds of {len(form.coefficients)} coefficients as functions of up to {most} states ({name}); outside the data "
-    text += f"they {far}."
-    said.append(Say(text))
-    return tuple(said)
+    coverage = {
+        c: r["left_out_share"] for c, r in rows.items() if r.get("left_out_share") is not None
+    }
+    if coverage:
+        # Lowest leave-one-manoeuvre-out coverage.
+        worst = min(coverage, key=lambda c: coverage[c])
+        level: Any = "good" if coverage[worst] >= HOLDS_FROM else "warn"
+        text = (
+            f"Bounds made without a manoeuvre hold {100 * coverage[worst]:.0f} % of its samples or"
+            f" more ({worst} least)."
+        )
+        sentences.append(Sentence(text, level))
+    max_states, name = max((len(b.states), c) for c, b in form.coefficients.items())
+    outside_text = "grow" if form.outside == "grow" else "keep their values at the edge"
+    text = (
+        f"Bounds of {len(form.coefficients)} coefficients as functions of up to {max_states} states"
+        f" ({name}); outside the data "
+    )
+    text += f"they {outside_text}."
+    sentences.append(Sentence(text))
+    return tuple(sentences)
 
 
 def _limit(parts: Parts) -> float:
-    """What 95 % of a normal model error of the largest likely size do not exceed [-]."""
+    """Return the 95 % limit of a normal model error of the largest plausible size [-]."""
     return 1.96 * parts.not_above
 
 
 def _beside_noise(parts: Parts) -> str:
-    """Write the size of the model error beside the sensors' noise in a sample."""
+    """Return the size of the model error relative to the sensor noise, as text."""
     if not parts.noise > 0.0:
         return "no sensor noise"
     return f"{significant(_limit(parts) / (1.96 * parts.noise))} times that of the sensor noise"
 
 
 def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Section:
+    """Return the table of widths and parts by coefficient."""
     table = []
     for c, b in form.coefficients.items():
         r = rows.get(c, {})
         p = b.parts
         sizes = ("-",) * 4
+        # Standard deviations of the parts, if the form separates them.
         if p is not None:
-            time = shown(p.transient_time_s, ".2g")
+            time = format_value(p.transient_time_s, ".2g")
             sizes = (
-                shown(p.persistent),
-                f"{shown(p.transient)} ({time} s)",
-                shown(_limit(p)),
+                format_value(p.persistent),
+                f"{format_value(p.transient)} ({time} s)",
+                format_value(_limit(p)),
                 "yes" if p.found else "no",
             )
+        # Rate of variation in percent of the interval.
         walk = None if not np.isfinite(b.walk_rate) else 100.0 * b.walk_rate
         table.append(
             (
                 f"{c} [-]",
                 str(len(b.terms)),
-                shown(b.n_effective, ".0f"),
-                shown(r.get("mean_width")),
+                format_value(b.n_effective, ".0f"),
+                format_value(r.get("mean_width")),
                 *sizes,
-                shown(r.get("noise_std")),
-                shown(walk, ".2g"),
+                format_value(r.get("noise_std")),
+                format_value(walk, ".2g"),
             )
         )
     head = (
@@ -194,11 +230,12 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
         "Rate of variation [%/√s]",
     )
     text = (
-        "Mean width: of the bounds that a campaign holds through a flight; they know the polynomial and what persists through a "
-        "manoeuvre. Persistent, transient, sensor noise: standard deviations; the transient part changes within seconds, "
-        "noise is in no bounds. Model error at most: 1.96 times the upper 95 % limit of its rms. Model error found: yes "
-        "where a model error is more likely than noise alone by 20 to 1 or more. Rate of variation: of the error within a flight, "
-        "in percent of its interval."
+        "Mean width: of the bounds that a campaign holds through a flight; they know the polynomial"
+        " and what persists through a manoeuvre. Persistent, transient, sensor noise: standard"
+        " deviations; the transient part changes within seconds, noise is in no bounds. Model error"
+        " at most: 1.96 times the upper 95 % limit of its rms. Model error found: yes where a model"
+        " error is more likely than noise alone by 20 to 1 or more. Rate of variation: of the error"
+        " within a flight, in percent of its interval."
     )
     wide = Table("Bounds by coefficient.", head, tuple(table), key=True)
     flights = [
@@ -220,12 +257,25 @@ def slice_section(
     prefix: str = "",
     baseline: Mapping[str, CoefficientBounds] | None = None,
 ) -> Section:
-    """Each coefficient's bounds along each of its states, the others at the data's medians; ``baseline``: others beside them."""
+    """Return the bounds of each coefficient along each of its states.
+
+    Parameters
+    ----------
+    form : ModelForm
+        Bounds.
+    pieces : sequence of History
+        Residuals; those near a slice are drawn.
+    prefix : str
+        Prefix of figure names.
+    baseline : mapping of str to CoefficientBounds, optional
+        Bounds to draw for comparison.
+    """
     text = (
         "Along each state the others stand at the medians of the data. Solid: "
         f"{100 * form.confidence:g} % bounds, dotted: 68 %; shaded: where the data are."
         + (
-            " Dots: flight minus model where the other states are within a standard deviation of the slice."
+            " Dots: flight minus model where the other states are within a standard deviation of"
+            " the slice."
             if pieces
             else ""
         )
@@ -237,6 +287,7 @@ def slice_section(
     ]
     if pieces:
         legend.append(("dot", "flight minus model near the slice"))
+    # Residuals are drawn near each slice.
     states = (
         {}
         if not pieces
@@ -244,13 +295,14 @@ def slice_section(
     )
     parts = []
     for c, b in form.coefficients.items():
+        # All residuals of the coefficient.
         values = np.concatenate([h.columns[c] for h in pieces]) if pieces else np.empty(0)
         other = (baseline or {}).get(c)
         figures = tuple(
             _slice(form, c, b, k, states, values, prefix, other) for k in range(len(b.states))
         )
-        named = (*legend, *([("third", "bounds of the usual states")] if other else []))
-        parts.append(Section(f"Slices of {c}", (Figures(figures, named, True, f"slices-{c}"),)))
+        entries = (*legend, *([("third", "bounds of the usual states")] if other else []))
+        parts.append(Section(f"Slices of {c}", (Figures(figures, entries, True, f"slices-{c}"),)))
     return Section("Slices of the bounds", (Words(text, note=True),), tuple(parts))
 
 
@@ -264,42 +316,64 @@ def _slice(
     prefix: str,
     baseline: CoefficientBounds | None,
 ) -> Figure:
+    """Draw the bounds of a coefficient along one state."""
     state = b.states[k]
     quantity, unit, factor = shown_channel(state)
     low, high = float(b.hull.low[k]), float(b.hull.high[k])
-    reach = BEYOND * max(high - low, 1e-9)
+    # Extend the slice beyond the data.
+    reach = SLICE_MARGIN * max(high - low, 1e-9)
     at = np.linspace(low - reach, high + reach, 81)
     lower, upper = b.bounds(slice_states(b, state, at), form.confidence, form.outside)
+    # 68 % bounds for comparison.
     narrow = b.bounds(slice_states(b, state, at), 0.68, form.outside)
-    others = (
+    baseline_ends = (
         baseline.bounds(slice_states(baseline, state, at), outside=form.outside)
         if baseline and state in baseline.states
         else ()
     )
-    near = np.zeros(0, dtype=int)
+    dot_rows = np.zeros(0, dtype=int)
     if values.size:
-        close = near_slice(b, state, states)
-        near = np.flatnonzero(close)[:: max(1, int(close.sum()) // _MOST_DOTS)]
+        # Thin the dots evenly.
+        is_near = near_slice(b, state, states)
+        dot_rows = np.flatnonzero(is_near)[:: max(1, int(is_near.sum()) // _MOST_DOTS)]
     label = (
-        f"Bounds of {coefficient} [-] along {quantity} [{unit}] from {factor * at[0]:.3g} to {factor * at[-1]:.3g}: "
-        f"{lower[40]:.2g} to {upper[40]:.2g} at the middle."
+        f"Bounds of {coefficient} [-] along {quantity} [{unit}] from {factor * at[0]:.3g} to"
+        f" {factor * at[-1]:.3g}: {lower[40]:.2g} to {upper[40]:.2g} at the middle."
     )
-    y = scale(f"flight minus model, {coefficient} [-]", [lower, upper, *others, values[near]])
+    y = scale(
+        f"flight minus model, {coefficient} [-]", [lower, upper, *baseline_ends, values[dot_rows]]
+    )
     x = scale(axis_label(state), [factor * at], margin=0.0)
     chart = Chart(f"{prefix}slice-{coefficient}-{state}", label, x, y, height=190)
     ends = factor * np.array([low, high])
     chart.band(ends, np.array([y.low] * 2), np.array([y.high] * 2), "fillrange")
     if values.size:
-        chart.dots(factor * states[state][near], values[near], "dot")
+        chart.dots(factor * states[state][dot_rows], values[dot_rows], "dot")
     chart.level(0.0, "zero")
-    for sides, kind in (((lower, upper), "first"), (narrow, "limit2"), (others, "third")):
+    # Bounds of both confidences, and the baseline.
+    for sides, kind in (((lower, upper), "first"), (narrow, "limit2"), (baseline_ends, "third")):
         for end in sides:
             chart.line(factor * at, end, kind)
     return Figure(chart.name, chart.svg(), f"{coefficient} along {quantity} [{unit}]")
 
 
 def slice_states(b: CoefficientBounds, state: str, at: FloatArray) -> dict[str, FloatArray]:
-    """States along a slice: ``state`` runs through ``at``, the others stand at the medians of the data."""
+    """Return the states of a slice.
+
+    Parameters
+    ----------
+    b : CoefficientBounds
+        Bounds of one coefficient.
+    state : str
+        State along the slice.
+    at : array
+        Its values (n,).
+
+    Returns
+    -------
+    dict of str to array
+        States (n,); the others are at the medians of the data.
+    """
     middle = dict(zip(b.states, b.hull.middle[:, 1], strict=True))
     return {s: at if s == state else np.full(len(at), middle[s]) for s in b.states}
 
@@ -307,37 +381,68 @@ def slice_states(b: CoefficientBounds, state: str, at: FloatArray) -> dict[str, 
 def near_slice(
     b: CoefficientBounds, state: str, states: Mapping[str, FloatArray]
 ) -> NDArray[np.bool_]:
-    """(n,) which samples of the states lie near the slice along ``state``."""
-    near = np.ones(len(states[state]), dtype=bool)
+    """Return which samples lie near a slice.
+
+    Parameters
+    ----------
+    b : CoefficientBounds
+        Bounds of one coefficient.
+    state : str
+        State along the slice.
+    states : mapping of str to array
+        States (n,) of the samples.
+
+    Returns
+    -------
+    array of bool
+        True (n,) within `NEAR_SIGMA` standard deviations in all other states.
+    """
+    is_near = np.ones(len(states[state]), dtype=bool)
     for k, other in enumerate(b.states):
         if other != state:
-            near &= np.abs(states[other] - b.hull.middle[k, 1]) <= NEAR * b.scale[k]
-    return near
+            is_near &= np.abs(states[other] - b.hull.middle[k, 1]) <= NEAR_SIGMA * b.scale[k]
+    return is_near
 
 
 def variation_section(variations: Mapping[str, Variation]) -> Section:
-    """Density of the level's changes over 0.02 s, the normal fitted to it, and the rates that other steps would give."""
+    """Draw how the level of each coefficient varies within a flight.
+
+    Parameters
+    ----------
+    variations : mapping of str to Variation
+        Changes of the level within 0.02 s.
+
+    Returns
+    -------
+    Section
+        Density of the changes, the fitted normal, and rates of other lags [%/sqrt(s)].
+    """
     figures = []
-    for c, found in variations.items():
-        if len(found.increments) < 2 or not found.sigma > 0.0:
+    for c, variation in variations.items():
+        if len(variation.increments) < 2 or not variation.sigma > 0.0:
             continue
-        density, edges = np.histogram(100.0 * found.increments, 60, density=True)
-        mean, sigma = 100.0 * found.mean, 100.0 * found.sigma
+        # Density of the changes in percent of the interval.
+        density, edges = np.histogram(100.0 * variation.increments, 60, density=True)
+        mean, sigma = 100.0 * variation.mean, 100.0 * variation.sigma
         at = np.linspace(edges[0], edges[-1], 200)
+        # Fitted normal.
         normal = np.exp(-0.5 * ((at - mean) / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
         steps = np.append(density, 0.0)
-        label = f"Changes of the level of {c} in {STEP_S:g} s: standard deviation {sigma:.2f} % of the interval's width."
+        label = (
+            f"Changes of the level of {c} in {STEP_S:g} s: standard deviation {sigma:.2f} % of the"
+            " interval's width."
+        )
         chart = Chart(
             f"variation-{c}",
             label,
             scale(f"change of the level of {c} in {STEP_S:g} s [% of width]", [edges]),
-            scale("density [1/%]", [np.zeros(1), steps, normal], least=0.0),
+            scale("density [1/%]", [np.zeros(1), steps, normal], minimum=0.0),
             height=190,
         )
         chart.band(edges, np.zeros(len(edges)), steps, "fill1", steps=True)
         chart.line(at, normal, "second")
         rates = ", ".join(
-            f"{100.0 * rate:.2g} over {lag:g} s" for lag, rate in found.lagged.items()
+            f"{100.0 * rate:.2g} over {lag:g} s" for lag, rate in variation.lagged.items()
         )
         figures.append(
             Figure(
@@ -351,11 +456,21 @@ def variation_section(variations: Mapping[str, Variation]) -> Section:
 def within_section(
     pieces: Sequence[History], names: Sequence[str], title: str, file: str, prefix: str = ""
 ) -> tuple[Section, ...]:
-    """Flight minus model within the bounds, pieces end to end; none where it was not kept. file: of its figures."""
+    """Draw residuals within their bounds, pieces end to end.
+
+    Parameters
+    ----------
+    pieces : sequence of History
+        Residuals with their bounds; without any the result is empty.
+    names : sequence of str
+        Coefficients.
+    title, file, prefix : str
+        Heading, name of the file of figures, and prefix of figure names.
+    """
     if not pieces:
         return ()
     figures = []
-    apart = False
+    has_noise_apart = False
     for c in names:
         if not have(pieces, (c, f"{c}_lower", f"{c}_upper")):
             continue
@@ -364,6 +479,7 @@ def within_section(
             [h.columns[f"{c}_upper"] for h in pieces],
             "",
         )
+        # Share of the samples within the bounds.
         inside = np.concatenate(
             [
                 (h.columns[c] >= low) & (h.columns[c] <= high)
@@ -371,10 +487,14 @@ def within_section(
             ]
         )
         share = 100.0 * float(np.mean(inside))
+        # Bounds without sensor noise, if the form separates it.
         ends = (f"{c}_model_lower", f"{c}_model_upper")
         model = [(end, "second", "") for end in ends] if have(pieces, ends) else []
-        apart = apart or bool(model)
-        label = f"Flight minus model, {c} [-], along the pieces within its bounds: {share:.1f} % of the samples lie inside."
+        has_noise_apart = has_noise_apart or bool(model)
+        label = (
+            f"Flight minus model, {c} [-], along the pieces within its bounds: {share:.1f} % of the"
+            " samples lie inside."
+        )
         figures.append(
             end_to_end(
                 pieces,
@@ -387,17 +507,18 @@ def within_section(
                 outside=True,
             )
         )
-    samples = "bounds of its samples, sensor noise and all" if apart else "bounds"
+    samples = "bounds of its samples, sensor noise and all" if has_noise_apart else "bounds"
     legend = [
         ("plain thin", "flight minus model"),
         ("fill1", samples),
         ("dotout", "outside these bounds"),
     ]
-    legend += [("second", "bounds of the model's persistent error")] if apart else []
+    legend += [("second", "bounds of the model's persistent error")] if has_noise_apart else []
     return (Section(title, (Figures(tuple(figures), tuple(legend), file=file),)),)
 
 
 def _left_out_section(details: Mapping[str, Any]) -> Section:
+    """Return the leave-one-manoeuvre-out coverage."""
     rows = details.get("left_out", {})
     if not rows:
         return Section(
@@ -412,18 +533,21 @@ def _left_out_section(details: Mapping[str, Any]) -> Section:
 
 
 def _hull_section(form: ModelForm) -> Section:
+    """Return the range and quartiles of each state."""
     rows = {}
     for b in form.coefficients.values():
         for k, state in enumerate(b.states):
             quantity, unit, factor = shown_channel(state)
+            # Range and quartiles in displayed units.
             values = (b.hull.low[k], *b.hull.middle[k], b.hull.high[k])
             rows[state] = (
                 f"{quantity} [{unit}]",
-                *(shown(factor * float(v), ".4g") for v in values),
+                *(format_value(factor * float(v), ".4g") for v in values),
             )
     text = (
-        "A state is extrapolated (uq/extrapolated is 1) when one of its values lies beyond these, or its leverage is above the "
-        "data's largest: in a corner of the box where no combination of states was flown."
+        "A state is extrapolated (uq/extrapolated is 1) when one of its values lies beyond these,"
+        " or its leverage is above the data's largest: in a corner of the box where no combination"
+        " of states was flown."
     )
     head = ("State", "Smallest", "25 %", "50 %", "75 %", "Largest")
     table = Table(
@@ -433,35 +557,46 @@ def _hull_section(form: ModelForm) -> Section:
 
 
 def _filter_section(form: ModelForm, details: Mapping[str, Any]) -> tuple[Section, ...]:
-    """Mean width by filter, the one in use first; none where other filters were not tried."""
+    """Return the mean width by filter, the one in use first; empty if no other was tried."""
     if not details.get("cutoffs"):
         return ()
-    cut, used = form.filtering, details["coefficients"]
+    filtering, used = form.filtering, details["coefficients"]
     widths = {c: row.get("mean_width") for c, row in used.items()}
-    tried = [
+    alternatives = [
         (r["cutoff_hz"], r.get("airspeed_cutoff_hz"), r["mean_width"]) for r in details["cutoffs"]
     ]
     rows = []
-    for low_pass, airspeed, width in ((cut.cutoff_hz, cut.airspeed_cutoff_hz, widths), *tried):
+    for low_pass, airspeed, width in (
+        (filtering.cutoff_hz, filtering.airspeed_cutoff_hz, widths),
+        *alternatives,
+    ):
         filters = (
-            shown(low_pass, "g"),
+            format_value(low_pass, "g"),
             "none" if airspeed is None or np.isinf(airspeed) else f"{airspeed:g}",
         )
-        rows.append((*filters, *(shown(width.get(c), ".2g") for c in used)))
+        rows.append((*filters, *(format_value(width.get(c), ".2g") for c in used)))
     table = Table("Mean width [-].", ("Filter [Hz]", "Airspeed [Hz]", *used), tuple(rows))
     return (Section("Other filters", (table,)),)
 
 
 def _share(value: float | None) -> Cell:
+    """Return a share with its level."""
     return Cell(
-        shown(value, ".2f"), "" if value is None else "good" if value >= HOLDS_FROM else "warn"
+        format_value(value, ".2f"),
+        "" if value is None else "good" if value >= HOLDS_FROM else "warn",
     )
 
 
 def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
-    cut = form.filtering
-    airspeed = "none" if np.isinf(cut.airspeed_cutoff_hz) else f"{cut.airspeed_cutoff_hz:g} Hz"
-    filters = f"{cut.cutoff_hz:g} Hz, airspeed {airspeed}, walk {cut.walk_cutoff_hz:g} Hz, {cut.rate_hz:.0f} samples a second"
+    """Return command, version, hashes and filters."""
+    filtering = form.filtering
+    airspeed = (
+        "none" if np.isinf(filtering.airspeed_cutoff_hz) else f"{filtering.airspeed_cutoff_hz:g} Hz"
+    )
+    filters = (
+        f"{filtering.cutoff_hz:g} Hz, airspeed {airspeed}, walk {filtering.walk_cutoff_hz:g} Hz,"
+        f" {filtering.rate_hz:.0f} samples a second"
+    )
     items = [
         ("Command", details.get("command") or "not recorded"),
         ("Version", f"uqharness {details.get('version', 'not recorded')}"),
@@ -473,27 +608,45 @@ def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
         ("Filter", filters),
         (
             "Files",
-            "model-form.json, model-form.xml (the same as a JSBSim system), residuals.parquet, beside this page",
+            (
+                "model-form.json, model-form.xml (the same as a JSBSim system), residuals.parquet,"
+                " beside this page"
+            ),
         ),
     ]
     return provenance(*items)
 
 
-# What bounds and their validation leave on disk.
+# Files of bounds and of their validation.
 
 
 def forced_width(noise: float, confidence: float) -> float:
-    """Width of the interval that noise of this standard deviation forces: twice the normal quantile times it."""
+    """Return the width of an interval due to noise alone: twice the normal quantile times
+    ``noise``.
+    """
     return float(2.0 * normal_quantile(0.5 + 0.5 * confidence) * noise)
 
 
-def bounds_document(found: MadeBounds) -> dict[str, Any]:
-    """What ``bounds --json`` prints; figures that are not finite are null."""
-    form = found.form
-    kept = mean_left_out(found.residuals, found.left_out)
+def bounds_document(made_bounds: MadeBounds) -> dict[str, Any]:
+    """Return the document of ``bounds --json``.
+
+    Parameters
+    ----------
+    made_bounds : MadeBounds
+        Bounds with residuals, noise and checks.
+
+    Returns
+    -------
+    dict
+        Dimensionless widths and standard deviations by coefficient; numbers that are not finite are
+        null.
+    """
+    form = made_bounds.form
+    left_out_shares = mean_left_out(made_bounds.residuals, made_bounds.left_out)
     rows = {}
     for c, b in form.coefficients.items():
-        noise = found.noise.get(c, math.nan)
+        # Noise of a sample, and the width that it forces.
+        noise = made_bounds.noise.get(c, math.nan)
         rows[c] = finite(
             {
                 "states": list(b.states),
@@ -501,11 +654,11 @@ def bounds_document(found: MadeBounds) -> dict[str, Any]:
                 "n": b.n,
                 "n_effective": b.n_effective,
                 "s": math.sqrt(b.s2),
-                "mean_width": found.widths[c],
+                "mean_width": made_bounds.widths[c],
                 "noise_width": forced_width(noise, b.confidence),
-                "left_out_share": kept.get(c, math.nan),
+                "left_out_share": left_out_shares.get(c, math.nan),
                 "walk_rate": b.walk_rate,
-                "walk_sigma": found.variations[c].sigma,
+                "walk_sigma": made_bounds.variations[c].sigma,
                 "noise_std": noise,
                 **({} if b.parts is None else _parts(b.parts)),
             }
@@ -516,14 +669,15 @@ def bounds_document(found: MadeBounds) -> dict[str, Any]:
         "confidence": form.confidence,
         "outside": form.outside,
         "coefficients": rows,
-        "left_out": {m: finite(row) for m, row in found.left_out.items()},
-        "cutoffs": [_cutoff(row) for row in found.cutoffs],
-        "warnings": list(found.warnings),
-        "notes": list(found.notes),
+        "left_out": {m: finite(row) for m, row in made_bounds.left_out.items()},
+        "cutoffs": [_cutoff(row) for row in made_bounds.cutoffs],
+        "warnings": list(made_bounds.warnings),
+        "notes": list(made_bounds.notes),
     }
 
 
 def _parts(parts: Parts) -> dict[str, float]:
+    """Return the parts of the model error."""
     return {
         "persistent": parts.persistent,
         "transient": parts.transient,
@@ -537,12 +691,24 @@ def _parts(parts: Parts) -> dict[str, float]:
 
 
 def _cutoff(row: CutoffRow) -> dict[str, Any]:
-    cut = {"cutoff_hz": row.cutoffs.all_hz, "airspeed_cutoff_hz": row.cutoffs.airspeed_hz}
-    return {**finite(cut), "mean_width": finite(row.width)}
+    """Return the mean widths of another filter."""
+    cutoffs = {"cutoff_hz": row.cutoffs.all_hz, "airspeed_cutoff_hz": row.cutoffs.airspeed_hz}
+    return {**finite(cutoffs), "mean_width": finite(row.width)}
 
 
-def validation_document(found: Validation) -> dict[str, Any]:
-    """What ``validate-bounds --json`` prints."""
+def validation_document(validation: Validation) -> dict[str, Any]:
+    """Return the document of ``validate-bounds --json``.
+
+    Parameters
+    ----------
+    validation : Validation
+        Coverage of a new flight.
+
+    Returns
+    -------
+    dict
+        Coverage, verdicts and conformal factors by coefficient.
+    """
     return {
         "coverage": {
             c: {
@@ -551,40 +717,41 @@ def validation_document(found: Validation) -> dict[str, Any]:
                 "n_effective": row.n_effective,
                 "mean_width": row.mean_width,
             }
-            for c, row in found.coverage.items()
+            for c, row in validation.coverage.items()
         },
         "errors": {
-            c: {str(k): v for k, v in row.error.items()} for c, row in found.coverage.items()
+            c: {str(k): v for k, v in row.error.items()} for c, row in validation.coverage.items()
         },
-        "outside_data": {c: row.outside for c, row in found.coverage.items()},
+        "outside_data": {c: row.outside for c, row in validation.coverage.items()},
         "manoeuvres": {
             m: {
                 c: {str(k): v for k, v in row.manoeuvres[m].items()}
-                for c, row in found.coverage.items()
+                for c, row in validation.coverage.items()
             }
-            for m in found.residuals.labels
+            for m in validation.residuals.labels
         },
-        "by_speed": _bins(found, "speeds", "V_mps"),
-        "by_incidence": _bins(found, "incidences", "alpha_rad"),
+        "by_speed": _bins(validation, "speeds", "V_mps"),
+        "by_incidence": _bins(validation, "incidences", "alpha_rad"),
         "conformal": {
             c: asdict(row.conformal)
-            for c, row in found.coverage.items()
+            for c, row in validation.coverage.items()
             if row.conformal is not None
         },
-        "verdicts": dict(verdicts(found)),
+        "verdicts": dict(verdicts(validation)),
         "flight_variance": {
-            c: finite({"std": found.flight_std.get(c, math.nan)})["std"] for c in found.coverage
+            c: finite({"std": validation.flight_std.get(c, math.nan)})["std"]
+            for c in validation.coverage
         },
-        "failed": list(failed(found)),
-        "warnings": list(found.warnings),
-        "notes": list(found.notes),
+        "failed": list(failed(validation)),
+        "warnings": list(validation.warnings),
+        "notes": list(validation.notes),
     }
 
 
-def _bins(found: Validation, kind: str, state: str) -> list[dict[str, Any]]:
-    """Rows of a state's thirds, each with the share inside by coefficient."""
+def _bins(validation: Validation, kind: str, state: str) -> list[dict[str, Any]]:
+    """Return the coverage by thirds of a state."""
     out: list[dict[str, Any]] = []
-    for c, row in found.coverage.items():
+    for c, row in validation.coverage.items():
         for k, item in enumerate(getattr(row, kind)):
             if k == len(out):
                 out.append(
@@ -601,13 +768,26 @@ def _bins(found: Validation, kind: str, state: str) -> list[dict[str, Any]]:
 
 
 def write_residuals(form: ModelForm, residuals: Residuals, flights: str, out: Path) -> None:
-    """residuals.parquet in ``out``: by piece the states, flight minus model per coefficient and the bounds of its samples there.
+    """Write residuals.parquet: states, residuals and bounds of each piece.
 
-    Where the form keeps noise apart, the samples' bounds hold the sensors' noise; ``<C>_model_lower``, ``_upper`` do not.
+    If the form separates noise, the bounds of samples contain the sensor noise; ``<C>_model_lower``
+    and ``<C>_model_upper`` do not.
+
+    Parameters
+    ----------
+    form : ModelForm
+        Bounds.
+    residuals : Residuals
+        Flight minus model.
+    flights : str
+        Names of the flights.
+    out : Path
+        Folder.
     """
     columns = {state: [piece.states[state] for piece in residuals.pieces] for state in form.states}
     for name, bounds in form.coefficients.items():
         columns[name] = residuals.columns(name)
+        # Bounds of measured samples contain the sensor noise.
         samples = [
             measured_bounds(bounds, name, piece, None, form.outside) for piece in residuals.pieces
         ]

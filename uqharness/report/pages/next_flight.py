@@ -1,4 +1,8 @@
-"""The page of a planned test flight: what it brings, where the mission lacks data, what to fly."""
+"""Build the page of a planned test flight and write its files.
+
+It shows what the flight brings, in which flight states the mission lacks data, and what to fly. The
+files are next-flight.json and test-points.csv.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +25,13 @@ from uqharness.report.parts import (
     Figure,
     Figures,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     provenance,
     remarks,
-    shown,
 )
 from uqharness.report.svg import Chart, Scale
 
@@ -35,13 +39,25 @@ _BINS, _CELLS, _MOST_DOTS = 16, 24, 1500
 
 
 def next_flight_page(
-    found: NextFlight, document: Mapping[str, Any], figures: Sequence[Figure], command: str
+    plan: NextFlight, document: Mapping[str, Any], figures: Sequence[Figure], command: str
 ) -> Page:
-    """The page of a plan. document: next-flight.json; figures: of :func:`uncertainty_figures`, none to leave them out."""
+    """Return the page of a plan.
+
+    Parameters
+    ----------
+    plan : NextFlight
+        Planned flight.
+    document : mapping
+        Content of next-flight.json.
+    figures : sequence of Figure
+        Figures of `uncertainty_figures`; empty to leave them out.
+    command : str
+        Command line.
+    """
     name = document["aircraft"]["name"]
-    where = (
-        "Quartiles (25, 50, 75 %): of the data behind the bounds, of the mission, and of the mission weighted by the prediction "
-        "variance."
+    quartile_text = (
+        "Quartiles (25, 50, 75 %): of the data behind the bounds, of the mission, and of the"
+        " mission weighted by the prediction variance."
     )
     legend = (
         ("fillrange", "mission"),
@@ -51,37 +67,43 @@ def next_flight_page(
         ("joint", "range of the data"),
         ("dot", "states of the flight"),
     )
-    drawn = (Figures(tuple(figures), legend, True, "next-flight"),) if figures else ()
+    figure_block = (Figures(tuple(figures), legend, True, "next-flight"),) if figures else ()
     fly = (
-        f"uqharness fly {name} --script next-flight.xml --out FILE flies it in simulation; test-points.csv is the same for an "
-        f"operator. Gain: share of the mean width that a point takes, given those chosen before it. {len(found.refused)} of "
-        f"{found.tried} test points were refused."
+        f"uqharness fly {name} --script next-flight.xml --out FILE flies it in simulation;"
+        " test-points.csv is the same for an operator. Gain: share of the mean width that a point"
+        f" takes, given those chosen before it. {len(plan.refused)} of {plan.tried} test points"
+        " were refused."
     )
     sections = (
         Section(
-            "Where the mission lacks data", (Words(where, note=True), *drawn, _where_table(found))
+            "Where the mission lacks data",
+            (Words(quartile_text, note=True), *figure_block, _where_table(plan)),
         ),
-        Section("What to fly", (Words(fly, note=True), _point_table(found))),
+        Section("What to fly", (Words(fly, note=True), _point_table(plan))),
         *remarks(document, key=()),
         provenance(
             ("Command", command),
             ("Files", "next-flight.json, next-flight.xml, test-points.csv, beside this page"),
         ),
     )
-    asked = f"What test flight narrows the interval of {found.coefficient} most in the mission's flight states?"
-    verdict = tuple(Say(text) for text in document["words"])
-    return Page(f"Next test flight for {found.coefficient} of {name}", asked, verdict, sections)
+    question = (
+        f"What test flight narrows the interval of {plan.coefficient} most in the mission's flight"
+        " states?"
+    )
+    verdict = tuple(Sentence(text) for text in document["words"])
+    return Page(f"Next test flight for {plan.coefficient} of {name}", question, verdict, sections)
 
 
-def _where_table(found: NextFlight) -> Table:
+def _where_table(plan: NextFlight) -> Table:
+    """Return quartiles of each state: data, mission, mission weighted by variance."""
     rows = []
-    for w in found.where:
+    for w in plan.where:
         quantity, unit, factor = shown_channel(w.state)
-        spread = (
-            " / ".join(shown(factor * float(v)) for v in values)
+        quartiles = (
+            " / ".join(format_value(factor * float(v)) for v in values)
             for values in (w.data, w.mission, w.variance)
         )
-        rows.append((f"{quantity} [{unit}]", *spread))
+        rows.append((f"{quantity} [{unit}]", *quartiles))
     return Table(
         "Quartiles of each state.",
         ("State", "Data", "Mission", "Uncertainty"),
@@ -90,9 +112,10 @@ def _where_table(found: NextFlight) -> Table:
     )
 
 
-def _point_table(found: NextFlight) -> Table:
+def _point_table(plan: NextFlight) -> Table:
+    """Return the test points in the order of the flight."""
     rows = []
-    for k, p in enumerate(found.plan, start=1):
+    for k, p in enumerate(plan.plan, start=1):
         unit = ", ".join(f"{s.unit_s:g} s" for s in p.point.steps) or "-"
         rows.append((str(k), f"{p.start_s:.0f} s", p.point.name, unit, percent(p.gain)))
     return Table(
@@ -104,33 +127,46 @@ def _point_table(found: NextFlight) -> Table:
 
 
 def uncertainty_figures(
-    now: CoefficientBounds,
-    then: CoefficientBounds,
+    current: CoefficientBounds,
+    updated: CoefficientBounds,
     mission: Mapping[str, FloatArray],
-    flown: Mapping[str, FloatArray],
+    planned_flight: Mapping[str, FloatArray],
     outside: Outside,
     coefficient: str,
 ) -> list[Figure]:
-    """Half-width from the uncertainty of the polynomial along each state, and occupancy times variance over two states.
+    """Draw the half-width due to parameter uncertainty along each state, and maps over two states.
 
-    mission: states (n,) of the mission; flown: of the planned flight.
+    Parameters
+    ----------
+    current, updated : CoefficientBounds
+        Bounds before and after the flight.
+    mission, planned_flight : mapping of str to array
+        States (n,) of the mission and of the planned flight.
+    outside : str
+        Behaviour of the bounds outside the data.
+    coefficient : str
+        Name of the coefficient.
     """
-    before, after = (b.t * np.sqrt(parameter_variance(b, mission, outside)) for b in (now, then))
+    before, after = (
+        b.t * np.sqrt(parameter_variance(b, mission, outside)) for b in (current, updated)
+    )
     figures = [
-        _profile(now, state, mission[state], before, after, coefficient) for state in now.states
+        _profile(current, state, mission[state], before, after, coefficient)
+        for state in current.states
     ]
-    if len(now.states) < 2:
+    if len(current.states) < 2:
         return figures
-    spread = {}
-    for state in now.states:
+    variance_ranges = {}
+    for state in current.states:
+        # Mean variance in six bins of equal occupancy.
         bins = np.digitize(
             mission[state], np.quantile(mission[state], np.linspace(0.0, 1.0, 7)[1:-1])
         )
         mean = np.bincount(bins, before**2, 6) / np.maximum(np.bincount(bins, minlength=6), 1)
-        spread[state] = float(np.ptp(mean))
+        variance_ranges[state] = float(np.ptp(mean))
     # The two states along which the uncertainty differs most over the mission.
-    first, second = sorted(now.states, key=lambda s: -spread[s])[:2]
-    return [*figures, *_maps(now, (first, second), mission, flown, (before, after))]
+    first, second = sorted(current.states, key=lambda s: -variance_ranges[s])[:2]
+    return [*figures, *_maps(current, (first, second), mission, planned_flight, (before, after))]
 
 
 def _profile(
@@ -141,13 +177,17 @@ def _profile(
     after: FloatArray,
     coefficient: str,
 ) -> Figure:
+    """Draw the half-width along one state, before and after the flight."""
     quantity, unit, factor = shown_channel(state)
+    # Ignore the most extreme 0.2 % on either side.
     low, high = (float(v) for v in np.quantile(values, [0.002, 0.998]))
     edges = np.linspace(low, high, _BINS + 1)
     bins = np.clip(np.digitize(values, edges) - 1, 0, _BINS - 1)
     count = np.bincount(bins, minlength=_BINS)
+    # Residual scatter stays whatever is flown.
     scatter = b.t * float(np.sqrt(b.s2))
     many = count >= 3
+    # Mean half-width where the mission has at least three samples.
     means = [np.bincount(bins, curve, _BINS)[many] / count[many] for curve in (before, after)]
     y = Scale(
         f"half-width of {coefficient} [-]",
@@ -188,22 +228,25 @@ def _maps(
     b: CoefficientBounds,
     pair: tuple[str, str],
     mission: Mapping[str, FloatArray],
-    flown: Mapping[str, FloatArray],
+    planned_flight: Mapping[str, FloatArray],
     curves: tuple[FloatArray, FloatArray],
 ) -> list[Figure]:
+    """Draw occupancy times variance over two states, before and after the flight."""
     factors = [shown_channel(s)[2] for s in pair]
     x, y = (f * mission[s] for f, s in zip(factors, pair, strict=True))
     dots = [
-        f * flown[s][:: max(1, len(flown[s]) // _MOST_DOTS)]
+        f * planned_flight[s][:: max(1, len(planned_flight[s]) // _MOST_DOTS)]
         for f, s in zip(factors, pair, strict=True)
     ]
     box = [np.quantile(v, [0.002, 0.998]) for v in (x, y)]
-    found = [np.histogram2d(x, y, _CELLS, box, weights=c**2) for c in curves]
-    most = max(float(found[0][0].max()), 1e-300)
+    # Occupancy weighted by the variance, before and after.
+    histograms = [np.histogram2d(x, y, _CELLS, box, weights=c**2) for c in curves]
+    largest = max(float(histograms[0][0].max()), 1e-300)
     scales = [
         Scale(axis_label(s), *_reach(ends, d)) for s, ends, d in zip(pair, box, dots, strict=True)
     ]
     i, j = (b.states.index(s) for s in pair)
+    # Outline of the data.
     across = factors[0] * np.array(
         [b.hull.low[i], b.hull.high[i], b.hull.high[i], b.hull.low[i], b.hull.low[i]]
     )
@@ -211,10 +254,13 @@ def _maps(
         [b.hull.low[j], b.hull.low[j], b.hull.high[j], b.hull.high[j], b.hull.low[j]]
     )
     figures = []
-    for (weights, x_edges, y_edges), when in zip(found, ("now", "after"), strict=True):
-        label = f"Occupancy times variance, {when}, over {axis_label(pair[0])} and {axis_label(pair[1])}."
+    for (weights, x_edges, y_edges), when in zip(histograms, ("now", "after"), strict=True):
+        label = (
+            f"Occupancy times variance, {when}, over {axis_label(pair[0])} and"
+            f" {axis_label(pair[1])}."
+        )
         chart = Chart(f"variance-{when}", label, scales[0], scales[1], 300)
-        chart.cells(x_edges, y_edges, np.minimum(weights / most, 1.0), "")
+        chart.cells(x_edges, y_edges, np.minimum(weights / largest, 1.0), "")
         chart.path(across, up, "joint")
         if when == "after":
             chart.dots(dots[0], dots[1], "dot")
@@ -229,7 +275,7 @@ def _maps(
 
 
 def _reach(box: FloatArray, values: FloatArray) -> tuple[float, float]:
-    """Axis limits: the mission, and the flight as far as it lies within as much again on either side."""
+    """Return axis limits: the mission, and the flight within one width on either side."""
     span = float(box[1] - box[0])
     low, high = np.quantile(values, [0.01, 0.99])
     return max(min(float(box[0]), float(low)), float(box[0]) - span), min(
@@ -239,120 +285,161 @@ def _reach(box: FloatArray, values: FloatArray) -> tuple[float, float]:
 
 # What `next-flight` leaves: next-flight.json and the table of test points.
 
-# The answer of next-flight in sentences: what it is about, what a flight brings, or why none
-# does.
+# The answer as sentences.
 
-MOST = 0.9
-"""Share of a flight's gain that its few most telling points have together."""
+MAIN_SHARE = 0.9
+"""Share of a flight's gain that its most informative points have together."""
 
 
 def words(
-    found: NextFlight, winner: Winner, missing: Sequence[MissingTerm] | None = None
+    plan: NextFlight, winner: Winner, missing: Sequence[MissingTerm] | None = None
 ) -> list[str]:
-    """The answer in sentences."""
-    c, p = found.coefficient, found.prospect
+    """Return the answer as sentences.
+
+    Parameters
+    ----------
+    plan : NextFlight
+        Planned flight.
+    winner : Winner
+        Coefficient and its share of the p-box.
+    missing : sequence of MissingTerm, optional
+        Terms that explain residual scatter; None if the flights were not given.
+    """
+    c, p = plan.coefficient, plan.prospect
+    # What the coefficient contributes, and how certain that is.
     low, high = (100.0 * s for s in winner.share)
     sure = "certain" if winner.certain else "not certain"
     out = [
-        f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric} ({winner.condition}; its lead is {sure})."
+        (
+            f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric}"
+            f" ({winner.condition}; its lead is {sure})."
+        )
     ]
     out.append(
-        f"In the mission's flight states its interval is {p.now.total:.3g} wide on average. "
-        f"{_percent(found.extrapolated)} of the mission lies outside the data. The "
-        f"polynomial's uncertainty alone gives {p.now.parameter:.3g}, the scatter about it the rest."
+        f"In the mission's flight states its interval is {p.now.total:.3g} wide on average."
+        f" {_percent(plan.extrapolated)} of the mission lies outside the data. The polynomial's"
+        f" uncertainty alone gives {p.now.parameter:.3g}, the scatter about it the rest."
     )
-    flight = f"The flight of {found.end_s / 60.0:.1f} min narrows the interval by {_percent(p.narrowing)} (its parameter part by "
+    # What the planned flight brings, against repetition and unlimited data.
+    flight = (
+        f"The flight of {plan.end_s / 60.0:.1f} min narrows the interval by"
+        f" {_percent(p.narrowing)} (its parameter part by "
+    )
     flight += (
-        f"{_percent(p.parameter_narrowing)}); as long a repetition of what was flown before, by "
-        f"{_percent(1.0 - p.naive.total / p.now.total)} ({_percent(1.0 - p.naive.parameter / p.now.parameter)}); unlimited data "
-        f"of the same kind, by {_percent(p.at_most)}."
+        f"{_percent(p.parameter_narrowing)}); as long a repetition of what was flown before, by"
+        f" {_percent(1.0 - p.naive.total / p.now.total)}"
+        f" ({_percent(1.0 - p.naive.parameter / p.now.parameter)}); unlimited data of the same"
+        f" kind, by {_percent(p.at_most)}."
     )
-    shown = 1.0 - p.redone.total / p.now.total
-    if abs(shown - p.narrowing) > 0.01:
+    redone_narrowing = 1.0 - p.redone.total / p.now.total
+    # New bounds also reflect a different scatter; say so if it matters.
+    if abs(redone_narrowing - p.narrowing) > 0.01:
         flight += (
-            f" Bounds made again will come out {_percent(abs(shown))} {'narrower' if shown >= 0.0 else 'wider'}, because residuals "
-            "scatter differently at the speeds of these points; that difference is no information."
+            f" Bounds made again will come out {_percent(abs(redone_narrowing))}"
+            f" {'narrower' if redone_narrowing >= 0.0 else 'wider'}, because residuals scatter"
+            " differently at the speeds of these points; that difference is no information."
         )
     out.append(flight)
-    out += _first_points(found)
-    if not found.worth_flying:
-        out.append(_why_not(found, p))
-    out += _of_form(found, missing)
-    others = [
+    out += _first_points(plan)
+    if not plan.worth_flying:
+        out.append(_reason_not_to_fly(plan, p))
+    out += _form_sentences(plan, missing)
+    further_prospects = [
         f"{name} {_percent(o.narrowing)}"
-        for name, o in found.prospects.items()
+        for name, o in plan.prospects.items()
         if name != c and o.narrowing >= WORTH
     ]
-    if others:
-        out.append(f"The same flight narrows {', '.join(others)}.")
+    if further_prospects:
+        out.append(f"The same flight narrows {', '.join(further_prospects)}.")
     return out
 
 
-def _first_points(found: NextFlight) -> list[str]:
-    """How few of the points bring most of it; nothing where it takes more than half of them."""
-    order = sorted(range(len(found.plan)), key=lambda k: -found.plan[k].gain)
-    total, gained, few = sum(p.gain for p in found.plan), 0.0, list[int]()
+def _first_points(plan: NextFlight) -> list[str]:
+    """Return a sentence on how few points bring most of the gain; empty if more than half are
+    needed.
+    """
+    # Most informative points first, until their sum is large enough.
+    order = sorted(range(len(plan.plan)), key=lambda k: -plan.plan[k].gain)
+    total, gained, few = sum(p.gain for p in plan.plan), 0.0, list[int]()
     for k in order:
         few.append(k)
-        gained += found.plan[k].gain
-        if gained >= MOST * total:
+        gained += plan.plan[k].gain
+        if gained >= MAIN_SHARE * total:
             break
-    if 2 * len(few) > len(found.plan):
+    if 2 * len(few) > len(plan.plan):
         return []
     numbers = ", ".join(str(k + 1) for k in sorted(few))
-    what = f"point {numbers} brings" if len(few) == 1 else f"points {numbers} bring"
+    subject = f"point {numbers} brings" if len(few) == 1 else f"points {numbers} bring"
     return [
-        f"Of what the flight takes off the mean width {what} {_percent(gained / total)}; a short flight would be those."
+        (
+            f"Of what the flight takes off the mean width {subject} {_percent(gained / total)}; a"
+            " short flight would be those."
+        )
     ]
 
 
-def _why_not(found: NextFlight, p: Prospect) -> str:
+def _reason_not_to_fly(plan: NextFlight, p: Prospect) -> str:
+    """Return why the flight is not worth flying."""
     if p.at_most >= WORTH:
         return (
-            f"Not worth flying for {found.coefficient} alone ({_percent(WORTH)} is asked for): more minutes would bring up to "
-            f"{_percent(p.at_most)}."
+            f"Not worth flying for {plan.coefficient} alone ({_percent(WORTH)} is asked for): more"
+            f" minutes would bring up to {_percent(p.at_most)}."
         )
     text = (
-        f"More data cannot narrow this interval: {_percent(1.0 - p.at_most)} of its width is scatter about the polynomial, which "
-        "stays. "
+        f"More data cannot narrow this interval: {_percent(1.0 - p.at_most)} of its width is"
+        " scatter about the polynomial, which stays. "
     )
-    ratio = found.scatter / found.simulated_scatter
+    # Scatter relative to what sensors and air alone give.
+    ratio = plan.scatter / plan.simulated_scatter
     if not math.isfinite(ratio):
         return text + "A longer flight (--minutes) would show whether that is noise or model form."
     if ratio > SENSORS:
         return (
-            text
-            + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): a term is "
-            "missing, or the air was rougher than simulated (--turbulence)."
+            text + f"It is {ratio:.1f} times what the model's own sensors and air give"
+            f" ({plan.simulated_scatter:.2g}): a term is missing, or the air was rougher than"
+            " simulated (--turbulence)."
         )
     return (
-        text
-        + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): calmer air, "
-        "better sensors or a lower --cutoff-hz of the bounds narrow it, no manoeuvre does."
+        text + f"It is {ratio:.1f} times what the model's own sensors and air give"
+        f" ({plan.simulated_scatter:.2g}): calmer air, better sensors or a lower --cutoff-hz of"
+        " the bounds narrow it, no manoeuvre does."
     )
 
 
-def _of_form(found: NextFlight, missing: Sequence[MissingTerm] | None) -> list[str]:
-    """What the scatter is made of, where the flights behind the bounds were given."""
-    c = found.coefficient
+def _form_sentences(plan: NextFlight, missing: Sequence[MissingTerm] | None) -> list[str]:
+    """Return what the scatter consists of, if the flights behind the bounds were given."""
+    c = plan.coefficient
     if missing is None:
-        if found.worth_flying and not found.form_is_short:
+        if plan.worth_flying and not plan.form_is_short:
             return []
         return [
-            "Give the flights behind the bounds (--flight FILE...) to learn whether a term is missing."
+            (
+                "Give the flights behind the bounds (--flight FILE...) to learn whether a term is"
+                " missing."
+            )
         ]
     if not missing:
         return [
-            f"In the flights given no term of second order is missing from the bounds of {c}: what scatters is noise and air."
+            (
+                f"In the flights given no term of second order is missing from the bounds of {c}:"
+                " what scatters is noise and air."
+            )
         ]
     listed = ", ".join(f"{m.name} ({_percent(m.share)})" for m in missing)
     states = ",".join(dict.fromkeys(s for m in missing for s in m.states))
-    text = f"Of what scatters in the flights given, this is explained by terms that the bounds of {c} lack: {listed}. More flying "
-    text += f"leaves it: put them into the model (uqharness refine) or their states ({states}) into the bounds (uqharness bounds "
+    text = (
+        f"Of what scatters in the flights given, this is explained by terms that the bounds of {c}"
+        f" lack: {listed}. More flying "
+    )
+    text += (
+        f"leaves it: put them into the model (uqharness refine) or their states ({states}) into the"
+        " bounds (uqharness bounds "
+    )
     return [text + f"--states {c}=...). In turbulence gusts can pass for such terms."]
 
 
 def _percent(value: float) -> str:
+    """Format a share."""
     return percent(value)
 
 
@@ -375,7 +462,7 @@ COLUMNS = (
 
 
 def document(
-    found: NextFlight,
+    plan: NextFlight,
     winner: Winner,
     mission: Occupancy,
     missing: Sequence[MissingTerm] | None,
@@ -383,22 +470,40 @@ def document(
     units: Mapping[str, str],
     warnings: Sequence[str],
 ) -> dict[str, Any]:
-    """next-flight.json. air: aircraft, bounds and conditions of the simulated flight, as they are to be written."""
+    """Return the content of next-flight.json.
+
+    Parameters
+    ----------
+    plan : NextFlight
+        Planned flight.
+    winner : Winner
+        Coefficient and its share of the p-box.
+    mission : Occupancy
+        Flight states of the mission.
+    missing : sequence of MissingTerm, optional
+        Terms that explain residual scatter.
+    air : mapping
+        Aircraft, bounds and conditions of the simulated flight.
+    units : mapping of str to str
+        Unit of each control.
+    warnings : sequence of str
+        Warnings.
+    """
     return {
         "format": FORMAT,
         **air,
         "metric": winner.metric,
-        "coefficient": found.coefficient,
+        "coefficient": plan.coefficient,
         "share": list(winner.share),
         "certain": winner.certain,
-        "verdict": "fly" if found.worth_flying else "no",
-        "words": words(found, winner, missing),
+        "verdict": "fly" if plan.worth_flying else "no",
+        "words": words(plan, winner, missing),
         "mission": {
             "source": mission.source,
             "flights": mission.flights,
             "failed": mission.failed,
             "seconds": round(mission.seconds, 3),
-            "outside_data": found.extrapolated,
+            "outside_data": plan.extrapolated,
         },
         "where": {
             w.state: {
@@ -406,23 +511,23 @@ def document(
                 "mission": w.mission.tolist(),
                 "variance": finite(w.variance.tolist()),
             }
-            for w in found.where
+            for w in plan.where
         },
-        "prospects": {c: prospect_row(p) for c, p in found.prospects.items()},
-        "scatter": {"bounds": found.scatter, "simulated": finite(found.simulated_scatter)},
-        "missing": None
-        if missing is None
-        else [{"term": m.name, "share": m.share} for m in missing],
-        "flight_s": found.end_s,
-        "points": [point_row(found, k, units) for k in range(len(found.plan))],
-        "tried": found.tried,
-        "refused": [{"point": r.point.name, "reason": r.reason} for r in found.refused],
+        "prospects": {c: prospect_row(p) for c, p in plan.prospects.items()},
+        "scatter": {"bounds": plan.scatter, "simulated": finite(plan.simulated_scatter)},
+        "missing": (
+            None if missing is None else [{"term": m.name, "share": m.share} for m in missing]
+        ),
+        "flight_s": plan.end_s,
+        "points": [point_row(plan, k, units) for k in range(len(plan.plan))],
+        "tried": plan.tried,
+        "refused": [{"point": r.point.name, "reason": r.reason} for r in plan.refused],
         "warnings": list(warnings),
     }
 
 
 def prospect_row(p: Prospect) -> dict[str, Any]:
-    """Widths and narrowings of one coefficient."""
+    """Return widths and narrowings of one coefficient."""
     return {
         "width": p.now.total,
         "width_after": p.then.total,
@@ -438,9 +543,9 @@ def prospect_row(p: Prospect) -> dict[str, Any]:
     }
 
 
-def point_row(found: NextFlight, k: int, units: Mapping[str, str]) -> dict[str, Any]:
-    """One test point; its steps by control."""
-    item = found.plan[k]
+def point_row(plan: NextFlight, k: int, units: Mapping[str, str]) -> dict[str, Any]:
+    """Return one test point with its steps."""
+    item = plan.plan[k]
     return {
         "number": k + 1,
         "name": item.point.name,
@@ -463,12 +568,12 @@ def point_row(found: NextFlight, k: int, units: Mapping[str, str]) -> dict[str, 
     }
 
 
-def points_csv(found: NextFlight, units: Mapping[str, str]) -> bytes:
-    """test-points.csv: one row a control that a point moves, one row for steady flight."""
+def points_csv(plan: NextFlight, units: Mapping[str, str]) -> bytes:
+    """Return test-points.csv: a row per control that a point moves, one for steady flight."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for k, item in enumerate(found.plan):
+    for k, item in enumerate(plan.plan):
         condition = item.point.condition
         speed = "" if condition.speed_mps is None else f"{condition.speed_mps:g}"
         head = [
@@ -482,6 +587,7 @@ def points_csv(found: NextFlight, units: Mapping[str, str]) -> bytes:
         if not item.point.steps:
             writer.writerow([*head, "", "", "", "", "", "", f"{item.gain:.4g}"])
         for s in item.point.steps:
+            # Signs and lengths of the steps.
             pattern = " ".join(f"{'+' if sign > 0 else '-'}{n}" for n, sign in s.pattern)
             writer.writerow(
                 [

@@ -1,4 +1,8 @@
-"""The page of a refinement, from refinement.json, model.diff and histories.parquet."""
+"""Build the page of a refinement, from refinement.json, model.diff and histories.parquet.
+
+It shows residuals before and after, the effects with their evidence and alternatives, what remains
+unexplained and where, intervals, a mission flown with both models, and the changes of the XML.
+"""
 
 from __future__ import annotations
 
@@ -25,24 +29,23 @@ from uqharness.report.parts import (
     Figures,
     Level,
     Page,
-    Say,
     Section,
+    Sentence,
     Table,
     Words,
+    format_value,
     is_wanted,
     percent,
     provenance,
     remarks,
-    shown,
 )
 from uqharness.report.svg import Chart, Scale, rows_chart, scale
 from uqharness.result_documents import Refinement, read_document
 
-# The chart of a refinement's candidates: every one that the page names, and the likeliest of
-# the others.
+# Chart of the candidates.
 
-MOST_OTHERS = 8
-"""Candidates in the chart that the page does not name."""
+MAX_UNLISTED = 8
+"""Candidates in the chart that the page does not list elsewhere."""
 LEGEND = (("wide", "alone, beside the parameters"), ("thick", "the same of a chosen effect"))
 _MARKS = {
     "chosen": "\N{BLACK CIRCLE}",
@@ -53,18 +56,29 @@ _MARKS = {
 
 
 @dataclass(frozen=True)
-class Named:
-    """A candidate that the page names: as what (chosen, withdrawn, alternative, left), and its |t| there; None where unknown."""
+class ListedCandidate:
+    """Hold a candidate that the page lists.
+
+    Attributes
+    ----------
+    part : str
+        chosen, withdrawn, alternative or left.
+    t : float or None
+        Absolute t value in that role; None if unknown.
+    """
 
     part: str
     t: float | None
 
 
-def named_candidates(done: Mapping[str, Any]) -> dict[str, Named]:
-    """Candidates that a refinement names, by coefficient or subsystem and term; one that is named twice as the first of `Named`.
+def listed_candidates(done: Mapping[str, Any]) -> dict[str, ListedCandidate]:
+    """Return the candidates that a refinement lists, by coefficient or subsystem and term.
 
-    An alternative's |t| is that in the effect's place, the root of what it gains in twice the log likelihood.
+    A candidate with several roles has the first of chosen, withdrawn, alternative, left. The |t|
+    of an alternative is the square root of the gain in twice the log likelihood in place of the
+    effect.
     """
+    # Chosen and withdrawn effects, their alternatives, then candidates that remain.
     rows: list[tuple[str, Mapping[str, Any], float | None]] = []
     for part, effects in (("chosen", done["effects"]), ("withdrawn", done.get("withdrawn", ()))):
         rows += [(part, e, e.get("evidence", {}).get("t")) for e in effects]
@@ -75,37 +89,53 @@ def named_candidates(done: Mapping[str, Any]) -> dict[str, Named]:
     remaining = done["remaining"]
     rows += [("left", w, w["t"]) for w in remaining["where"] if w.get("term") and "t" in w]
     rows += [("left", c, c["t"]) for c in (remaining.get("place") or {}).get("candidates", ())]
-    out: dict[str, Named] = {}
+    out: dict[str, ListedCandidate] = {}
     for part, e, t in rows:
         if e.get("term"):
-            out.setdefault(_short(e), Named(part, None if t is None else abs(t)))
+            out.setdefault(_short(e), ListedCandidate(part, None if t is None else abs(t)))
+    # The best candidate that was rejected.
     refused = done.get("best_refused")
     if refused:
         out.setdefault(
             _as_scored(refused["effect"]),
-            Named("left", None if refused.get("t") is None else abs(refused["t"])),
+            ListedCandidate("left", None if refused.get("t") is None else abs(refused["t"])),
         )
     return out
 
 
 def _short(e: Mapping[str, Any]) -> str:
+    """Return the short name of a candidate."""
     return f"{e.get('coefficient') or e.get('subsystem') or ''} {e['term']}".strip()
 
 
 def _as_scored(key: str) -> str:
-    """An effect's key, as a refused candidate has it, as the scores name it."""
+    """Return the key of a refused candidate in the form used by the scores."""
     return key.replace("/", " ", 1)
 
 
 def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None:
-    """|t| of the candidates; None where a refinement names and scores none."""
+    """Draw |t| of the candidates.
+
+    Parameters
+    ----------
+    done : mapping
+        Content of refinement.json.
+    prefix : str
+        Prefix of the figure name.
+
+    Returns
+    -------
+    Figure or None
+        None if the refinement scored no candidate.
+    """
     board = done.get("candidates", {})
-    alone = {r["effect"]: abs(r["t"]) for r in board.get("scores", ()) if r.get("t") is not None}
-    named = named_candidates(done)
-    others = [n for n in alone if n not in named][:MOST_OTHERS]
+    single_t = {r["effect"]: abs(r["t"]) for r in board.get("scores", ()) if r.get("t") is not None}
+    listed = listed_candidates(done)
+    unlisted = [n for n in single_t if n not in listed][:MAX_UNLISTED]
+    # Length of a row: the larger of both values.
     sizes = {
-        n: max(alone.get(n, 0.0), (named[n].t or 0.0) if n in named else 0.0)
-        for n in (*named, *others)
+        n: max(single_t.get(n, 0.0), (listed[n].t or 0.0) if n in listed else 0.0)
+        for n in (*listed, *unlisted)
     }
     if not sizes:
         return None
@@ -113,90 +143,118 @@ def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None
     limit = board.get("limit")
     label = "Candidate effects by |t| [-]: " + ", ".join(f"{n} {sizes[n]:.1f}" for n in order) + "."
     x = Scale("|t| of the score test [-]", 0.0, 1.08 * max(*sizes.values(), limit or 0.0, 1e-9))
-    titles = [f"{n} {_MARKS[named[n].part]}" if n in named else n for n in order]
+    titles = [f"{n} {_MARKS[listed[n].part]}" if n in listed else n for n in order]
     chart = rows_chart(f"{prefix}candidates", label, x, titles)
+    # Bar: t alone; disc: t in the role of the candidate.
     for k, n in enumerate(order):
-        if n in alone:
+        if n in single_t:
             chart.across(
-                0.0, alone[n], k, "thick" if n in named and named[n].part == "chosen" else "wide"
+                0.0,
+                single_t[n],
+                k,
+                "thick" if n in listed and listed[n].part == "chosen" else "wide",
             )
-        if n in named and named[n].t is not None:
-            chart.marker(named[n].t or 0.0, float(k), "first", "disc")
+        if n in listed and listed[n].t is not None:
+            chart.marker(listed[n].t or 0.0, float(k), "first", "disc")
     if limit is not None:
         chart.upright(limit, "limit", "reached by chance by the best of all")
     caption = (
-        "What explains the disagreement of the train flights, |t| [-]: bars alone, discs beside the chosen effects (alternatives: "
-        "in the effect's place). \N{BLACK CIRCLE} chosen, \N{ALMOST EQUAL TO} alternative, \N{MULTIPLICATION X} withdrawn, ? left."
+        "What explains the disagreement of the train flights, |t| [-]: bars alone, discs beside the"
+        " chosen effects (alternatives: in the effect's place). \N{BLACK CIRCLE} chosen,"
+        " \N{ALMOST EQUAL TO} alternative, \N{MULTIPLICATION X} withdrawn, ? left."
     )
     return Figure(chart.name, chart.svg(), caption)
 
 
-# refinement.json in sentences: what the test flights say of an effect, what is left, and where.
+# Sentences on tests, remaining residuals and their place.
 
-_AWAY = 1e9
-"""Change of twice a log likelihood that is no measure of noise any more: replays of one of the two models diverge."""
+_DIVERGED = 1e9
+"""Change of twice the log likelihood from which replays of one of the models diverge."""
 
 
-def place_says(place: Mapping[str, Any]) -> list[str]:
-    """Where the strongest of what is left sits, in at most three lines; none where nothing is left."""
+def place_words(place: Mapping[str, Any]) -> list[str]:
+    """Return where the strongest remaining residual is, in at most three lines.
+
+    Empty without any.
+    """
     if place["channel"] is None:
         return []
     name, _, _ = shown_channel(place["channel"])
     side = "hold-out" if place["flights"] == "test" else "train"
+    # Without an interval the record gives the reason.
     if place["from_s"] is None:
-        first = f"residual of {name}, {side} flights, {place['rms_over_noise']:.2f} times its noise: {place['reason']}"
+        first = (
+            f"residual of {name}, {side} flights, {place['rms_over_noise']:.2f} times its noise:"
+            f" {place['reason']}"
+        )
     else:
         share = place["share_of_excess"]
-        held = "" if share is None else f", {100.0 * share:.0f} % of what is left of the channel"
-        when = f"{place['flight']}, {place['from_s']:.1f} to {place['to_s']:.1f} s ({place['manoeuvre']})"
-        band = f"{place['from_Hz']:.2g} to {place['to_Hz']:.2g} Hz"
-        first = f"residual of {name}, {side} flight {when}, {band}: {place['rms_over_noise']:.2f} times its noise{held}"
-    goes = place["state"]
-    if goes is not None:
-        state, unit, factor = shown_channel(goes["state"])
-        first += (
-            f"; its {goes['of']} goes with {state}, most at {factor * goes['low']:.3g} to {factor * goes['high']:.3g} {unit} "
-            f"({100.0 * goes['share']:.0f} % of its variance)"
+        share_text = (
+            "" if share is None else f", {100.0 * share:.0f} % of what is left of the channel"
         )
-    near = ", ".join(
+        when = (
+            f"{place['flight']}, {place['from_s']:.1f} to {place['to_s']:.1f} s"
+            f" ({place['manoeuvre']})"
+        )
+        band = f"{place['from_Hz']:.2g} to {place['to_Hz']:.2g} Hz"
+        first = (
+            f"residual of {name}, {side} flight {when}, {band}: {place['rms_over_noise']:.2f} times"
+            f" its noise{share_text}"
+        )
+    dependence = place["state"]
+    if dependence is not None:
+        state, unit, factor = shown_channel(dependence["state"])
+        first += (
+            f"; its {dependence['of']} goes with {state}, most at {factor * dependence['low']:.3g}"
+            f" to {factor * dependence['high']:.3g} {unit} ({100.0 * dependence['share']:.0f} % of"
+            " its variance)"
+        )
+    candidates = ", ".join(
         f"{c['name']} {c['leaves']:.2f} (|t| {abs(c['t']):.1f})" for c in place["candidates"]
     )
-    now = f"rms over noise of {name} on the train flights {place['channel_on_train']:.2f}"
-    second = f"{now}; with the nearest candidates it would be: {near}"
+    current = f"rms over noise of {name} on the train flights {place['channel_on_train']:.2f}"
+    # What the nearest candidates would leave.
+    second = f"{current}; with the nearest candidates it would be: {candidates}"
     return [first, second, f"the flight that would tell: {place['would_tell']}"]
 
 
-def smooth_says(smooth: Mapping[str, Any]) -> str:
-    """What is said of a smooth term that is offered for naming, in a line."""
+def smooth_words(smooth: Mapping[str, Any]) -> str:
+    """Return one line on the smooth term that is offered for interpretation."""
     channel, _, _ = shown_channel(smooth["channel"])
-    instead = (
+    replaced = (
         f", in place of {' and '.join(smooth['in_place_of'])}," if smooth["in_place_of"] else ""
     )
     return (
-        f"not named, no physics: a {smooth['name']} ({smooth['property']}){instead} brings {channel} on the train flights from "
-        f"{smooth['channel_on_train']:.2f} to {smooth['leaves']:.2f} times its noise; {test_says(smooth)}"
+        f"not named, no physics: a {smooth['name']} ({smooth['property']}){replaced} brings"
+        f" {channel} on the train flights from {smooth['channel_on_train']:.2f} to"
+        f" {smooth['leaves']:.2f} times its noise; {test_words(smooth)}"
     )
 
 
-def nowhere(document: Mapping[str, Any]) -> str:
-    """What is said where no region stands out: nothing at all is missing, or what is missing shows over whole flights alone."""
-    named = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
-    named += [abs(w["t"]) for w in document["remaining"]["where"] if "t" in w]
-    if named:
+def no_region_words(document: Mapping[str, Any]) -> str:
+    """Return the sentence for residuals without a distinct region."""
+    # No region, but significant effects over all samples together.
+    t_values = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
+    t_values += [abs(w["t"]) for w in document["remaining"]["where"] if "t" in w]
+    if t_values:
         return (
-            "in no single region beyond what noise allows a sample; over all samples together the flights disagree with the "
-            f"model all the same (|t| up to {max(named):.0f})"
+            "in no single region beyond what noise allows a sample; over all samples together the"
+            f" flights disagree with the model all the same (|t| up to {max(t_values):.0f})"
         )
     if document["remaining"]["unexplained"]:
-        return "in no single region beyond what noise allows a sample, but the flights as a whole: see what is left"
+        return (
+            "in no single region beyond what noise allows a sample, but the flights as a whole: see"
+            " what is left"
+        )
     return "nowhere beyond what noise allows"
 
 
-def left_over(remaining: Mapping[str, Any]) -> list[str]:
-    """What is left, in sentences; none where nothing is."""
+def remaining_words(remaining: Mapping[str, Any]) -> list[str]:
+    """Return what remains unexplained as sentences; empty if nothing does."""
     if not remaining["unexplained"]:
         return [w["words"] for w in remaining["where"] if "words" in w]
     out = []
+    # Channels above their noise, coloured residuals, then single findings.
     above = remaining["channels_above_noise"]
     if above:
         out.append(
@@ -217,78 +275,105 @@ def left_over(remaining: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def test_says(effect: Mapping[str, Any]) -> str:
-    """What the test flights say of one effect."""
+def test_words(effect: Mapping[str, Any]) -> str:
+    """Return what the hold-out flights show for one effect."""
     test = effect["test"]
     change, std = test["change_of_twice_log_likelihood"], test["std"]
     number = f"twice the log likelihood {_with_error(change, std)} with it"
-    if abs(change) >= _AWAY:
+    # The number itself is meaningless if one model diverges.
+    if abs(change) >= _DIVERGED:
         more, leaves = ("more", "without") if change > 0.0 else ("less", "with")
-        number = f"twice the log likelihood over a billion {more} with it, for {leaves} it the model leaves the flights altogether"
-    share, wide = test.get("share_of_estimate"), test.get("share_std")
-    # A standard error of half the way between none and all tells neither from the other.
-    if share is not None and wide is not None and math.isfinite(share) and wide < 0.5:
-        number += f", {share:.2f} ± {wide:.2f} of the estimate fits them best"
+        number = (
+            f"twice the log likelihood over a billion {more} with it, for {leaves} it the model"
+            " leaves the flights altogether"
+        )
+    share, share_std = test.get("share_of_estimate"), test.get("share_std")
+    # With a standard error above 0.5 the share distinguishes neither none nor all of the estimate.
+    if share is not None and share_std is not None and math.isfinite(share) and share_std < 0.5:
+        number += f", {share:.2f} ± {share_std:.2f} of the estimate fits them best"
     if test["gap"] == "shrank":
         return f"on the test flights the gap shrank: {number}"
     if test["gap"] == "grew":
         return f"on the test flights the gap grew: {number}; withdrawn"
     if test["gap"] == "too far":
-        far = f"{test['rms_over_that_of_train']:.0f} times as far from either model as the train flights"
-        return f"the test flights do not tell: they lie {far}; look for what is wrong with them"
-    gone = "; withdrawn beside what nothing explains" if effect.get("withdrawn") else ""
-    return f"the test flights do not tell whether the gap shrank: {number}{gone}"
+        distance = (
+            f"{test['rms_over_that_of_train']:.0f} times as far from either model as the train"
+            " flights"
+        )
+        return (
+            f"the test flights do not tell: they lie {distance}; look for what is wrong with them"
+        )
+    withdrawal = "; withdrawn beside what nothing explains" if effect.get("withdrawn") else ""
+    return f"the test flights do not tell whether the gap shrank: {number}{withdrawal}"
 
 
 def _with_error(value: float, std: float) -> str:
-    """``value ± std`` with three significant figures of the standard error, and as many places of the value."""
+    """Format ``value ± std`` with three significant digits of the standard error."""
     if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
         return f"{value:+.4g} ± {std:.3g}"
+    # Decimals that show three significant digits of the standard error.
     places = 2 - math.floor(math.log10(std))
     return f"{round(value, places):+.{max(places, 0)}f} ± {round(std, places):.{max(places, 0)}f}"
 
 
-def carried_by(effect: Mapping[str, Any]) -> str:
-    """Where an effect of refinement.json stands: its property, a number of the XML, or a sensor."""
+def location_of_effect(effect: Mapping[str, Any]) -> str:
+    """Return where an effect is in the model: its property, a number of the XML, or a sensor."""
     sensor = str(effect.get("subsystem", "")).startswith("sensor.")
     return str(effect.get("property") or ("a sensor's" if sensor else "a number in the XML"))
 
 
-# The effects of a refinement as a section of its page: value and error bar, change of the XML,
-# what else it may be, evidence.
+# Section of effects.
 
 
 def headline(e: Mapping[str, Any]) -> str:
-    """Name, value and standard error of an effect."""
-    return f"{capital(e['name'])}: {shown(e['value'], '.5g')} ± {shown(e['std'], '.2g')}{_unit(e)}"
+    """Return name, value and standard error of an effect."""
+    return (
+        f"{capital(e['name'])}: {format_value(e['value'], '.5g')} ±"
+        f" {format_value(e['std'], '.2g')}{_unit(e)}"
+    )
 
 
 def _unit(e: Mapping[str, Any]) -> str:
+    """Return the unit of an effect with a leading space; empty if it has none."""
     return "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
 
 
 def capital(text: str) -> str:
-    """The text with a capital first letter; the rest as it is."""
+    """Return text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
 def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") -> Section:
-    """The effects: value with its error bar, what changed in the XML, alternatives, evidence; and who else was asked.
+    """Return the effects: value, change of the XML, alternatives, evidence, and rejected
+    candidates.
 
-    diff: the text of model.diff
+    Parameters
+    ----------
+    done : mapping
+        Content of refinement.json.
+    diff : str
+        Text of model.diff.
+    prefix : str
+        Prefix of figure names.
     """
+    # Value of each property that switches the effect off.
     off = {s["property"]: s["off"] for s in done.get("switch", ())}
     parts = [
         Section(
             headline(e),
-            (*_value(e, off, f"{prefix}effect{k}"), *_change(e, diff), *_others(e), *_evidence(e)),
+            (
+                *_value(e, off, f"{prefix}effect{k}"),
+                *_change(e, diff),
+                *_alternatives(e),
+                *_evidence(e),
+            ),
         )
         for k, e in enumerate(done["effects"])
     ]
     first: list[Block] = [] if parts else [Words("None.")]
     refused = done.get("best_refused")
     if refused:
-        t = shown(_abs(refused.get("t")), ".1f")
+        t = format_value(_abs(refused.get("t")), ".1f")
         first.append(
             Words(
                 f"Best candidate that was refused: {refused['effect']} (|t| {t}): {refused['why']}."
@@ -301,21 +386,25 @@ def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") ->
 
 
 def _value(e: Mapping[str, Any], off: Mapping[str, float], name: str) -> list[Block]:
-    """What the hold-out flights say, and the 95 % interval beside the value without the effect."""
-    out: list[Block] = [Words(f"{capital(test_says(e))}.")] if e.get("test") else []
+    """Return the result on the hold-out flights and a chart of the 95 % interval."""
+    out: list[Block] = [Words(f"{capital(test_words(e))}.")] if e.get("test") else []
+    # 95 % interval with the value that switches the effect off.
     low, high = e.get("evidence", {}).get("interval_95") or (None, None)
     if low is None or high is None or e["value"] is None:
         return out
-    without = float(off.get(e.get("property") or "", 0.0))
-    ends = [float(v) for v in (low, high, without)]
+    off_value = float(off.get(e.get("property") or "", 0.0))
+    ends = [float(v) for v in (low, high, off_value)]
     margin = 0.08 * (max(ends) - min(ends)) or 1.0
-    label = f"{capital(e['name'])}: 95 % interval {shown(low, '.5g')} to {shown(high, '.5g')}{_unit(e)}, without it {without:g}."
+    label = (
+        f"{capital(e['name'])}: 95 % interval {format_value(low, '.5g')} to"
+        f" {format_value(high, '.5g')}{_unit(e)}, without it {off_value:g}."
+    )
     unit = e.get("unit") or "-"
     axis = f"value [{'-' if unit == '1' else unit}]"
     chart = rows_chart(
         name, label, Scale(axis, min(ends) - margin, max(ends) + margin), [e["term"]], 24
     )
-    chart.upright(without, "zero", "without the effect")
+    chart.upright(off_value, "zero", "without the effect")
     chart.across(low, high, 0.0, "first")
     chart.marker(e["value"], 0.0, "first", "disc")
     return [
@@ -333,67 +422,104 @@ def _value(e: Mapping[str, Any], off: Mapping[str, float], name: str) -> list[Bl
 
 
 def _change(e: Mapping[str, Any], diff: str) -> list[Block]:
-    """The lines of model.diff that name the effect or its property, with what stands around them."""
+    """Return the lines of model.diff that name the effect, with their context."""
     text = lines_naming(diff, [w for w in (e.get("property"), e["name"]) if w])
     return [Code(f"Change of the XML for {e['name']}", text)] if text else []
 
 
 def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
-    """Changed lines of a unified difference in which one of the words stands, with ``around`` lines on either side."""
+    """Return changed lines of a difference that contain one of the words.
+
+    Parameters
+    ----------
+    diff : str
+        Unified difference.
+    words : sequence of str
+        Words to look for.
+    around : int
+        Lines of context on either side.
+
+    Examples
+    --------
+    >>> lines_naming("+a\\n b\\n+c", ["c"], around=0)
+    '+c'
+    """
+    # Changed lines that contain a word, with their context.
     lines = [line for line in diff.splitlines() if not line.startswith(("--- ", "+++ ", "@@"))]
-    own = [k for k, line in enumerate(lines) if line[:1] in "+-" and any(w in line for w in words)]
-    near = sorted(
-        {k for c in own for k in range(max(c - around, 0), min(c + around + 1, len(lines)))}
+    matches = [
+        k for k, line in enumerate(lines) if line[:1] in "+-" and any(w in line for w in words)
+    ]
+    with_context = sorted(
+        {k for c in matches for k in range(max(c - around, 0), min(c + around + 1, len(lines)))}
     )
     out: list[str] = []
-    for last, k in zip([-1, *near], near, strict=False):
+    # Dots mark omitted lines.
+    for last, k in zip([-1, *with_context], with_context, strict=False):
         out += ["..."] * (last >= 0 and k > last + 1) + [lines[k]]
     return "\n".join(out)
 
 
-def _others(e: Mapping[str, Any]) -> list[Block]:
-    """What the effect is confounded with, and which alternatives the flights exclude."""
-    told = [
-        f"Distinguished from {a['name']}."
-        if a["separable"]
-        else f"Confounded with {a['name']}. Would separate them: {a['would_separate']}."
+def _alternatives(e: Mapping[str, Any]) -> list[Block]:
+    """Return which alternatives are confounded with the effect and which are excluded."""
+    sentences = [
+        (
+            f"Distinguished from {a['name']}."
+            if a["separable"]
+            else f"Confounded with {a['name']}. Would separate them: {a['would_separate']}."
+        )
         for a in e.get("alternatives", ())
     ]
-    return [Bullets(tuple(told))] if told else []
+    return [Bullets(tuple(sentences))] if sentences else []
 
 
 def _evidence(e: Mapping[str, Any]) -> list[Block]:
+    """Return the table of evidence for an effect."""
     evidence = e.get("evidence", {})
     low, high = evidence.get("interval_95") or (None, None)
     rows = [
-        ("Value", f"{shown(e['value'], '.5g')}{_unit(e)}"),
-        ("Standard error", shown(e["std"], ".2g")),
-        ("95 % interval", f"{shown(low, '.5g')} to {shown(high, '.5g')}"),
-        ("|t|", shown(_abs(evidence.get("t")), ".1f")),
-        ("Twice the log-likelihood gained", shown(evidence.get("twice_log_likelihood"), ".4g")),
+        ("Value", f"{format_value(e['value'], '.5g')}{_unit(e)}"),
+        ("Standard error", format_value(e["std"], ".2g")),
+        ("95 % interval", f"{format_value(low, '.5g')} to {format_value(high, '.5g')}"),
+        ("|t|", format_value(_abs(evidence.get("t")), ".1f")),
+        (
+            "Twice the log-likelihood gained",
+            format_value(evidence.get("twice_log_likelihood"), ".4g"),
+        ),
         (
             "Gained on held-out manoeuvres",
-            shown(evidence.get("confirmed_on_held_out_manoeuvres"), ".4g"),
+            format_value(evidence.get("confirmed_on_held_out_manoeuvres"), ".4g"),
         ),
         (
             "Held-out estimate differs by",
-            f"{shown(evidence.get('held_out_estimate_differs_by_std'), '.2f')} standard errors",
+            (
+                f"{format_value(evidence.get('held_out_estimate_differs_by_std'), '.2f')} standard"
+                " errors"
+            ),
         ),
-        ("Property", carried_by(e)),
+        ("Property", location_of_effect(e)),
     ]
-    why = Words(f"{capital(e['why']).rstrip('.')}.")
-    return [why, Table(f"Evidence for {e['name']}.", ("Evidence", "Value"), tuple(rows))]
+    reason = Words(f"{capital(e['why']).rstrip('.')}.")
+    return [reason, Table(f"Evidence for {e['name']}.", ("Evidence", "Value"), tuple(rows))]
 
 
 def _abs(value: float | None) -> float | None:
+    """Return the absolute value; None for None."""
     return None if value is None else abs(value)
 
 
-# What a refinement did to the model's intervals and to a mission, as sections of its page.
+# Sections of intervals and mission.
 
 
 def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
-    """Width and coverage of the model-form intervals on the test flights, before and after."""
+    """Return width and coverage of the model-form intervals on the hold-out flights.
+
+    Parameters
+    ----------
+    gap : mapping
+        Part of refinement.json with the intervals before and after.
+    prefix : str
+        Prefix of figure names.
+    """
     title = "Model-form intervals on the test flights"
     intervals = gap.get("intervals") or {
         "reason": "this folder was written before they were computed"
@@ -402,13 +528,14 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         return Section(title, (Words(f"Not shown: {intervals['reason']}."),))
     rows = []
     for name, r in intervals["coefficients"].items():
+        # A wider interval after the refinement deserves attention.
         before, after = r["width_before"], r["width_after"]
         level: Level = "warn" if before is not None and after is not None and after > before else ""
         rows.append(
             (
                 name,
-                shown(before),
-                Cell(shown(after), level),
+                format_value(before),
+                Cell(format_value(after), level),
                 *(_share(r, when) for when in ("before", "after")),
             )
         )
@@ -419,8 +546,14 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         "Test samples inside before [%]",
         "After [%]",
     )
-    caption = f"{100.0 * intervals['confidence']:g} % intervals of each model, fitted on the train flights."
-    text = "As uqharness bounds fits them, one set for each model; ± is one standard error, neighbouring samples being alike."
+    caption = (
+        f"{100.0 * intervals['confidence']:g} % intervals of each model, fitted on the train"
+        " flights."
+    )
+    text = (
+        "As uqharness bounds fits them, one set for each model; ± is one standard error,"
+        " neighbouring samples being alike."
+    )
     figures = Figures(
         _interval_figures(intervals, prefix),
         (("second", "before"), ("first", "after")),
@@ -432,8 +565,9 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
 
 
 def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure, ...]:
-    """Mean width after over before, and the share of the test samples inside with its 95 % limits."""
+    """Draw the ratio of widths, and the coverage with 95 % limits."""
     rows = intervals["coefficients"]
+    # Ratio of widths where both are known.
     widths = {
         c: r["width_after"] / r["width_before"]
         for c, r in rows.items()
@@ -455,26 +589,30 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
         out.append(
             Figure(chart.name, chart.svg(), "Mean width of the intervals after, over before [-].")
         )
+    # Before and after slightly offset.
     sides = (("before", "second", "ring", -0.15), ("after", "first", "disc", 0.15))
-    known = [
+    rows_with_coverage = [
         (
-            k + aside,
+            k + offset,
             kind,
             shape,
             100.0 * r[f"coverage_{when}"],
             196.0 * (r[f"coverage_std_{when}"] or 0.0),
         )
         for k, r in enumerate(rows.values())
-        for when, kind, shape, aside in sides
+        for when, kind, shape, offset in sides
         if r[f"coverage_{when}"] is not None
     ]
-    if known:
-        label = f"Test samples inside the intervals [%], {min(row[3] for row in known):.1f} at the least."
-        least = min(share - half for *_, share, half in known)
-        x = Scale("test samples inside [%], with 95 % limits", max(0.0, least - 2.0), 101.0)
+    if rows_with_coverage:
+        label = (
+            "Test samples inside the intervals [%],"
+            f" {min(row[3] for row in rows_with_coverage):.1f} at the least."
+        )
+        lowest = min(share - half for *_, share, half in rows_with_coverage)
+        x = Scale("test samples inside [%], with 95 % limits", max(0.0, lowest - 2.0), 101.0)
         chart = rows_chart(f"{prefix}interval-coverage", label, x, tuple(rows), 24)
         chart.upright(100.0 * intervals["confidence"], "limit")
-        for at, kind, shape, share, half in known:
+        for at, kind, shape, share, half in rows_with_coverage:
             chart.across(share - half, share + half, at, kind)
             chart.marker(share, at, kind, shape)
         out.append(
@@ -488,42 +626,54 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
 
 
 def _share(row: Mapping[str, Any], when: str) -> str:
+    """Format a coverage with its standard error."""
     share, std = row[f"coverage_{when}"], row[f"coverage_std_{when}"]
     return "undefined" if share is None else f"{percent(share, '.1f')} ± {percent(std, '.1f')}"
 
 
 def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> Section:
-    """P-boxes of the mission flown with both models inside their own intervals."""
+    """Return p-boxes of a mission flown with both models within their own intervals.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the refinement.
+    gap : mapping
+        Part of refinement.json with the folders of the campaigns.
+    prefix : str
+        Prefix of figure names.
+    """
     title = "The mission before and after"
     mission = gap.get("pbox") or {"reason": "this folder was written before it was flown"}
     if mission.get("reason") is not None:
         return Section(title, (Words(f"Not shown: {mission['reason']}."),))
-    # With these pandas is loaded, and not every refinement flies a mission.
-    from uqharness.report.campaign import overlay_section, read_found
+    # Imported here because it loads pandas, and not every refinement flies a mission.
+    from uqharness.report.campaign import overlay_section, read_campaign_report
 
     folders = mission["folders"]
-    said = (
-        f"{mission['mission']}, {mission['corners']} corners, {mission['flights_per_corner']} flights of "
-        f"{mission['duration_s']:g} s each, the same air for both models. Failed flights: {mission['before']['failed']} before, "
-        f"{mission['after']['failed']} after."
+    flown_text = (
+        f"{mission['mission']}, {mission['corners']} corners, {mission['flights_per_corner']}"
+        f" flights of {mission['duration_s']:g} s each, the same air for both models. Failed"
+        f" flights: {mission['before']['failed']} before, {mission['after']['failed']} after."
     )
     if len(folders) < 2:
         return Section(
-            title, (Words(f"{said} Without an effect there is one model, and nothing to compare."),)
+            title,
+            (Words(f"{flown_text} Without an effect there is one model, and nothing to compare."),),
         )
     try:
-        pair = [read_found(folder / name) for name in folders]
+        pair = [read_campaign_report(folder / name) for name in folders]
     except BadInputError as error:
-        return Section(title, (Words(f"{said} The campaigns cannot be read: {error}"),))
-    drawn = overlay_section(
+        return Section(title, (Words(f"{flown_text} The campaigns cannot be read: {error}"),))
+    overlay = overlay_section(
         pair[0],
         pair[1],
         dict(zip(("before", "after"), folders, strict=True)),
         f"{prefix}mission-",
         title,
     )
-    blocks: list[Block] = [Words(said, note=True)]
-    for block in drawn.blocks:
+    blocks: list[Block] = [Words(flown_text, note=True)]
+    for block in overlay.blocks:
         if isinstance(block, Figures):
             blocks.append(replace(block, file="pbox"))
         else:
@@ -531,28 +681,29 @@ def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> S
     return Section(title, tuple(blocks))
 
 
-# A smooth term that is offered for naming, as a section of a refinement's page.
+# Section of a smooth term that is offered for interpretation.
 
 RMS = ("rms_before", "rms_after", "noise_rms")
-"""What a refinement says of a channel or a coefficient."""
+"""Keys of the residual rms before and after, and of the noise."""
 
 
-def smooth_lines(done: Mapping[str, Any]) -> tuple[Say, ...]:
-    """The line of the page's head, where a term is offered."""
+def smooth_lines(done: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    """Return the sentence of the verdict on a smooth term; empty if none is offered."""
     smooth = done["remaining"].get("smooth")
-    return (Say(f"{capital(smooth_says(smooth))}.", "warn"),) if smooth else ()
+    return (Sentence(f"{capital(smooth_words(smooth))}.", "warn"),) if smooth else ()
 
 
 def smooth_sections(done: Mapping[str, Any], prefix: str = "") -> list[Section]:
-    """The term with its curve, what it does to the flights, and the forms that it resembles; none where none is offered."""
+    """Return a smooth term with its curve, its effect on the residuals, and similar forms."""
     smooth = done["remaining"].get("smooth")
     if not smooth:
         return []
     text = (
-        f"Nothing of the catalogue explains what is left. {capital(smooth_says(smooth))}. The term has "
-        f"{smooth['effective_degrees_of_freedom']:.1f} effective degrees of freedom. It is a description and no effect: find the "
-        "physics that would make this shape, or fly what tells more. Nothing is known outside the range drawn; the table holds its "
-        f"ends there. The model with it: {smooth['model']}."
+        f"Nothing of the catalogue explains what is left. {capital(smooth_words(smooth))}. The term"
+        f" has {smooth['effective_degrees_of_freedom']:.1f} effective degrees of freedom. It is a"
+        " description and no effect: find the physics that would make this shape, or fly what"
+        " tells more. Nothing is known outside the range drawn; the table holds its ends there."
+        f" The model with it: {smooth['model']}."
     )
     figures = Figures((_curve_figure(smooth, prefix),), file="unnamed")
     return [
@@ -564,13 +715,20 @@ def smooth_sections(done: Mapping[str, Any], prefix: str = "") -> list[Section]:
 
 
 def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
+    """Draw the smooth term with its band and the density of the data."""
     at, value, low, high, samples = (
         np.array(smooth["curve"][k], dtype=float) for k in ("at", "value", "low", "high", "samples")
     )
-    what = f"{smooth['coefficient']} [-]" + (f" over {smooth['times']}" if smooth["times"] else "")
-    y = scale(what, [value, low, high])
+    axis_label_text = f"{smooth['coefficient']} [-]" + (
+        f" over {smooth['times']}" if smooth["times"] else ""
+    )
+    y = scale(axis_label_text, [value, low, high])
+    # Density of the data at the foot of the chart.
     foot = y.low + 0.25 * (y.high - y.low) * samples / max(samples.max(), 1.0)
-    label = f"{capital(smooth['name'])}: {value.min():.3g} to {value.max():.3g} over {smooth['state']} {at[0]:.3g} to {at[-1]:.3g}."
+    label = (
+        f"{capital(smooth['name'])}: {value.min():.3g} to {value.max():.3g} over {smooth['state']}"
+        f" {at[0]:.3g} to {at[-1]:.3g}."
+    )
     chart = Chart(
         f"{prefix}unnamed", label, scale(f"{smooth['state']} [{smooth['unit']}]", [at]), y
     )
@@ -587,23 +745,25 @@ def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
     chart.band(at, low, high, "fill1", "95 % band")
     chart.line(at, value, "first", "smooth term")
     caption = (
-        "A smooth term, not an effect: which physics would make this shape? It is less the best straight line where the model "
-        "has one. Grey: where the data lie."
+        "A smooth term, not an effect: which physics would make this shape? It is less the best"
+        " straight line where the model has one. Grey: where the data lie."
     )
     return Figure(chart.name, chart.svg(), caption)
 
 
 def _gap_table(smooth: Mapping[str, Any]) -> Table:
+    """Return residuals with and without the term."""
     rows = []
+    # Training flights, then hold-out flights.
     for side, flights in (("train", "Train"), ("test", "Test")):
         gap = smooth["gap"][side]
         channels = gap.get("predictions") or gap["channels"]
-        for name, found in (
+        for name, gap_rows in (
             (smooth["channel"], channels),
             (smooth["coefficient"], gap["coefficients"]),
         ):
-            label, values = in_shown_unit(name, found[name], *RMS)
-            rows.append((f"{flights}: {label}", *(shown(v) for v in values)))
+            label, values = in_shown_unit(name, gap_rows[name], *RMS)
+            rows.append((f"{flights}: {label}", *(format_value(v) for v in values)))
     head = ("Flights and quantity", "Without the term", "With it", "Noise")
     return Table(
         "Rms of log minus model without and with the term, beside the effects that stand.",
@@ -614,12 +774,20 @@ def _gap_table(smooth: Mapping[str, Any]) -> Table:
 
 
 def _shape_table(smooth: Mapping[str, Any]) -> Table:
+    """Return forms that resemble the term, with the residual that each leaves."""
     name, _, _ = shown_channel(smooth["channel"])
     rows = tuple(
-        (capital(s["form"]), shown(s["correlation"], ".3f"), shown(s["leaves"], ".3f"))
+        (
+            capital(s["form"]),
+            format_value(s["correlation"], ".3f"),
+            format_value(s["leaves"], ".3f"),
+        )
         for s in smooth["shapes"]
     )
-    caption = f"Forms that it resembles, and what each leaves of {name} on the train flights in its place ({smooth['leaves']:.3f})."
+    caption = (
+        f"Forms that it resembles, and what each leaves of {name} on the train flights in its place"
+        f" ({smooth['leaves']:.3f})."
+    )
     return Table(
         caption, (f"Form in {smooth['state']}", "Correlation [-]", "Rms over noise left [-]"), rows
     )
@@ -630,9 +798,21 @@ _DIFF_LINES = 400
 
 
 def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
-    """The page of the folder that ``uqharness refine`` wrote. ``only``: titles of the sections that are shown, if not all.
+    """Return the page of a folder that ``uqharness refine`` wrote.
 
-    Raises BadInputError.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    prefix : str
+        Prefix of figure names.
+    only : collection of str, optional
+        Titles of the sections to build; default: all.
+
+    Raises
+    ------
+    BadInputError
+        If the folder cannot be read.
     """
     done = read_document(folder / REFINEMENT, Refinement)
     histories = read_histories(folder / HISTORIES)
@@ -644,22 +824,25 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
         *_place_sections(done),
     ]
     sections += [*smooth_sections(done, prefix), _where_section(done)]
+    # Coefficients with an effect; all if there is none.
     touched = list(
         dict.fromkeys(e["coefficient"] for e in done["effects"] if "coefficient" in e)
     ) or list(COEFFICIENTS)
     figures = _coefficient_figures(histories, touched, gap, prefix)
     if figures:
         text = (
-            "What the test flights demand minus what the model gives, before and after, segments end to end. The band is what "
-            "the sensors' noise alone gives in 95 % of the samples."
+            "What the test flights demand minus what the model gives, before and after, segments"
+            " end to end. The band is what the sensors' noise alone gives in 95 % of the samples."
         )
         legend = (
             ("second thin", "before"),
             ("first thin", "after"),
             ("fill1", "95 % band of the noise"),
         )
-        drawn = Figures(figures, legend, file="coefficients")
-        sections.append(Section("Coefficients before and after", (Words(text, note=True), drawn)))
+        figure_block = Figures(figures, legend, file="coefficients")
+        sections.append(
+            Section("Coefficients before and after", (Words(text, note=True), figure_block))
+        )
     noise = {c: row["noise_rms"] for c, row in gap["channels"].items()}
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
     if is_wanted(title := "Test flights against both models", only):
@@ -674,7 +857,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
         )
     sections += [interval_section(gap, prefix), mission_section(folder, gap, prefix)]
     sections += [
-        _left_section(done),
+        _remaining_section(done),
         _parameter_section(done),
         _model_section(done, diff),
         *remarks(done),
@@ -684,15 +867,21 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
         ("Command", done.get("command") or "not recorded"),
         ("Chosen on", train),
         ("Shown on", test),
-        ("Time", f"{shown(done.get('seconds'), '.0f')} s"),
+        ("Time", f"{format_value(done.get('seconds'), '.0f')} s"),
         (
             "Files",
-            "refinement.json, model.diff, histories.parquet, aircraft/ (the refined model), beside this page",
+            (
+                "refinement.json, model.diff, histories.parquet, aircraft/ (the refined model),"
+                " beside this page"
+            ),
         ),
     )
     sections.append(provenance(*facts))
-    asked = f"What does the model lack? Effects were chosen on {train} and shown on the hold-out flights {test}."
-    return Page("Refinement", asked, _verdict(done), tuple(sections))
+    question = (
+        f"What does the model lack? Effects were chosen on {train} and shown on the hold-out"
+        f" flights {test}."
+    )
+    return Page("Refinement", question, _verdict(done), tuple(sections))
 
 
 _VERDICTS = {
@@ -700,50 +889,59 @@ _VERDICTS = {
     "unexplained": ("Something is missing that no effect of the catalogue explains", "bad"),
 }
 _SHRANK = ("Effects were found, and the gap on the hold-out flights shrank", "good")
-_UNTOLD = ("Effects were found; the hold-out flights do not tell whether the gap shrank", "warn")
-_UNEXPLAINED_BESIDE = (
+_INCONCLUSIVE = (
+    "Effects were found; the hold-out flights do not tell whether the gap shrank",
+    "warn",
+)
+_UNEXPLAINED_REMAINDER = (
     "Effects were found, and something beside them is left that no effect of the catalogue explains"
 )
 
 
-def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
-    held = [(e.get("test") or {}).get("gap") == "shrank" for e in done["effects"]]
-    found = {"effects-found": _SHRANK if any(held) else _UNTOLD}
-    text, level = {**_VERDICTS, **found}.get(done["verdict"], (done["verdict"], "warn"))
+def _verdict(done: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    """Return the verdict: effects with their tests, confounded alternatives, the largest
+    improvement.
+    """
+    # An effect is confirmed if the residuals of the hold-out flights fell.
+    is_confirmed = [(e.get("test") or {}).get("gap") == "shrank" for e in done["effects"]]
+    effect_verdict = {"effects-found": _SHRANK if any(is_confirmed) else _INCONCLUSIVE}
+    text, level = {**_VERDICTS, **effect_verdict}.get(done["verdict"], (done["verdict"], "warn"))
     if done["verdict"] == "unexplained" and done["effects"]:
-        text = _UNEXPLAINED_BESIDE
-    said = [Say(f"{text} ({done['verdict']}).", level)]
-    for e, tested_and_held in zip(done["effects"], held, strict=True):
+        text = _UNEXPLAINED_REMAINDER
+    sentences = [Sentence(f"{text} ({done['verdict']}).", level)]
+    for e, confirmed in zip(done["effects"], is_confirmed, strict=True):
         t = (
-            shown(abs(e["evidence"]["t"]), ".1f")
+            format_value(abs(e["evidence"]["t"]), ".1f")
             if e.get("evidence", {}).get("t") is not None
             else "undefined"
         )
-        tested = f"; {test_says(e)}" if e.get("test") else ""
-        said.append(
-            Say(
-                f"{headline(e)} ({carried_by(e)}), |t| {t}{tested}.",
-                "good" if tested_and_held else "warn",
+        tested = f"; {test_words(e)}" if e.get("test") else ""
+        sentences.append(
+            Sentence(
+                f"{headline(e)} ({location_of_effect(e)}), |t| {t}{tested}.",
+                "good" if confirmed else "warn",
             )
         )
     for e in done.get("withdrawn", ()):
-        said.append(Say(f"Withdrawn: {headline(e)}; {test_says(e)}.", "warn"))
+        sentences.append(Sentence(f"Withdrawn: {headline(e)}; {test_words(e)}.", "warn"))
     for e in done["effects"]:
         alike = [
             a["name"].removesuffix(" off") for a in e.get("alternatives", ()) if not a["separable"]
         ]
         if alike:
-            said.append(
-                Say(f"{capital(e['name'])} is confounded with: {'; '.join(alike)}.", "warn")
+            sentences.append(
+                Sentence(f"{capital(e['name'])} is confounded with: {'; '.join(alike)}.", "warn")
             )
-    said += smooth_lines(done)
+    sentences += smooth_lines(done)
     worst = _largest_fall(done["gap"]["test"])
     if worst:
-        said.append(Say(worst))
-    return tuple(said)
+        sentences.append(Sentence(worst))
+    return tuple(sentences)
 
 
 def _largest_fall(gap: Mapping[str, Any]) -> str:
+    """Return a sentence on the channel whose residual fell most, relative to its noise."""
+    # Channels with known residuals and noise.
     rows = {c: r for c, r in gap["channels"].items() if all(r.get(k) for k in RMS)}
     if not rows:
         return ""
@@ -761,37 +959,43 @@ def _largest_fall(gap: Mapping[str, Any]) -> str:
 
 
 def _diff(folder: Path) -> str:
+    """Return the text of model.diff; empty if there is none."""
     path = folder / "model.diff"
     return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
 
 
 def _place_sections(done: Mapping[str, Any]) -> list[Section]:
-    """Where the strongest of what is left sits; none where nothing is left, or where the folder is older than that."""
+    """Return where the strongest remaining residual is.
+
+    Empty without any, or in an older folder.
+    """
     place = done["remaining"].get("place")
     if not place or place["channel"] is None:
         return []
-    lines = tuple(f"{capital(line)}." for line in place_says(place))
+    lines = tuple(f"{capital(line)}." for line in place_words(place))
     name, _, _ = shown_channel(place["channel"])
     rows = tuple(
-        (capital(c["name"]), shown(abs(c["t"]), ".1f"), shown(c["leaves"], ".3f"))
+        (capital(c["name"]), format_value(abs(c["t"]), ".1f"), format_value(c["leaves"], ".3f"))
         for c in place["candidates"]
     )
-    now = shown(place["channel_on_train"], ".3f")
+    current = format_value(place["channel_on_train"], ".3f")
     caption = (
-        f"Nearest candidates: what each leaves of {name} on the train flights, {now} without any."
+        f"Nearest candidates: what each leaves of {name} on the train flights, {current} without"
+        " any."
     )
     table = Table(caption, ("Candidate", "|t| [-]", "Rms over noise left [-]"), rows)
     return [Section("Where something is left", (Bullets(lines, key=True), table))]
 
 
 def _where_section(done: Mapping[str, Any]) -> Section:
+    """Return the table of disagreements of the training flights."""
     rows = []
     for d in done["disagreement"]:
         region = "; ".join(_region(s, ends) for s, ends in d.get("region", {}).items())
-        size = (percent(d["share_outside_95"], ".0f"), shown(d["size"], ".2g"))
+        size = (percent(d["share_outside_95"], ".0f"), format_value(d["size"], ".2g"))
         rows.append((d["coefficient"], d["manoeuvre"], region, *size))
     if not rows:
-        text = nowhere(done)
+        text = no_region_words(done)
         return Section("Where model and flights disagreed", (Words(f"{capital(text)}."),))
     head = ("Coefficient", "Manoeuvre", "Region", "Outside the 95 % band [%]", "Size [-]")
     table = Table(
@@ -801,26 +1005,38 @@ def _where_section(done: Mapping[str, Any]) -> Section:
 
 
 def _region(state: str, ends: Sequence[float | None]) -> str:
+    """Return a range of a state as text."""
     quantity, unit, factor = shown_channel(state)
     low, high = (None if v is None else factor * v for v in ends)
-    named = f"|{quantity.removeprefix('abs ')}|" if quantity.startswith("abs ") else quantity
-    return f"{named} {shown(low)} to {shown(high)} {unit}".removesuffix(" -")
+    label = f"|{quantity.removeprefix('abs ')}|" if quantity.startswith("abs ") else quantity
+    return f"{label} {format_value(low)} to {format_value(high)} {unit}".removesuffix(" -")
 
 
 def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
-    """Gap on the test flights before and after, by channel and coefficient."""
+    """Return the residuals on the hold-out flights, by channel and coefficient.
+
+    Parameters
+    ----------
+    gap : mapping
+        Residual rms before and after the refinement, and noise, as refinement.json holds them.
+    prefix : str
+        Prefix of figure names.
+    """
     figures, rows = [], []
     for kind in ("channels", "coefficients"):
+        # Ratios to the noise for the figure, rms for the table.
         ratios = {}
         for name, r in gap.get(kind, {}).items():
             label, (before, after, noise) = in_shown_unit(name, r, *RMS)
             if before is not None and after is not None and noise:
                 ratios[shown_channel(name)[0]] = {"before": before / noise, "after": after / noise}
-                same = shown(after) == shown(before)
-                answer = Cell(shown(after), "" if same else "good" if after < before else "bad")
+                same = format_value(after) == format_value(before)
+                answer = Cell(
+                    format_value(after), "" if same else "good" if after < before else "bad"
+                )
             else:
-                answer = Cell(shown(after))
-            rows.append((label, shown(before), answer, shown(noise)))
+                answer = Cell(format_value(after))
+            rows.append((label, format_value(before), answer, format_value(noise)))
         series = [("before", "second", "ring"), ("after", "first", "disc")]
         figure = ratio_figure(
             f"{prefix}shrinkage-{kind}", ratios, series, f"{kind} on the test flights"
@@ -831,14 +1047,15 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         rows.append(
             (
                 "Theil's U, mean [-]",
-                shown(theil.get("before"), ".4f"),
-                Cell(shown(theil.get("after"), ".4f")),
+                format_value(theil.get("before"), ".4f"),
+                Cell(format_value(theil.get("after"), ".4f")),
                 "",
             )
         )
     text = (
-        "Before: the model with its parameters identified again, without the effects. After: with them. Start states and biases "
-        "are each flight's own. ✓: smaller than before, ✕: larger, by what three figures show."
+        "Before: the model with its parameters identified again, without the effects. After: with"
+        " them. Start states and biases are each flight's own. ✓: smaller than before, ✕: larger,"
+        " by what three figures show."
     )
     table = Table(
         "Gap on the test flights: rms of log minus model.",
@@ -846,24 +1063,25 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         tuple(rows),
         True,
     )
-    drawn = Figures(tuple(figures), file="gap")
-    blocks: list[Block] = [Words(text, note=True), drawn, table]
+    figure_block = Figures(tuple(figures), file="gap")
+    blocks: list[Block] = [Words(text, note=True), figure_block, table]
     if gap.get("predictions"):
         blocks += [Words(_TURBULENT), _prediction_table(gap["predictions"])]
     return Section("Gap on the test flights, before and after", tuple(blocks))
 
 
 _TURBULENT = (
-    "The flights were turbulent. The gap above is of replays, as compare has it, and holds what the gusts did; effects are judged "
-    "by the errors of predictions one sample ahead."
+    "The flights were turbulent. The gap above is of replays, as compare has it, and holds what the"
+    " gusts did; effects are judged by the errors of predictions one sample ahead."
 )
 
 
 def _prediction_table(predictions: Mapping[str, Any]) -> Table:
+    """Return the errors of predictions one sample ahead."""
     rows = []
     for name, r in predictions.items():
         label, values = in_shown_unit(name, r, *RMS)
-        rows.append((label, *(shown(v) for v in values)))
+        rows.append((label, *(format_value(v) for v in values)))
     head = ("Quantity", "Before", "After", "Expected")
     return Table(
         "Errors of predictions one sample ahead on the test flights, rms.", head, tuple(rows), True
@@ -873,16 +1091,21 @@ def _prediction_table(predictions: Mapping[str, Any]) -> Table:
 def _coefficient_figures(
     histories: Sequence[History], names: Sequence[str], gap: Mapping[str, Any], prefix: str
 ) -> tuple[Figure, ...]:
+    """Draw demanded minus modelled coefficients before and after."""
     out = []
     for c in names:
         if not have(histories, (f"{c}_gap_before", f"{c}_gap_after")):
             continue
         noise = gap["coefficients"].get(c, {}).get("noise_rms")
+        # 95 % band of the noise, if it is known.
         band = None
         if noise is not None:
             half = [np.full(len(h.time_s), Z95 * noise) for h in histories]
             band = ([-h for h in half], half, "")
-        label = f"{c} [-] demanded by the test flights minus the model's, before and after, segments end to end."
+        label = (
+            f"{c} [-] demanded by the test flights minus the model's, before and after, segments"
+            " end to end."
+        )
         series = [(f"{c}_gap_before", "second thin", ""), (f"{c}_gap_after", "first thin", "")]
         out.append(
             end_to_end(
@@ -898,10 +1121,11 @@ def _coefficient_figures(
     return tuple(out)
 
 
-def _left_section(done: Mapping[str, Any]) -> Section:
-    said = tuple(left_over(done["remaining"]))
-    if said:
-        return Section("What is left", (Bullets(said, key=True),))
+def _remaining_section(done: Mapping[str, Any]) -> Section:
+    """Return what remains unexplained."""
+    lines = tuple(remaining_words(done["remaining"]))
+    if lines:
+        return Section("What is left", (Bullets(lines, key=True),))
     unplaced = done["remaining"].get("unexplained")
     return Section(
         "What is left",
@@ -914,8 +1138,9 @@ def _left_section(done: Mapping[str, Any]) -> Section:
 
 
 def _parameter_section(done: Mapping[str, Any]) -> Section:
+    """Return the parameters of the refined model."""
     rows = tuple(
-        (Cell(n, code=True), shown(r["value"], ".6g"), shown(r["std"], ".2g"))
+        (Cell(n, code=True), format_value(r["value"], ".6g"), format_value(r["std"], ".2g"))
         for n, r in done.get("parameters", {}).items()
     )
     head = ("Property", "Value", "Standard error")
@@ -926,6 +1151,7 @@ def _parameter_section(done: Mapping[str, Any]) -> Section:
 
 
 def _model_section(done: Mapping[str, Any], diff: str) -> Section:
+    """Return the changes of the XML and how to switch off each effect."""
     blocks: list[Block] = [Facts((("Refined model", str(done.get("model", "not recorded"))),))]
     switch = [
         f"{s['property']} = {s['off']:g} restores the model without it"

@@ -1,4 +1,8 @@
-"""The page of a whole study: answer, ground track, p-box, effect and cells; folded, all findings and what each stage found."""
+"""Build the page of a study: answer, ground track, p-box, effect and conditions.
+
+All findings and the pages of the stages follow in closed sections. Campaigns are read once; what
+cannot be read is listed on the page.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +12,19 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign import CONFIDENCE, Condition, Statement, hardest_of
+from uqharness.campaign import CONFIDENCE, Condition, Statement, hardest_condition
 from uqharness.campaign.conditions import conditions
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
 from uqharness.replay import HISTORIES, read_histories
 from uqharness.report.campaign import (
-    CampaignFound,
+    CampaignReport,
     aborted_cells,
     aborted_head,
     aborted_kinds,
     answer_level,
     overlay_section,
-    read_found,
+    read_campaign_report,
     span,
 )
 from uqharness.report.ground_track import ground_track, lap_of, track_distance
@@ -40,19 +44,18 @@ from uqharness.report.parts import (
     Figures,
     Level,
     Page,
-    Say,
     Section,
+    Sentence,
+    Sentences,
     Table,
-    Told,
     Words,
+    format_value,
     provenance,
-    shown,
 )
-from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
+from uqharness.report.pbox import LabelledBox, corner_words, pbox_figure
 from uqharness.result_documents import Refinement, Study, read_document
 
-# What a study's page shows before anything is unfolded: the answer, the ground track, one
-# p-box, the effect found, the cells.
+# Open part of the page: answer, ground track, p-box, effect, conditions.
 
 _SURE = f"{100 * CONFIDENCE:g} %"
 _MARKS = {"yes": "✓", "no": "✕", "open": "?"}
@@ -60,35 +63,46 @@ _WORDS = {"yes": "yes", "no": "no", "open": "inconclusive"}
 _FIRST = ("cross_track_median_m", "altitude_median_m", "speed_median_mps", "heading_median_deg")
 _NONE_ABORTED = "No flight was aborted."
 _TRACK_COLUMNS = ("when", "model", "time_s", "north_m", "east_m", "distance_m")
-Sides = Mapping[str, CampaignFound]
+Sides = Mapping[str, CampaignReport]
 """Campaigns by when they were flown: before, after."""
 
 
-def answer_says(answer: Mapping[str, Any]) -> tuple[Say, ...]:
-    """The answer with its level, then why, what the model lacked, and what to do next as plain facts."""
+def answer_sentences(answer: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    """Return the answer with its level, then reason, model deficiency and next step."""
+    # Only the answer has a level; the other sentences are facts.
     level: Level = answer["level"] if answer["level"] in ("good", "warn", "bad") else ""
-    rest = (answer[part] for part in ("why", "lacked", "next"))
-    return Say(answer["answer"], level), *(Say(text) for text in rest if text)
+    facts = (answer[part] for part in ("why", "lacked", "next"))
+    return Sentence(answer["answer"], level), *(Sentence(text) for text in facts if text)
 
 
 def first_figures(
     folder: Path, study: Mapping[str, Any], sides: Sides, missing: list[str]
 ) -> tuple[Block, ...]:
-    """One lap as ground track and as distance over time, and the p-box, all of the hardest condition; those of them that there are.
+    """Return the lap as ground track and distance, and the p-box, all in the hardest condition.
 
-    Damage is told in ``missing``.
+    Parameters
+    ----------
+    folder : Path
+        Study folder.
+    study : mapping
+        Content of study.json.
+    sides : mapping of str to CampaignReport
+        Campaigns by when they were flown.
+    missing : list of str
+        Receives messages on files that cannot be read.
     """
     try:
-        drawn = _lap(folder / "tracks.parquet", study.get("tracks") or {})
+        figures = _lap(folder / "tracks.parquet", study.get("tracks") or {})
     except BadInputError as error:
         missing.append(str(error))
-        drawn = []
+        figures = []
     box = _pbox(sides)
-    drawn += [] if box is None else [box]
-    return (Figures(tuple(drawn), narrow=True),) if drawn else ()
+    figures += [] if box is None else [box]
+    return (Figures(tuple(figures), narrow=True),) if figures else ()
 
 
 def _lap(path: Path, tracks: Mapping[str, Any]) -> list[Figure]:
+    """Draw one lap; empty if the study has no tracks. Raises BadInputError."""
     if "radius_m" not in tracks:
         return []
     frame = read_table(path).to_pandas()
@@ -104,64 +118,80 @@ def _lap(path: Path, tracks: Mapping[str, Any]) -> list[Figure]:
 
 
 def _pbox(sides: Sides) -> Figure | None:
-    """The first quantity that all campaigns have in the hardest condition, over each other."""
+    """Draw the first quantity that all campaigns have in the hardest condition."""
     if not sides:
         return None
     *_, last = sides.values()
-    condition = hardest_of(conditions(last.frame))
+    condition = hardest_condition(conditions(last.frame))
+    # The first metric that all campaigns have in this condition.
     for metric in _FIRST:
         items = {
             w: next((f for f in s.findings if (f.metric, f.condition) == (metric, condition)), None)
             for w, s in sides.items()
         }
-        found = {when: item for when, item in items.items() if item is not None}
-        if len(found) < len(sides):
+        findings = {when: item for when, item in items.items() if item is not None}
+        if len(findings) < len(sides):
             continue
+        # The later campaign in front.
         boxes = [
-            DrawnBox(
-                when if len(found) > 1 else "",
+            LabelledBox(
+                when if len(findings) > 1 else "",
                 item.box,
                 item.samples,
                 corner_words(sides[when].frame),
                 smooth=True,
             )
-            for when, item in reversed(found.items())
+            for when, item in reversed(findings.items())
         ]
-        item = found[next(iter(found))]
+        item = findings[next(iter(findings))]
         halves = ", ".join(
             f"{span(*f.box.quantile(0.5))} {f.unit}{f' ({when})' if when else ''}"
-            for when, f in found.items()
+            for when, f in findings.items()
         )
         caption = (
-            f"P-box of the {item.words} error, {condition.words}: {len(item.samples)} epistemic samples, "
-            f"{len(item.samples[0].values)} flights each. Half of the flights stay below {halves}."
+            f"P-box of the {item.words} error, {condition.words}: {len(item.samples)} epistemic"
+            f" samples, {len(item.samples[0].values)} flights each. Half of the flights stay below"
+            f" {halves}."
         )
         return pbox_figure("answer-pbox", item.axis, item.unit, boxes, caption)
     return None
 
 
 def effect_section(folder: Path) -> Section:
-    """Which effects were found, and log against simulation on the held-out flights. Raises BadInputError."""
+    """Return the effects found, and log against simulation on the hold-out flights.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the refinement.
+
+    Raises
+    ------
+    BadInputError
+        If the folder cannot be read.
+    """
     done = read_document(folder / "refinement.json", Refinement)
+    # Residuals of the hold-out flights.
     gap = done["gap"]["test"]["channels"]
     rows = []
     for e in done["effects"]:
         unit = "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
         t = e.get("evidence", {}).get("t")
-        held = (e.get("test") or {}).get("gap")
+        test_gap = (e.get("test") or {}).get("gap")
         tested = (
             Cell("smaller residual", "good")
-            if held == "shrank"
-            else Cell("not shown" if held else "not tested")
+            if test_gap == "shrank"
+            else Cell("not shown" if test_gap else "not tested")
         )
-        value = f"{shown(e['value'], '.4g')} ± {shown(e['std'], '.2g')}{unit}"
+        value = f"{format_value(e['value'], '.4g')} ± {format_value(e['std'], '.2g')}{unit}"
         rows.append(
-            (capital(e["name"]), value, shown(None if t is None else abs(t), ".1f"), tested)
+            (capital(e["name"]), value, format_value(None if t is None else abs(t), ".1f"), tested)
         )
     head = ("Effect", "Value, standard error", "|t| [-]", "On the held-out flight")
     table = Table("Effects that refinement added to the model.", head, tuple(rows))
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
     noise = {c: row["noise_rms"] for c, row in gap.items()}
+    # Residual rms over noise, before and after.
     ratios = {
         c.rpartition("_")[0] or c: {
             when: row[f"rms_{when}"] / row["noise_rms"] for when in ("before", "after")
@@ -170,40 +200,57 @@ def effect_section(folder: Path) -> Section:
         if all(row.get(key) for key in ("rms_before", "rms_after", "noise_rms"))
     }
     series = [("before", "second", "ring"), ("after", "first", "disc")]
-    drawn = [
+    optional_figures = [
         farthest_figure(read_histories(folder / HISTORIES), noise, models, "effect"),
         ratio_figure("effect-residuals", ratios, series, "channels on the held-out flight"),
     ]
-    figures = tuple(figure for figure in drawn if figure is not None)
+    figures = tuple(figure for figure in optional_figures if figure is not None)
     blocks: list[Block] = [table if rows else Words("Refinement added no effect to the model.")]
     return Section("The effect found", (*blocks, *((Figures(figures),) if figures else ())))
 
 
 def cells_section(sides: Sides) -> Section:
-    """A row per condition and radius: the answer before and after, with the rate and its limits at the worst corner."""
+    """Return a row per condition and radius with the answers before and after.
+
+    Parameters
+    ----------
+    sides : mapping of str to CampaignReport
+        Campaigns by when they were flown; at least one.
+
+    Returns
+    -------
+    Section
+        Answer, rate at the worst corner with limits [1/h], and aborted flights.
+    """
     *_, last = sides.values()
     if not last.signed:
         return Section(
             "Cells of wind and turbulence", (Words("The campaign counts no excursions."),)
         )
     acceptable = f"{last.signed[0].acceptable_per_h:g}"
+    # Statements of each campaign by condition, radius and distance.
     by_place = {when: {_place(item): item for item in side.signed} for when, side in sides.items()}
     kinds = aborted_kinds([item for side in sides.values() for item in side.signed])
     rows: list[tuple[str | Cell, ...]] = []
     for item in last.signed:
         if item.cell.distance != "horizontal":
             continue
-        here = [by_place[when].get(_place(item)) for when in sides]
+        cell_statements = [by_place[when].get(_place(item)) for when in sides]
         hours = f"{sum(rate.hours for rate in item.cell.rates):.4g}"
         place = (item.cell.condition.label, f"{item.cell.radius_m:g} m")
         rows.append(
-            (*place, *(_answer(found) for found in here), hours, *aborted_cells(kinds, here))
+            (
+                *place,
+                *(_answer(claim) for claim in cell_statements),
+                hours,
+                *aborted_cells(kinds, cell_statements),
+            )
         )
     names = [f"Answer {when}" for when in sides] if len(sides) > 1 else ["Answer"]
     head = ("Wind, turbulence", "Radius", *names, "Flight hours", *aborted_head(kinds))
     text = (
-        f"At most {acceptable} excursions beyond the radius per flight hour at every corner? Below each answer the rate at the "
-        f"worst corner [1/h] and its {_SURE} limits. "
+        f"At most {acceptable} excursions beyond the radius per flight hour at every corner? Below"
+        f" each answer the rate at the worst corner [1/h] and its {_SURE} limits. "
     )
     text += (
         f"Aborted flights of all corners by kind{', before / after' if len(sides) > 1 else ''}."
@@ -215,17 +262,19 @@ def cells_section(sides: Sides) -> Section:
 
 
 def _place(item: Statement) -> tuple[Condition, float, str]:
+    """Return the key of a statement: condition, radius, distance."""
     return item.cell.condition, item.cell.radius_m, item.cell.distance
 
 
 def _answer(item: Statement | None) -> Cell:
+    """Return the answer of a statement with the rate at the worst corner."""
     if item is None:
         return Cell("not flown")
     worst = item.worst
     rate = (
         "no flight was scored"
         if math.isnan(worst.rate)
-        else f"{worst.rate:.3g} [{worst.lower:.2g} to {shown(worst.upper)}]"
+        else f"{worst.rate:.3g} [{worst.lower:.2g} to {format_value(worst.upper)}]"
     )
     return Cell(
         _WORDS[item.answer],
@@ -235,24 +284,34 @@ def _answer(item: Statement | None) -> Cell:
     )
 
 
-def read_side(folder: Path, missing: list[str], read: Any) -> CampaignFound | None:
-    """A campaign of the study; None, and told in ``missing``, where it cannot be read."""
+def read_side(folder: Path, missing: list[str], read: Any) -> CampaignReport | None:
+    """Return a campaign of the study.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    missing : list of str
+        Receives a message if it cannot be read.
+    read : callable
+        Reads a folder.
+    """
     try:
-        found: CampaignFound = read(folder)
+        report: CampaignReport = read(folder)
     except BadInputError as error:
         missing.append(str(error))
         return None
-    return found
+    return report
 
 
 def folded(sections: Sequence[Section]) -> list[Section]:
-    """The same sections, each closed until it is opened."""
+    """Return the sections closed."""
     return [Section(s.title, s.blocks, s.parts, folded=True) for s in sections]
 
 
 STUDY = "study.json"
 _STATES: Mapping[str, Level] = {"done": "", "running": "warn", "waiting": "", "failed": "bad"}
-_KEPT: Mapping[str, tuple[str, ...]] = {
+_STAGE_SECTIONS: Mapping[str, tuple[str, ...]] = {
     "identify": ("Parameters",),
     "compare": ("Gap by channel", "Log against model"),
     "bounds": ("How wide the bounds are", "Slices of the bounds"),
@@ -272,57 +331,73 @@ _KEPT: Mapping[str, tuple[str, ...]] = {
         "What changed in the XML",
     ),
 }
-"""Sections that a study shows of a stage's page; the rest stands in the stage's own."""
-_SHOWN_ABOVE = _KEPT["campaign"][:2]
+"""Sections of a stage's page that the study displays; the stage's own page has all."""
+_SHOWN_ABOVE = _STAGE_SECTIONS["campaign"][:2]
 _PAGES: Mapping[str, Callable[[Path, str], Page]] = {
-    "identify": partial(identify_page, segments=1, only=_KEPT["identify"]),
+    "identify": partial(identify_page, segments=1, only=_STAGE_SECTIONS["identify"]),
     "compare": partial(compare_page, segments=1),
-    "bounds": partial(bounds_page, only=_KEPT["bounds"]),
-    "refine": partial(refine_page, only=_KEPT["refine"]),
-    "validate-bounds": partial(coverage_page, only=_KEPT["validate-bounds"]),
+    "bounds": partial(bounds_page, only=_STAGE_SECTIONS["bounds"]),
+    "refine": partial(refine_page, only=_STAGE_SECTIONS["refine"]),
+    "validate-bounds": partial(coverage_page, only=_STAGE_SECTIONS["validate-bounds"]),
 }
 
 
 def study_page(folder: Path) -> Page:
-    """The page of the folder that ``uqharness study`` wrote, finished or not. Raises BadInputError."""
+    """Return the page of a folder that ``uqharness study`` wrote, finished or not.
+
+    Parameters
+    ----------
+    folder : Path
+        Study folder.
+
+    Raises
+    ------
+    BadInputError
+        If study.json cannot be read. Stages that cannot be read are listed on the page.
+    """
     study = read_document(folder / STUDY, Study)
     missing: list[str] = []
-    both = study.get("before_after") or {}
+    # Campaigns before and after a refinement, or the only one.
+    overlaid = study.get("before_after") or {}
     # Each campaign is read once, however often it is shown.
-    read = cache(read_found)
-    names = both or _one_campaign(study)
+    read = cache(read_campaign_report)
+    names = overlaid or _one_campaign(study)
     sides = {
         when: side
         for when, name in names.items()
         if (side := read_side(folder / name, missing, read)) is not None
     }
     sections, first = _answered(folder, study, sides, missing)
-    rest: list[Section] = []
+    folded_sections: list[Section] = []
     if first and study.get("verdict"):
-        rest.append(Section("All findings", (Told(_sentences(study)),)))
+        folded_sections.append(Section("All findings", (Sentences(_sentences(study)),)))
+    # Two campaigns are compared, each with its grid of answers.
     if len(sides) > 1:
-        rest += [overlay_section(sides["before"], sides["after"], both)]
-        rest += [grid_section(side.signed, f"Answers {when}") for when, side in sides.items()]
+        folded_sections += [overlay_section(sides["before"], sides["after"], overlaid)]
+        folded_sections += [
+            grid_section(side.signed, f"Answers {when}") for when, side in sides.items()
+        ]
+    # Selected sections of every finished stage.
     for number, stage in enumerate(study["stages"]):
         section = _stage_page(
             folder, stage, number, missing, list(names.values()) if len(sides) > 1 else [], read
         )
-        rest += [] if section is None else [section]
-    rest.append(_stage_section(study))
+        folded_sections += [] if section is None else [section]
+    folded_sections.append(_stage_section(study))
     if missing:
         sections.append(
             Section("What could not be read", (Bullets(tuple(dict.fromkeys(missing))),))
         )
-    rest.append(_provenance(study))
-    asked = study.get("question") or "The study's file asks no question in words."
-    sections += folded(rest)
+    folded_sections.append(_provenance(study))
+    question = study.get("question") or "The study's file asks no question in words."
+    sections += folded(folded_sections)
     if first:
-        return Page(asked, "", _verdict(study), tuple(sections), first)
-    return Page(f"Study: {study['study']}", asked, _verdict(study), tuple(sections))
+        return Page(question, "", _verdict(study), tuple(sections), first)
+    return Page(f"Study: {study['study']}", question, _verdict(study), tuple(sections))
 
 
 def _one_campaign(study: Mapping[str, Any]) -> dict[str, str]:
-    """Folder of the first campaign of a study without refinement, under no name; empty without one."""
+    """Return the folder of the first campaign of a study without refinement; empty without one."""
     done = [
         s["folder"]
         for s in study["stages"]
@@ -332,9 +407,9 @@ def _one_campaign(study: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _answered(
-    folder: Path, study: Mapping[str, Any], sides: Mapping[str, CampaignFound], missing: list[str]
+    folder: Path, study: Mapping[str, Any], sides: Mapping[str, CampaignReport], missing: list[str]
 ) -> tuple[list[Section], tuple[Block, ...]]:
-    """The sections that stand open, and the figures beside the answer; no figure for a study without an answer."""
+    """Return the open sections, and the figures next to the answer."""
     sections: list[Section] = []
     refined = [
         s["folder"]
@@ -349,51 +424,62 @@ def _answered(
     return sections, first_figures(folder, study, sides, missing) if study.get("answer") else ()
 
 
-def _verdict(study: Mapping[str, Any]) -> tuple[Say, ...]:
-    said = [*answer_says(study["answer"])] if study.get("answer") else [*_sentences(study)]
+def _verdict(study: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    """Return the answer or the findings, with the state of an unfinished study."""
+    sentences = (
+        [*answer_sentences(study["answer"])] if study.get("answer") else [*_sentences(study)]
+    )
     stages = study["stages"]
     done = sum(stage["state"] == "done" for stage in stages)
     state = study.get("state", "running")
+    # A study that stopped or is running says so first.
     if state == "failed":
-        bad = (
+        failed = (
             ", ".join(stage["name"] for stage in stages if stage["state"] == "failed") or "a stage"
         )
-        said.insert(
+        sentences.insert(
             0,
-            Say(
-                f"The study stopped: {bad} failed. The same command goes on once the cause is gone.",
+            Sentence(
+                f"The study stopped: {failed} failed. The same command goes on once the cause is"
+                " gone.",
                 "bad",
             ),
         )
     elif state != "done":
-        said.insert(
-            0, Say(f"The study is not finished: {done} of {len(stages)} stages are done.", "warn")
+        sentences.insert(
+            0,
+            Sentence(
+                f"The study is not finished: {done} of {len(stages)} stages are done.", "warn"
+            ),
         )
-    elif not said:
-        said.append(
-            Say(f"All {len(stages)} stages are done; the study draws no conclusion in words.")
+    elif not sentences:
+        sentences.append(
+            Sentence(f"All {len(stages)} stages are done; the study draws no conclusion in words.")
         )
-    return tuple(said)
+    return tuple(sentences)
 
 
-def _sentences(study: Mapping[str, Any]) -> tuple[Say, ...]:
+def _sentences(study: Mapping[str, Any]) -> tuple[Sentence, ...]:
+    """Return the sentences of the study's verdict."""
     return tuple(
-        Say(item["text"], _level(item.get("level"))) for item in study.get("verdict") or ()
+        Sentence(item["text"], _level(item.get("level"))) for item in study.get("verdict") or ()
     )
 
 
 def _level(value: Any) -> Level:
+    """Return a valid level, or the empty one."""
     return value if value in ("good", "warn", "bad") else ""
 
 
 def _stage_section(study: Mapping[str, Any]) -> Section:
+    """Return the table of stages with their commands."""
     rows = []
     for stage in study["stages"]:
         state = Cell(
             stage["state"], _STATES.get(stage["state"], "warn"), small=stage.get("error") or ""
         )
         answer = {0: "done", 1: "ran, the answer is no"}.get(stage.get("exit"), "")
-        seconds = "" if stage.get("seconds") is None else shown(stage["seconds"], ".1f")
+        seconds = "" if stage.get("seconds") is None else format_value(stage["seconds"], ".1f")
         rows.append((stage["name"], stage["kind"], state, answer, seconds))
     table = Table(
         "Stages in the order in which they run.",
@@ -415,17 +501,18 @@ def _stage_page(
     number: int,
     missing: list[str],
     overlaid: Sequence[str | None],
-    read: Callable[[Path], CampaignFound],
+    read: Callable[[Path], CampaignReport],
 ) -> Section | None:
-    """What a finished stage found, shortened; None for a stage that leaves nothing to show here."""
+    """Return selected sections of a finished stage's page; None if it has nothing to display."""
     if stage["state"] != "done" or not stage.get("folder"):
         return None
     place, prefix = folder / stage["folder"], f"s{number}-"
+    # Sections that the open part already displays.
     skipped = _SHOWN_ABOVE if stage["folder"] in overlaid else ()
-    kept = [title for title in _KEPT.get(stage["kind"], ()) if title not in skipped]
+    titles = [title for title in _STAGE_SECTIONS.get(stage["kind"], ()) if title not in skipped]
     try:
         if stage["kind"] == "campaign":
-            page = campaign_page(read(place), prefix, kept)
+            page = campaign_page(read(place), prefix, titles)
         elif stage["kind"] in _PAGES:
             page = _PAGES[stage["kind"]](place, prefix)
         else:
@@ -433,25 +520,26 @@ def _stage_page(
     except BadInputError as error:
         missing.append(f"{stage['name']}: {error}")
         return None
-    sections = tuple(s for s in page.sections if s.title in kept)
-    own = Words(
+    sections = tuple(s for s in page.sections if s.title in titles)
+    page_hint = Words(
         f"All of it: {stage['folder']}/report.html, written by uqharness report {stage['folder']}.",
         note=True,
     )
     return Section(
         f"{stage['name']}: {page.title}",
-        (Words(page.asked, note=True), Told(page.verdict), own),
+        (Words(page.question, note=True), Sentences(page.verdict), page_hint),
         sections,
     )
 
 
 def _provenance(study: Mapping[str, Any]) -> Section:
-    seen = dict.fromkeys(
+    """Return command, version and hashes of study file and inputs."""
+    inputs = dict.fromkeys(
         item for stage in study["stages"] for item in (stage.get("inputs") or {}).items()
     )
     return provenance(
         ("Command", study.get("command") or "not recorded"),
         ("Version", f"uqharness {study.get('version', 'not recorded')}"),
         (f"Study file {study.get('file', '')} (SHA-256)", study.get("hash") or "not recorded"),
-        *((f"Input {name} (SHA-256)", digest) for name, digest in seen),
+        *((f"Input {name} (SHA-256)", digest) for name, digest in inputs),
     )

@@ -220,11 +220,11 @@ def test_groups_fly_together_and_a_guilty_case_is_left_alone(tmp_path, dask):
 
 def test_a_worker_without_the_batch_engine_refuses_its_cases(monkeypatch):
     monkeypatch.setattr(
-        dask_task, "why_not", lambda engine: f"llvmlite is not installed for {engine}"
+        dask_task, "unavailable_reason", lambda engine: f"llvmlite is not installed for {engine}"
     )
     group = Group("batch", (("0001", FlightSpec(Path("nowhere"), Path("nothing"), 1.0)),))
     content = (dask_task.ABSENT, dask_task.ABSENT)
-    monkeypatch.setattr(dask_task, "_refuse_unlike", lambda *given: None)
+    monkeypatch.setattr(dask_task, "_refuse_other_versions", lambda *given: None)
     said = dask_task.fly_order(order_text(Order(OWN_FLIGHT, False, group, content, ())))
     assert "the campaign flies in the batch engine, and llvmlite is not installed for batch" in said
 

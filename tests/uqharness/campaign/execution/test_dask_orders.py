@@ -227,7 +227,7 @@ def test_an_order_that_no_campaign_sends_is_not_flown(monkeypatch):
     def never(*_):
         raise AssertionError("the order came to the flights")
 
-    monkeypatch.setattr(dask_task, "_take", never)
+    monkeypatch.setattr(dask_task, "_take_executor", never)
     case_id, item = ORDER.group.cases[0]
     for cases, reason in (
         (((case_id, item), (case_id, item)), "one case twice"),

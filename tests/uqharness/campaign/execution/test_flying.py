@@ -53,6 +53,10 @@ def test_the_batch_engine_is_asked_for_its_own(monkeypatch):
     )
     monkeypatch.setattr(batch, "available", lambda: "llvmlite is not installed", raising=False)
     assert worker.fly_group("batch", [SPEC, SPEC]) == [fakes.steady(SPEC)] * 2
-    assert worker.OwnBatch().refusals(SPEC, ("x",)) == ("espaaro", "x")
-    assert worker.OwnBatch().available() == worker.why_not("batch") == "llvmlite is not installed"
-    assert worker.why_not("jsbsim") is None
+    assert worker.LocalBatch().refusals(SPEC, ("x",)) == ("espaaro", "x")
+    assert (
+        worker.LocalBatch().available()
+        == worker.unavailable_reason("batch")
+        == "llvmlite is not installed"
+    )
+    assert worker.unavailable_reason("jsbsim") is None

@@ -10,7 +10,7 @@ import pytest
 from sysid.digests import sha256_hex
 from uqharness.campaign.folder import shards
 from uqharness.campaign.folder.manifest import DamageError
-from uqharness.campaign.folder.shards import mend_tables, refuse_if_not_whole, sealed
+from uqharness.campaign.folder.shards import refuse_if_changed, rewrite_damaged_tables, sealed
 
 SUMMARY = {"rows": 2, "digest": "a" * 64}
 
@@ -33,9 +33,9 @@ def test_a_sealed_manifest_holds_the_digest_of_every_table():
 
 
 def test_another_journal_is_refused(tmp_path: Path):
-    refuse_if_not_whole(tmp_path, store(), {"journal": SUMMARY})
+    refuse_if_changed(tmp_path, store(), {"journal": SUMMARY})
     with pytest.raises(DamageError, match="not those that the manifest lists"):
-        refuse_if_not_whole(tmp_path, store(), {"journal": SUMMARY | {"rows": 3}})
+        refuse_if_changed(tmp_path, store(), {"journal": SUMMARY | {"rows": 3}})
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ class _NoRounds:
 def mended(folder: Path) -> tuple[str, ...]:
     manifest = {"tables": {name: sha256_hex(b"x") for name in ("pbox.parquet", "area.csv")}}
     journal = SimpleNamespace(summary=SUMMARY.copy, outcomes=tuple, folder=folder)
-    return mend_tables(folder, manifest, None, (), journal)
+    return rewrite_damaged_tables(folder, manifest, None, (), journal)
 
 
 def test_a_table_that_was_changed_or_lost_is_made_again(folder: Path):

@@ -9,13 +9,13 @@ import pytest
 
 from tests.helpers.batch_whole import EXPENSIVE, spec
 from uqharness.batch.lanes.course import fly_many
-from uqharness.campaign.rare_events import LoiterPaths, Lookahead, Watch
+from uqharness.campaign.rare_events import CheckpointPlan, LoiterPaths, Lookahead
 from uqharness.errors import BadInputError
 from uqharness.flight import OPTIONAL_SIGNALS, record_mission, scored_signals, staged_mission
 from uqharness.statistics import Levels, run
 
 RADII = (2.0, 4.0)
-WATCH = Watch(2.0, Lookahead(1.0), noted=12)
+WATCH = CheckpointPlan(2.0, Lookahead(1.0), max_noted=12)
 ONE = spec(duration_s=60.0, burn_in_s=20.0, excursion_radius_m=RADII, rearm_m=1.0, **EXPENSIVE)
 FLIGHTS = [replace(ONE, seed_noise=7 + k, seed_turbulence=20 + k) for k in range(3)]
 ROOT = 11
@@ -88,4 +88,4 @@ def test_a_branched_path_is_the_one_that_jsbsim_flies(split):
 def test_steps_and_aircraft_that_cannot_be_split():
     for step_s in (0.1, 0.25):
         with pytest.raises(BadInputError, match="a multiple of the recorded"):
-            LoiterPaths(FLIGHTS[:1], [0], ROOT, Watch(step_s, Lookahead(1.0)))
+            LoiterPaths(FLIGHTS[:1], [0], ROOT, CheckpointPlan(step_s, Lookahead(1.0)))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uqharness.campaign.rare_events import NOW_M, Predicted, fit
+from uqharness.campaign.rare_events import CURRENT_SIGMA_M, DistancePredictor, fit_predictors
 
 KEEP = 0.8
 
@@ -25,7 +25,7 @@ def process():
 
 def test_a_first_order_process_is_predicted_as_theory_has_it(process):
     x, regressors = process
-    found = fit(regressors, 5.0 + x, 1.0, 9.0, (0.25, 1.0, 3.0))
+    found = fit_predictors(regressors, 5.0 + x, 1.0, 9.0, (0.25, 1.0, 3.0))
     assert found.horizons_s == (1.0, 3.0), "a quarter is no whole number of rows"
     for steps, slopes, constant, sigma in zip(
         (1, 3), found.coefficients, found.constants, found.sigmas, strict=True
@@ -39,9 +39,9 @@ def test_a_first_order_process_is_predicted_as_theory_has_it(process):
 
 
 def test_a_score_is_the_nearest_prediction_in_standard_deviations():
-    one = Predicted(10.0, (1.0, 2.0), ((1.0,), (0.0,)), (0.0, 8.0), (0.5, 2.0))
+    one = DistancePredictor(10.0, (1.0, 2.0), ((1.0,), (0.0,)), (0.0, 8.0), (0.5, 2.0))
     scores = one.score(np.array([[9.5], [4.0], [11.0]]), np.array([9.5, 4.0, 11.0]))
-    assert scores == pytest.approx([-1.0, -1.0, 1.0 / NOW_M])
+    assert scores == pytest.approx([-1.0, -1.0, 1.0 / CURRENT_SIGMA_M])
     regressors = np.random.default_rng(1).standard_normal((7, 1))
     whole = one.score(regressors, regressors[:, 0])
     assert [
@@ -54,4 +54,4 @@ def test_flights_too_short_are_refused(process):
     x, regressors = process
     for row_s, horizons in ((1.0, (500.0,)), (1.0, (0.5,))):
         with pytest.raises(ValueError, match="of rows are needed"):
-            fit(regressors, x, row_s, 9.0, horizons)
+            fit_predictors(regressors, x, row_s, 9.0, horizons)

@@ -22,8 +22,8 @@ def test_the_radius_is_chi_squares(dof, confidence):
 def test_six_intervals_of_95_percent():
     assert samples.joint_radius(6, 0.95) == pytest.approx(3.5485, abs=5e-5)
     assert samples.marginal_radius(0.95) == pytest.approx(1.95996, abs=5e-6)
-    assert samples.reach(6, 0.95) == pytest.approx(3.5485 / 1.95996, abs=1e-4)
-    assert samples.reach(1, 0.95) == 1.0
+    assert samples.joint_reach(6, 0.95) == pytest.approx(3.5485 / 1.95996, abs=1e-4)
+    assert samples.joint_reach(1, 0.95) == 1.0
     # What it claims: as many of six normals lie within. A corner's own radius, z sqrt(6), holds more.
     drawn = np.linalg.norm(np.random.default_rng(3).standard_normal((200_000, 6)), axis=1)
     assert np.mean(drawn < samples.joint_radius(6, 0.95)) == pytest.approx(
@@ -39,11 +39,11 @@ def test_impossible_sets_are_refused(dof, confidence):
 
 
 def test_the_box_becomes_the_ball():
-    corner = samples.in_ball([1.0] * 6)
+    corner = samples.box_to_ball([1.0] * 6)
     assert corner == pytest.approx([1.0 / math.sqrt(6.0)] * 6)
-    assert samples.in_ball([0.5, 0.0]) == (0.0, -1.0)
-    assert samples.in_ball([0.5] * 3) == (0.0, 0.0, 0.0)
+    assert samples.box_to_ball([0.5, 0.0]) == (0.0, -1.0)
+    assert samples.box_to_ball([0.5] * 3) == (0.0, 0.0, 0.0)
     points = np.random.default_rng(1).random((500, 4))
-    lengths = np.linalg.norm([samples.in_ball(p) for p in points], axis=1)
+    lengths = np.linalg.norm([samples.box_to_ball(p) for p in points], axis=1)
     assert lengths == pytest.approx(np.abs(2.0 * points - 1.0).max(axis=1))
-    assert samples.at([1.0, 0.0], 1.8) == (1.4, 0.5)
+    assert samples.levels_at([1.0, 0.0], 1.8) == (1.4, 0.5)

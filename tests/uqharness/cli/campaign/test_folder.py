@@ -95,11 +95,11 @@ def test_a_report_flies_the_worst_and_the_median_flight_again_where_that_is_chea
         == asked
         == [cases[0], cases[len(cases) // 2]]
     )
-    monkeypatch.setattr(verbs, "shown_cases", lambda frame: ("refused",))
+    monkeypatch.setattr(verbs, "track_cases", lambda frame: ("refused",))
     assert call("report", out) == 0
     assert "the page has no new ground track: the aircraft has changed" in capsys.readouterr().err
     asked.clear()
-    monkeypatch.setattr(verbs, "shown_cases", lambda frame: tuple(cases[:2]))
+    monkeypatch.setattr(verbs, "track_cases", lambda frame: tuple(cases[:2]))
     monkeypatch.setattr(verbs, "MOST_SHOWN_S", 1.0)
     assert call("report", out) == 0
     monkeypatch.setattr(verbs, "MOST_SHOWN_S", 1e6)

@@ -9,7 +9,7 @@ import pytest
 
 from sysid.effects.catalogue import catalogue
 from uqharness.refinement.document import NOTHING, Series, no_place, where_loudest, would_tell
-from uqharness.report.pages.refinement import place_says
+from uqharness.report.pages.refinement import place_words
 from uqharness.result_documents import ResidualLocation
 
 RATE = 50.0
@@ -115,7 +115,7 @@ def whole(**changes):
 
 
 def test_a_place_is_told_in_three_lines():
-    first, second, third = place_says(whole())
+    first, second, third = place_words(whole())
     assert "residual of q, train flight b, 11" in first
     assert "4.9 to 7.4 Hz: 1.99 times its noise" in first
     assert first.endswith(
@@ -127,7 +127,7 @@ def test_a_place_is_told_in_three_lines():
 
 
 def test_nothing_left_says_nothing():
-    assert place_says(no_place(NOTHING) | {"channel": None}) == []
+    assert place_words(no_place(NOTHING) | {"channel": None}) == []
     ResidualLocation.model_validate(no_place(NOTHING))
 
 

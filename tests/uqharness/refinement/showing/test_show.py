@@ -38,7 +38,7 @@ from uqharness.refinement.mission import (
 from uqharness.refinement.round import Side
 from uqharness.refinement.run import Refinement, Request, _put, refine
 from uqharness.replay.flights import prepare, read_flights
-from uqharness.report.pages.refinement import left_over, nowhere
+from uqharness.report.pages.refinement import no_region_words, remaining_words
 from uqharness.report.write import write_report, write_results
 from uqharness.result_documents import ResidualLocation
 from uqharness.simulator.aircraft import find_aircraft
@@ -325,17 +325,17 @@ def test_words_agree_with_the_verdict():
         "coloured_channels": [],
     }
     nothing = {"effects": [], "withdrawn": [], "remaining": remaining}
-    assert nowhere(nothing) == "nowhere beyond what noise allows"
-    assert left_over(remaining) == []
+    assert no_region_words(nothing) == "nowhere beyond what noise allows"
+    assert remaining_words(remaining) == []
     for one in (
         nothing | {"effects": [{"evidence": {"t": -64.2}}]},
         nothing
         | {"remaining": remaining | {"unexplained": True, "where": [{"t": 64.2, "words": "x"}]}},
     ):
-        assert "|t| up to 64" in nowhere(one)
+        assert "|t| up to 64" in no_region_words(one)
     unexplained = remaining | {"unexplained": True, "channels_above_noise": {"q_radps": 2.0}}
-    assert "see what is left" in nowhere(nothing | {"remaining": unexplained})
-    assert left_over(unexplained) == ["above their noise: q_radps (2.00 times)"]
+    assert "see what is left" in no_region_words(nothing | {"remaining": unexplained})
+    assert remaining_words(unexplained) == ["above their noise: q_radps (2.00 times)"]
 
 
 def test_a_campaign_that_is_none_ends_before_a_flight_is_read(tmp_path, campaign, capsys):

@@ -5,7 +5,7 @@ import numpy as np
 from tests.helpers import report_folders as folders
 from uqharness.dossier import read_evidence
 from uqharness.replay.simulation import write_pieces
-from uqharness.report.pages.dossier import compared, match_section
+from uqharness.report.pages.dossier import compare_with_log, match_section
 from uqharness.report.parts import Figures, Section, Table, render
 from uqharness.report.parts import Page as WholePage
 
@@ -24,7 +24,7 @@ def with_rudder(folder, gap_radps, suffixes=("_after",)):
 
 
 def section_of(folder) -> Section:
-    return match_section("Proof of match", compared(read_evidence(folder)))
+    return match_section("Proof of match", compare_with_log(read_evidence(folder)))
 
 
 def texts(section):
@@ -33,9 +33,9 @@ def texts(section):
 
 def test_the_refined_model_on_hold_out_flights_is_preferred(tmp_path):
     with_rudder(folders.identified(tmp_path / "fit"), 0.0, ("_model",))
-    assert "no hold-out flight is here" in compared(read_evidence(tmp_path)).model
+    assert "no hold-out flight is here" in compare_with_log(read_evidence(tmp_path)).model
     with_rudder(folders.refined(tmp_path / "refined"), 0.0)
-    source = compared(read_evidence(tmp_path))
+    source = compare_with_log(read_evidence(tmp_path))
     assert (source.step.kind, source.suffix) == ("refine", "_after")
     assert "hold-out" in source.model
 

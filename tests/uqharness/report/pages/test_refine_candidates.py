@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.report.pages.refinement import MOST_OTHERS, Named, candidate_figure, named_candidates
+from uqharness.report.pages.refinement import (
+    MAX_UNLISTED,
+    ListedCandidate,
+    candidate_figure,
+    listed_candidates,
+)
 
 
 def effect(coefficient: str, term: str, t: float, alternatives=()) -> dict:
@@ -38,12 +43,12 @@ def done():
 
 
 def test_every_candidate_that_is_named_has_its_part(done):
-    assert named_candidates(done) == {
-        "Cm p_hat^2": Named("chosen", 48.0),
-        "CY da": Named("withdrawn", 4.5),
-        "mass Ixz": Named("alternative", 30.0),
-        "Cl de": Named("left", 12.0),
-        "Cn beta^2": Named("left", 3.9),
+    assert listed_candidates(done) == {
+        "Cm p_hat^2": ListedCandidate("chosen", 48.0),
+        "CY da": ListedCandidate("withdrawn", 4.5),
+        "mass Ixz": ListedCandidate("alternative", 30.0),
+        "Cl de": ListedCandidate("left", 12.0),
+        "Cn beta^2": ListedCandidate("left", 3.9),
     }
 
 
@@ -53,7 +58,7 @@ def test_all_of_them_are_in_the_chart_and_few_of_the_others(done):
     drawn = str(figure.svg)
     for name in ("Cm p_hat^2", "CY da", "mass Ixz", "Cl de", "Cn beta^2"):
         assert name in drawn
-    assert sum(f"CX alpha^{k} " in drawn for k in range(20)) <= MOST_OTHERS
+    assert sum(f"CX alpha^{k} " in drawn for k in range(20)) <= MAX_UNLISTED
     assert "CX alpha^19" not in drawn
 
 

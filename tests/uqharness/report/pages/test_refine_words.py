@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.report.pages.refinement import test_says as says
+from uqharness.report.pages.refinement import test_words as says
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from uqharness.report.pages.coverage import coverage_page
 from uqharness.report.pages.identify import identify_page
 from uqharness.report.pages.model_form import bounds_page
 from uqharness.report.pages.refinement import refine_page
-from uqharness.report.pages.study import _KEPT, _PAGES
+from uqharness.report.pages.study import _PAGES, _STAGE_SECTIONS
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -81,7 +81,9 @@ def test_what_is_shown_of_a_stage_is_of_its_own_page_and_the_rest_is_not_made(
 ):
     made = folder(tmp_path / "stage")
     whole, part = page(made, "s0-").sections, _PAGES[kind](made, "s0-").sections
-    shown, expected = ([s for s in some if s.title in _KEPT[kind]] for some in (part, whole))
+    shown, expected = (
+        [s for s in some if s.title in _STAGE_SECTIONS[kind]] for some in (part, whole)
+    )
     assert shown == expected != []
     # The bounds' folder here holds no residuals, and so nothing to leave out.
     assert len(part) == len(whole) if kind == "bounds" else len(part) < len(whole)

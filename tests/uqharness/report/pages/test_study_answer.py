@@ -14,7 +14,7 @@ from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of
 from tests.helpers.report_folders import stage, study, written
 from uqharness.campaign.rounds import KINDS
-from uqharness.report.campaign import read_found
+from uqharness.report.campaign import read_campaign_report
 from uqharness.report.pages.study import cells_section
 
 pytestmark = pytest.mark.usefixtures("flights_here")
@@ -169,7 +169,7 @@ def test_aborted_flights_have_columns_only_where_there_are_some(tmp_path, campai
 
 
 def test_aborted_flights_are_shown_by_kind_with_the_limit_of_their_rate(campaigns):
-    sides = {when: read_found(campaigns / when) for when in ("before", "after")}
+    sides = {when: read_campaign_report(campaigns / when) for when in ("before", "after")}
     item = sides["after"].signed[0]
     lost = {"loss_of_control": 3, "ground_contact": 0, "diverged": 1, "other": 0}
     after = replace(
@@ -193,7 +193,7 @@ def test_aborted_flights_are_shown_by_kind_with_the_limit_of_their_rate(campaign
 
 
 def test_an_inconclusive_cell_says_why(campaigns):
-    found = read_found(campaigns / "after")
+    found = read_campaign_report(campaigns / "after")
     item = replace(found.signed[0], reason="clusters beyond the carried limit")
     cell = cells_section({"": replace(found, signed=(item,))}).blocks[-1].rows[0][2]
     assert cell.small.startswith("clusters beyond the carried limit; ")
