@@ -7,16 +7,34 @@ import uqharness
 from uqharness import sensitivity
 
 CHAPTERS = {
-    "Flights": ("find_aircraft", "fly", "read_flights"),
+    "Flights": ("find_aircraft", "fly", "read_flights", "export_log", "diff"),
+    "Logs": ("log_info", "propose_map"),
     "From flights to a model and its bounds": (
         "identify",
         "compare",
         "fit_model_form",
+        "validate_bounds",
         "instrument",
         "refine",
+        "next_flight",
     ),
-    "Campaigns and p-boxes": ("run_campaign", "read_campaign", "pbox", "plot_pbox"),
-    "Steady flight": ("find_trim", "linearise"),
+    "Campaigns and p-boxes": (
+        "run_campaign",
+        "read_campaign",
+        "check_campaign",
+        "campaign_status",
+        "campaign_report",
+        "campaign_convergence",
+        "campaign_area",
+        "merge_campaign",
+        "rerun_case",
+        "verify",
+        "salvage_campaign",
+        "pbox",
+        "plot_pbox",
+    ),
+    "Studies and reports": ("study", "dossier", "report"),
+    "Steady flight": ("find_trim", "linearise", "margins"),
     "Errors": ("BadInputError", "LogError"),
 }
 RESULTS = (
