@@ -42,7 +42,7 @@ SYSID = (
     Room("estimation", "output error, filter error, ...", {}),
     Room("aerodynamics", "terms, coefficients, residuals", {"residual": (4,)}),
     Room("logs", "dialects, checks, assembly", {"residual": (1,)}),
-    Room("base, foreign, linalg", "records, files of others, arithmetic", {}),
+    Room("base, foreign", "records, arithmetic, files of others", {}),
 )
 
 UQHARNESS = (

@@ -1,0 +1,26 @@
+"""The five walks of docs/architecture.md: modules that exist, at most twelve each."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from tests.architecture.rooms import modules
+from tests.helpers.places import ROOT
+
+MOST_MODULES = 12
+PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+SECTION = PAGE.split("## Five walks\n")[1].split("\n## ")[0]
+WALKS = dict(re.findall(r"^\*\*(.+?)\.\*\* ((?:.+\n)+)", SECTION, re.M))
+
+
+@pytest.mark.parametrize("title", WALKS)
+def test_a_walk_names_at_most_twelve_modules_that_exist(title: str) -> None:
+    names = set(re.findall(r"`((?:sysid|uqharness)\.[a-z_.]+)`", WALKS[title]))
+    assert names <= modules().keys()
+    assert 5 <= len(names) <= MOST_MODULES
+
+
+def test_there_are_five_walks() -> None:
+    assert len(WALKS) == 5
