@@ -48,8 +48,9 @@ def find_trim(
     Returns
     -------
     Trim
-        Angles [rad], body rates [rad/s], ``controls`` in their own units, ``thrust_N`` [N], ``rpm`` [1/min], ``residual`` (6,)
-        the accelerations left [m/s2 and rad/s2]. Where no steady flight exists, ``converged`` is False and ``reason`` says why.
+        Angles [rad], body rates [rad/s], ``controls`` in their own units, ``thrust_N`` [N], ``rpm``
+        [1/min], ``residual`` (6,) the accelerations left [m/s2 and rad/s2]. Where no steady flight
+        exists, ``converged`` is False and ``reason`` says why.
 
     Raises
     ------
@@ -77,7 +78,8 @@ def find_trim(
         number(name, angle)
     if not (abs(bank_rad) < math.radians(85.0) and abs(climb_rad) < math.radians(60.0)):
         raise BadInputError(
-            f"bank_rad = {bank_rad:g}, climb_rad = {climb_rad:g}: less than 85 and 60 degrees either way are needed"
+            f"bank_rad = {bank_rad:g}, climb_rad = {climb_rad:g}: less than 85 and 60 degrees"
+            " either way are needed"
         )
     condition = SteadyCondition(
         V_mps, altitude_m, climb_rad, bank_rad, heading_rad, properties=settings(properties)
@@ -98,17 +100,17 @@ def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
     Returns
     -------
     LinearModel
-        dx/dt = A x + B u: ``A`` (8, 8) for x = (u, v, w, p, q, r, phi, theta) in m/s, rad/s and rad, ``B`` (8, c) for the
-        ``controls`` in their own units. ``uqharness.simulator.linear.modes`` names its modes.
+        dx/dt = A x + B u: ``A`` (8, 8) for x = (u, v, w, p, q, r, phi, theta) in m/s, rad/s and
+        rad, ``B`` (8, c) for the ``controls`` in their own units.
+        ``uqharness.simulator.linear.modes`` names its modes.
 
     Raises
     ------
     BadInputError
         If the trim did not converge or is of another aircraft.
 
-    References
-    ----------
-    B. L. Stevens, F. L. Lewis, Aircraft Control and Simulation: numerical linearisation by central differences.
+    References ---------- B. L. Stevens, F. L. Lewis, Aircraft Control and Simulation: numerical
+    linearisation by central differences.
 
     Examples
     --------
@@ -142,24 +144,28 @@ def instrument(
     out : str or Path
         Folder of the copy.
     constant : Mapping, optional
-        In place of a form, bounds that stay: coefficient to half width [-] or to (lower, upper) [-], as ``{"CX": 0.01}``.
+        In place of a form, bounds that stay: coefficient to half width [-] or to (lower, upper)
+        [-], as ``{"CX": 0.01}``.
     air : bool
         Whether this project's wind and turbulence are added (docs/air.md).
     check : bool
         Whether the copy is flown beside the untouched aircraft.
     mass : Mapping, optional
-        Mass properties of the aircraft as it flew, in place of the XML's: ``mass_kg``, ``ixx_kgm2``, ``iyy_kgm2``, ``izz_kgm2``,
-        ``ixz_kgm2`` (the product of inertia), ``cg_x_m``, ``cg_y_m``, ``cg_z_m`` (the XML's structural frame).
+        Mass properties of the aircraft as it flew, in place of the XML's: ``mass_kg``,
+        ``ixx_kgm2``, ``iyy_kgm2``, ``izz_kgm2``, ``ixz_kgm2`` (the product of inertia), ``cg_x_m``,
+        ``cg_y_m``, ``cg_z_m`` (the XML's structural frame).
 
     Returns
     -------
     Instrumented
-        ``folder``, ``notes``, and the ``verdict`` of that flight: works, wrong or fails; None without one.
+        ``folder``, ``notes``, and the ``verdict`` of that flight: works, wrong or fails; None
+        without one.
 
     Raises
     ------
     BadInputError
-        For an aircraft that cannot be instrumented, with file and line, and for a folder that may not be written.
+        For an aircraft that cannot be instrumented, with file and line, and for a folder that may
+        not be written.
     LogError
         For a file that is no model form.
 
@@ -177,7 +183,8 @@ def instrument(
     folder = path("out", out)
     if form is None and constant is None:
         raise BadInputError(
-            'instrument: no bounds; give form, or constant such as {"CX": 0.01}, or {} for bounds of zero'
+            'instrument: no bounds; give form, or constant such as {"CX": 0.01}, or {} for bounds'
+            " of zero"
         )
     if form is not None and constant is not None:
         raise BadInputError(

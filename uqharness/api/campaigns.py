@@ -83,7 +83,10 @@ class CampaignResult:
 
     @cached_property
     def cases(self) -> pd.DataFrame:
-        """One row a flight (docs/campaigns.md has the columns). Raises BadInputError where the table is not as it was written."""
+        """One row a flight (docs/campaigns.md has the columns).
+
+        Raises BadInputError where the table is not as it was written.
+        """
         return read_cases(self.folder, self.manifest)
 
     def pboxes(self) -> dict[tuple[str, str], PBox]:
@@ -95,7 +98,9 @@ class CampaignResult:
         }
 
     def statements(self) -> pd.DataFrame:
-        """statements.csv: per condition and radius the excursions per hour, their limits, and the answer (docs/statements.md)."""
+        """statements.csv: per condition and radius the excursions per hour, their limits, and the
+        answer (docs/statements.md).
+        """
         import pandas as pd
 
         content = read_checked(self.folder, self.manifest, STATEMENTS)
@@ -119,12 +124,14 @@ def run_campaign(
     engine: Literal["auto", "batch", "jsbsim"] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> CampaignResult:
-    """Fly a campaign, as ``uqharness campaign run`` does. The same call, or the command, resumes one that was interrupted.
+    """Fly a campaign, as ``uqharness campaign run`` does. The same call, or the command, resumes
+    one that was interrupted.
 
     Parameters
     ----------
     campaign : str, Path, Mapping or CampaignSpec
-        A campaign.toml, the name of a folder under campaigns/, or the file's sections as a dictionary.
+        A campaign.toml, the name of a folder under campaigns/, or the file's sections as a
+        dictionary.
     out : str or Path
         Folder for the results.
     hours : float, optional
@@ -141,17 +148,17 @@ def run_campaign(
     Returns
     -------
     CampaignResult
-        ``cases`` a DataFrame of one row a flight, ``pboxes()`` (metric, condition) to PBox, ``statements()`` a DataFrame. A
-        flight that failed is a row with its reason.
+        ``cases`` a DataFrame of one row a flight, ``pboxes()`` (metric, condition) to PBox,
+        ``statements()`` a DataFrame. A flight that failed is a row with its reason.
 
     Raises
     ------
     BadInputError
-        For mistakes in the campaign, each with its line, a model that does not fly, and a folder of another campaign.
+        For mistakes in the campaign, each with its line, a model that does not fly, and a folder of
+        another campaign.
 
-    References
-    ----------
-    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3: nested sampling of epistemic and aleatory uncertainty.
+    References ---------- L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3: nested sampling
+    of epistemic and aleatory uncertainty.
 
     Examples
     --------
@@ -245,31 +252,32 @@ def pbox(
     samples: Mapping[str, ArrayLike] | Sequence[ArrayLike | Sample],
     confidence: float = 0.95,
 ) -> PBox:
-    """The p-box of samples: the envelope of their distribution functions, with a band for their finite number.
+    """The p-box of samples: the envelope of their distribution functions, with a band for their
+    finite number.
 
     Parameters
     ----------
     samples : Mapping or sequence
-        One array (n,) of values for each epistemic sample, all of one quantity; a mapping names them. A value that is not finite
-        counts as unknown: it may lie anywhere and is not dropped.
+        One array (n,) of values for each epistemic sample, all of one quantity; a mapping names
+        them. A value that is not finite counts as unknown: it may lie anywhere and is not dropped.
     confidence : float
         Of the band [-], over all values and samples at once.
 
     Returns
     -------
     PBox
-        At each ``value`` (m,), the probability of at most that lies between ``lower`` and ``upper`` (m,) [-]; ``band_lower`` and
-        ``band_upper`` (m,) [-] add what chance leaves open. ``quantile(p)`` is the interval of a quantile.
+        At each ``value`` (m,), the probability of at most that lies between ``lower`` and ``upper``
+        (m,) [-]; ``band_lower`` and ``band_upper`` (m,) [-] add what chance leaves open.
+        ``quantile(p)`` is the interval of a quantile.
 
     Raises
     ------
     BadInputError
         For no sample, an empty one, no known value, or a confidence outside 0 to 1.
 
-    References
-    ----------
-    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3. S. Ferson et al., Constructing probability boxes and Dempster-Shafer
-    structures, SAND2002-4015, 2003. The band: Bonferroni over the samples on Kolmogorov's statistic.
+    References ---------- L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3. S. Ferson et
+    al., Constructing probability boxes and Dempster-Shafer structures, SAND2002-4015, 2003. The
+    band: Bonferroni over the samples on Kolmogorov's statistic.
 
     Examples
     --------
@@ -311,13 +319,16 @@ def campaign_of(campaign: AnyPath | CampaignSpec | Mapping[str, Any]) -> Campaig
             raise BadInputError(*(_IN_A_FILE.sub("", line) for line in error.args)) from None
     if not isinstance(campaign, str | PathLike):
         raise BadInputError(
-            f"a campaign is a file, a name or its sections as a dictionary; received {type(campaign).__name__}"
+            "a campaign is a file, a name or its sections as a dictionary; received"
+            f" {type(campaign).__name__}"
         )
     return reading.read_campaign(find_campaign(Path(campaign)))
 
 
 def _plain(value: Any) -> Any:
-    """What TOML holds: numpy's numbers and arrays and paths as Python's own numbers, lists and texts."""
+    """What TOML holds: numpy's numbers and arrays and paths as Python's own numbers, lists and
+    texts.
+    """
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

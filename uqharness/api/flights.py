@@ -51,11 +51,13 @@ class Flight(Tabled):
     name : str
         What reports call it.
     record : FlightRecord
-        Channels by name, (n,) each, SI units and body axes (docs/log-reference.md lists them). ``flight["q_radps"]`` reads one.
+        Channels by name, (n,) each, SI units and body axes (docs/log-reference.md lists them).
+        ``flight["q_radps"]`` reads one.
     sha256 : str
         Identity of its content, which model forms remember.
     status, reason : str
-        ``ok``, or what ended a flown flight early (``diverged``, ``ground-contact``, ``crashed``) and why.
+        ``ok``, or what ended a flown flight early (``diverged``, ``ground-contact``, ``crashed``)
+        and why.
     aircraft : Aircraft or None
         What flew it; None for a log.
     start : Mapping
@@ -89,7 +91,8 @@ class Flight(Tabled):
         return pd.DataFrame(dict(self.record.columns))
 
     def write(self, path: AnyPath) -> tuple[str, ...]:
-        """Write .parquet, .csv or .bin (ArduPilot DataFlash), whole or not at all; the columns that the format has no place for.
+        """Write .parquet, .csv or .bin (ArduPilot DataFlash), whole or not at all; the columns that
+        the format has no place for.
 
         Raises BadInputError for another ending and a folder that cannot be written.
         """
@@ -146,8 +149,8 @@ def fly(
     Returns
     -------
     Flight
-        The record, (duration_s * rate_hz + 1,) samples if it flew to the end, and how it ended. A flight that crashes or
-        diverges is a result: its ``status`` says so.
+        The record, (duration_s * rate_hz + 1,) samples if it flew to the end, and how it ended. A
+        flight that crashes or diverges is a result: its ``status`` says so.
 
     Raises
     ------
@@ -158,16 +161,10 @@ def fly(
     ----------
     MIL-F-8785C, 1980, section 3.7: the Dryden turbulence.
 
-    Examples
-    --------
-    >>> import uqharness as uq
-    >>> flight = uq.fly("espaaro", "loiter", duration_s=10, wind_mps=3, turbulence="moderate", seed=7)
-    >>> flight.status, len(flight)
-    ('ok', 501)
-    >>> table = flight.to_dataframe()
-    >>> list(table.columns[:4])
-    ['time_s', 'V_mps', 'alpha_rad', 'beta_rad']
-    """
+    Examples -------- >>> import uqharness as uq >>> flight = uq.fly("espaaro", "loiter",
+    duration_s=10, wind_mps=3, turbulence="moderate", seed=7) >>> flight.status, len(flight) ('ok',
+    501) >>> table = flight.to_dataframe() >>> list(table.columns[:4]) ['time_s', 'V_mps',
+    'alpha_rad', 'beta_rad']"""
     if mission is not None:
         script = argument_path("mission", mission)
     model, run = given_aircraft(aircraft), read_script(find_script(argument_path("script", script)))
@@ -222,7 +219,8 @@ def read_flights(
     Parameters
     ----------
     paths : str, Path or sequence of them
-        Records (.parquet, .csv) or logs (ArduPilot .bin, .log, .tlog; PX4 .ulg), recognised by their content.
+        Records (.parquet, .csv) or logs (ArduPilot .bin, .log, .tlog; PX4 .ulg), recognised by
+        their content.
     aircraft : str, Path or Aircraft
         Whose airframe.toml turns servo outputs into angles.
     manoeuvres : str or Path, optional
@@ -230,7 +228,8 @@ def read_flights(
     signal_map : str or Path, optional
         Signal map of your own, TOML (docs/logs.md).
     flight_number : int or sequence of int, optional
-        Which flight of logs that hold several boots of the autopilot, from 1: one number, or one a file. Default: the longest.
+        Which flight of logs that hold several boots of the autopilot, from 1: one number, or one a
+        file. Default: the longest.
 
     Returns
     -------
@@ -284,7 +283,8 @@ def propose_map(log: AnyPath, aircraft: AnyAircraft | None = None) -> MapProposa
     Returns
     -------
     MapProposal
-        ``signals`` holds each signal with its field, scale and evidence; ``to_toml()`` is the map as text.
+        ``signals`` holds each signal with its field, scale and evidence; ``to_toml()`` is the map
+        as text.
 
     Raises
     ------
@@ -313,12 +313,14 @@ def log_info(
     signal_map: AnyPath | None = None,
     flight_number: int | None = None,
 ) -> LogInfo:
-    """Read a flight log and say what it holds and what it is good for, as ``uqharness log info`` does.
+    """Read a flight log and say what it holds and what it is good for, as ``uqharness log info``
+    does.
 
     Parameters
     ----------
     log : str or Path
-        A record (.parquet, .csv) or log (ArduPilot .bin, .log, .tlog; PX4 .ulg), recognised by its content.
+        A record (.parquet, .csv) or log (ArduPilot .bin, .log, .tlog; PX4 .ulg), recognised by its
+        content.
     aircraft : str, Path or Aircraft, optional
         Whose airframe.toml turns servo outputs into angles.
     signal_map : str or Path, optional
@@ -329,8 +331,8 @@ def log_info(
     Returns
     -------
     LogInfo
-        ``channels``, ``rates_hz`` [1/s], ``flight_s`` [s], ``manoeuvres``, ``findings`` and ``purposes``; ``as_dict()`` is the
-        document of ``--json``.
+        ``channels``, ``rates_hz`` [1/s], ``flight_s`` [s], ``manoeuvres``, ``findings`` and
+        ``purposes``; ``as_dict()`` is the document of ``--json``.
 
     Raises
     ------
@@ -362,12 +364,18 @@ def given_aircraft(aircraft: AnyAircraft) -> Aircraft:
 
 
 def carded_aircraft(aircraft: AnyAircraft) -> Aircraft:
-    """The same; one without airframe.toml is instrumented for as long as the process lasts. Raises BadInputError."""
+    """The same; one without airframe.toml is instrumented for as long as the process lasts.
+
+    Raises BadInputError.
+    """
     return with_card(given_aircraft(aircraft))
 
 
 def given_flights(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) -> list[Flight]:
-    """One flight or several, whatever each was given as, at least one and none twice. Raises BadInputError."""
+    """One flight or several, whatever each was given as, at least one and none twice.
+
+    Raises BadInputError.
+    """
     if isinstance(flights, str | PathLike | FlightRecord | Flight):
         flights = [flights]
     several = instance(
@@ -376,7 +384,8 @@ def given_flights(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) 
     found = [_given(flight, aircraft) for flight in several]
     if not found:
         raise BadInputError(
-            "no flight was given; at least one is needed, such as uq.read_flights(['flight.bin'], aircraft)"
+            "no flight was given; at least one is needed, such as uq.read_flights(['flight.bin'],"
+            " aircraft)"
         )
     refuse_twice([flight.name for flight in found], [flight.sha256 for flight in found])
     return found
@@ -390,7 +399,8 @@ def _given(flight: AnyFlight, aircraft: Aircraft) -> Flight:
         return Flight(name, in_free_flight(flight, aircraft, name), _content_sha256(flight))
     if not isinstance(flight, str | PathLike):
         raise BadInputError(
-            f"a flight is a path, a FlightRecord or what fly and read_flights give; received {type(flight).__name__}"
+            "a flight is a path, a FlightRecord or what fly and read_flights give; received"
+            f" {type(flight).__name__}"
         )
     return read_flights(flight, aircraft)[0]
 

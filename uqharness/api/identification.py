@@ -1,4 +1,6 @@
-"""Identification in Python: parameters, the gap to a flight, and the bounds of what the model does not know."""
+"""Identification in Python: parameters, the gap to a flight, and the bounds of what the model does
+not know.
+"""
 
 from __future__ import annotations
 
@@ -68,39 +70,44 @@ def identify(
     flights : flight or sequence of flights
         Paths, FlightRecords, or what `fly` and `read_flights` give.
     parameters : sequence of str, optional
-        JSBSim properties to estimate, such as ``["aero/Cm_q"]``; by default those of the card that the flights excite.
+        JSBSim properties to estimate, such as ``["aero/Cm_q"]``; by default those of the card that
+        the flights excite.
     start : {"current", "initial"}
         Start from the values in the XML, or from the card's first guesses.
     method : {"auto", "output-error", "filter-error"}
         ``auto`` takes filter error where the residuals show turbulence.
     biases : sequence of str, optional
-        Channels with a constant sensor bias to estimate, short (``"p"``) or whole (``"p_radps"``); by default p, q, r.
+        Channels with a constant sensor bias to estimate, short (``"p"``) or whole (``"p_radps"``);
+        by default p, q, r.
     delays : sequence of str, optional
-        What is late by a delay to be estimated: channels, or ``"controls"``; by default the controls, and all channels of a log.
+        What is late by a delay to be estimated: channels, or ``"controls"``; by default the
+        controls, and all channels of a log.
     outputs : sequence of str, optional
-        Channels that are fitted; by default all that are recorded, without ``parameters`` those that some parameter acts on.
+        Channels that are fitted; by default all that are recorded, without ``parameters`` those
+        that some parameter acts on.
     servos : {"auto", "card", "ideal"}
-        Commands go through the aircraft's actuators, or surfaces and throttle follow them at once; ``auto``: of a log, the
-        likelier of the two, which a note of the result names.
+        Commands go through the aircraft's actuators, or surfaces and throttle follow them at once;
+        ``auto``: of a log, the likelier of the two, which a note of the result names.
     workers : int, optional
         Processes; by default one a core, 8 at most.
 
     Returns
     -------
     Identification
-        ``names`` (k,), ``theta`` (k,) the estimates in the properties' own units, ``std`` (k,) corrected for coloured residuals,
-        ``cov`` (k, k) of the identified ones, ``status``, ``warnings``, the segments with measured and modelled channels.
-        ``to_dataframe()`` is the table of parameters.
+        ``names`` (k,), ``theta`` (k,) the estimates in the properties' own units, ``std`` (k,)
+        corrected for coloured residuals, ``cov`` (k, k) of the identified ones, ``status``,
+        ``warnings``, the segments with measured and modelled channels. ``to_dataframe()`` is the
+        table of parameters.
 
     Raises
     ------
     BadInputError
-        For flights that lack a channel, unknown parameters or channels, and a model that cannot fly the segments.
+        For flights that lack a channel, unknown parameters or channels, and a model that cannot fly
+        the segments.
 
-    References
-    ----------
-    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9: output error. R. V. Jategaonkar, Flight Vehicle System
-    Identification, 2nd ed., 2015: filter error. docs/method.md has the equations.
+    References ---------- L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9: output
+    error. R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed., 2015: filter error.
+    docs/method.md has the equations.
 
     Examples
     --------
@@ -149,7 +156,8 @@ def compare(
     servos: Servos = "auto",
     workers: int | None = None,
 ) -> Comparison:
-    """Replay a flight and measure the gap to the model against the sensors' noise, as ``uqharness compare`` does.
+    """Replay a flight and measure the gap to the model against the sensors' noise, as ``uqharness
+    compare`` does.
 
     A record's late channels stay late; ``delays`` allows for them.
 
@@ -165,18 +173,18 @@ def compare(
     Returns
     -------
     Comparison
-        ``channels`` with rms and noise of each in the channel's own unit, ``coefficients`` [-], ``manoeuvres``, the worst
-        ``moments``, and per segment the channels ``measured`` and ``modelled`` (n, m). ``reached`` says whether every judged
-        channel is within 1.15 of its noise. ``to_dataframe()`` is the table of channels.
+        ``channels`` with rms and noise of each in the channel's own unit, ``coefficients`` [-],
+        ``manoeuvres``, the worst ``moments``, and per segment the channels ``measured`` and
+        ``modelled`` (n, m). ``reached`` says whether every judged channel is within 1.15 of its
+        noise. ``to_dataframe()`` is the table of channels.
 
     Raises
     ------
     BadInputError
         For a flight that lacks a channel and a model that cannot fly any segment.
 
-    References
-    ----------
-    H. Theil's inequality coefficient, with its shares of bias, variance and covariance; docs/identification.md has the rest.
+    References ---------- H. Theil's inequality coefficient, with its shares of bias, variance and
+    covariance; docs/identification.md has the rest.
 
     Examples
     --------
@@ -220,7 +228,8 @@ def fit_model_form(
     checks: bool = True,
     servos: Servos = "auto",
 ) -> MadeBounds:
-    """Bounds of what a model does not know, from flights that it was not identified from, as ``uqharness bounds`` makes them.
+    """Bounds of what a model does not know, from flights that it was not identified from, as
+    ``uqharness bounds`` makes them.
 
     Parameters
     ----------
@@ -246,28 +255,23 @@ def fit_model_form(
     Returns
     -------
     MadeBounds
-        ``form``, the model form that `instrument` and campaigns take (``form.to_json()`` is model-form.json), the residual
-        coefficients [-] it was fitted to, ``widths`` and ``noise`` [-] per coefficient, ``warnings``. Sensor noise is in no
-        bounds. ``to_dataframe()`` is the table of coefficients, with the parts of model error [-] and whether any was found.
+        ``form``, the model form that `instrument` and campaigns take (``form.to_json()`` is
+        model-form.json), the residual coefficients [-] it was fitted to, ``widths`` and ``noise``
+        [-] per coefficient, ``warnings``. Sensor noise is in no bounds. ``to_dataframe()`` is the
+        table of coefficients, with the parts of model error [-] and whether any was found.
 
     Raises
     ------
     BadInputError
         For flights that lack a channel or are too short, and for unknown states or terms.
 
-    References
-    ----------
-    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.11 to 2.18: residual coefficients, and the prediction interval of their
-    regression on the flight states.
+    References ---------- L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.11 to 2.18: residual
+    coefficients, and the prediction interval of their regression on the flight states.
 
-    Examples
-    --------
-    >>> import uqharness as uq
-    >>> flight = uq.fly("espaaro_truth", "flight-bounds", duration_s=40, turbulence="light", noise=True, seed=2)
-    >>> made = uq.fit_model_form("espaaro", flight, checks=False)
-    >>> sorted(made.form.coefficients)
-    ['CX', 'CY', 'CZ', 'Cl', 'Cm', 'Cn']
-    """
+    Examples -------- >>> import uqharness as uq >>> flight = uq.fly("espaaro_truth",
+    "flight-bounds", duration_s=40, turbulence="light", noise=True, seed=2) >>> made =
+    uq.fit_model_form("espaaro", flight, checks=False) >>> sorted(made.form.coefficients) ['CX',
+    'CY', 'CZ', 'Cl', 'Cm', 'Cn']"""
     model = carded_aircraft(aircraft)
     chosen, named = _designs("states", states), _designs("terms", terms)
     options = BoundsOptions(
@@ -295,7 +299,8 @@ def validate_bounds(
     *,
     servos: Servos = "auto",
 ) -> Validation:
-    """Count how much of a new flight lies within bounds from other flights, as ``uqharness validate-bounds`` does.
+    """Count how much of a new flight lies within bounds from other flights, as ``uqharness
+    validate-bounds`` does.
 
     Parameters
     ----------
@@ -316,7 +321,8 @@ def validate_bounds(
     Raises
     ------
     BadInputError
-        For bounds of another aircraft, flights that they were made from, and flights that lack a channel.
+        For bounds of another aircraft, flights that they were made from, and flights that lack a
+        channel.
 
     Examples
     --------

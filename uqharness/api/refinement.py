@@ -48,7 +48,8 @@ def refine(
     workers: int | None = None,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Refinement:
-    """Find, name and add what a model lacks, as ``uqharness refine`` does. The same call goes on where it was interrupted.
+    """Find, name and add what a model lacks, as ``uqharness refine`` does. The same call goes on
+    where it was interrupted.
 
     Parameters
     ----------
@@ -65,7 +66,8 @@ def refine(
     servos : {"auto", "card", "ideal"}
         As for `identify`.
     campaign : str or Path, optional
-        Mission that both models fly within their intervals; by default the aircraft's loiter, if it has one.
+        Mission that both models fly within their intervals; by default the aircraft's loiter, if it
+        has one.
     pbox : bool
         Whether that mission is flown.
     bake : bool
@@ -80,13 +82,15 @@ def refine(
     Returns
     -------
     Refinement
-        ``document``, which is refinement.json (verdict, effects with estimate, standard deviation and unit, gaps before and
-        after), and ``aircraft``, the refined one, which every function here takes.
+        ``document``, which is refinement.json (verdict, effects with estimate, standard deviation
+        and unit, gaps before and after), and ``aircraft``, the refined one, which every function
+        here takes.
 
     Raises
     ------
     BadInputError
-        For flights that cannot be used or that train and test share, and a card without ``[parameters]``.
+        For flights that cannot be used or that train and test share, and a card without
+        ``[parameters]``.
     LogError
         For a file of effects that cannot be used.
 
@@ -94,14 +98,10 @@ def refine(
     ----------
     L. E. Hale, dissertation, Virginia Tech, 2016, section 2.7. docs/refine.md has the method.
 
-    Examples
-    --------
-    >>> import uqharness as uq
-    >>> flights = [uq.fly("espaaro_truth", "flight-ident", noise=True, seed=seed) for seed in (1, 2)]
-    >>> found = uq.refine("espaaro", train=flights[0], test=flights[1], out="refined", pbox=False, figures=False)
-    >>> found.document["verdict"]
-    'effects-found'
-    """
+    Examples -------- >>> import uqharness as uq >>> flights = [uq.fly("espaaro_truth",
+    "flight-ident", noise=True, seed=seed) for seed in (1, 2)] >>> found = uq.refine("espaaro",
+    train=flights[0], test=flights[1], out="refined", pbox=False, figures=False) >>>
+    found.document["verdict"] 'effects-found'"""
     model, folder, workers = carded_aircraft(aircraft), path("out", out), given_workers(workers)
     one_of("servos", servos, ("auto", "card", "ideal"))
     flag("figures", figures)

@@ -53,7 +53,10 @@ States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``bounds``."""
-    text = "Fit intervals of the model's error as functions of the flight state, sensor noise removed (see docs/model-form.md)."
+    text = (
+        "Fit intervals of the model's error as functions of the flight state, sensor noise removed"
+        " (see docs/model-form.md)."
+    )
     describe(parser, _run, text, _EXAMPLE)
     add_aircraft(parser)
     add_flights(parser)
@@ -104,12 +107,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--as-published",
         action="store_true",
-        help="the dissertation's interval of a measured sample, sensor noise included (default: the model's error alone)",
+        help=(
+            "the dissertation's interval of a measured sample, sensor noise included (default: the"
+            " model's error alone)"
+        ),
     )
     parser.add_argument(
         "--sample-size",
         choices=("effective", "all"),
-        help="with --as-published: count all samples (default), or the effective sample size, which allows for autocorrelation",
+        help=(
+            "with --as-published: count all samples (default), or the effective sample size, which"
+            " allows for autocorrelation"
+        ),
     )
     parser.add_argument(
         "--outside",
@@ -146,8 +155,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _options(args: argparse.Namespace) -> BoundsOptions:
     if args.sample_size is not None and not args.as_published:
         raise BadInputError(
-            f"--sample-size {args.sample_size} belongs to --as-published: bounds of the model's error know how their samples "
-            "hang together; leave it out, or ask for the published interval"
+            f"--sample-size {args.sample_size} belongs to --as-published: bounds of the model's"
+            " error know how their samples hang together; leave it out, or ask for the published"
+            " interval"
         )
     return BoundsOptions(
         designs=parse_designs(args.states, args.terms, args.order, args.roll_terms),
@@ -198,7 +208,9 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _more_figures(found: MadeBounds, out: Path) -> None:
-    """Drawings of what the folder does not keep: the levels' changes, and the bounds of the usual states beside others."""
+    """Drawings of what the folder does not keep: the levels' changes, and the bounds of the usual
+    states beside others.
+    """
 
     sections = [variation_section(found.variations)]
     if found.baseline:

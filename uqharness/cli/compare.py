@@ -1,4 +1,6 @@
-"""``uqharness compare``: how far the model is from a flight, channel by channel, coefficient by coefficient."""
+"""``uqharness compare``: how far the model is from a flight, channel by channel, coefficient by
+coefficient.
+"""
 
 from __future__ import annotations
 

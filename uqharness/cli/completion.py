@@ -1,4 +1,6 @@
-"""``uqharness completion``: a script that makes a shell complete commands, options, files and aircraft."""
+"""``uqharness completion``: a script that makes a shell complete commands, options, files and
+aircraft.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,9 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
 
 
 def _completer(action: argparse.Action) -> Mapping[str, str] | None:
-    """What the shell offers for an argument; None where that is nothing or the argument's choices."""
+    """What the shell offers for an argument; None where that is nothing or the argument's
+    choices.
+    """
     if action.metavar in ("AIRCRAFT", "A", "B"):
         return dict.fromkeys(SHELLS, "_uqharness_aircraft")
     if action.type is not Path:

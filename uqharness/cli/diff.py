@@ -42,8 +42,9 @@ _SHOWN = 12
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``diff``."""
     text = (
-        "Fly the same manoeuvres with two models (same start, controls and air) and list the outputs that differ by more than "
-        "rounding, the likeliest cause first, with the XML that differs."
+        "Fly the same manoeuvres with two models (same start, controls and air) and list the"
+        " outputs that differ by more than rounding, the likeliest cause first, with the XML that"
+        " differs."
     )
     describe(parser, _run, text, _EXAMPLE, no="the models differ")
     for name in ("a", "b"):
@@ -95,14 +96,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=number("--tolerance", least=0.0, most=1.0),
         default=ROUNDING,
         metavar="R",
-        help="differences up to this share of a channel's range count as equal (default %(default)g: rounding)",
+        help=(
+            "differences up to this share of a channel's range count as equal (default %(default)g:"
+            " rounding)"
+        ),
     )
     parser.add_argument(
         "--repeats",
         type=whole("--repeats", 0, 1000),
         default=0,
         metavar="N",
-        help="fly A N more times in other turbulence; differences of that size count as equal (default %(default)s)",
+        help=(
+            "fly A N more times in other turbulence; differences of that size count as equal"
+            " (default %(default)s)"
+        ),
     )
     parser.add_argument(
         "--bounds",
@@ -123,8 +130,8 @@ def _run(args: argparse.Namespace) -> int:
         check_page(args.out)
     if not args.speed_mps and not args.script:
         raise BadInputError(
-            "nothing to fly: give --speed-mps V, an airspeed at which A trims (uqharness modes A --speed-mps V shows the trim), or "
-            "--script S"
+            "nothing to fly: give --speed-mps V, an airspeed at which A trims (uqharness modes A"
+            " --speed-mps V shows the trim), or --script S"
         )
     asked = Asked(
         speeds_mps=tuple(args.speed_mps),
@@ -163,14 +170,20 @@ def _run(args: argparse.Namespace) -> int:
 def _text(
     flights: Sequence[Matched], first: Sequence[Difference], terms: Sequence[Term], differ: bool
 ) -> str:
-    flown = f"{len(flights)} flights, {sum(float(f.time_s[-1]) for f in flights if len(f.time_s)):.0f} s"
+    flown = (
+        f"{len(flights)} flights,"
+        f" {sum(float(f.time_s[-1]) for f in flights if len(f.time_s)):.0f} s"
+    )
     beyond = " beyond what A varies by itself" if any(f.varied for f in flights) else ""
     if not differ:
         if not terms:
             return f"The models do not differ{beyond} ({flown}; the XML says the same)."
         return "\n".join(
             [
-                f"No output differs{beyond} ({flown}), but {len(terms)} elements of the XML do: these flights do not show them.",
+                (
+                    f"No output differs{beyond} ({flown}), but {len(terms)} elements of the XML do:"
+                    " these flights do not show them."
+                ),
                 *(f"  {line}" for line in _terms(terms)),
             ]
         )
@@ -186,7 +199,8 @@ def _text(
         where = d.terms[0] if d.terms else None
         cause = f"; likeliest cause {_where(where)}" if where else ""
         out.append(
-            f"The models differ in {len(first)} channels, first in {d.channel} at {d.from_s:g} s of {d.flight}{cause}."
+            f"The models differ in {len(first)} channels, first in {d.channel} at {d.from_s:g} s of"
+            f" {d.flight}{cause}."
         )
         rows = [
             {

@@ -28,8 +28,8 @@ DIR/dossier.html, one file that can be printed. It lays out evidence and claims 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``dossier``."""
     text = (
-        "Write the evidence for a model as one document: provenance, proof of match, credibility, claims, validity envelope, "
-        "sources (see docs/dossier.md). Nothing is flown or fitted."
+        "Write the evidence for a model as one document: provenance, proof of match, credibility,"
+        " claims, validity envelope, sources (see docs/dossier.md). Nothing is flown or fitted."
     )
     describe(
         parser,

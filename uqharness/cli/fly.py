@@ -174,7 +174,8 @@ def _run(args: argparse.Namespace) -> int:
         return _fly(args, aircraft, aircraft, find_script(args.script))
     if args.speed_mps is None:
         raise BadInputError(
-            f"--mission {args.mission}: give --speed-mps V, at which {aircraft.name} trims (uqharness modes)"
+            f"--mission {args.mission}: give --speed-mps V, at which {aircraft.name} trims"
+            " (uqharness modes)"
         )
     # Initial conditions lie in the aircraft's folder, and that is not ours to write to.
     with scratch_folder("fly") as scratch:
@@ -189,7 +190,9 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Path) -> int:
-    """Fly ``flown``, which is ``aircraft`` or its copy with initial conditions, and write the record."""
+    """Fly ``flown``, which is ``aircraft`` or its copy with initial conditions, and write the
+    record.
+    """
     script = read_script(path)
     gains = gains_of(args.autopilot, flown, path)
     record, recorded = recorded_flight(
@@ -197,7 +200,8 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
     )
     if not aircraft.has_card:
         print(
-            f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are JSBSim's fcs/...-cmd-norm",
+            f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are"
+            " JSBSim's fcs/...-cmd-norm",
             file=sys.stderr,
         )
     left_out = write_record(record, args.out, aircraft, start_of(recorded))
@@ -276,7 +280,8 @@ def parse_settings(settings: list[str]) -> dict[str, float]:
             number = math.nan
         if not equals or not name or not math.isfinite(number):
             raise BadInputError(
-                f"--set {text}: PROP=VALUE with a finite number is needed, such as --set aero/Cm_q=-10"
+                f"--set {text}: PROP=VALUE with a finite number is needed, such as --set"
+                " aero/Cm_q=-10"
             )
         parsed[name] = number
     return parsed

@@ -40,7 +40,10 @@ Writes DIR/fit.json, DIR/report.html, DIR/parameters.csv, DIR/figures/*.svg, and
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``identify``."""
-    text = "Estimate an aircraft's parameters from flight logs or records by output error (see docs/identification.md)."
+    text = (
+        "Estimate an aircraft's parameters from flight logs or records by output error (see"
+        " docs/identification.md)."
+    )
     describe(
         parser,
         _run,
@@ -56,12 +59,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--params",
         metavar="P,P",
-        help="JSBSim properties to estimate (default: those of the card's [parameters] that the flights excite)",
+        help=(
+            "JSBSim properties to estimate (default: those of the card's [parameters] that the"
+            " flights excite)"
+        ),
     )
     parser.add_argument(
         "--outputs",
         metavar="C,C",
-        help="channels that are fitted, such as q,alpha,az (default: all; without --params those that the parameters act on)",
+        help=(
+            "channels that are fitted, such as q,alpha,az (default: all; without --params those"
+            " that the parameters act on)"
+        ),
     )
     parser.add_argument(
         "--start",

@@ -49,10 +49,14 @@ that --undo goes by."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``instrument``."""
-    text = "Add bounded increments (uq/...) of the six coefficients to an aircraft of any axes; see docs/instrument.md."
+    text = (
+        "Add bounded increments (uq/...) of the six coefficients to an aircraft of any axes; see"
+        " docs/instrument.md."
+    )
     no = (
-        "the check failed: with uq/active 0 the result does not fly bit for bit like the original, or its increments are wrong; "
-        "or a control could not be measured, so that its part of airframe.toml is assumed"
+        "the check failed: with uq/active 0 the result does not fly bit for bit like the original,"
+        " or its increments are wrong; or a control could not be measured, so that its part of"
+        " airframe.toml is assumed"
     )
     describe(parser, _run, text, _EXAMPLE, no=no)
     add_aircraft(parser)
@@ -89,7 +93,10 @@ _MASS = {
     "ixx_kgm2": "moment of inertia about x, body axes at the centre of gravity, kg m2",
     "iyy_kgm2": "about y",
     "izz_kgm2": "about z",
-    "ixz_kgm2": "product of inertia, the integral of x z over the mass; JSBSim's inertia/ixz-slugs_ft2 is minus this",
+    "ixz_kgm2": (
+        "product of inertia, the integral of x z over the mass; JSBSim's inertia/ixz-slugs_ft2 is"
+        " minus this"
+    ),
     "cg_x_m": "centre of gravity in the XML's structural frame, aft, m",
     "cg_y_m": "to the right",
     "cg_z_m": "up",
@@ -112,7 +119,8 @@ def parse_constant(text: str) -> dict[str, tuple[float, float]]:
         name, equals, number = part.strip().partition("=")
         if not equals or name not in COEFFICIENTS:
             raise BadInputError(
-                f"--constant {part.strip()!r}: C=B with C one of {', '.join(COEFFICIENTS)} is needed"
+                f"--constant {part.strip()!r}: C=B with C one of {', '.join(COEFFICIENTS)} is"
+                " needed"
             )
         if name in out:
             raise BadInputError(f"--constant: {name} is given twice")
@@ -125,7 +133,8 @@ def parse_constant(text: str) -> dict[str, tuple[float, float]]:
             ) from None
         if not (all(math.isfinite(b) for b in bounds) and bounds[0] <= 0.0 <= bounds[1]):
             raise BadInputError(
-                f"--constant {part.strip()!r}: lower must be <= 0 and upper >= 0, so that the model lies inside"
+                f"--constant {part.strip()!r}: lower must be <= 0 and upper >= 0, so that the model"
+                " lies inside"
             )
         out[name] = (bounds[0] + 0.0, bounds[1])
     return out
@@ -135,7 +144,8 @@ def _run(args: argparse.Namespace) -> int:
     if args.page is not None:
         if args.undo or args.dry_run:
             raise BadInputError(
-                f"--page {args.page}: a page is of bounds that are written; leave out --undo and --dry-run"
+                f"--page {args.page}: a page is of bounds that are written; leave out --undo and"
+                " --dry-run"
             )
         check_page(args.page, "--page")
     mass = MassProperties(**{name: getattr(args, name) for name in _MASS})
@@ -175,7 +185,10 @@ def _write_page(
 ) -> None:
     check = None
     if done.verdict is not None and done.verdict.status == "works":
-        text = f"Flown beside the untouched aircraft: {done.verdict.properties} properties bit-identical with uq/active 0."
+        text = (
+            f"Flown beside the untouched aircraft: {done.verdict.properties} properties"
+            " bit-identical with uq/active 0."
+        )
         check = (True, text)
     elif done.verdict is not None:
         check = (
@@ -237,7 +250,10 @@ def _text(report: dict[str, Any]) -> str:
         else f"the copy in {report['out']} would have"
     )
     lines = [
-        f"{report['aircraft']}: {state} bounded increments of {len(report['coefficients'])} coefficients.",
+        (
+            f"{report['aircraft']}: {state} bounded increments of {len(report['coefficients'])}"
+            " coefficients."
+        ),
         f"The aircraft's forces are in {axes['force']} axes, its moments in {axes['moment']} axes.",
         "",
         "Increments, and where the XML adds them.",
@@ -286,9 +302,13 @@ def _check_lines(check: dict[str, Any] | None) -> list[str]:
     if check is None:
         return []
     if check["status"] == "works":
-        same = f"beside the original, {check['properties']} properties are bit-identical with uq/active 0"
+        same = (
+            f"beside the original, {check['properties']} properties are bit-identical with"
+            " uq/active 0"
+        )
         return [
-            f"Check: {same}; increments of force and moment have relative errors of {check['worst']:.0e} at most."
+            f"Check: {same}; relative errors of force and moment increments:"
+            + f" at most {check['worst']:.0e}."
         ]
     what = "WRONG" if check["status"] == "wrong" else "not made, because the original fails"
     return [f"Check: {what}: {check['reason']}."]

@@ -1,4 +1,6 @@
-"""``uqharness log info``, ``map`` and ``import``: what a flight log holds, its signal map, and a flight record from it."""
+"""``uqharness log info``, ``map`` and ``import``: what a flight log holds, its signal map, and a
+flight record from it.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,10 @@ if TYPE_CHECKING:
     from sysid.logs import LogInfo
     from sysid.record import Boot, FlightRecord, Loiter
 
-_LOG_HELP = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a flight record in Parquet or CSV"
+_LOG_HELP = (
+    "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a flight record in Parquet"
+    " or CSV"
+)
 _IMPORT_NOTES = ("servo-table", "sensor-choice", "clock-restart")
 VERBS: Table = {
     "info": ("log:add_info", "contents and findings of a log, and the purposes it serves"),
@@ -278,7 +283,10 @@ def _info_text(info: LogInfo) -> str:
     lines = [
         f"{info.source}  ({info.dialect})",
         f"vehicle      {info.vehicle or 'not said'}",
-        f"duration     {info.duration_s:.1f} s from {info.start_s:.1f} s, grid {info.grid_hz:.1f} Hz",
+        (
+            f"duration     {info.duration_s:.1f} s from {info.start_s:.1f} s, grid"
+            f" {info.grid_hz:.1f} Hz"
+        ),
         f"free flight  {flight}",
     ]
     if info.flights:
@@ -315,8 +323,8 @@ def _boot_text(boot: Boot, read: int) -> str:
 def _loiter_text(loiter: Loiter) -> str:
     sense = "clockwise" if loiter.clockwise else "anticlockwise"
     return (
-        f"{loiter.start_s:.1f} to {loiter.end_s:.1f} s, radius {loiter.radius_m:g} m {sense} about {loiter.north_m:.1f} m north,"
-        f" {loiter.east_m:.1f} m east of the start ({loiter.source})"
+        f"{loiter.start_s:.1f} to {loiter.end_s:.1f} s, radius {loiter.radius_m:g} m {sense} about"
+        f" {loiter.north_m:.1f} m north, {loiter.east_m:.1f} m east of the start ({loiter.source})"
     )
 
 
@@ -333,7 +341,9 @@ def _import_text(
 
 
 def _condensed(findings: Sequence[Finding]) -> list[str]:
-    """By code and severity: the first message, further channels of which it can be said, what errors spoil and what mends them."""
+    """By code and severity: the first message, further channels of which it can be said, what
+    errors spoil and what mends them.
+    """
     groups: dict[tuple[str, str], list[Finding]] = {}
     for f in findings:
         groups.setdefault((f.severity, f.code), []).append(f)
@@ -438,7 +448,10 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _start(args: argparse.Namespace, known: Mapping[str, float]) -> dict[str, float]:
-    """The start point: what was given, then what the log says. Raises BadInputError where neither has a position."""
+    """The start point: what was given, then what the log says.
+
+    Raises BadInputError where neither has a position.
+    """
     given = {"lat_deg": args.lat_deg, "lon_deg": args.lon_deg, "alt_m": args.alt_m}
     found = {
         name: known.get(name, math.nan) if value is None else value for name, value in given.items()

@@ -1,8 +1,8 @@
 """The command line: which commands there are, and errors as one line and an exit code.
 
-Exit codes: 0 done, 1 ran but the answer is no, 2 bad input, 130 interrupted (Ctrl-C), 143 ended by a signal (SIGTERM).
-A command's module is loaded when the command is named: ``uqharness --help`` waits for no numerical library.
-"""
+Exit codes: 0 done, 1 ran but the answer is no, 2 bad input, 130 interrupted (Ctrl-C), 143 ended by
+a signal (SIGTERM). A command's module is loaded when the command is named: ``uqharness --help``
+waits for no numerical library."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ _EXAMPLE = """examples:
 uqharness COMMAND --help gives the options."""
 
 _SELDOM = 5_000, 10, 10
-"""Objects made until Python looks for those that refer to each other, and how many young looks until an older one: with the usual
-700 a command looks through its libraries' objects, which all stay, for a twentieth of its time."""
+"""Objects made until Python looks for those that refer to each other, and how many young looks
+until an older one: with the usual 700 a command looks through its libraries' objects, which all
+stay, for a twentieth of its time."""
 
 COMMANDS: Table = {
     "fly": ("fly", "one flight, recorded"),
@@ -115,7 +116,9 @@ def _command_name(words: Sequence[str]) -> str:
 
 
 def _resumes(words: str) -> bool:
-    """Whether a command goes on where it was interrupted; others keep nothing of what they began."""
+    """Whether a command goes on where it was interrupted; others keep nothing of what they
+    began.
+    """
     return words.startswith(
         ("uqharness campaign run ", "uqharness campaign salvage ", "uqharness study ")
     )
@@ -157,7 +160,8 @@ def _run(argv: Sequence[str] | None) -> int:
         print(f"uqharness: this command {again}: {words}", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        # The reader of our output has left (head, less): that is no error, but flushing at exit would complain.
+        # The reader of our output has left (head, less): that is no error, but flushing at exit
+        # would complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except MemoryError:

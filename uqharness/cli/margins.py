@@ -1,4 +1,6 @@
-"""``uqharness margins``: gain, phase and delay margins of the autopilot's loops, measured in flight."""
+"""``uqharness margins``: gain, phase and delay margins of the autopilot's loops, measured in
+flight.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,10 @@ _EXAMPLE = """
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``margins``."""
-    text = "Measure the autopilot's stability margins in flight, loop by loop, by injecting a multisine at each controller's output."
+    text = (
+        "Measure the autopilot's stability margins in flight, loop by loop, by injecting a"
+        " multisine at each controller's output."
+    )
     describe(parser, _run, text, _EXAMPLE)
     add_aircraft(parser)
     parser.add_argument(
@@ -138,17 +143,24 @@ def _as_text(name: str, flight: str, measured: list[LoopMargins]) -> str:
     def show(value: float, digits: int = 1) -> str:
         return f"{value:.{digits}f}" if math.isfinite(value) else "none"
 
-    head = f"  {'loop':<10}{'gain up, dB':>12}{'gain down, dB':>15}{'phase, deg':>12}{'delay, ms':>11}{'min |1+L|':>11}"
+    head = (
+        f"  {'loop':<10}{'gain up, dB':>12}{'gain down, dB':>15}{'phase, deg':>12}"
+        f"{'delay, ms':>11}{'min |1+L|':>11}"
+    )
     lines = [
-        f"Stability margins of {name}'s autopilot ({flight}, calm air). Each loop is opened at its controller's output.",
+        (
+            f"Stability margins of {name}'s autopilot ({flight}, calm air). Each loop is opened at"
+            " its controller's output."
+        ),
         f"{head}   gain crossover, rad/s",
     ]
     for item in measured:
         m = item.margins
         crossover = ", ".join(f"{w:.2f}" for w in m.gain_crossovers_radps) or "none"
         lines.append(
-            f"  {item.loop:<10}{show(m.gain_up_dB):>12}{show(m.gain_down_dB):>15}{show(m.phase_deg):>12}"
-            f"{show(1000 * m.delay_s, 0):>11}{m.modulus:>11.2f}   {crossover}"
+            f"  {item.loop:<10}{show(m.gain_up_dB):>12}{show(m.gain_down_dB):>15}"
+            f"{show(m.phase_deg):>12}{show(1000 * m.delay_s, 0):>11}{m.modulus:>11.2f}"
+            f"   {crossover}"
         )
     lines += [text for item in measured if (text := _not_read(item))]
     return "\n".join(lines)
@@ -160,6 +172,7 @@ def _not_read(item: LoopMargins) -> str:
         return ""
     share = f"{100 * MAX_SCATTER:.0f} %"
     return (
-        f"  {item.loop}: {dropped.size} of {item.reliable.size} frequencies, {dropped.min():.2g} to {dropped.max():.2g} rad/s, are "
-        f"not used: the loop's response there differs by more than {share} between the two signs of the injection"
+        f"  {item.loop}: {dropped.size} of {item.reliable.size} frequencies, {dropped.min():.2g} to"
+        f" {dropped.max():.2g} rad/s, are not used: the loop's response there differs by more than"
+        f" {share} between the two signs of the injection"
     )

@@ -41,7 +41,10 @@ _EXAMPLE = """
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``modes``."""
-    text = "Trim the aircraft in steady flight, linearise the JSBSim model about it, and name its modes."
+    text = (
+        "Trim the aircraft in steady flight, linearise the JSBSim model about it, and name its"
+        " modes."
+    )
     describe(parser, _run, text, _EXAMPLE, no="no trim was found")
     add_aircraft(parser)
     speed = number("--speed-mps", "a true airspeed in m/s", above=0.0)
@@ -257,11 +260,15 @@ def _measured(found: Assessment) -> str:
 def _trim_lines(name: str, trim: Trim) -> list[str]:
     north, east, down = trim.velocity_ned_mps
     attitude = (
-        f"  alpha {math.degrees(trim.alpha_rad):8.3f} deg   beta {math.degrees(trim.beta_rad):8.3f} deg"
-        f"   pitch {math.degrees(trim.theta_rad):8.3f} deg   turn {math.degrees(trim.turn_rate_radps):.3f} deg/s"
+        f"  alpha {math.degrees(trim.alpha_rad):8.3f} deg   beta {math.degrees(trim.beta_rad):8.3f}"
+        f" deg   pitch {math.degrees(trim.theta_rad):8.3f} deg   turn"
+        f" {math.degrees(trim.turn_rate_radps):.3f} deg/s"
     )
     return [
-        f"{name}, {trim.condition.V_mps:g} m/s true airspeed, {trim.condition.altitude_m:g} m above sea level",
+        (
+            f"{name}, {trim.condition.V_mps:g} m/s true airspeed, {trim.condition.altitude_m:g} m"
+            " above sea level"
+        ),
         attitude,
         "  "
         + "   ".join(f"{key} {value:.3f}" for key, value in trim.controls.items())
@@ -280,7 +287,10 @@ def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment])
     lines = [
         *_trim_lines(name, trim),
         "",
-        f"  {'mode':<14}{'real, 1/s':>11}{'imag, 1/s':>11}{'wn, rad/s':>11}{'zeta':>9}   MIL-F-8785C",
+        (
+            f"  {'mode':<14}{'real, 1/s':>11}{'imag, 1/s':>11}{'wn, rad/s':>11}{'zeta':>9}  "
+            " MIL-F-8785C"
+        ),
     ]
     named: set[str] = set()
     for mode in found:

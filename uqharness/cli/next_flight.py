@@ -1,4 +1,6 @@
-"""``uqharness next-flight``: where more flight data would narrow the interval that matters most, and what to fly for it."""
+"""``uqharness next-flight``: where more flight data would narrow the interval that matters most,
+and what to fly for it.
+"""
 
 from __future__ import annotations
 
@@ -64,10 +66,13 @@ With --redone nothing is planned: the bounds before and after a flight are compa
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``next-flight``."""
     text = (
-        "Plan the test flight that most narrows the interval of the coefficient to which the mission is most sensitive, in the "
-        "flight states of the mission (see docs/next-flight.md)."
+        "Plan the test flight that most narrows the interval of the coefficient to which the"
+        " mission is most sensitive, in the flight states of the mission (see docs/next-flight.md)."
     )
-    no = "no flight of that length narrows the interval by 5 % in the mission's flight states; the text says what would"
+    no = (
+        "no flight of that length narrows the interval by 5 % in the mission's flight states; the"
+        " text says what would"
+    )
     describe(parser, _run, text, _EXAMPLE, no=no)
     parser.add_argument(
         "folder", type=Path, metavar="CAMPAIGN", help="folder of a finished corner campaign"
@@ -113,7 +118,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=whole("--cases", 1),
         default=6,
         metavar="N",
-        help="campaign flights that are repeated to record the mission's flight states (default %(default)s)",
+        help=(
+            "campaign flights that are repeated to record the mission's flight states (default"
+            " %(default)s)"
+        ),
     )
     parser.add_argument(
         "--occupancy",
@@ -128,13 +136,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="FILE",
-        help="flights from which the bounds were made; searched for terms that the polynomial lacks",
+        help=(
+            "flights from which the bounds were made; searched for terms that the polynomial lacks"
+        ),
     )
     parser.add_argument(
         "--redone",
         type=Path,
         metavar="MODEL-FORM.json",
-        help="bounds that include the new flight: compares them with the old ones and plans nothing",
+        help=(
+            "bounds that include the new flight: compares them with the old ones and plans nothing"
+        ),
     )
     add_seed(parser, "the simulated flights", default=1)
     add_no_figures(parser)

@@ -1,7 +1,7 @@
 """Options that commands share: each is defined once, with one help text and one check.
 
-A check that fails raises BadInputError while the words of a command are read, before any work is done.
-"""
+A check that fails raises BadInputError while the words of a command are read, before any work is
+done."""
 
 from __future__ import annotations
 
@@ -64,10 +64,11 @@ def add_aircraft(parser: argparse.ArgumentParser) -> None:
 
 
 def aircraft_with_card(name_or_folder: str) -> Aircraft:
-    """The aircraft of that name or folder; one without airframe.toml is instrumented for this run, and a note says so.
+    """The aircraft of that name or folder; one without airframe.toml is instrumented for this run,
+    and a note says so.
 
-    Raises BadInputError where there is none, and for one that does not fly or cannot be instrumented.
-    """
+    Raises BadInputError where there is none, and for one that does not fly or cannot be
+    instrumented."""
     from uqharness.plugin import with_card
     from uqharness.simulator import find_aircraft
 
@@ -75,8 +76,8 @@ def aircraft_with_card(name_or_folder: str) -> Aircraft:
     if found.has_card:
         return found
     print(
-        f"uqharness: note: {found.name} has no airframe.toml; its controls are measured in short flights. To see and keep the "
-        f"card: uqharness instrument {name_or_folder} --out DIR",
+        f"uqharness: note: {found.name} has no airframe.toml; its controls are measured in short"
+        f" flights. To see and keep the card: uqharness instrument {name_or_folder} --out DIR",
         file=sys.stderr,
     )
     return with_card(found)
@@ -91,7 +92,9 @@ def add_out(parser: argparse.ArgumentParser, required: bool = True) -> None:
 
 
 def add_page(parser: argparse.ArgumentParser, what: str, option: str = "--out") -> None:
-    """A page as a file, by ``--out`` or, where that is the command's result, by another ``option``."""
+    """A page as a file, by ``--out`` or, where that is the command's result, by another
+    ``option``.
+    """
     text = f"write a page with {what} (default: no page)"
     parser.add_argument(option, type=Path, metavar="FILE.html", help=text)
 
@@ -135,7 +138,9 @@ def add_flights(
 
 
 def add_log_options(parser: argparse.ArgumentParser) -> None:
-    """How flights are read and how commands reach the surfaces: ``--map``, ``--flight-number``, ``--manoeuvres``, ``--servos``."""
+    """How flights are read and how commands reach the surfaces: ``--map``, ``--flight-number``,
+    ``--manoeuvres``, ``--servos``.
+    """
     add_map(parser)
     parser.add_argument(
         "--flight-number",
@@ -144,15 +149,20 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
         action="extend",
         default=[],
         metavar="N",
-        help="which flight of logs that hold several boots of the autopilot: one number, or one a file (default: the longest)",
+        help=(
+            "which flight of logs that hold several boots of the autopilot: one number, or one a"
+            " file (default: the longest)"
+        ),
     )
     add_manoeuvres(parser)
     parser.add_argument(
         "--servos",
         choices=("auto", "card", "ideal"),
         default="auto",
-        help="commands go through the aircraft's actuators (card), or surfaces and throttle follow them at once (ideal); "
-        "auto: of a log, the likelier of the two (default %(default)s)",
+        help=(
+            "commands go through the aircraft's actuators (card), or surfaces and throttle follow"
+            " them at once (ideal); auto: of a log, the likelier of the two (default %(default)s)"
+        ),
     )
 
 
@@ -172,21 +182,25 @@ def add_flight_number(parser: argparse.ArgumentParser) -> None:
         "--flight-number",
         type=whole("--flight-number", 1),
         metavar="N",
-        help="which flight of a log that holds several boots of the autopilot (default: the longest)",
+        help=(
+            "which flight of a log that holds several boots of the autopilot (default: the longest)"
+        ),
     )
 
 
 def add_manoeuvres(parser: argparse.ArgumentParser) -> None:
     """``--manoeuvres``."""
     text = (
-        "table that labels the flights: columns manoeuvre, start_s, end_s (and flight); or the word found: "
-        "those that `log info` finds in the commands"
+        "table that labels the flights: columns manoeuvre, start_s, end_s (and flight); or the word"
+        " found: those that `log info` finds in the commands"
     )
     parser.add_argument("--manoeuvres", type=Path, metavar="FILE.csv", help=text)
 
 
 def add_replay_options(parser: argparse.ArgumentParser) -> None:
-    """What is estimated beside the parameters when a flight is replayed: ``--biases``, ``--delays``."""
+    """What is estimated beside the parameters when a flight is replayed: ``--biases``,
+    ``--delays``.
+    """
     parser.add_argument(
         "--biases",
         metavar="C,C",
@@ -195,7 +209,10 @@ def add_replay_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--delays",
         metavar="C,C",
-        help="signals whose delay is estimated: channels, controls, or none (default: controls; of a log, all)",
+        help=(
+            "signals whose delay is estimated: channels, controls, or none (default: controls; of a"
+            " log, all)"
+        ),
     )
 
 
@@ -229,7 +246,8 @@ def number(
     least: float | None = None,
     most: float | None = None,
 ) -> Callable[[str], float]:
-    """Reader of a finite number ``above`` or at ``least`` one limit and up to ``most``. It raises BadInputError.
+    """Reader of a finite number ``above`` or at ``least`` one limit and up to ``most``. It raises
+    BadInputError.
 
     ``what`` names the quantity and its unit.
     """
@@ -274,7 +292,9 @@ def results_folder(path: Path) -> Path:
 
 
 def command_words(args: argparse.Namespace) -> list[str]:
-    """The words that make a result again: files by name alone, no option at its default, nor ``--out``, ``--page``, ``--json``."""
+    """The words that make a result again: files by name alone, no option at its default, nor
+    ``--out``, ``--page``, ``--json``.
+    """
     words = args.parser.prog.split()
     for action in args.parser._actions:
         value = getattr(args, action.dest, None)
@@ -305,12 +325,18 @@ def add_autopilot(parser: argparse.ArgumentParser) -> None:
         "--autopilot",
         type=Path,
         metavar="FILE",
-        help="ArduPlane parameter file (.parm, .param): gains of the autopilot (default: the aircraft's own)",
+        help=(
+            "ArduPlane parameter file (.parm, .param): gains of the autopilot (default: the"
+            " aircraft's own)"
+        ),
     )
 
 
 def gains_of(path: Path | None, aircraft: Aircraft, script: Path) -> AutopilotGains | None:
-    """Gains in the file for this aircraft; None without a file. Raises BadInputError with file and line."""
+    """Gains in the file for this aircraft; None without a file.
+
+    Raises BadInputError with file and line.
+    """
     if path is None:
         return None
     from uqharness.flight import read_gains
@@ -339,7 +365,9 @@ def as_data(gains: AutopilotGains | None) -> dict[str, Any] | None:
 # numerical library.
 
 Table = Mapping[str, tuple[str, str]]
-"""Name of a command: the function that adds its arguments (``module`` or ``module:function``), and what it is for."""
+"""Name of a command: the function that adds its arguments (``module`` or ``module:function``), and
+what it is for.
+"""
 
 
 class Command(argparse.ArgumentParser):

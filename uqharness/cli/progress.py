@@ -1,7 +1,7 @@
 """Progress of a command: a bar on a terminal, a line now and then in a pipe.
 
-`working`, `counting` and `ProgressView` draw on a terminal, and tell `uqharness.heartbeat` the stage, which it writes elsewhere.
-"""
+`working`, `counting` and `ProgressView` draw on a terminal, and tell `uqharness.heartbeat` the
+stage, which it writes elsewhere."""
 
 from __future__ import annotations
 
@@ -36,7 +36,9 @@ if TYPE_CHECKING:
 
 
 class _Counted(ProgressColumn):
-    """How many of something are done since the line began, asked for at each drawing; empty before the first."""
+    """How many of something are done since the line began, asked for at each drawing; empty before
+    the first.
+    """
 
     def __init__(self, count: Callable[[], int], unit: str) -> None:
         super().__init__()
@@ -57,7 +59,8 @@ def working(
     keep: bool = False,
     console: Console | None = None,
 ) -> Iterator[Callable[[str], None]]:
-    """A line that moves while a command works: its stage, the time since the command began, and a count.
+    """A line that moves while a command works: its stage, the time since the command began, and a
+    count.
 
     Parameters
     ----------
@@ -84,7 +87,8 @@ def working(
         return
     columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()]
     columns += [] if count is None else [_Counted(count, unit)]
-    # Other output is not drawn through the bar: it may hold a log's own words, and those pass the terminal's filter alone.
+    # Other output is not drawn through the bar: it may hold a log's own words, and those pass the
+    # terminal's filter alone.
     with (
         bar_drawn(),
         Bar(
@@ -131,7 +135,9 @@ def say_warnings(warnings: Iterable[str]) -> None:
 
 @contextmanager
 def counting(what: str) -> Iterator[Callable[[float, int], None]]:
-    """A counter with an estimate of the time to go: call it with how many are done, parts included, and how many there are."""
+    """A counter with an estimate of the time to go: call it with how many are done, parts included,
+    and how many there are.
+    """
     terminal, rate = sys.stderr.isatty(), Rate()
 
     def update(done: float, total: int) -> None:
@@ -150,7 +156,9 @@ def counting(what: str) -> Iterator[Callable[[float, int], None]]:
 
 
 class ProgressView:
-    """Context whose ``update`` is a campaign's ``on_progress``: finished cases, time to go, speed, failures so far."""
+    """Context whose ``update`` is a campaign's ``on_progress``: finished cases, time to go, speed,
+    failures so far.
+    """
 
     def __init__(self, console: Console | None = None) -> None:
         # The bar moves the cursor itself; what it writes beside it holds no text of anybody's.
@@ -198,7 +206,9 @@ class ProgressView:
 
 
 def describe(progress: Progress, eta: float | None = None) -> str:
-    """What stands beside the bar; ``eta`` is the time to go [s], by default at the mean rate of the run."""
+    """What stands beside the bar; ``eta`` is the time to go [s], by default at the mean rate of the
+    run.
+    """
     eta = progress.eta_s if eta is None else eta
     parts = ["" if eta is None or progress.done == progress.cases else f"{clock(eta)} to go"]
     if progress.flown_s > 0:

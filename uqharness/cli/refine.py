@@ -1,4 +1,6 @@
-"""``uqharness refine``: an aircraft and flights in, a better aircraft, a named reason and proof on other flights out."""
+"""``uqharness refine``: an aircraft and flights in, a better aircraft, a named reason and proof on
+other flights out.
+"""
 
 from __future__ import annotations
 
@@ -43,11 +45,14 @@ An effect's property set to 0 restores the model without it, bit for bit."""
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``refine``."""
     text = (
-        "Find the effects that a model lacks, name them, add them to its XML, and test the result on hold-out flights "
-        "(see docs/refine.md)."
+        "Find the effects that a model lacks, name them, add them to its XML, and test the result"
+        " on hold-out flights (see docs/refine.md)."
     )
     done = "effects found and no residual left, or no effect is missing"
-    no = "a residual remains that no effect of the catalogue explains, also beside effects that were found"
+    no = (
+        "a residual remains that no effect of the catalogue explains, also beside effects that were"
+        " found"
+    )
     describe(parser, _run, text, _EXAMPLE, done=done, no=no)
     add_aircraft(parser)
     add_flights(parser, "--train", "flights for choosing and fitting effects")
@@ -67,7 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bake",
         action="store_true",
-        help="write estimated scales into the numbers of the author's functions (-9.0 becomes -12.6)",
+        help=(
+            "write estimated scales into the numbers of the author's functions (-9.0 becomes -12.6)"
+        ),
     )
     add_workers(parser, MOST_WORKERS)
     add_no_figures(parser)

@@ -20,7 +20,10 @@ needs no network, for a screen, a phone or a printer."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``report``."""
-    text = "Write the page of a folder of results from its files; nothing is flown or fitted again (see docs/report.md)."
+    text = (
+        "Write the page of a folder of results from its files; nothing is flown or fitted again"
+        " (see docs/report.md)."
+    )
     describe(parser, _run, text, _EXAMPLE, no="files of the folder are not as they were written")
     parser.add_argument(
         "folder", type=Path, metavar="DIR", help="folder that another command wrote"

@@ -1,4 +1,6 @@
-"""Write the run scripts of the identification flights again: ``python -m uqharness.cli.run_scripts scripts``."""
+"""Write the run scripts of the identification flights again: ``python -m uqharness.cli.run_scripts
+scripts``.
+"""
 
 from __future__ import annotations
 

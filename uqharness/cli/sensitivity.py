@@ -1,4 +1,6 @@
-"""``uqharness sensitivity``: which uncertainty to reduce first, from a corner campaign or for the dissertation's modal example."""
+"""``uqharness sensitivity``: which uncertainty to reduce first, from a corner campaign or for the
+dissertation's modal example.
+"""
 
 from __future__ import annotations
 
@@ -87,14 +89,17 @@ def _modal(args: argparse.Namespace) -> int:
         )
     else:
         print(
-            f"{args.modal}: mean of {args.repeats} repeats, E = 1024, A = 100; 95 % interval of the mean"
+            f"{args.modal}: mean of {args.repeats} repeats, E = 1024, A = 100; 95 % interval of the"
+            " mean"
         )
         print(found.text())
     return 0
 
 
 def _modal_json(methods: Any) -> dict[str, dict[str, Any]]:
-    """Per parameter the five numbers, then the interval of each, one run's standard deviation, and reasons where undefined."""
+    """Per parameter the five numbers, then the interval of each, one run's standard deviation, and
+    reasons where undefined.
+    """
     found: dict[str, dict[str, Any]] = {}
     for method, result in methods.items():
         for k, (name, index) in enumerate(result.indices.items()):
@@ -140,7 +145,8 @@ def _campaign_text(
             if item.condition == condition and item.metric == metric
         ]
         lines.append(
-            f"{condition.words}: share of the p-box's width, smallest..largest over the pairs [95 % interval of both]"
+            f"{condition.words}: share of the p-box's width, smallest..largest over the pairs [95 %"
+            " interval of both]"
         )
         lines.append(f"  {'':<4}" + "".join(f"{item.metric:>32}" for item in shown))
         for name in shown[0].result.indices if shown else ():

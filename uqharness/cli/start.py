@@ -1,9 +1,10 @@
-"""From the start of the process to the command line: what may happen before the commands are loaded, and how signals end it.
+"""From the start of the process to the command line: what may happen before the commands are
+loaded, and how signals end it.
 
-The command itself runs in a forked child process, because an aircraft from anywhere may end the process that flies it in JSBSim
-(a division of whole numbers by zero is SIGFPE). The parent passes signals on and reports how the child ended. The module imports
-little, so that hardly any time passes in which Ctrl-C or want of memory would be a page of Python's own words.
-"""
+The command itself runs in a forked child process, because an aircraft from anywhere may end the
+process that flies it in JSBSim (a division of whole numbers by zero is SIGFPE). The parent passes
+signals on and reports how the child ended. The module imports little, so that hardly any time
+passes in which Ctrl-C or want of memory would be a page of Python's own words."""
 
 from __future__ import annotations
 
@@ -26,11 +27,16 @@ TERMINATED = 143
 _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 _PR_SET_PDEATHSIG = 1
 _LITTLE_BYTES = 4_000_000_000
-"""Address space below which a failure to load is put down to want of it; about a gigabyte is needed."""
+"""Address space below which a failure to load is put down to want of it; about a gigabyte is
+needed.
+"""
 
 
 def run(argv: Sequence[str] | None = None) -> int:
-    """Load the command line and run one command in a child process; its exit code. Unknown exceptions pass: they are bugs."""
+    """Load the command line and run one command in a child process; its exit code.
+
+    Unknown exceptions pass: they are bugs.
+    """
     _quiet_libraries()
     _one_thread()
     if not hasattr(os, "fork") or threading.active_count() > 1:
@@ -55,9 +61,8 @@ def run(argv: Sequence[str] | None = None) -> int:
 def _run_here(argv: Sequence[str] | None, ends: _Ends | None = None) -> int:
     """Run one command in this process; its exit code.
 
-    After a signal the process ends here: Python would end it by SIGINT, whatever code it was given, where code that is made at
-    run time, such as a dataclass's, was interrupted once.
-    """
+    After a signal the process ends here: Python would end it by SIGINT, whatever code it was given,
+    where code that is made at run time, such as a dataclass's, was interrupted once."""
     ends = ends or _Ends()
     code = _run(argv, ends)
     scratch = sys.modules.get("uqharness.files")
@@ -94,7 +99,9 @@ class _Supervisor:
             os.kill(self._child, number)
 
     def _pause(self, number: int, frame: FrameType | None) -> None:
-        """Stop the command's processes and this one (Ctrl-Z); continue them when the shell continues this one."""
+        """Stop the command's processes and this one (Ctrl-Z); continue them when the shell
+        continues this one.
+        """
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._child, signal.SIGSTOP)
             os.kill(os.getpid(), signal.SIGSTOP)
@@ -113,14 +120,17 @@ class _Supervisor:
             _say(f"error: the command was killed ({name}), by somebody or for want of memory")
             return 128 - code
         _say(
-            f"error: the command's process ended with signal {-code} ({name}): JSBSim ends the process at some errors in an aircraft "
-            "or a run script, such as a <mod> by zero in flight; look for what the model computes there"
+            f"error: the command's process ended with signal {-code} ({name}): JSBSim ends the"
+            " process at some errors in an aircraft or a run script, such as a <mod> by zero in"
+            " flight; look for what the model computes there"
         )
         return 2
 
 
 def _end_with_parent() -> None:
-    """End this process at once when its parent is killed, as one process would (Linux; elsewhere within a second)."""
+    """End this process at once when its parent is killed, as one process would (Linux; elsewhere
+    within a second).
+    """
     parent = os.getppid()
     with contextlib.suppress(ImportError, OSError, AttributeError):
         import ctypes
@@ -137,15 +147,18 @@ def _end_with_parent() -> None:
 
 
 def _quiet_libraries() -> None:
-    """Keep warnings of numpy and others, which are for developers, from users, unless Python was told what to do with them."""
+    """Keep warnings of numpy and others, which are for developers, from users, unless Python was
+    told what to do with them.
+    """
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
         os.environ["PYTHONWARNINGS"] = "ignore"
 
 
 def _one_thread() -> None:
-    """Linear algebra in one thread, unless the user says otherwise: its matrices are small, and threads that wait for each other
-    take the time of processor cores that other work wants, and address space."""
+    """Linear algebra in one thread, unless the user says otherwise: its matrices are small, and
+    threads that wait for each other take the time of processor cores that other work wants, and
+    address space."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
@@ -186,14 +199,18 @@ def _run(argv: Sequence[str] | None, ends: _Ends) -> int:
 
 
 class _Ends:
-    """Which signals asked this process to end. SIGTERM does it as Ctrl-C does, so that workers end and files are left whole."""
+    """Which signals asked this process to end.
+
+    SIGTERM does it as Ctrl-C does, so that workers end and files are left whole.
+    """
 
     def __init__(self) -> None:
         self.received = self.terminated = False
         self._process = os.getpid()
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
-                # A process that was told to ignore a signal (nohup, a shell's background job) goes on ignoring it.
+                # A process that was told to ignore a signal (nohup, a shell's background job) goes
+                # on ignoring it.
                 if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
                     signal.signal(number, self._end)
 
@@ -229,7 +246,10 @@ def _no_memory(limit: int | None) -> int:
     allowed = (
         ""
         if limit is None
-        else f": {limit / 1e6:.0f} MB of address space are allowed (ulimit -v), about 1000 MB are needed"
+        else (
+            f": {limit / 1e6:.0f} MB of address space are allowed (ulimit -v), about 1000 MB are"
+            " needed"
+        )
     )
     _say(f"error: not enough memory to start{allowed}")
     return 2

@@ -1,4 +1,6 @@
-"""``uqharness study``: from flights to a statement about performance, before and after refinement, in one command."""
+"""``uqharness study``: from flights to a statement about performance, before and after refinement,
+in one command.
+"""
 
 from __future__ import annotations
 

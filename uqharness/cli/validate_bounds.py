@@ -1,4 +1,6 @@
-"""``uqharness validate-bounds``: the share of a new flight inside bounds that were made from other flights."""
+"""``uqharness validate-bounds``: the share of a new flight inside bounds that were made from other
+flights.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,10 @@ _EXAMPLE = """
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``validate-bounds``."""
-    text = "Count the residuals of a flight that lie within bounds made from other flights, sensor noise allowed for."
+    text = (
+        "Count the residuals of a flight that lie within bounds made from other flights, sensor"
+        " noise allowed for."
+    )
     no = "some coefficient's 95 % bounds do not hold, or the flight is too short to tell"
     describe(parser, _run, text, _EXAMPLE, done="the bounds hold", no=no)
     add_aircraft(parser)

@@ -1,4 +1,6 @@
-"""What a flight's residual coefficients hold beside the model's error: noise of its sensors, and the air's own rotation."""
+"""What a flight's residual coefficients hold beside the model's error: noise of its sensors, and
+the air's own rotation.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,8 @@ VANES = ("alpha_rad", "beta_rad")
 def noise_sizes(
     flight: Flight, stated: Mapping[str, float], cutoffs: Cutoffs
 ) -> dict[str, NoiseSize]:
-    """White noise of each channel: what the flight's samples show above the filter's cut-off, the card's figure as prior.
+    """White noise of each channel: what the flight's samples show above the filter's cut-off, the
+    card's figure as prior.
 
     stated: channel -> standard deviation that the card gives.
     """
@@ -89,10 +92,11 @@ def noise_sizes(
 
 @dataclass(frozen=True)
 class NoisyFlight:
-    """A flight's residuals with the noise that its own sensors have put in, and what tells of the air's rotation.
+    """A flight's residuals with the noise that its own sensors have put in, and what tells of the
+    air's rotation.
 
-    std   channel -> of its noise        air   none where alpha or beta come from an estimator, which feels no gusts
-    """
+    std   channel -> of its noise        air   none where alpha or beta come from an estimator,
+    which feels no gusts"""
 
     residuals: Residuals
     std: Mapping[str, float]
@@ -127,7 +131,9 @@ class NoisyFlight:
         return NoisyFlight(noisy, std, air, arm)
 
     def in_still_air(self, residuals: Residuals) -> tuple[Residuals, AirFound | None]:
-        """Residuals of the flight behind any filter, with noise, without the rotation of the air."""
+        """Residuals of the flight behind any filter, with noise, without the rotation of
+        the air.
+        """
         return (
             (residuals, None)
             if self.air is None
@@ -138,7 +144,9 @@ class NoisyFlight:
 def noisy_residuals(
     pair: ReplayPair, flight: Flight, residuals: Residuals, aircraft: Aircraft
 ) -> Residuals:
-    """A flight's residuals with the noise of its sensors and of the air's rolling, without the air's rotation."""
+    """A flight's residuals with the noise of its sensors and of the air's rolling, without the
+    air's rotation.
+    """
     noisy = NoisyFlight.of(pair, flight, residuals, aircraft)
     return noisy.in_still_air(noisy.residuals)[0]
 
@@ -146,8 +154,9 @@ def noisy_residuals(
 def said_of_air(flight: Flight, air: AirFound) -> str:
     """What was taken for the air's."""
     return (
-        f"{flight.name}: {100.0 * air.share:.0f} ± {100.0 * air.std:.0f} % of the rotation that frozen gusts have is in the "
-        "residuals; it is the air's, not the model's, and was taken out"
+        f"{flight.name}: {100.0 * air.share:.0f} ± {100.0 * air.std:.0f} % of the rotation that"
+        " frozen gusts have is in the residuals; it is the air's, not the model's, and was"
+        " taken out"
     )
 
 
@@ -157,8 +166,9 @@ def said_of_air(flight: Flight, air: AirFound) -> str:
 
 @dataclass(frozen=True)
 class BoundsOptions:
-    """How bounds are made. outside: what the intervals do beyond the data; checks: noise floor, leave-one-out, other cut-offs.
-    values: of properties that are not to be as in the aircraft's XML."""
+    """How bounds are made. outside: what the intervals do beyond the data; checks: noise floor,
+    leave-one-out, other cut-offs. values: of properties that are not to be as in the aircraft's
+    XML."""
 
     designs: Mapping[str, Design] = field(default_factory=default_designs)
     fit: FitOptions = field(default_factory=FitOptions)
@@ -182,10 +192,11 @@ class CutoffRow:
 class MadeBounds(Tabled):
     """A model form with its evidence.
 
-    widths       coefficient -> mean width of the bounds over the data         noise  -> rms of the sensors' noise in a sample
+    widths       coefficient -> mean width of the bounds over the data         noise  -> rms of the
+    sensors' noise in a sample
     baseline     the default states' bounds where other states were asked for, for comparison
-    left_out     manoeuvre -> coefficient -> share inside the bounds of the others        cutoffs  other filters
-    """
+    left_out     manoeuvre -> coefficient -> share inside the bounds of the others        cutoffs
+    other filters"""
 
     form: ModelForm
     residuals: Residuals
@@ -203,7 +214,9 @@ class MadeBounds(Tabled):
         return f"MadeBounds({self.form!r}, {len(self.warnings)} warnings)"
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table of coefficients: samples, effective ones, standard deviation, mean width, noise, walk rate, parts."""
+        """The table of coefficients: samples, effective ones, standard deviation, mean width,
+        noise, walk rate, parts.
+        """
         import pandas as pd
 
         rows = {
@@ -335,7 +348,9 @@ def _fit(
 
 
 def _baseline(residuals: Residuals, options: BoundsOptions) -> dict[str, CoefficientBounds]:
-    """Default bounds of the coefficients whose states or terms were chosen by the user (Fig 2.10's blue lines)."""
+    """Default bounds of the coefficients whose states or terms were chosen by the user (Fig 2.10's
+    blue lines).
+    """
     usual = default_designs()
     changed = {c: usual[c] for c, d in options.designs.items() if d != usual[c]}
     try:
@@ -403,7 +418,9 @@ def _mean_width(bounds: CoefficientBounds, residuals: Residuals) -> float:
 def mean_left_out(
     residuals: Residuals, left_out: Mapping[str, Mapping[str, float]]
 ) -> dict[str, float]:
-    """Share inside when manoeuvres are left out, over all samples; NaN without a second manoeuvre."""
+    """Share inside when manoeuvres are left out, over all samples; NaN without a second
+    manoeuvre.
+    """
     if not left_out:
         return dict.fromkeys(COEFFICIENTS, float("nan"))
     named = told_apart(residuals)
@@ -435,20 +452,24 @@ def _warnings(
     short = [c for c, w in walks.items() if not np.isfinite(w.rate)]
     if short:
         out.append(
-            f"no piece is long enough for a rate of variation of {', '.join(short)} at {form.filtering.walk_cutoff_hz:g} Hz"
+            f"no piece is long enough for a rate of variation of {', '.join(short)} at"
+            f" {form.filtering.walk_cutoff_hz:g} Hz"
         )
     return out
 
 
 def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs) -> list[str]:
-    """What weakens these flights' residuals: estimated angles, channels slower than the filter, other rates than the form's."""
+    """What weakens these flights' residuals: estimated angles, channels slower than the filter,
+    other rates than the form's.
+    """
     out = []
     for flight in flights:
         record = flight.record
         estimated = [c for c in record.metadata.estimates if c in NOISY]
         if estimated:
             out.append(
-                f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor: its errors are in the intervals"
+                f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor: its"
+                " errors are in the intervals"
             )
         slow = [
             c
@@ -457,13 +478,14 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
         ]
         if slow:
             out.append(
-                f"{flight.name}: {', '.join(slow)} were logged too slowly for a filter at {cutoffs.all_hz:g} Hz; lower --cutoff-hz"
+                f"{flight.name}: {', '.join(slow)} were logged too slowly for a filter at"
+                f" {cutoffs.all_hz:g} Hz; lower --cutoff-hz"
             )
         rate = 1.0 / record.dt_s
         if abs(rate / form.filtering.rate_hz - 1.0) > 0.1:
             out.append(
-                f"{flight.name}: {rate:.0f} samples a second, the form's first flight had {form.filtering.rate_hz:.0f}: the same "
-                "cut-off passes another share of the noise"
+                f"{flight.name}: {rate:.0f} samples a second, the form's first flight had"
+                f" {form.filtering.rate_hz:.0f}: the same cut-off passes another share of the noise"
             )
     return out
 
@@ -471,7 +493,9 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
 def _identified_from(
     aircraft: Aircraft, flights: Sequence[Flight], hashes: Sequence[str]
 ) -> list[str]:
-    """Flights that the aircraft's parameters were estimated from, by the fit.json beside an identified aircraft."""
+    """Flights that the aircraft's parameters were estimated from, by the fit.json beside an
+    identified aircraft.
+    """
     path = aircraft.folder.parent / "fit.json"
     try:
         document = parse_json(read_regular(path))
@@ -483,8 +507,8 @@ def _identified_from(
     for flight, sha256 in zip(flights, hashes, strict=True):
         if sha256 in known or (not known and any(Path(n).stem == flight.name for n in names)):
             out.append(
-                f"{flight.name}: {path} says that the model was identified from this flight; its residuals are too small for "
-                "bounds. Use another flight"
+                f"{flight.name}: {path} says that the model was identified from this flight; its"
+                " residuals are too small for bounds. Use another flight"
             )
     return out
 
@@ -524,8 +548,9 @@ def parse_designs(
         unknown = [n for n in names if _SHORT.get(n, n) not in STATES]
         if unknown or len(set(names)) < len(names):
             raise BadInputError(
-                f"--states {text}: {f'unknown state {unknown[0]}' if unknown else 'a state is named twice'}; "
-                f"allowed are {', '.join(_SHORT)}"
+                f"--states {text}:"
+                f" {f'unknown state {unknown[0]}' if unknown else 'a state is named twice'};"
+                f" allowed are {', '.join(_SHORT)}"
             )
         designs[coefficient] = Design(tuple(_SHORT.get(n, n) for n in names), None, order)
     for text in terms:
@@ -544,7 +569,8 @@ def parse_designs(
             ) from None
         if len(set(chosen)) < len(chosen) or not used:
             raise BadInputError(
-                f"--terms {text}: {'a term is named twice' if used else 'no term depends on a state'}"
+                f"--terms {text}:"
+                f" {'a term is named twice' if used else 'no term depends on a state'}"
             )
         designs[coefficient] = Design(used, chosen)
     return designs
@@ -560,7 +586,8 @@ def _assignment(option: str, text: str, known: list[str]) -> tuple[str, list[str
     names = [n.strip() for n in rest.split(",") if n.strip()]
     if not equals or not names or coefficient not in known:
         raise BadInputError(
-            f"{option} {text}: C=name,name with C one of {', '.join(known)} is needed, such as {option} CX=V,alpha"
+            f"{option} {text}: C=name,name with C one of {', '.join(known)} is needed, such as"
+            f" {option} CX=V,alpha"
         )
     return coefficient, names
 
@@ -570,11 +597,11 @@ def _assignment(option: str, text: str, known: list[str]) -> tuple[str, list[str
 
 @dataclass(frozen=True)
 class Validation:
-    """Coverage of a form on flights it has not seen. warnings: why it may mean less than it seems to.
+    """Coverage of a form on flights it has not seen. warnings: why it may mean less than it seems
+    to.
 
-    flight_std: coefficient -> standard deviation of model error from flight to flight [-], NaN: not estimable from the flights
-    behind the form.
-    """
+    flight_std: coefficient -> standard deviation of model error from flight to flight [-], NaN: not
+    estimable from the flights behind the form."""
 
     coverage: Mapping[str, Coverage]
     residuals: Residuals
@@ -600,14 +627,16 @@ def validate(
     ideal_servos: bool = False,
     values: Mapping[str, float] | None = None,
 ) -> Validation:
-    """Filter the flights as the form's own were, and count. Raises BadInputError for another aircraft's form and missing states.
+    """Filter the flights as the form's own were, and count. Raises BadInputError for another
+    aircraft's form and missing states.
 
     values: of properties that are not to be as in the aircraft's XML.
     """
     if form.aircraft.name != aircraft.name:
         raise BadInputError(
-            f"the bounds belong to aircraft '{form.aircraft.name}', not to '{aircraft.name}': residuals of one model "
-            "say nothing about another; make bounds for this one (uqharness bounds)"
+            f"the bounds belong to aircraft '{form.aircraft.name}', not to '{aircraft.name}':"
+            " residuals of one model say nothing about another; make bounds for this one"
+            " (uqharness bounds)"
         )
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
     arm = aircraft.accelerometer_m
@@ -625,12 +654,14 @@ def validate(
     warnings = flight_warnings(flights, form, cutoffs)
     if form.aircraft.sha256 != content_hash(aircraft):
         warnings.append(
-            f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was"
+            f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the"
+            " model as it was"
         )
     for flight, sha256 in zip(flights, hashes, strict=True):
         if sha256 in {f.sha256 for f in form.flights}:
             warnings.append(
-                f"{flight.name}: the bounds were made from this flight; coverage on it validates nothing"
+                f"{flight.name}: the bounds were made from this flight; coverage on it validates"
+                " nothing"
             )
     std = {
         c: b.parts.flight if b.parts is not None else float("nan")

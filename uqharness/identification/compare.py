@@ -1,8 +1,9 @@
-"""A flight beside the model: replay by segment, gap per channel, coefficient and manoeuvre, and what the gap looks like.
+"""A flight beside the model: replay by segment, gap per channel, coefficient and manoeuvre, and
+what the gap looks like.
 
-The aerodynamics stay as they are. Start states of the segments and constant sensor biases are estimated, because a replay from a
-start wrong by the sensors' noise misses the flight whatever the model.
-"""
+The aerodynamics stay as they are. Start states of the segments and constant sensor biases are
+estimated, because a replay from a start wrong by the sensors' noise misses the flight whatever the
+model."""
 
 from __future__ import annotations
 
@@ -58,21 +59,27 @@ if TYPE_CHECKING:
 # flight determines it. Pure.
 
 MOTION_SIGMA = 1.0
-"""Standard deviations of the sensor's noise that the model's motion must have, rms about a straight line, before sign, scale or
-delay are looked for: below, what noise and start states have in common passes for a scale of hundreds."""
+"""Standard deviations of the sensor's noise that the model's motion must have, rms about a straight
+line, before sign, scale or delay are looked for: below, what noise and start states have in common
+passes for a scale of hundreds."""
 MOST_DELAY_S = 0.2
 """Delays are looked for up to this, either way."""
 DELAY_STD_S = 0.25 * MOST_DELAY_S
-"""Standard error above which a delay is undefined: two of them on either side are the whole range that is looked through."""
+"""Standard error above which a delay is undefined: two of them on either side are the whole range
+that is looked through.
+"""
 SAME = 0.33
-"""By how much a channel may be larger or smaller than the model's before its unit is doubted: derivatives are that wrong."""
+"""By how much a channel may be larger or smaller than the model's before its unit is doubted:
+derivatives are that wrong.
+"""
 _ANSWER_HZ = (0.1, 2.5)
 _NO_RELATION = Relation(math.nan, math.nan, math.nan, math.inf, 0.0, 0)
 
 
 @dataclass(frozen=True)
 class Answer:
-    """relation: the measured channel as a multiple of the model's, without evidence where the model hardly moves.
+    """relation: the measured channel as a multiple of the model's, without evidence where the model
+    hardly moves.
 
     shift: delay of the measured channel, NaN where ``undefined`` says why there is none.
     """
@@ -91,7 +98,9 @@ def slip_of(answer: Relation) -> str:
 
 
 def motion(modelled: Sequence[FloatArray]) -> float:
-    """Rms of the model's channel about a straight line in each segment (n,); NaN without a segment that was flown through."""
+    """Rms of the model's channel about a straight line in each segment (n,); NaN without a segment
+    that was flown through.
+    """
     squares = []
     for y in modelled:
         if len(y) >= 8 and np.isfinite(y).all():
@@ -103,7 +112,8 @@ def motion(modelled: Sequence[FloatArray]) -> float:
 def answer_of(
     measured: Sequence[FloatArray], modelled: Sequence[FloatArray], noise: float, dt_s: float
 ) -> Answer:
-    """What a channel's segments [(n,)], measured (NaN between logged samples) and modelled, say of sign, scale and delay.
+    """What a channel's segments [(n,)], measured (NaN between logged samples) and modelled, say of
+    sign, scale and delay.
 
     noise: standard deviation of the measured channel, its own unit
     """
@@ -149,7 +159,9 @@ def _relation(
 LIMIT = NOISE_FLOOR
 """The noise floor is reached when no judged channel's rms is above this many times its noise."""
 _SURE = 2.0
-"""Standard errors by which the controls' delay must pass its limit before the record counts as not aligned."""
+"""Standard errors by which the controls' delay must pass its limit before the record counts as not
+aligned.
+"""
 _WORST = 20
 _ANSWERS = {
     "elevator": {"q_radps", "alpha_rad", "az_mps2", "theta_rad"},
@@ -161,14 +173,16 @@ _ANSWERS = {
 
 @dataclass(frozen=True)
 class ChannelGap:
-    """One channel over all segments: rms of measured minus model, noise, delay of the measured channel, Theil's coefficient.
+    """One channel over all segments: rms of measured minus model, noise, delay of the measured
+    channel, Theil's coefficient.
 
-    rms is what is left after the delay that was allowed for (``allowed_s``, 0 where none was estimated); shift is on top of it.
+    rms is what is left after the delay that was allowed for (``allowed_s``, 0 where none was
+    estimated); shift is on top of it.
 
-    answer is the measured channel as a multiple of the model's, without evidence where the model hardly moves; the delay is NaN
-    where the flight does not determine it, and ``undefined`` says why. ``judged`` channels decide the verdict; height and heading
-    do not (integrals of others, drifting sensors).
-    """
+    answer is the measured channel as a multiple of the model's, without evidence where the model
+    hardly moves; the delay is NaN where the flight does not determine it, and ``undefined`` says
+    why. ``judged`` channels decide the verdict; height and heading do not (integrals of others,
+    drifting sensors)."""
 
     rms: float
     noise: float
@@ -181,7 +195,9 @@ class ChannelGap:
 
     @property
     def slip(self) -> str:
-        """What is wrong with sign or scale of the measured channel against the model's, "" when nothing is for sure."""
+        """What is wrong with sign or scale of the measured channel against the model's, "" when
+        nothing is for sure.
+        """
         return slip_of(self.answer)
 
     @property
@@ -192,7 +208,9 @@ class ChannelGap:
 
 @dataclass(frozen=True)
 class CoefficientGap:
-    """One coefficient: rms of demanded minus model, rms that sensor noise alone would give, mean difference."""
+    """One coefficient: rms of demanded minus model, rms that sensor noise alone would give, mean
+    difference.
+    """
 
     rms: float
     noise: float
@@ -214,10 +232,10 @@ class Moment:
 class Comparison(Tabled):
     """All gaps of one flight.
 
-    manoeuvres  label -> channel -> rms over noise        demanded, predicted  coefficients (n, 6), one array a segment
-    controls_late_s  how late the controls act, estimated, and its standard error, NaN where the flight does not determine it;
-    late_limit_s  what a record allows, infinite for a log, whose channels are stamped when they are written
-    """
+    manoeuvres  label -> channel -> rms over noise        demanded, predicted  coefficients (n, 6),
+    one array a segment controls_late_s  how late the controls act, estimated, and its standard
+    error, NaN where the flight does not determine it; late_limit_s  what a record allows, infinite
+    for a log, whose channels are stamped when they are written"""
 
     aircraft: str
     flight: str
@@ -239,7 +257,10 @@ class Comparison(Tabled):
     controls_late_std_s: float = 0.0
 
     def __repr__(self) -> str:
-        return f"Comparison({self.aircraft!r}, {self.flight!r}, above: {', '.join(self.above) or 'none'})"
+        return (
+            f"Comparison({self.aircraft!r}, {self.flight!r}, above:"
+            f" {', '.join(self.above) or 'none'})"
+        )
 
     def _facts(self) -> Mapping[str, object]:
         return {
@@ -249,16 +270,22 @@ class Comparison(Tabled):
 
     @property
     def aligned(self) -> bool:
-        """The record's commands act when it says they do. A row of difference would otherwise pass for a lag in every servo."""
+        """The record's commands act when it says they do.
+
+        A row of difference would otherwise pass for a lag in every servo.
+        """
         return not abs(self.controls_late_s) - _SURE * self.controls_late_std_s > self.late_limit_s
 
     @property
     def slips(self) -> tuple[str, ...]:
-        """Judged channels whose sign or scale is not the model's, in words, and the control that explains it where one does."""
+        """Judged channels whose sign or scale is not the model's, in words, and the control that
+        explains it where one does.
+        """
         wrong = {c: g.slip for c, g in self.channels.items() if g.judged and g.slip}
         reversed_ = {c for c, text in wrong.items() if text.startswith("reversed")}
         said = [
-            f"the {control} is reversed: {' and '.join(sorted(reversed_ & answers))} answer it with the opposite sign"
+            f"the {control} is reversed: {' and '.join(sorted(reversed_ & answers))} answer it with"
+            " the opposite sign"
             for control, answers in _ANSWERS.items()
             if len(reversed_ & answers) >= 2
         ]
@@ -266,7 +293,9 @@ class Comparison(Tabled):
 
     @property
     def reached(self) -> bool:
-        """Every judged channel's rms is within LIMIT times its noise, and the controls are where the record puts them."""
+        """Every judged channel's rms is within LIMIT times its noise, and the controls are where
+        the record puts them.
+        """
         return self.aligned and all(
             gap.ratio <= LIMIT for gap in self.channels.values() if gap.judged
         )
@@ -280,7 +309,9 @@ class Comparison(Tabled):
         return tuple(c for _, c in sorted(found, reverse=True))
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table of channels: rms of measured minus model, noise, their ratio, whether it is judged, and the delay [s]."""
+        """The table of channels: rms of measured minus model, noise, their ratio, whether it is
+        judged, and the delay [s].
+        """
         import pandas as pd
 
         rows = {
@@ -296,7 +327,9 @@ class Comparison(Tabled):
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
 
     def histories(self) -> list[History]:
-        """Each segment's channels as measured and, ending in ``_model``, as replayed: what ``plot_overlay`` draws."""
+        """Each segment's channels as measured and, ending in ``_model``, as replayed: what
+        ``plot_overlay`` draws.
+        """
         return [
             History(
                 number,
@@ -417,8 +450,9 @@ def _starts(
     late: Mapping[str, Sequence[str]],
     spread: Any,
 ) -> tuple[FloatArray, tuple[str, ...], list[bool], list[str], float]:
-    """Start states and biases (and their names) that bring the replay nearest; which segments the model can fly; notes; standard
-    error of the controls' delay [s], NaN where the flight does not determine it."""
+    """Start states and biases (and their names) that bring the replay nearest; which segments the
+    model can fly; notes; standard error of the controls' delay [s], NaN where the flight does not
+    determine it."""
     columns = [list(present).index(c) for c in judged]
     layout = nuisance_layout((), (), cut, biases, judged, late, jumping_in(model, cut, late))
     token = uuid.uuid4().hex
@@ -426,10 +460,12 @@ def _starts(
     kept = [bool(np.isfinite(y).all()) for y in plain(np.zeros(0))]
     if not any(kept):
         raise BadInputError(
-            "the model leaves the flight in every segment (its state is no longer finite); check its XML and the controls' signs"
+            "the model leaves the flight in every segment (its state is no longer finite); check"
+            " its XML and the controls' signs"
         )
     notes = [
-        f"{s.label} at {s.time_s[0]:.1f} s was left out: the model's state is no longer finite there"
+        f"{s.label} at {s.time_s[0]:.1f} s was left out: the model's state is no longer finite"
+        " there"
         for s, ok in zip(cut, kept, strict=True)
         if not ok
     ]
@@ -463,10 +499,11 @@ def _coefficients(
     noise: Mapping[str, float],
     late_s: float,
 ) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
-    """Demanded and predicted coefficients (n, 6) by segment, and the rms (6,) that the sensors' noise alone gives.
+    """Demanded and predicted coefficients (n, 6) by segment, and the rms (6,) that the sensors'
+    noise alone gives.
 
-    The latter by experiment: noise is added once more, to what the flight demanded and to the states the model was asked at.
-    """
+    The latter by experiment: noise is added once more, to what the flight demanded and to the
+    states the model was asked at."""
     rng = np.random.default_rng(1)
     every = [states(flight, piece) for piece in flight.pieces]
     found = coefficient_gaps(model, straight, cut, every, noise, rng, late_s=late_s)
@@ -481,7 +518,9 @@ def _control_delay_s(names: Sequence[str], theta: FloatArray) -> float:
 
 
 def _allowed(names: Sequence[str], theta: FloatArray, channel: str) -> float:
-    """How late, s, the channel was let come after the commands: the controls' delay and its own sensor's."""
+    """How late, s, the channel was let come after the commands: the controls' delay and its own
+    sensor's.
+    """
     ends = (f"/{CONTROL_DELAY}", f"/{SENSOR_OF.get(channel, channel)}")
     return float(
         sum(

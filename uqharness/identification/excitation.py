@@ -1,4 +1,6 @@
-"""Constants of side force, roll and yaw that an aircraft's XML can have: read from its bias properties."""
+"""Constants of side force, roll and yaw that an aircraft's XML can have: read from its bias
+properties.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +24,11 @@ _LATERAL = tuple(SLOT[axis] for axis in ("SIDE", "ROLL", "YAW"))
 
 
 def lateral_constants(model: ReplayModel) -> tuple[str, ...]:
-    """One bias property for each of side force, roll and yaw, of an aircraft whose functions have scales and biases.
+    """One bias property for each of side force, roll and yaw, of an aircraft whose functions have
+    scales and biases.
 
-    Every aircraft is a little asymmetric and no symmetric model is: a constant moment is no evidence of a control's effect.
-    """
+    Every aircraft is a little asymmetric and no symmetric model is: a constant moment is no
+    evidence of a control's effect."""
     axes = read_section(model.staging.folder, model.staging.xml.name).axes
     out = []
     for slot in _LATERAL:
@@ -48,18 +51,28 @@ def lateral_constants(model: ReplayModel) -> tuple[str, ...]:
 # says what the manoeuvres excite.
 
 LEAST_T = 4.0
-"""Size over smallest standard error that a parameter must have: below, its 95 % interval would be as wide as it is large."""
+"""Size over smallest standard error that a parameter must have: below, its 95 % interval would be
+as wide as it is large.
+"""
 WIDTH_SHARE = 0.1
-"""A parameter's size is its value, or this share of its bounds' width: one of about 0 is known no better by being small."""
+"""A parameter's size is its value, or this share of its bounds' width: one of about 0 is known no
+better by being small.
+"""
 LEAST_SHARE = 0.01
-"""Share of the information on some parameter that a channel must hold; without it, it says nothing of any."""
+"""Share of the information on some parameter that a channel must hold; without it, it says nothing
+of any.
+"""
 _STEP = 1e-4
-"""Of a parameter's value, of its bounds' width or of one: replays are smooth, and a double resolves 1e-8 of their change."""
+"""Of a parameter's value, of its bounds' width or of one: replays are smooth, and a double resolves
+1e-8 of their change.
+"""
 
 
 @dataclass(frozen=True)
 class Excited:
-    """held: parameter -> why it stays at its value. left_out: channels that say nothing of the others."""
+    """held: parameter -> why it stays at its value. left_out: channels that say nothing of the
+    others.
+    """
 
     held: Mapping[str, str]
     left_out: tuple[str, ...]
@@ -77,10 +90,11 @@ def excited(
     noise: Mapping[str, float],
     map_: Callable[..., Any],
 ) -> Excited:
-    """Judge parameters ``names`` (k,) of a replay whose theta begins with them, at ``initial`` (k,).
+    """Judge parameters ``names`` (k,) of a replay whose theta begins with them, at ``initial``
+    (k,).
 
-    noise: standard deviation by channel; map_: as `replay_pool` gives it. NOTHING where the model cannot fly from there.
-    """
+    noise: standard deviation by channel; map_: as `replay_pool` gives it. NOTHING where the model
+    cannot fly from there."""
     count = len(replay.names)
     theta = np.zeros(count)
     theta[: len(names)] = initial
@@ -116,8 +130,9 @@ def excited(
 def judged(
     slopes: Blocks, labels: Sequence[str], size: FloatArray, outputs: Sequence[str]
 ) -> Excited:
-    """The same from slopes (N, m, K) of the outputs in sigma; the first of the K ``labels`` are parameters, of ``size`` (k,), the
-    others are estimated beside them. A parameter of size 0 is not held."""
+    """The same from slopes (N, m, K) of the outputs in sigma; the first of the K ``labels`` are
+    parameters, of ``size`` (k,), the others are estimated beside them. A parameter of size 0 is not
+    held."""
     count = len(size)
     information = total_information(slopes)
     held: dict[str, str] = {}
@@ -144,7 +159,8 @@ def judged(
     ]
     if not free:
         return Excited(held, ())
-    # (free, m): information of each channel alone on each parameter, in units of what is left of all when the rest is estimated.
+    # (free, m): information of each channel alone on each parameter, in units of what is left of
+    # all when the rest is estimated.
     squares = np.zeros((len(outputs), len(labels)))
     for part, columns in slopes:
         squares[:, columns] += np.sum(part**2, axis=0)
@@ -177,7 +193,9 @@ def excited_alone(
     spread: Callable[..., Any],
     choose: bool,
 ) -> tuple[Observed, list[str]]:
-    """What is fitted of what was observed, parameters that it does not excite held; notes. choose: channels may be left out."""
+    """What is fitted of what was observed, parameters that it does not excite held; notes. choose:
+    channels may be left out.
+    """
     constants = [n for n in lateral_constants(model) if n not in names]
     layout = nuisance_layout(
         (*names, *constants),

@@ -1,9 +1,9 @@
-"""Identification of a JSBSim aircraft's parameters from flights: equation error to come near, output error by replay to settle.
+"""Identification of a JSBSim aircraft's parameters from flights: equation error to come near,
+output error by replay to settle.
 
-Output error takes a replay of every segment for its simulation; start states of the segments and sensor biases are estimated
-beside the parameters. Where the residuals show process noise (turbulence), filter error on one-step predictions takes over, and the
-result says so.
-"""
+Output error takes a replay of every segment for its simulation; start states of the segments and
+sensor biases are estimated beside the parameters. Where the residuals show process noise
+(turbulence), filter error on one-step predictions takes over, and the result says so."""
 
 from __future__ import annotations
 
@@ -60,7 +60,9 @@ from uqharness.simulator import MEMS_NOISE_STD, Aircraft
 # wrong model, and identifies none.
 
 UNEXPLAINED_SIGMA = 10.0
-"""Residual in sigma above which a channel may count as unexplained: small missing terms, which `refine` names, leave some 4."""
+"""Residual in sigma above which a channel may count as unexplained: small missing terms, which
+`refine` names, leave some 4.
+"""
 UNEXPLAINED_SHARE = 0.1
 """Share of a channel's variance left over above which it does: a third of the motion's size."""
 
@@ -71,11 +73,13 @@ def unexplained(
     outputs: Sequence[str],
     noise: Mapping[str, float],
 ) -> dict[str, tuple[float, float]]:
-    """Channels that a fit does not explain: rms of the residual in sigma, and its share of the channel's variance.
+    """Channels that a fit does not explain: rms of the residual in sigma, and its share of the
+    channel's variance.
 
-    residual, measured  [(n, m)] by segment, NaN where nothing was logged; the variance is about each segment's mean
-    noise               by channel, its own unit; a record cleaner than a small MEMS unit is judged by that unit's noise
-    """
+    residual, measured  [(n, m)] by segment, NaN where nothing was logged; the variance is about
+    each segment's mean
+    noise               by channel, its own unit; a record cleaner than a small MEMS unit is judged
+    by that unit's noise"""
     out = {}
     for k, channel in enumerate(outputs):
         left, moved, samples = 0.0, 0.0, 0
@@ -96,12 +100,16 @@ def unexplained(
 
 
 def withdrawn(found: Identification) -> Identification:
-    """``found`` itself where it converged and explains its flights; else the same with no parameter identified, each at its start,
-    and why: neither values nor standard errors hold of a fit that has not ended, or of a model that is not the aircraft's."""
+    """``found`` itself where it converged and explains its flights; else the same with no parameter
+    identified, each at its start, and why: neither values nor standard errors hold of a fit that
+    has not ended, or of a model that is not the aircraft's."""
     why = _why_withdrawn(found) if found.identified else ""
     if not why:
         return found
-    advice = "check units, signs, mass, inertia and servos with compare, or let refine look for a missing effect"
+    advice = (
+        "check units, signs, mass, inertia and servos with compare, or let refine look for a"
+        " missing effect"
+    )
     return replace(
         found,
         theta=found.initial.copy(),
@@ -126,8 +134,8 @@ def _why_withdrawn(found: Identification) -> str:
             f" ({', '.join(c for c in wrong if c != channel)} as well)" if len(wrong) > 1 else ""
         )
         return (
-            f"the model does not explain the flights: the residual of {channel} is {sigma:.0f} sigma, "
-            f"{100.0 * share:.0f} % of its variance{others}"
+            f"the model does not explain the flights: the residual of {channel} is {sigma:.0f}"
+            f" sigma, {100.0 * share:.0f} % of its variance{others}"
         )
     return "" if found.converged else "not converged; values unchanged"
 
@@ -140,10 +148,9 @@ def _why_withdrawn(found: Identification) -> str:
 class Descent:
     """Told each iteration (`sysid.estimation.gauss_newton.Told`), tells ``on_stage`` a sentence.
 
-    Steps become shorter by about a constant factor from one iteration to the next: the time left is that of the iterations until
-    they are ``tolerance`` standard errors long, at most of all that are allowed (``most``). Descents that follow one another count
-    anew.
-    """
+    Steps become shorter by about a constant factor from one iteration to the next: the time left is
+    that of the iterations until they are ``tolerance`` standard errors long, at most of all that
+    are allowed (``most``). Descents that follow one another count anew."""
 
     what: str
     on_stage: Callable[[str], None]
@@ -196,19 +203,22 @@ def identify(
 ) -> Identification:
     """Estimate JSBSim properties from flights.
 
-    measured    surfaces whose columns are positions (`read_flights` says which)
-    parameters  properties; default: those of the card's [parameters] that the flights excite (see excited.py)
+    measured    surfaces whose columns are positions (`read_flights` says which) parameters
+    properties; default: those of the card's [parameters] that the flights excite (see excited.py)
     start       "initial": the card's first guesses; "current": the values in the XML
     biases      channels with a constant sensor bias, one a flight
-    delays      channels whose delay after the commands is estimated, one a flight; None: all, of flights that come from a log
-    outputs     channels that are fitted; default: all of OUTPUTS that are recorded; where parameters follow from the flights,
+    delays      channels whose delay after the commands is estimated, one a flight; None: all, of
+    flights that come from a log
+    outputs     channels that are fitted; default: all of OUTPUTS that are recorded; where
+    parameters follow from the flights,
                 without those that say nothing of any
-    ideal_servos  surfaces and throttle follow their commands at once, whatever actuators the XML has
+    ideal_servos  surfaces and throttle follow their commands at once, whatever actuators the XML
+    has
     method      "auto" | "output-error" | "filter-error"
     on_stage    told what is being done
-    tell        called with a sentence for each route that is taken, output error or filter error: why, and how much there is to do
-    Raises BadInputError for unknown parameters and for a model that cannot fly the segments.
-    """
+    tell        called with a sentence for each route that is taken, output error or filter error:
+    why, and how much there is to do Raises BadInputError for unknown parameters and for a model
+    that cannot fly the segments."""
     names = _parameter_names(aircraft, parameters)
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
@@ -301,7 +311,8 @@ def _outputs(flights: Sequence[Flight], asked: Sequence[str] | None) -> tuple[st
     missing = [] if asked is None else [c for c in asked if c not in there]
     if missing or asked == ():
         raise BadInputError(
-            f"no flight has {', '.join(missing) or 'the outputs asked for: none'}; there are {', '.join(there)}"
+            f"no flight has {', '.join(missing) or 'the outputs asked for: none'}; there are"
+            f" {', '.join(there)}"
         )
     return there if asked is None else tuple(c for c in there if c in asked)
 
@@ -333,7 +344,10 @@ def _why_filter_error(found: Identification, method: str) -> str:
     )
     why = "requested by --method"
     if method != "filter-error":
-        why = f"the residuals of output error show turbulence; rms over noise: {left or 'none above 1'}"
+        why = (
+            "the residuals of output error show turbulence; rms over noise:"
+            f" {left or 'none above 1'}"
+        )
     rows = sum(len(r) for r in residual)
     return (
         f"filter error after {found.seconds:.0f} s of output error ({why}): {rows} samples, "
@@ -344,8 +358,8 @@ def _why_filter_error(found: Identification, method: str) -> str:
 def _sensed(found: Identification) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
     """Residual, motion and noise of the channels that sensors measure directly.
 
-    An estimator's attitude or wind angles have coloured errors of their own, which say nothing of the air.
-    """
+    An estimator's attitude or wind angles have coloured errors of their own, which say nothing of
+    the air."""
     columns = [
         k for k, c in enumerate(found.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
     ]
@@ -361,7 +375,8 @@ def _parameter_names(aircraft: Aircraft, asked: Sequence[str] | None) -> tuple[s
     if asked is None:
         if not known:
             raise BadInputError(
-                f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters]; name some with --params aero/Cm_q,..."
+                f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters]; name some"
+                " with --params aero/Cm_q,..."
             )
         return tuple(known)
     names = tuple(n if "/" in n else f"aero/{n}" for n in asked)
@@ -405,7 +420,9 @@ def _limits(
 def _left_over(
     residual: Sequence[FloatArray], outputs: Sequence[str], noise: Mapping[str, float]
 ) -> list[str]:
-    """A sentence when a channel is left further off than its noise explains although nothing looks coloured."""
+    """A sentence when a channel is left further off than its noise explains although nothing looks
+    coloured.
+    """
     whole = np.concatenate(residual)
     ratio = {c: rms(whole[:, k]) / noise[c] for k, c in enumerate(outputs) if noise[c] > 0.0}
     above = {c: r for c, r in ratio.items() if r > NOISE_FLOOR}
@@ -414,9 +431,9 @@ def _left_over(
     return [
         "residuals above the noise: "
         + ", ".join(f"{c} {r:.2f} times" for c, r in above.items())
-        + "; something acted that the "
-        "replay does not have (commands between rows while an autopilot flew, gusts, a missing term), and estimates may be off by "
-        "more than std: label the manoeuvres, record surface positions or log faster"
+        + "; something acted that the replay does not have (commands between rows while an"
+        " autopilot flew, gusts, a missing term), and estimates may be off by more than std:"
+        " label the manoeuvres, record surface positions or log faster"
     ]
 
 

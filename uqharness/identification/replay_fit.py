@@ -1,7 +1,8 @@
-"""The one fit of a model to flights: output error on replays, by which models are identified, compared and refined.
+"""The one fit of a model to flights: output error on replays, by which models are identified,
+compared and refined.
 
-Beside the parameters it estimates what no model knows: start states of the segments, biases of the gyros, delays, of the
-controls above all. The noise of the channels is what the fit leaves of them.
+Beside the parameters it estimates what no model knows: start states of the segments, biases of the
+gyros, delays, of the controls above all. The noise of the channels is what the fit leaves of them.
 """
 
 from __future__ import annotations
@@ -52,13 +53,15 @@ TOLERANCE = 0.05
 
 @dataclass(frozen=True)
 class Observed:
-    """What replays are compared with: segments, and data [(n, m)] of the channels ``outputs`` in them.
+    """What replays are compared with: segments, and data [(n, m)] of the channels ``outputs`` in
+    them.
 
-    biases  channels with a constant bias, one a flight       late  flight -> sensors, or CONTROL_DELAY, whose delay is estimated
-    late_s  channel -> time by which it is known to come late besides
-    properties  values of properties in all replays      held  parameters that are not estimated, and why
-    begin   values of biases, delays and shares, by their names in the layout, from which they are sought; 0 for the others
-    """
+    biases  channels with a constant bias, one a flight       late  flight -> sensors, or
+    CONTROL_DELAY, whose delay is estimated late_s  channel -> time by which it is known to come
+    late besides
+    properties  values of properties in all replays      held  parameters that are not estimated,
+    and why begin   values of biases, delays and shares, by their names in the layout, from which
+    they are sought; 0 for the others"""
 
     cut: Sequence[Segment]
     outputs: tuple[str, ...]
@@ -73,7 +76,9 @@ class Observed:
 
 @dataclass(frozen=True)
 class ReplayFit:
-    """Where output error ended; theta of ``found`` is the layout's. lost: parameters that the flights do not determine, held."""
+    """Where output error ended; theta of ``found`` is the layout's. lost: parameters that the
+    flights do not determine, held.
+    """
 
     found: OutputErrorFit
     layout: Layout
@@ -101,8 +106,10 @@ def fit_replays(
 ) -> ReplayFit:
     """Fit properties ``names`` of a model, and everything that is estimated beside them.
 
-    tries   values to begin from, the first that can be flown counts; what the flights do not determine stays at the last
-    map_    as `replay_pool` or `spread_over` gives it      errors  False for estimates alone, without standard errors
+    tries   values to begin from, the first that can be flown counts; what the flights do not
+    determine stays at the last
+    map_    as `replay_pool` or `spread_over` gives it      errors  False for estimates alone,
+    without standard errors
     told    is told each iteration's number and the length of the next step in standard errors
     What ``observed`` holds stays at the last of ``tries``.
     Raises BadInputError when the model cannot fly the segments.
@@ -142,8 +149,9 @@ def fit_replays(
     def fit_from(theta: FloatArray, free: Sequence[str]) -> OutputErrorFit:
         fit = fit_within(layout.bounds, theta, free)
         kinked = _kinked_delays(model, layout, fit)
-        # At a row where a surface jumps the rates have a kink: as functions of the delay they have it at zero. A descent that
-        # crosses it to and fro settles on neither side, so each side is searched by itself, from and up to zero.
+        # At a row where a surface jumps the rates have a kink: as functions of the delay they have
+        # it at zero. A descent that crosses it to and fro settles on neither side, so each side is
+        # searched by itself, from and up to zero.
         for side in (0.0, -np.inf) if kinked else ():
             places = [k for k in kinked if side == 0.0 or fit.theta[k] == 0.0]
             if not places:
@@ -170,8 +178,9 @@ def fit_replays(
     )
     lost = tuple(n for n in names if fit.status[n] == "not-identified" and n not in held)
     if lost:
-        # What the data do not determine goes back to where it was, so that the rest is estimated beside values that will be flown.
-        # What was estimated beside a value far from there, at a bound, may fit worse than what the estimate began with.
+        # What the data do not determine goes back to where it was, so that the rest is estimated
+        # beside values that will be flown. What was estimated beside a value far from there, at a
+        # bound, may fit worse than what the estimate began with.
         places = [layout.names.index(n) for n in lost]
         options = [_with(theta, begun[-1], places) for theta in (fit.theta, *begun)]
         nearest = min(options, key=lambda theta: _misfit(observed.data, replay(theta)))
@@ -190,7 +199,9 @@ def fit_replays(
 
 
 def _kinked_delays(model: ReplayModel, layout: Layout, fit: OutputErrorFit) -> list[int]:
-    """Find the controls' delays that a descent may have crossed zero by to and fro: of surfaces that jump, shorter than a run."""
+    """Find the controls' delays that a descent may have crossed zero by to and fro: of surfaces
+    that jump, shorter than a run.
+    """
     if fit.converged or not model.jumping:
         return []
     return [
@@ -203,8 +214,8 @@ def _kinked_delays(model: ReplayModel, layout: Layout, fit: OutputErrorFit) -> l
 
 
 def _misfit(data: Sequence[FloatArray], flown: Sequence[FloatArray]) -> float:
-    """Minus twice the log likelihood of data [(n, m)], but for a constant, each channel's noise what is left of it; infinite where
-    replays fail."""
+    """Minus twice the log likelihood of data [(n, m)], but for a constant, each channel's noise
+    what is left of it; infinite where replays fail."""
     left = np.concatenate(data) - np.concatenate(flown)
     measured = np.isfinite(np.concatenate(data))
     if not np.isfinite(left[measured]).all():
@@ -227,7 +238,9 @@ def _with(values: FloatArray, fixed: FloatArray, places: Sequence[int]) -> Float
 def jumping_in(
     model: ReplayModel, cut: Sequence[Segment], late: Mapping[str, Sequence[str]]
 ) -> list[str]:
-    """Flights in which some control jumps with its command and no sensor is late: in them a row says what it has seen of that."""
+    """Flights in which some control jumps with its command and no sensor is late: in them a row
+    says what it has seen of that.
+    """
     flights = dict.fromkeys(s.flight for s in cut) if model.jumping else {}
     return [f for f in flights if not set(late.get(f, ())) - {CONTROL_DELAY}]
 
@@ -262,10 +275,11 @@ def equation_error_start(
     initial: FloatArray,
     limits: Sequence[tuple[float, float]],
 ) -> tuple[FloatArray, list[str]]:
-    """Parameters (k,) at which the model's forces at the measured states come nearest to those the flight demanded.
+    """Parameters (k,) at which the model's forces at the measured states come nearest to those the
+    flight demanded.
 
-    Only parameters that are coefficient terms by name move; the others, and those that the flights do not tell apart, stay.
-    """
+    Only parameters that are coefficient terms by name move; the others, and those that the flights
+    do not tell apart, stay."""
     theta = initial.copy()
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(names):
@@ -307,7 +321,9 @@ def forced_at(
     every: Sequence[Mapping[str, FloatArray]],
     properties: Mapping[str, float],
 ) -> list[tuple[ForcedModel, dict[str, FloatArray]]]:
-    """Of each segment the model forced to its measured channels, and the variables of its coefficient terms there."""
+    """Of each segment the model forced to its measured channels, and the variables of its
+    coefficient terms there.
+    """
     stood = surface_positions(model, cut, CONTROLS, properties)
     parts = [
         StatesOf(segment, channels, controls, altitudes(model, segment, channels["h_m"]))
@@ -339,9 +355,10 @@ def coefficient_gaps(
     late_s: float = 0.0,
     half_way: bool = False,
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Of each segment, (n, 6) each: coefficients demanded, those said at the measured states with what sampling makes of them, and
-    how noise added once more changes the first less the second. late_s: by how much the controls act late; half_way: commands
-    stand half-way at the row of a jump, which makes up for sampling."""
+    """Of each segment, (n, 6) each: coefficients demanded, those said at the measured states with
+    what sampling makes of them, and how noise added once more changes the first less the second.
+    late_s: by how much the controls act late; half_way: commands stand half-way at the row of a
+    jump, which makes up for sampling."""
     noisy = [with_noise(channels, noise_std, rng) for channels in every]
     given = [*zip(cut, every, strict=True), *zip(cut, noisy, strict=True)]
     forced = forced_at(
@@ -400,13 +417,17 @@ OUTPUTS = (
     "ay_mps2",
     "az_mps2",
 )
-"""Channels that are compared. Height and heading follow from the others and drift in real sensors."""
+"""Channels that are compared.
+
+Height and heading follow from the others and drift in real sensors.
+"""
 BIASES = ("p_radps", "q_radps", "r_radps")
 """Channels whose sensors have a constant bias in each flight."""
 
 
 def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
-    """Channel names of an option; short forms p, alpha, ax stand for p_radps, alpha_rad, ax_mps2; None where it was not given.
+    """Channel names of an option; short forms p, alpha, ax stand for p_radps, alpha_rad, ax_mps2;
+    None where it was not given.
 
     Raises BadInputError.
     """
@@ -422,7 +443,8 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
     unknown = [n for n in names if n not in (*OUTPUTS, *further)]
     if unknown:
         raise BadInputError(
-            f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join((*further, *short))}"
+            f"{option} {text}: unknown channel {unknown[0]}; allowed are none,"
+            f" {', '.join((*further, *short))}"
         )
     return tuple(dict.fromkeys(names))
 
@@ -434,13 +456,15 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
 class Identification(Tabled):
     """What was estimated, how, and how well it fits.
 
-    names, initial, theta, std, std_crb, status, reason  over the parameters asked for (JSBSim properties)
+    names, initial, theta, std, std_crb, status, reason  over the parameters asked for (JSBSim
+    properties)
     cov (k, k)        of the identified ones, in the order of ``identified``
-    nuisance          biases and start states: name -> (value, std)
-    outputs, measured, modelled  channels and their [(n, m)] arrays, one a segment; modelled includes biases
-    residual          measured minus model of the method used (innovations for filter error), one a segment
-    method            "output error" | "filter error"; simulations: replays of all segments, seconds: wall time they took
-    """
+    nuisance          biases and start states: name -> (value, std) outputs, measured, modelled
+    channels and their [(n, m)] arrays, one a segment; modelled includes biases
+    residual          measured minus model of the method used (innovations for filter error), one a
+    segment
+    method            "output error" | "filter error"; simulations: replays of all segments,
+    seconds: wall time they took"""
 
     aircraft: str
     names: tuple[str, ...]
@@ -468,7 +492,10 @@ class Identification(Tabled):
     speed: Speed | None = None
 
     def __repr__(self) -> str:
-        return f"Identification({self.aircraft!r}, {len(self.identified)} of {len(self.names)} identified by {self.method})"
+        return (
+            f"Identification({self.aircraft!r}, {len(self.identified)} of {len(self.names)}"
+            f" identified by {self.method})"
+        )
 
     def _facts(self) -> Mapping[str, object]:
         return {"method": self.method, "converged": "yes" if self.converged else "no"}
@@ -479,7 +506,9 @@ class Identification(Tabled):
         return tuple(n for n in self.names if self.status[n] == "identified")
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table of parameters: one row a property, with what it began at, estimate, standard error, bound and status."""
+        """The table of parameters: one row a property, with what it began at, estimate, standard
+        error, bound and status.
+        """
         import pandas as pd
 
         columns = {

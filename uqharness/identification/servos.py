@@ -1,9 +1,10 @@
-"""Servos by likelihood: whether commands reach the surfaces through the card's actuators or at once.
+"""Servos by likelihood: whether commands reach the surfaces through the card's actuators or at
+once.
 
-A log of commands does not say how its servos moved. Both answers are fitted to the segments in which the surfaces are
-moved most, by output error with linearised sensitivities, everything estimated beside them (parameters, biases, delays, start
-states). The larger likelihood decides, the noise of each channel at its own maximum-likelihood value.
-"""
+A log of commands does not say how its servos moved. Both answers are fitted to the segments in
+which the surfaces are moved most, by output error with linearised sensitivities, everything
+estimated beside them (parameters, biases, delays, start states). The larger likelihood decides, the
+noise of each channel at its own maximum-likelihood value."""
 
 from __future__ import annotations
 
@@ -32,7 +33,9 @@ from uqharness.replay import CONTROLS, LATE_ROWS, Flight, control_columns
 from uqharness.simulator import Aircraft, engine
 
 SERVOS = ("auto", "card", "ideal")
-"""What may be asked: by likelihood, the card's actuators, or surfaces that follow their commands at once."""
+"""What may be asked: by likelihood, the card's actuators, or surfaces that follow their commands at
+once.
+"""
 SURFACES = CONTROLS[:3]
 PER_SURFACE = 2
 """Windows fitted for each surface, those in which it travels most a second."""
@@ -45,7 +48,8 @@ class ServoChoice:
     """Servos with which flights are replayed.
 
     ideal       whether commands are passed straight through
-    gain        log likelihood of the choice less that of the other; NaN where they were not compared
+    gain        log likelihood of the choice less that of the other; NaN where they were not
+    compared
     note        sentence for the results; empty where nothing was compared
     """
 
@@ -79,8 +83,9 @@ def choose_servos(
     Returns
     -------
     ServoChoice
-        The card's where no commanded surface has an actuator with a lag, and where neither can be flown. Records of a
-        simulation that hold no logged rates (``native_hz``) keep the card's as well: they were flown with the card's servos.
+        The card's where no commanded surface has an actuator with a lag, and where neither can be
+        flown. Records of a simulation that hold no logged rates (``native_hz``) keep the card's as
+        well: they were flown with the card's servos.
     """
     if request != "auto":
         return ServoChoice(request == "ideal")
@@ -110,21 +115,23 @@ def choose_servos(
         else f"the flights cannot be replayed with {other} servos"
     )
     note = (
-        f"{logged[0].name}: {chosen} servos were taken ({margin}, {len(busiest[0].pieces)} segments, everything else "
-        f"estimated with each); --servos {option} takes the other"
+        f"{logged[0].name}: {chosen} servos were taken ({margin}, {len(busiest[0].pieces)}"
+        f" segments, everything else estimated with each); --servos {option} takes the other"
     )
     if abs(best.common_s) > LATE_ROWS * logged[0].record.dt_s:
         note += (
-            f"; with them all channels come {1e3 * abs(best.common_s):.0f} ms "
-            f"{'after' if best.common_s > 0.0 else 'before'} the commands by one common time: a clock or a transport delay, "
-            "which is estimated and taken out"
+            f"; with them all channels come {1e3 * abs(best.common_s):.0f} ms"
+            f" {'after' if best.common_s > 0.0 else 'before'} the commands by one common time: a"
+            " clock or a transport delay, which is estimated and taken out"
         )
     return ServoChoice(gain > 0.0, abs(gain), note)
 
 
 @dataclass(frozen=True)
 class _ServoFit:
-    """lagging: surfaces whose commands go through a lag; common_s: time by which all sensors come after the commands."""
+    """lagging: surfaces whose commands go through a lag; common_s: time by which all sensors come
+    after the commands.
+    """
 
     log_likelihood: float
     lagging: tuple[str, ...]
@@ -132,7 +139,9 @@ class _ServoFit:
 
 
 def _busiest(flight: Flight, surfaces: Sequence[str], measured: Sequence[str]) -> Flight:
-    """The flight with the windows of its pieces in which each of the surfaces travels most a second."""
+    """The flight with the windows of its pieces in which each of the surfaces travels most a
+    second.
+    """
     columns = dict(zip(CONTROLS, control_columns(measured), strict=True))
     rows = math.ceil(LONGEST_S / flight.record.dt_s)
     windows = [w for piece in flight.pieces for w in _windows(flight, piece, rows)]
@@ -214,7 +223,9 @@ def _log_likelihood(setup: Setup, flown: Flown) -> float:
 
 
 def _common_s(setup: Setup, point: Point) -> float:
-    """Time [s] by which every inertial sensor comes after the commands, 0 where some come before and some after."""
+    """Time [s] by which every inertial sensor comes after the commands, 0 where some come before
+    and some after.
+    """
     delays = [
         value
         for name, value in point.nuisance.items()

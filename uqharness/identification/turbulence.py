@@ -1,6 +1,6 @@
-"""The way through turbulence: filter error by one-step predictions of the JSBSim model linearised along the flights, as `refine`
-judges them, the gusts' intensities and the sensors' noise found beside the parameters.
-"""
+"""The way through turbulence: filter error by one-step predictions of the JSBSim model linearised
+along the flights, as `refine` judges them, the gusts' intensities and the sensors' noise found
+beside the parameters."""
 
 from __future__ import annotations
 
@@ -29,19 +29,20 @@ from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, mispla
 from uqharness.simulator import Aircraft
 
 CONVERGED, ITERATIONS = 2.0, 16
-"""Length of the last step, in standard errors of all parameters together, up to which an estimation has converged, for the step
-itself is taken: a sensor hardly late or early has other slopes on either side, between which the last steps may hop. Most
-iterations."""
+"""Length of the last step, in standard errors of all parameters together, up to which an estimation
+has converged, for the step itself is taken: a sensor hardly late or early has other slopes on
+either side, between which the last steps may hop. Most iterations."""
 NO_AIR = (
-    "filter error finds no air that moves across the flight path, as turbulence does: without process noise it is output error, "
-    "whose estimates these are"
+    "filter error finds no air that moves across the flight path, as turbulence does: without"
+    " process noise it is output error, whose estimates these are"
 )
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What identification is asked to compare and to estimate beside the parameters: outputs, delays (None: by default), biases;
-    measured: surfaces whose positions the record has; ideal: controls that are passed straight through."""
+    """What identification is asked to compare and to estimate beside the parameters: outputs,
+    delays (None: by default), biases; measured: surfaces whose positions the record has; ideal:
+    controls that are passed straight through."""
 
     outputs: Sequence[str] | None
     biases: Sequence[str]
@@ -53,10 +54,11 @@ class Asked:
 def filter_setup(
     aircraft: Aircraft, flights: Sequence[Flight], asked: Asked, found: Identification
 ) -> Setup:
-    """The flights as filter error takes them: as `refine` does, but that delays are those that output error estimates.
+    """The flights as filter error takes them: as `refine` does, but that delays are those that
+    output error estimates.
 
-    found: output error's result, which tells how uncertain channels are that an estimator computed and no sensor measured.
-    """
+    found: output error's result, which tells how uncertain channels are that an estimator computed
+    and no sensor measured."""
     setup = make_setup(aircraft, flights, asked.measured, asked.ideal)
     if asked.outputs is not None:
         columns = [k for k, c in enumerate(setup.outputs) if c in asked.outputs]
@@ -67,8 +69,8 @@ def filter_setup(
             measured=tuple(z[:, columns] for z in setup.measured),
             noise=setup.noise[columns],
         )
-    # By default a log's sensors are late against its gyros, and its controls late as well: a filter finds where commands act far
-    # sooner than by how much all sensors are late together.
+    # By default a log's sensors are late against its gyros, and its controls late as well: a filter
+    # finds where commands act far sooner than by how much all sensors are late together.
     late = delayed(flights, setup.outputs, asked.delays)
     timed = tuple(f for f, names in late.items() if CONTROL_DELAY in names)
     sensors = {f: [n for n in names if n != CONTROL_DELAY] for f, names in late.items()}
@@ -92,7 +94,8 @@ def filter_route(
 ) -> Identification:
     """Output error's result replaced by filter error's, started from it; with a note saying so.
 
-    models  the aircraft as it flies and with every control straight through      held  parameters that stay, and why
+    models  the aircraft as it flies and with every control straight through      held  parameters
+    that stay, and why
     told    is told each iteration's number and the length of the next step in standard errors
     Without air that moves across the path the result stays output error's, and a note says so.
     Raises BadInputError where no filter follows the flights.
@@ -108,7 +111,8 @@ def filter_route(
             )
         except np.linalg.LinAlgError as error:
             raise BadInputError(
-                f"filter error: no filter follows these flights ({error}); use --method output-error"
+                f"filter error: no filter follows these flights ({error}); use --method"
+                " output-error"
             ) from None
 
     fit = fit_from(setup, point_of(fitted, setup, found.names))
@@ -116,7 +120,8 @@ def filter_route(
         return replace(found, notes=(*found.notes, NO_AIR))
     values, cov, crb, reason = _judged(fit, free, bounds)
     if lost := {n: text for n, text in reason.items() if text}:
-        # What the flights do not determine goes back to where it was, and the rest is estimated beside values that will be flown.
+        # What the flights do not determine goes back to where it was, and the rest is estimated
+        # beside values that will be flown.
         free, initial = (
             [n for n in free if n not in lost],
             dict(zip(found.names, found.initial.tolist(), strict=True)),
@@ -148,9 +153,10 @@ def filter_route(
     if not converged:
         warnings.insert(0, f"not converged: the last step is {fit.length:.2g} standard errors long")
     note = (
-        "the residuals of output error showed process noise (turbulence), which it does not allow for: these are the estimates of "
-        f"filter error, by one-step predictions ({fit.gusts.gain:.4g} more in twice the log likelihood than calm air; "
-        f"{fit.gusts.words}); time histories show its one-step predictions"
+        "the residuals of output error showed process noise (turbulence), which it does not allow"
+        " for: these are the estimates of filter error, by one-step predictions"
+        f" ({fit.gusts.gain:.4g} more in twice the log likelihood than calm air;"
+        f" {fit.gusts.words}); time histories show its one-step predictions"
     )
     return replace(
         found,
@@ -181,11 +187,14 @@ def filter_route(
 
 
 def _moments_left(gusts: Gusts) -> list[str]:
-    """A sentence for each axis about which moments act that the model does not explain: the filter takes them for noise."""
+    """A sentence for each axis about which moments act that the model does not explain: the filter
+    takes them for noise.
+    """
     gains = zip(("roll", "pitch", "yaw"), gusts.moments.tolist(), strict=True)
     return [
-        f"moments act about the {axis} axis that the model does not explain: allowing for them gains {gain:.0f} in twice the log "
-        "likelihood. A term is missing, or the air is stronger than its model is good for; refine looks for it"
+        f"moments act about the {axis} axis that the model does not explain: allowing for them"
+        f" gains {gain:.0f} in twice the log likelihood. A term is missing, or the air is stronger"
+        " than its model is good for; refine looks for it"
         for axis, gain in gains
         if gain > CERTAIN_T**2
     ]
@@ -200,8 +209,9 @@ def _of_names(names: Sequence[str], kept: Sequence[str], values: FloatArray) -> 
 def _judged(
     fit: GustFit, free: Sequence[str], bounds: Mapping[str, tuple[float, float]]
 ) -> tuple[dict[str, float], FloatArray, FloatArray, dict[str, str]]:
-    """Of the parameters ``free``: values, and why one is not identified (empty: it is); covariance (K, K) and Cramer-Rao bound of
-    these and the nuisance, in the fit's order, the last step taken."""
+    """Of the parameters ``free``: values, and why one is not identified (empty: it is); covariance
+    (K, K) and Cramer-Rao bound of these and the nuisance, in the fit's order, the last step taken.
+    """
     evidence, at = fit.fit.evidence, fit.fit.flown.point.values
     names = list(evidence.names)
     gate = assess(evidence.everything[0], tuple(names))
@@ -222,7 +232,9 @@ def _judged(
 
 
 def _nuisance(fit: GustFit, cov: FloatArray, first: int) -> dict[str, tuple[float, float]]:
-    """Biases, delays and shares with their standard errors, from column ``first`` on, by the names that output error has."""
+    """Biases, delays and shares with their standard errors, from column ``first`` on, by the names
+    that output error has.
+    """
     names, point = list(fit.fit.evidence.names), fit.fit.flown.point
     step, std = fit.fit.evidence.step()[0], np.sqrt(np.diagonal(cov))
     return {
@@ -233,8 +245,8 @@ def _nuisance(fit: GustFit, cov: FloatArray, first: int) -> dict[str, tuple[floa
 
 
 def _one_ahead(fit: GustFit) -> list[FloatArray]:
-    """[(n, m)] outputs predicted one sample ahead, from the start states that fit best, where the record has them: those of sensors
-    late by whole rows that much later."""
+    """[(n, m)] outputs predicted one sample ahead, from the start states that fit best, where the
+    record has them: those of sensors late by whole rows that much later."""
     setup, point, own = fit.setup, fit.fit.flown.point, fit.fit
     followed = follow(own.steps, in_step(setup, point), setup.which, setup.noise, fit.gusts.process)
     delta = own.evidence.step()[0]

@@ -1,4 +1,6 @@
-"""Flights for replay: a log or record read, thinned, aligned in time and cut into segments with start states."""
+"""Flights for replay: a log or record read, thinned, aligned in time and cut into segments with
+start states.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ _AXIS = {"elevator_deg": "q_radps", "aileron_deg": "p_radps", "rudder_deg": "r_r
 
 
 def mean_ahead(command: FloatArray, step: int) -> FloatArray:
-    """(n,) mean of each row and the step - 1 after it: a command between two rows that are kept acts as long as it did."""
+    """(n,) mean of each row and the step - 1 after it: a command between two rows that are kept
+    acts as long as it did.
+    """
     padded = np.append(command, np.repeat(command[-1], step - 1))
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, step).mean(axis=1))
 
@@ -49,8 +53,9 @@ def mean_ahead(command: FloatArray, step: int) -> FloatArray:
 def with_steps_placed(
     record: FlightRecord, columns: Sequence[str]
 ) -> tuple[FlightRecord, list[str], float]:
-    """Commands logged more slowly than the record's rows, their steps where the gyro saw them act, and by how much the gyro is
-    late [s]: the mean over the steps that are placed, 0 where there are none."""
+    """Commands logged more slowly than the record's rows, their steps where the gyro saw them act,
+    and by how much the gyro is late [s]: the mean over the steps that are placed, 0 where there are
+    none."""
     found: dict[str, FloatArray] = {}
     notes, late, steps = [], 0.0, 0
     for column, rate in _AXIS.items():
@@ -67,8 +72,8 @@ def with_steps_placed(
         if placed.steps:
             late, steps = late + placed.steps * placed.late_s, steps + placed.steps
         notes.append(
-            f"{column} was logged at {native:.0f} Hz: {placed.steps} of its steps are where {rate} says that they happened, and "
-            "between other logged values it goes straight"
+            f"{column} was logged at {native:.0f} Hz: {placed.steps} of its steps are where {rate}"
+            " says that they happened, and between other logged values it goes straight"
         )
     return record.with_columns(found), notes, late / steps if steps else 0.0
 
@@ -88,15 +93,20 @@ SOURCES = {"thrust_N": ("thrust", "N"), "rpm": ("propeller speed", "1/min")}
 """Columns that can stand for the throttle, the better first."""
 THROTTLE = "throttle_pct"
 _THROTTLES, _SPEEDS = 21, 5
-"""Points of the engines' map: curves between 0 and 100 % and over the airspeeds of one flight are smooth."""
+"""Points of the engines' map: curves between 0 and 100 % and over the airspeeds of one flight are
+smooth.
+"""
 _BEYOND, _BEYOND_SHARE = 0.02, 0.05
-"""Of the largest value: noise beyond the engines' range is cut off. Share of rows beyond it from which on it is not noise."""
+"""Of the largest value: noise beyond the engines' range is cut off.
+
+Share of rows beyond it from which on it is not noise.
+"""
 _CLEARANCE_M = 500.0
 
 
 def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[FlightRecord, str]:
-    """The record with throttle_pct [%] made of its thrust_N or rpm, and a sentence that says so; the record itself and "" where it
-    has a throttle, or none of them.
+    """The record with throttle_pct [%] made of its thrust_N or rpm, and a sentence that says so;
+    the record itself and "" where it has a throttle, or none of them.
 
     Raises BadInputError where the model's engines cannot have the measured values at any throttle.
     """
@@ -116,8 +126,8 @@ def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[
     what, unit = SOURCES[column]
     if not np.ptp(curves) > 0.0:
         raise BadInputError(
-            f"{name}: the record has {column} and no {THROTTLE}, and {aircraft.name}'s {what} does not change with its throttle; "
-            f"give the record {THROTTLE}"
+            f"{name}: the record has {column} and no {THROTTLE}, and {aircraft.name}'s {what} does"
+            f" not change with its throttle; give the record {THROTTLE}"
         )
     throttle = throttle_at(V, wanted, speeds, throttles, curves)
     low, high = float(curves.min()), float(curves.max())
@@ -126,21 +136,26 @@ def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[
     outside = (wanted[known] > high + margin) | (wanted[known] < low - margin)
     if outside.mean() > _BEYOND_SHARE:
         raise BadInputError(
-            f"{name}: {column} is {np.nanmin(wanted):.0f} to {np.nanmax(wanted):.0f} {unit}, and {aircraft.name}'s engines have "
-            f"{low:.0f} to {high:.0f} {unit} between no and full throttle at {speeds[0]:.0f} to {speeds[-1]:.0f} m/s; check its "
-            "unit and that it is of all engines together, or correct the engine in the aircraft's XML"
+            f"{name}: {column} is {np.nanmin(wanted):.0f} to {np.nanmax(wanted):.0f} {unit}, and"
+            f" {aircraft.name}'s engines have {low:.0f} to {high:.0f} {unit} between no and full"
+            f" throttle at {speeds[0]:.0f} to {speeds[-1]:.0f} m/s; check its unit and that it is"
+            " of all engines together, or correct the engine in the aircraft's XML"
         )
-    return record.with_columns({THROTTLE: throttle}), (
-        f"{THROTTLE} was made of {column}: the throttle at which {aircraft.name}'s engines have the measured {what} at the "
-        f"measured airspeed, {np.nanmin(throttle):.0f} to {np.nanmax(throttle):.0f} %"
+    return (
+        record.with_columns({THROTTLE: throttle}),
+        (
+            f"{THROTTLE} was made of {column}: the throttle at which {aircraft.name}'s engines have"
+            f" the measured {what} at the measured airspeed, {np.nanmin(throttle):.0f} to"
+            f" {np.nanmax(throttle):.0f} %"
+        ),
     )
 
 
 def throttle_at(
     V: FloatArray, wanted: FloatArray, speeds: FloatArray, throttles: FloatArray, curves: FloatArray
 ) -> FloatArray:
-    """(n,) throttle at airspeeds V [m/s] and values wanted (n,), NaN where either is; curves (speeds, throttles), cut off at the
-    ends of the range."""
+    """(n,) throttle at airspeeds V [m/s] and values wanted (n,), NaN where either is; curves
+    (speeds, throttles), cut off at the ends of the range."""
     rising = np.maximum.accumulate(curves, axis=1)
     out = np.full(len(V), np.nan)
     for k in np.flatnonzero(np.isfinite(V) & np.isfinite(wanted)):
@@ -156,8 +171,9 @@ def engine_map(
     throttles_pct: FloatArray,
     altitude_m: float,
 ) -> FloatArray:
-    """(speeds, throttles) what the model's engines have in level, straight flight in their steady state: ``thrust_N``, the force
-    along x that is not aerodynamic, or ``rpm``, of the first engine. Raises BadInputError for an aircraft without propeller."""
+    """(speeds, throttles) what the model's engines have in level, straight flight in their steady
+    state: ``thrust_N``, the force along x that is not aerodynamic, or ``rpm``, of the first engine.
+    Raises BadInputError for an aircraft without propeller."""
     out = np.empty((len(speeds_mps), len(throttles_pct)))
     with ReplayFolder(aircraft, ideal=CONTROLS) as model:
         fdm = model.open(aircraft.dt_s)
@@ -169,7 +185,8 @@ def engine_map(
         if column == "rpm":
             if not fdm.get_property_manager().hasNode(turning):
                 raise BadInputError(
-                    f"the record has rpm, and {aircraft.name} has no propeller whose speed it could be"
+                    f"the record has rpm, and {aircraft.name} has no propeller whose speed it"
+                    " could be"
                 )
             read = [engine.handle(fdm, turning).get_double_value]
         setters = control_setters(fdm, model)[CONTROLS.index("throttle")]
@@ -203,7 +220,9 @@ def _has(record: FlightRecord, column: str) -> bool:
 MAX_RATE_HZ = 60.0
 """Most rows a second at which outputs are compared; controls act at the record's own."""
 LEAST_COMMAND_S = 0.005
-"""Shortest time that a command is held in a replay, MAX_STEP_S of a run: those of faster records are averaged over it."""
+"""Shortest time that a command is held in a replay, MAX_STEP_S of a run: those of faster records
+are averaged over it.
+"""
 _NEEDED = (
     "V_mps",
     "phi_rad",
@@ -216,7 +235,9 @@ _NEEDED = (
     "az_mps2",
 )
 RUN_UP_S = 4.0
-"""Time before a segment whose commands say where its actuators stand: a hundred time constants of a servo, four of a slow one."""
+"""Time before a segment whose commands say where its actuators stand: a hundred time constants of a
+servo, four of a slow one.
+"""
 _COLUMN = {
     "elevator": "elevator_deg",
     "aileron": "aileron_deg",
@@ -239,13 +260,13 @@ AS_COMMANDED = 1e-3
 
 @dataclass(frozen=True)
 class Flight:
-    """A record ready for replay: at most 60 Hz, channels moved to the time at which they were true. ``notes`` say what was done.
+    """A record ready for replay: at most 60 Hz, channels moved to the time at which they were true.
+    ``notes`` say what was done.
 
-    gyro_late_s: by how much the rates turn after slowly logged commands stepped.
-    commands: column -> controls with ``per_row`` values from row to row, where the record had more rows; none where it had not.
-    In ``record`` they are means from row to row.
-    half_way: whether a command stands half-way at the row of its jump, which makes up for what sampling does to it.
-    """
+    gyro_late_s: by how much the rates turn after slowly logged commands stepped. commands: column
+    -> controls with ``per_row`` values from row to row, where the record had more rows; none where
+    it had not. In ``record`` they are means from row to row. half_way: whether a command stands
+    half-way at the row of its jump, which makes up for what sampling does to it."""
 
     name: str
     record: FlightRecord
@@ -257,8 +278,9 @@ class Flight:
     half_way: bool = False
 
     def felt_late_s(self) -> float:
-        """By how much a jumping surface's command comes late for what compares it with smoothed rates row by row: as late as the
-        gyro, and half a row, since at the row of its jump it stands half-way."""
+        """By how much a jumping surface's command comes late for what compares it with smoothed
+        rates row by row: as late as the gyro, and half a row, since at the row of its jump it
+        stands half-way."""
         return self.gyro_late_s + 0.5 * self.record.dt_s
 
     def with_commands_as_felt(self) -> Flight:
@@ -273,11 +295,12 @@ class Flight:
         return replace(self, record=record, commands={}, per_row=1, half_way=True)
 
     def with_commands_later(self, late_s: float) -> Flight:
-        """The flight with every command and position so much later [s]; before the first row its value is held.
+        """The flight with every command and position so much later [s]; before the first row its
+        value is held.
 
-        A command is held until the next one wherever it begins: one that then begins between two rows stands between them in
-        ``commands``. A straight line from row to row would be a servo that is slower at first and faster then.
-        """
+        A command is held until the next one wherever it begins: one that then begins between two
+        rows stands between them in ``commands``. A straight line from row to row would be a servo
+        that is slower at first and faster then."""
         own_s = float(self.record.dt_s) / self.per_row
         whole = math.isclose(late_s / own_s, round(late_s / own_s), abs_tol=1e-6)
         finer = 1 if whole else max(1, int(own_s / LEAST_COMMAND_S + 1e-6))
@@ -302,7 +325,9 @@ class Flight:
         )
 
     def commands_in(self, rows: slice, columns: Sequence[str]) -> FloatArray | None:
-        """(N, c) controls at some rows and between them, NaN of columns that it has not; None where the record had no more rows."""
+        """(N, c) controls at some rows and between them, NaN of columns that it has not; None where
+        the record had no more rows.
+        """
         if self.per_row == 1:
             return None
         fine = slice(rows.start * self.per_row, (rows.stop - 1) * self.per_row + 1)
@@ -319,10 +344,11 @@ def read_flight(
     map_path: Path | None = None,
     flight_number: int | None = None,
 ) -> FlightRecord:
-    """The record of a log or record file, free flight alone, manoeuvres labelled if a table is given. Raises BadInputError.
+    """The record of a log or record file, free flight alone, manoeuvres labelled if a table is
+    given. Raises BadInputError.
 
-    flight_number: which boot of a log that holds several, from 1; the one with the longest flight by default.
-    """
+    flight_number: which boot of a log that holds several, from 1; the one with the longest flight
+    by default."""
     try:
         card = aircraft.folder if (aircraft.folder / "airframe.toml").is_file() else None
         record = import_log(
@@ -338,15 +364,17 @@ def read_flight(
 
 
 def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> FlightRecord:
-    """A record's free flight. Raises BadInputError, naming ``where``, where it is in degrees or another aircraft's."""
+    """A record's free flight. Raises BadInputError, naming ``where``, where it is in degrees or
+    another aircraft's.
+    """
     if record.metadata.dialect != "record":
         if record.metadata.free_flight_s:
             record = record.between(*record.metadata.free_flight_s[0])
         elif _stands(record):
             phase = next((f for f in record.metadata.findings if f.code == "flight-phase"), None)
             raise BadInputError(
-                f"{where}: {phase.message if phase else 'it never flew'}; a log with free flight is needed "
-                "(uqharness log info shows it)"
+                f"{where}: {phase.message if phase else 'it never flew'}; a log with free flight is"
+                " needed (uqharness log info shows it)"
             )
     wrong = next((f for f in record.metadata.findings if in_degrees(f)), None)
     if wrong is not None and record.metadata.dialect == "record":
@@ -356,8 +384,9 @@ def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> F
     named = record.metadata.aircraft
     if named and named not in (aircraft.card.aircraft.name, aircraft.name):
         raise BadInputError(
-            f"{where}: this record was made with the card of aircraft '{named}', not of '{aircraft.card.aircraft.name}'; "
-            "its surface angles follow that card: import the log again with --aircraft, or name that aircraft"
+            f"{where}: this record was made with the card of aircraft '{named}', not of"
+            f" '{aircraft.card.aircraft.name}'; its surface angles follow that card: import the log"
+            " again with --aircraft, or name that aircraft"
         )
     return record
 
@@ -380,7 +409,9 @@ def measured_surfaces(records: Sequence[FlightRecord]) -> tuple[str, ...]:
 
 
 def _same(record: FlightRecord, position: str, command: str) -> bool:
-    """Whether a position is its command at every row: such a surface jumps, and does not go from row to row in a straight line."""
+    """Whether a position is its command at every row: such a surface jumps, and does not go from
+    row to row in a straight line.
+    """
     if command not in record:
         return False
     asked = record[command]
@@ -403,19 +434,21 @@ def prepare(
     max_s: float = MAX_S,
     align: bool = True,
 ) -> Flight:
-    """Check, thin, align and cut a record. Raises BadInputError naming the channel that is missing and what needs it.
+    """Check, thin, align and cut a record. Raises BadInputError naming the channel that is missing
+    and what needs it.
 
-    align: whether channels are moved that are surely late by the record's findings; False where a table is to show what sensors
-    do or who asks estimates it. The channels of an autopilot's log are aligned in any case.
-    """
+    align: whether channels are moved that are surely late by the record's findings; False where a
+    table is to show what sensors do or who asks estimates it. The channels of an autopilot's log
+    are aligned in any case."""
     columns = control_columns(measured)
     missing = [
         c for c in (*_NEEDED, *columns) if c not in record or not np.isfinite(record[c]).any()
     ]
     if missing:
         why = (
-            "without the surfaces' commands or positions nothing can be replayed (import the log with --aircraft, whose card "
-            "turns servo outputs into angles; thrust_N or rpm may stand for throttle_pct)"
+            "without the surfaces' commands or positions nothing can be replayed (import the log"
+            " with --aircraft, whose card turns servo outputs into angles; thrust_N or rpm may"
+            " stand for throttle_pct)"
             if set(missing) & set(columns)
             else "a replay starts from them and is compared with them"
         )
@@ -431,20 +464,22 @@ def prepare(
     between: dict[str, FloatArray] = {}
     if (step := together * per_row) > 1:
         notes.append(
-            f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used; controls act at all rows"
+            f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used; controls act"
+            " at all rows"
         )
         record, between = _thinned(record, together, per_row)
     if 1.0 / record.dt_s < 9.5:
         raise BadInputError(
-            f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees neither short period nor roll"
+            f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees"
+            " neither short period nor roll"
         )
     record, moved = _aligned(record, align or bool(record.metadata.native_hz))
     notes += [f"{name}: {text}" for text in moved]
     pieces, how = cut(record, (*_NEEDED, *columns), min_s, max_s)
     if not pieces:
         raise BadInputError(
-            f"{name}: no stretch of {min_s:g} s has all of {', '.join((*_NEEDED, *columns))} without a gap"
-            f"{_lost(record, columns)}; nothing can be replayed"
+            f"{name}: no stretch of {min_s:g} s has all of {', '.join((*_NEEDED, *columns))}"
+            f" without a gap{_lost(record, columns)}; nothing can be replayed"
         )
     notes.append(
         f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s; {how}"
@@ -455,8 +490,8 @@ def prepare(
 def _thinned(
     record: FlightRecord, together: int, per_row: int
 ) -> tuple[FlightRecord, dict[str, FloatArray]]:
-    """Rows at which outputs are compared, and the controls with ``per_row`` values from one to the next, each the mean of
-    ``together`` of the record's own (a position: its value)."""
+    """Rows at which outputs are compared, and the controls with ``per_row`` values from one to the
+    next, each the mean of ``together`` of the record's own (a position: its value)."""
     mask = np.zeros(len(record), dtype=bool)
     mask[:: together * per_row] = True
     commands = [c for c in _COLUMN.values() if c in record]
@@ -473,7 +508,9 @@ def _filled(values: FloatArray) -> FloatArray:
 
 
 def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
-    """What breaks a record up, in words: the channel that lacks most samples, and how many rows come late."""
+    """What breaks a record up, in words: the channel that lacks most samples, and how many rows
+    come late.
+    """
     share = {c: float(np.mean(~np.isfinite(record[c]))) for c in (*_NEEDED, *columns)}
     worst = max(share, key=lambda c: share[c])
     late = float(np.mean(np.diff(record["time_s"]) > 1.5 * record.dt_s))
@@ -487,7 +524,9 @@ def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
 
 
 def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]]:
-    """Channels that the record's own findings call late for sure, moved to when they were true, or told of where not."""
+    """Channels that the record's own findings call late for sure, moved to when they were true, or
+    told of where not.
+    """
     columns: dict[str, FloatArray] = {}
     notes = []
     for finding in record.metadata.findings:
@@ -517,7 +556,9 @@ def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]
 def segments(
     flight: Flight, measured: Sequence[str], arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> list[Segment]:
-    """Replay segments of a flight's pieces, each from the state that its first rows show (`_start`)."""
+    """Replay segments of a flight's pieces, each from the state that its first rows show
+    (`_start`).
+    """
     record = flight.record
     out = []
     for piece in flight.pieces:
@@ -550,7 +591,9 @@ def segments(
 
 
 def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> FloatArray | None:
-    """(k, c) controls at the commands of RUN_UP_S before a row, from the last gap on; None where there are none."""
+    """(k, c) controls at the commands of RUN_UP_S before a row, from the last gap on; None where
+    there are none.
+    """
     record = flight.record
     begin = max(0, first - round(RUN_UP_S / record.dt_s))
     gaps = np.flatnonzero(np.diff(record["time_s"][begin : first + 1]) > 1.5 * record.dt_s)
@@ -573,7 +616,9 @@ def _command(record: FlightRecord, control: str, rows: slice) -> FloatArray:
 
 
 def _unwrapped(name: str, values: FloatArray) -> FloatArray:
-    """A heading [rad] without its jumps at north: between its two ends nothing can be put, neither a line nor a mean."""
+    """A heading [rad] without its jumps at north: between its two ends nothing can be put, neither
+    a line nor a mean.
+    """
     out = np.array(values, dtype=np.float64)
     if name == "psi_rad":
         good = np.isfinite(out)
@@ -583,7 +628,9 @@ def _unwrapped(name: str, values: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Start:
-    """Estimate of a channel at a segment's first row, and how far from it the channel is within the first rows."""
+    """Estimate of a channel at a segment's first row, and how far from it the channel is within the
+    first rows.
+    """
 
     value: float
     reach: float
@@ -592,10 +639,10 @@ class _Start:
 def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
     """Estimate a channel at a piece's first row.
 
-    A straight line through the first 0.4 s averages the noise, but a segment may begin with a fast mode, which bends within a few
-    rows. So the line is fitted to the longest beginning in which a cubic explains no more than chance would let it (likelihood
-    ratio of the two, Lepski's choice of a window), and without one the first value is taken.
-    """
+    A straight line through the first 0.4 s averages the noise, but a segment may begin with a fast
+    mode, which bends within a few rows. So the line is fitted to the longest beginning in which a
+    cubic explains no more than chance would let it (likelihood ratio of the two, Lepski's choice of
+    a window), and without one the first value is taken."""
     if name not in record:
         return _Start(0.0, 0.0)
     values = _unwrapped(name, record[name][rows][: max(3, round(_START_S / record.dt_s))])
@@ -626,7 +673,9 @@ def _polynomial_at_zero(
 
 
 def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
-    """Altitude above sea level at which the standard atmosphere has the record's density; else start's altitude plus height."""
+    """Altitude above sea level at which the standard atmosphere has the record's density; else
+    start's altitude plus height.
+    """
     if "rho_kgpm3" in record and np.isfinite(record["rho_kgpm3"][rows]).any():
         rho = float(np.nanmedian(record["rho_kgpm3"][rows]))
         return float((1.0 - (rho / 1.225) ** (1.0 / 4.25588)) / 2.25577e-5)
@@ -634,10 +683,11 @@ def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
 
 
 def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[FloatArray]:
-    """[(n, m)] the record's channels as logged (NaN between logged values), one array a piece; headings unwrapped.
+    """[(n, m)] the record's channels as logged (NaN between logged values), one array a piece;
+    headings unwrapped.
 
-    A log's accelerometers are late, and a piece may begin with a step: what they show of the time before it is NaN, too.
-    """
+    A log's accelerometers are late, and a piece may begin with a step: what they show of the time
+    before it is NaN, too."""
     out = []
     before = math.ceil(LATE_S / flight.record.dt_s) if flight.record.metadata.native_hz else 0
     for piece in flight.pieces:
@@ -648,7 +698,8 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[FloatArray
             values = as_logged(flight.record, name, piece.rows)
             if name == "psi_rad":
                 values = _unwrapped(name, values)
-                # Counted from the same turn as the start: the first logged value may lie on the other side of north.
+                # Counted from the same turn as the start: the first logged value may lie on the
+                # other side of north.
                 first = values[np.isfinite(values)][:1]
                 values -= (
                     2.0
@@ -665,8 +716,8 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[FloatArray
 
 
 def states(flight: Flight, piece: Piece) -> Mapping[str, FloatArray]:
-    """Channels of a piece with every gap in alpha and beta filled by straight lines (0 where never measured), heights as
-    `ground.heights` has them."""
+    """Channels of a piece with every gap in alpha and beta filled by straight lines (0 where never
+    measured), heights as `ground.heights` has them."""
     out = {}
     for name in CHANNELS:
         values = (
@@ -705,11 +756,11 @@ def read_flights(
     align: bool = True,
     flight_numbers: Sequence[int] = (),
 ) -> tuple[list[Flight], tuple[str, ...]]:
-    """Flights ready for replay, and the surfaces whose measured positions are used; align: as `prepare` has it. Raises
-    BadInputError.
+    """Flights ready for replay, and the surfaces whose measured positions are used; align: as
+    `prepare` has it. Raises BadInputError.
 
-    flight_numbers: which boot of each file is read, one number for all files or one a file; the longest flight by default.
-    """
+    flight_numbers: which boot of each file is read, one number for all files or one a file; the
+    longest flight by default."""
     numbers = numbers_of_files(flight_numbers, len(paths))
     refuse_twice(paths, [file_sha256(path) if path.is_file() else str(path) for path in paths])
     records = [
@@ -720,24 +771,31 @@ def read_flights(
 
 
 def numbers_of_files(flight_numbers: Sequence[int], files: int) -> list[int | None]:
-    """``--flight-number`` of each file. Raises BadInputError where there are neither one nor as many numbers as files."""
+    """``--flight-number`` of each file.
+
+    Raises BadInputError where there are neither one nor as many numbers as files.
+    """
     if not flight_numbers:
         return [None] * files
     if len(flight_numbers) not in (1, files):
         raise BadInputError(
-            f"--flight-number: received {len(flight_numbers)} numbers for {files} files; give one, or one a file"
+            f"--flight-number: received {len(flight_numbers)} numbers for {files} files; give one,"
+            " or one a file"
         )
     return [*flight_numbers] * (files if len(flight_numbers) == 1 else 1)
 
 
 def refuse_twice(names: Sequence[object], hashes: Sequence[str]) -> None:
-    """BadInputError for a flight that is given twice; ``names`` say which, ``hashes`` are of their content."""
+    """BadInputError for a flight that is given twice; ``names`` say which, ``hashes`` are of their
+    content.
+    """
     twice = next(
         (name for name, digest in zip(names, hashes, strict=True) if hashes.count(digest) > 1), None
     )
     if twice is not None:
         raise BadInputError(
-            f"flight {twice} is given more than once: its noise would count as if it were measured anew"
+            f"flight {twice} is given more than once: its noise would count as if it were measured"
+            " anew"
         )
 
 
@@ -749,7 +807,10 @@ def prepare_together(
     max_s: float = MAX_S,
     align: bool = True,
 ) -> tuple[list[Flight], tuple[str, ...]]:
-    """Records used together, ready for replay, and the surfaces whose measured positions are used. Raises BadInputError."""
+    """Records used together, ready for replay, and the surfaces whose measured positions are used.
+
+    Raises BadInputError.
+    """
     measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
     placed = [with_start_altitude(record, aircraft.folder) for record in records]
     flights = []

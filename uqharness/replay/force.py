@@ -1,4 +1,6 @@
-"""The model's own forces and moments at measured states: each state forced upon it, each answer read."""
+"""The model's own forces and moments at measured states: each state forced upon it, each answer
+read.
+"""
 
 from __future__ import annotations
 
@@ -32,17 +34,20 @@ from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS, TRIM_LATITUDE_DEG, b
 
 _LOG = logging.getLogger("uqharness")
 WORTH_ROWS = 2_000
-"""States asked for at once from which on the aircraft is translated and compiled, for which JSBSim answers some 12,000. Who asks
-for the states of a whole flight asks several times; tests, trims and start states ask for fewer."""
+"""States asked for at once from which on the aircraft is translated and compiled, for which JSBSim
+answers some 12,000. Who asks for the states of a whole flight asks several times; tests, trims and
+start states ask for fewer."""
 AGREES = 1e-6
-"""Largest difference of a force or moment between the engines, in units of its largest size among the states compared."""
+"""Largest difference of a force or moment between the engines, in units of its largest size among
+the states compared.
+"""
 _COMPARED, _KEPT, _LEVEL_M = 9, 8, 1000.0
 
 
 @dataclass(frozen=True)
 class States:
-    """n states: motion by names of `replay.STATES` without the heading, each (n,); controls (n, c) in their properties' units;
-    altitude_m (n,) above sea level; terrain_m (n,) of the ground."""
+    """n states: motion by names of `replay.STATES` without the heading, each (n,); controls (n, c)
+    in their properties' units; altitude_m (n,) above sea level; terrain_m (n,) of the ground."""
 
     motion: Mapping[str, FloatArray]
     controls: FloatArray
@@ -160,7 +165,8 @@ def _answered(
         np.asarray(asked.motion[name], dtype=float) for name in ("V_mps", "alpha_rad", "beta_rad")
     )
     n = len(V)
-    # At one latitude geodetic height goes with height above sea level in a straight line, to 1e-9 of it below 3 km.
+    # At one latitude geodetic height goes with height above sea level in a straight line, to 1e-9
+    # of it below 3 km.
     (latitude, at_sea), (_, at_top) = (level_of(model, level) for level in (0.0, _LEVEL_M))
     height = at_sea + (at_top - at_sea) / _LEVEL_M * asked.altitude_m
     conditions = {
@@ -190,10 +196,11 @@ _WEIGHED = 8
 
 @dataclass(frozen=True)
 class ForcedModel:
-    """What the model says at n states: aerodynamic and other forces [N], moments about the CG [N m], (n, 3) each; qbar (n,) [Pa].
+    """What the model says at n states: aerodynamic and other forces [N], moments about the CG [N
+    m], (n, 3) each; qbar (n,) [Pa].
 
-    ``other`` is everything but aerodynamics and gravity, thrust above all. ``coefficients`` (n, 6) CX CY CZ Cl Cm Cn.
-    """
+    ``other`` is everything but aerodynamics and gravity, thrust above all. ``coefficients`` (n, 6)
+    CX CY CZ Cl Cm Cn."""
 
     aero_force: FloatArray
     other_force: FloatArray
@@ -204,7 +211,9 @@ class ForcedModel:
 
     @property
     def coefficients(self) -> FloatArray:
-        """CX CY CZ Cl Cm Cn of the model at each sample, (n, 6), body axes at the centre of gravity."""
+        """CX CY CZ Cl Cm Cn of the model at each sample, (n, 6), body axes at the centre of
+        gravity.
+        """
         pressure = self.qbar[:, None] * self.mass.S
         return np.hstack(
             [self.aero_force / pressure, self.aero_moment / (pressure * self.mass.lengths)]
@@ -213,8 +222,8 @@ class ForcedModel:
 
 @dataclass(frozen=True)
 class StatesOf:
-    """States of one segment to be forced: V, alpha, beta, phi, theta, p, q, r (n,) each; controls (n, c) [record units];
-    altitude_m (n,) above sea level, default the segment's throughout."""
+    """States of one segment to be forced: V, alpha, beta, phi, theta, p, q, r (n,) each; controls
+    (n, c) [record units]; altitude_m (n,) above sea level, default the segment's throughout."""
 
     segment: Segment
     states: Mapping[str, FloatArray]
@@ -222,7 +231,9 @@ class StatesOf:
     altitude_m: FloatArray | None = None
 
     def asked(self, model: ReplayModel) -> States:
-        """With controls in their properties' units, over ground that none of the states is below."""
+        """With controls in their properties' units, over ground that none of the states is
+        below.
+        """
         n = len(self.controls)
         height = np.full(n, self.segment.altitude_m) if self.altitude_m is None else self.altitude_m
         terrain = min(terrain_m(model, self.segment), float(height.min()))
@@ -247,12 +258,11 @@ def force_all(
     properties: Mapping[str, float],
     map_: Processes = ALONE,
 ) -> list[ForcedModel]:
-    """What the model says of several sets of states, those of one time step asked for at once. Where JSBSim answers, ``map_``
-    spreads the sets.
+    """What the model says of several sets of states, those of one time step asked for at once.
+    Where JSBSim answers, ``map_`` spreads the sets.
 
-    ``model`` must pass its controls straight through (`ReplayFolder` with every control ideal): a lag would remember the state
-    before. Raises BadInputError.
-    """
+    ``model`` must pass its controls straight through (`ReplayFolder` with every control ideal): a
+    lag would remember the state before. Raises BadInputError."""
     out: dict[int, ForcedModel] = {}
     # Steps of segments of one record differ by rounding.
     steps = [round(part.segment.dt_s, 9) for part in parts]
@@ -376,13 +386,15 @@ def _forced(fdm: Any, model: ReplayModel, asked: States) -> FloatArray:
 
 
 def _settle_rates(fdm: Any, alphadot: Callable[[], float], betadot: Callable[[], float]) -> None:
-    # JSBSim takes alphadot and betadot from the accelerations of the frame before: of another state, when states are forced.
+    # JSBSim takes alphadot and betadot from the accelerations of the frame before: of another
+    # state, when states are forced.
     before, moved = (alphadot(), betadot()), float("inf")
     for _ in range(MOST_FRAMES):
         engine.renew_forces(fdm)
         now, last = (alphadot(), betadot()), moved
         moved = abs(now[0] - before[0]) + abs(now[1] - before[1])
-        # A force that outgrows the acceleration that it is a part of settles nowhere, and no frame of it is better than another.
+        # A force that outgrows the acceleration that it is a part of settles nowhere, and no frame
+        # of it is better than another.
         if moved < SETTLED_RADPS or not moved < last:
             return
         before = now
@@ -392,7 +404,8 @@ def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
     """Mass, inertia and reference lengths of an initialised instance; the card's lengths win."""
     get = fdm.__getitem__
     unit = SLUG_KG * FT_M**2
-    # JSBSim publishes the elements of its inertia matrix: inertia/ixz is minus the product of inertia Ixz.
+    # JSBSim publishes the elements of its inertia matrix: inertia/ixz is minus the product of
+    # inertia Ixz.
     names = [["ixx", "ixy", "ixz"], ["ixy", "iyy", "iyz"], ["ixz", "iyz", "izz"]]
     inertia = unit * np.array([[get(f"inertia/{n}-slugs_ft2") for n in row] for row in names])
     reference = model.card.reference

@@ -1,7 +1,8 @@
-"""Replays by the batch engine, many at once; by JSBSim where the engine does not understand the aircraft, or is not there.
+"""Replays by the batch engine, many at once; by JSBSim where the engine does not understand the
+aircraft, or is not there.
 
-A model's first replay is flown by both, and JSBSim flies all others too where they differ by more than rounding may.
-"""
+A model's first replay is flown by both, and JSBSim flies all others too where they differ by more
+than rounding may."""
 
 from __future__ import annotations
 
@@ -31,10 +32,12 @@ _KEPT, _LEVELS, _TIMINGS = 8, 512, 512
 FELT = ("ax_mps2", "ay_mps2", "az_mps2")
 """Channels that jump with a control."""
 _AGREES = 1e-6
-"""Largest difference of a channel between the engines, in units of its largest size in the replay."""
+"""Largest difference of a channel between the engines, in units of its largest size in the
+replay.
+"""
 _OFF, _GROWN = 1e-7, 1e4
-"""By how much a start is moved [m/s, rad, rad/s] to see how far a flight can be foretold; where that has grown so many times it is
-not."""
+"""By how much a start is moved [m/s, rad, rad/s] to see how far a flight can be foretold; where
+that has grown so many times it is not."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +55,9 @@ class ReplayJob:
 
 
 def as_flown(job: ReplayJob, on_time: Sequence[str]) -> tuple[ReplayJob, ...]:
-    """The replays that make up one: with outputs between its rows, for sensors that are late, and where controls jump the rows by
-    themselves, for accelerometers among the channels ``on_time``: what a row has seen of a jump is a matter of that row alone."""
+    """The replays that make up one: with outputs between its rows, for sensors that are late, and
+    where controls jump the rows by themselves, for accelerometers among the channels ``on_time``:
+    what a row has seen of a jump is a matter of that row alone."""
     if not job.between or not job.model.jumping or not set(FELT) & set(on_time):
         return (job,)
     return replace(job, unseen=0.0), replace(job, between=False)
@@ -98,7 +102,9 @@ class _Program:
 
 
 _Alike = tuple[str, tuple[str, ...], int]
-"""What jobs that one program flies have in common: the aircraft, what is recorded, the runs between two outputs."""
+"""What jobs that one program flies have in common: the aircraft, what is recorded, the runs between
+two outputs.
+"""
 _programs: LRUCache[_Alike, _Program | None] = LRUCache(_KEPT)
 
 
@@ -113,7 +119,9 @@ def _alike(job: ReplayJob) -> _Alike:
 
 
 def _stood(job: ReplayJob) -> tuple[str, ...]:
-    """Properties of positions, which every program records: who asks for them needs no program of his own."""
+    """Properties of positions, which every program records: who asks for them needs no program of
+    his own.
+    """
     return tuple(job.model.positions().values())
 
 
@@ -167,8 +175,8 @@ def _started(model: ReplayModel, dt_s: float) -> Any:
 
 
 def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
-    """The program, if it flies the job as JSBSim does, for as long as the start says where the flight goes: a model that diverges
-    and tumbles is elsewhere by rounding alone."""
+    """The program, if it flies the job as JSBSim does, for as long as the start says where the
+    flight goes: a model that diverges and tumbles is elsewhere by rounding alone."""
     if program is None:
         return None
     (ours, off), theirs = (
@@ -187,14 +195,15 @@ def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
         return program
     if not said[0]:
         _LOG.warning(
-            "replays are flown by JSBSim, which is slower: the flight diverges from its first row, so the batch engine cannot be"
-            " compared with JSBSim"
+            "replays are flown by JSBSim, which is slower: the flight diverges from its first row,"
+            " so the batch engine cannot be compared with JSBSim"
         )
         return None
     worst = np.nanmax(np.where(np.isfinite(apart), apart, np.inf), axis=0, initial=0.0)
     channel = (*RAW, *program.extra)[int(np.argmax(worst))]
     _LOG.warning(
-        "replays are flown by JSBSim, which is slower: the batch engine's %s differs by %s of its size",
+        "replays are flown by JSBSim, which is slower: the batch engine's %s differs by %s of its"
+        " size",
         channel,
         percent(float(np.max(worst))) if np.isfinite(worst).all() else "more than all",
     )
@@ -227,8 +236,8 @@ def _content(job: ReplayJob, shape: Shape) -> tuple[object, ...]:
 
 @cached(LRUCache(_TIMINGS), key=_content)
 def _controls_of(job: ReplayJob, shape: Shape) -> FloatArray:
-    """Controls of every run, one array for all jobs that have them in common: those of one stretch are asked for anew with every
-    estimate, by segments cut anew."""
+    """Controls of every run, one array for all jobs that have them in common: those of one stretch
+    are asked for anew with every estimate, by segments cut anew."""
     _, places = job.model.fed()
     return run_controls(job.model, job.segment, shape, job.properties, job.late_s, job.unseen)[
         :, places
@@ -270,7 +279,9 @@ def sources_of(model: ReplayModel) -> batch.Sources:
 
 @cached(LRUCache(_LEVELS), key=lambda model, altitude_m: (model.identity, altitude_m))
 def level_of(model: ReplayModel, altitude_m: float) -> tuple[float, float]:
-    """Geodetic latitude [rad] and height [ft] of a start at an altitude above sea level, as JSBSim has them."""
+    """Geodetic latitude [rad] and height [ft] of a start at an altitude above sea level, as JSBSim
+    has them.
+    """
     fdm = model.open(0.01)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
     fdm["ic/h-sl-ft"] = altitude_m / FT_M

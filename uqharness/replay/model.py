@@ -1,8 +1,9 @@
-"""The aircraft made ready for replay: a copy without idle systems and, where surfaces are given, without actuators.
+"""The aircraft made ready for replay: a copy without idle systems and, where surfaces are given,
+without actuators.
 
-A copy, because JSBSim offers no property that takes a servo's lag away: a measured surface position must not go through the lag
-a second time. Only the copy differs; every number of the aerodynamics is the original's.
-"""
+A copy, because JSBSim offers no property that takes a servo's lag away: a measured surface position
+must not go through the lag a second time. Only the copy differs; every number of the aerodynamics
+is the original's."""
 
 from __future__ import annotations
 
@@ -53,8 +54,8 @@ _INTEGRATORS = tuple(
     )
 )
 _THIRD_ORDER = 4.0
-"""JSBSim's number of Adams-Bashforth's rule of third order. One of second order would add 0.08 % to a mode of 8.5 rad/s in runs of
-5 ms."""
+"""JSBSim's number of Adams-Bashforth's rule of third order. One of second order would add 0.08 % to
+a mode of 8.5 rad/s in runs of 5 ms."""
 _ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis_width", "deadband_width", "bias")
 
 
@@ -62,15 +63,16 @@ _ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis_width", "deadband_width",
 class ReplayModel:
     """What a process needs to open the copy; picklable, valid while its `ReplayFolder` is open.
 
-    ``measured`` controls whose values are positions, continuous between samples; the others are commands, held.
-    ``lagging`` controls whose commands go through an actuator with a lag; ``lags`` its lag and rate limit, as the XML has them.
-    ``factor`` record unit -> property unit of each control, in the order of ``controls``.
-    ``throws`` positions and the commands at which the aircraft's own linkage puts them, of normalised controls whose values are
-    positions: both ends of a travel seldom have one factor.
-    ``identity`` of what flies: two copies of one aircraft, opened alike, have the same.
-    ``near_ground`` whether its XML reads the height above the ground, ``by_rates`` whether it reads the rates of alpha or beta.
-    ``varied`` coefficients and effects that its XML declares: programs compiled from it take each of them at any value.
-    ``engines`` number of them in its <propulsion>; ``servos`` properties that the numbers of its actuators are.
+    ``measured`` controls whose values are positions, continuous between samples; the others are
+    commands, held. ``lagging`` controls whose commands go through an actuator with a lag; ``lags``
+    its lag and rate limit, as the XML has them. ``factor`` record unit -> property unit of each
+    control, in the order of ``controls``. ``throws`` positions and the commands at which the
+    aircraft's own linkage puts them, of normalised controls whose values are positions: both ends
+    of a travel seldom have one factor. ``identity`` of what flies: two copies of one aircraft,
+    opened alike, have the same. ``near_ground`` whether its XML reads the height above the ground,
+    ``by_rates`` whether it reads the rates of alpha or beta. ``varied`` coefficients and effects
+    that its XML declares: programs compiled from it take each of them at any value. ``engines``
+    number of them in its <propulsion>; ``servos`` properties that the numbers of its actuators are.
     """
 
     staging: Staging
@@ -103,8 +105,8 @@ class ReplayModel:
         return out
 
     def fed(self) -> tuple[tuple[str, ...], tuple[int, ...]]:
-        """Properties that the controls set, and the place in ``controls`` of the one that sets each: JSBSim's throttle is that of
-        every engine."""
+        """Properties that the controls set, and the place in ``controls`` of the one that sets
+        each: JSBSim's throttle is that of every engine."""
         names, places = [], []
         for place, control in enumerate(self.controls):
             prop = self.card.inputs[control].property
@@ -114,7 +116,9 @@ class ReplayModel:
         return tuple(names), tuple(places)
 
     def open(self, dt_s: float) -> Any:
-        """A fresh ``FGFDMExec`` in the card's open-loop mode with the replay's integrators, nothing run. Raises BadInputError."""
+        """A fresh ``FGFDMExec`` in the card's open-loop mode with the replay's integrators, nothing
+        run. Raises BadInputError.
+        """
         fdm = engine.open_fdm(self.staging, dt_s)
         for name, value in {**self.card.modes.get("open_loop", {}), **self.settings}.items():
             engine.set_property(fdm, name, value)
@@ -123,8 +127,8 @@ class ReplayModel:
         return fdm
 
     def position_unit(self, control: str) -> float:
-        """Unit of a control's position in the record's: a surface's may be in another unit than its command, a throttle's is in the
-        command's."""
+        """Unit of a control's position in the record's: a surface's may be in another unit than its
+        command, a throttle's is in the command's."""
         if control == "throttle":
             return 1.0 / self.factor[self.controls.index(control)]
         return position_factor(self.card.inputs[control])
@@ -137,11 +141,11 @@ class ReplayModel:
 class ReplayFolder:
     """Context that holds the copy of an aircraft for replay.
 
-    measured  controls whose record columns are surface positions: their actuators pass everything through (stops remain)
-    ideal     further controls whose actuators pass everything through, though their columns are commands
-    settings  properties set on every instance
-    Raises BadInputError when the card lacks a control asked for.
-    """
+    measured  controls whose record columns are surface positions: their actuators pass everything
+    through (stops remain)
+    ideal     further controls whose actuators pass everything through, though their columns are
+    commands settings  properties set on every instance Raises BadInputError when the card lacks a
+    control asked for."""
 
     def __init__(
         self,
@@ -155,8 +159,8 @@ class ReplayFolder:
         missing = [name for name in controls if name not in aircraft.card.inputs]
         if missing:
             raise BadInputError(
-                f"aircraft '{aircraft.name}': its airframe.toml has no [inputs.{missing[0]}]; a replay needs to know which "
-                "property that control is"
+                f"aircraft '{aircraft.name}': its airframe.toml has no [inputs.{missing[0]}]; a"
+                " replay needs to know which property that control is"
             )
         self._scratch = scratch_folder("replay")
         staging = stage(aircraft, self._scratch.path)
@@ -223,15 +227,17 @@ def _factor(card: Card, control: str) -> float:
     if (throw := card.inputs[control].throw_deg) is not None:
         return 1.0 / throw
     raise BadInputError(
-        f"[inputs.{control}] is normalised (limits {limits}) and a record is in degrees: nothing says what throw 1 means; "
-        "give the card a property in deg or rad, or throw_deg"
+        f"[inputs.{control}] is normalised (limits {limits}) and a record is in degrees: nothing"
+        " says what throw 1 means; give the card a property in deg or rad, or throw_deg"
     )
 
 
 def _throws(
     model: ReplayModel, direct: Sequence[str], dt_s: float
 ) -> tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...]:
-    """For every control its positions [deg] and commands over the travel, None where a factor serves."""
+    """For every control its positions [deg] and commands over the travel, None where a factor
+    serves.
+    """
     found: list[tuple[tuple[float, ...], tuple[float, ...]] | None] = []
     for control in model.controls:
         card = model.card.inputs[control]
@@ -268,11 +274,12 @@ def _throws(
 def _edit(
     folder: Path, main: str, card: Card, direct: Sequence[str]
 ) -> tuple[dict[str | None, tuple[str, str]], tuple[str, ...]]:
-    """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every file.
+    """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every
+    file.
 
-    An actuator moves a control if its name or an output is the card's position, be it in another unit. Returns the positions whose
-    actuators keep a lag, with that lag and rate limit, and the properties that actuators' numbers are.
-    """
+    An actuator moves a control if its name or an output is the card's position, be it in another
+    unit. Returns the positions whose actuators keep a lag, with that lag and rate limit, and the
+    properties that actuators' numbers are."""
     lagging: dict[str | None, tuple[str, str]] = {}
     read: set[str] = set()
     surfaces = {
@@ -325,7 +332,10 @@ def _surface(name: str) -> str:
 
 
 def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
-    """Declare, at zero, the properties that only the systems left out used to make. The number of engines."""
+    """Declare, at zero, the properties that only the systems left out used to make.
+
+    The number of engines.
+    """
     fdm = engine.open_fdm(model.staging, dt_s)
     engines = int(fdm.get_propulsion().get_num_engines())
     manager = fdm.get_property_manager()
@@ -352,7 +362,9 @@ def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
 
 
 def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
-    """For every control of the model the setters of its properties: one, or JSBSim's throttle of every engine."""
+    """For every control of the model the setters of its properties: one, or JSBSim's throttle of
+    every engine.
+    """
     found = []
     for name in model.controls:
         prop = model.card.inputs[name].property
@@ -375,11 +387,15 @@ def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
 OUT_OF_REACH_M = 2000.0
 _BEGINNING_S, _ZERO_M, _AT_REST_MPS = 0.5, 0.5, 5.0
 _ABOUT_S = 4.0
-"""Heights within this time of a row say how high it is: of a barometer's noise of 1.5 m at 50 Hz .1 m is left, at an end .2 m."""
+"""Heights within this time of a row say how high it is: of a barometer's noise of 1.5 m at 50 Hz .1
+m is left, at an end .2 m.
+"""
 
 
 def height_known(record: FlightRecord) -> bool:
-    """Whether a record's heights are above the ground: it starts elsewhere than at its zero, or at rest."""
+    """Whether a record's heights are above the ground: it starts elsewhere than at its zero, or at
+    rest.
+    """
     if (
         "h_m" not in record
         or not np.isfinite(record["h_m"]).any()
@@ -393,9 +409,9 @@ def height_known(record: FlightRecord) -> bool:
 
 
 def heights(channels: Mapping[str, FloatArray], dt_s: float) -> FloatArray:
-    """(n,) heights [m] along a stretch: the climb that airspeed, wind angles and attitude make (Stevens and Lewis, rate of climb),
-    and what the recorded heights are above it, by a straight line through those about each row. channels: of the stretch,
-    without gaps."""
+    """(n,) heights [m] along a stretch: the climb that airspeed, wind angles and attitude make
+    (Stevens and Lewis, rate of climb), and what the recorded heights are above it, by a straight
+    line through those about each row. channels: of the stretch, without gaps."""
     V, a, b, phi, theta, h = (
         channels[n] for n in ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "h_m")
     )
@@ -406,7 +422,9 @@ def heights(channels: Mapping[str, FloatArray], dt_s: float) -> FloatArray:
 
 
 def _on_lines(values: FloatArray, half: int) -> FloatArray:
-    """(n,) where the straight line through the values at most ``half`` samples away is, at each of them."""
+    """(n,) where the straight line through the values at most ``half`` samples away is, at each of
+    them.
+    """
     n = len(values)
     at = np.arange(n)
     first, last = np.maximum(at - half, 0), np.minimum(at + half + 1, n)
@@ -425,7 +443,9 @@ def terrain_m(model: ReplayModel, segment: Segment) -> float:
 
 
 def altitudes(model: ReplayModel, segment: Segment, h_m: FloatArray) -> FloatArray:
-    """Altitude [m] above sea level at recorded heights: the segment's throughout where the ground does not count."""
+    """Altitude [m] above sea level at recorded heights: the segment's throughout where the ground
+    does not count.
+    """
     return segment.altitude_m + (
         h_m - segment.h_m if _counts(model, segment) else np.zeros(len(h_m))
     )

@@ -1,9 +1,9 @@
 """Where the surfaces stood: measured, or what the model's actuators make of the commands.
 
-Where everything between commands and positions is known and reads nothing of the aircraft's motion, an aircraft of these
-components alone is flown (chains.py), and what it finds serves every aircraft that has the same ones, wherever it flies: effects
-in the aerodynamics move no servo. Elsewhere the whole aircraft is flown, from the start state of each stretch.
-"""
+Where everything between commands and positions is known and reads nothing of the aircraft's motion,
+an aircraft of these components alone is flown (chains.py), and what it finds serves every aircraft
+that has the same ones, wherever it flies: effects in the aerodynamics move no servo. Elsewhere the
+whole aircraft is flown, from the start state of each stretch."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger("uqharness")
 WORTH_S = 120.0
-"""Seconds of flight from which on a chain is compiled: for as much JSBSim takes as long as the compiler."""
+"""Seconds of flight from which on a chain is compiled: for as much JSBSim takes as long as the
+compiler.
+"""
 _STAGED = 8
 _AGREES = 1e-9
 """Largest difference of a position between the engines, in units of the largest."""
@@ -53,7 +55,9 @@ _programs: LRUCache[tuple[object, ...], _Program | None] = LRUCache(_STAGED)
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked of a model: properties of positions, and the values in force that its servos have."""
+    """What is asked of a model: properties of positions, and the values in force that its servos
+    have.
+    """
 
     model: ReplayModel
     names: tuple[str, ...]
@@ -63,7 +67,9 @@ class Asked:
 
 @dataclass(frozen=True)
 class _Program:
-    """A compiled chain: places of the controls that enter it, servos' numbers that it reads, columns of the positions asked for."""
+    """A compiled chain: places of the controls that enter it, servos' numbers that it reads,
+    columns of the positions asked for.
+    """
 
     made: ReplayProgram
     places: list[int]
@@ -77,7 +83,9 @@ def set_by(model: ReplayModel) -> dict[str, float]:
 
 
 def fly_chain(asked: Asked, chain: ControlChain, cut: Sequence[Segment]) -> list[FloatArray]:
-    """Of each segment (n, k) positions in their own units, by the chain alone; NaN behind a failure. Raises BadInputError."""
+    """Of each segment (n, k) positions in their own units, by the chain alone; NaN behind a
+    failure. Raises BadInputError.
+    """
     out: list[FloatArray] = [np.empty(0)] * len(cut)
     alike: dict[int, list[int]] = {}
     for k, segment in enumerate(cut):
@@ -241,12 +249,14 @@ def _staging(chain: ControlChain) -> Staging:
 
 
 POSITIONS_WORTH_S = 60.0
-"""Seconds of flight from which on whole aircraft are flown by the batch engine where positions are asked for several times, each
-time with other servos."""
+"""Seconds of flight from which on whole aircraft are flown by the batch engine where positions are
+asked for several times, each time with other servos."""
 WORTH_ONCE_S = 300.0
 """The same where they are asked for once: for as much JSBSim takes as long as a compiler."""
 _STOOD_BYTES, _CHAINS = 50_000_000, 64
-"""Largest difference between the positions that a whole aircraft and its components alone come to, in units of the largest."""
+"""Largest difference between the positions that a whole aircraft and its components alone come to,
+in units of the largest.
+"""
 _TRIED_ROWS, _LEAST_ROWS = 100, 10
 _stood: OrderedDict[tuple[object, ...], FloatArray] = OrderedDict()
 _chains: LRUCache[tuple[object, ...], ControlChain | None] = LRUCache(_CHAINS)
@@ -259,12 +269,12 @@ def surface_positions(
     properties: Mapping[str, float] | None = None,
     worth_s: float = POSITIONS_WORTH_S,
 ) -> list[FloatArray]:
-    """Of each segment (n, c) where the controls stood: the record's own values where measured, else what the model's actuators make
-    of them.
+    """Of each segment (n, c) where the controls stood: the record's own values where measured, else
+    what the model's actuators make of them.
 
-    properties: values in force, of which the actuators' own count. What was asked before is remembered: residuals ask for the same
-    stretch under many states. worth_s: seconds of flight from which on the batch engine flies whole aircraft.
-    """
+    properties: values in force, of which the actuators' own count. What was asked before is
+    remembered: residuals ask for the same stretch under many states. worth_s: seconds of flight
+    from which on the batch engine flies whole aircraft."""
     servos = {name: value for name, value in (properties or {}).items() if name in model.servos}
     known = {c: p for c, p in model.positions().items() if c in names and c not in model.measured}
     asked = Asked(model, tuple(names), known, servos)
@@ -285,7 +295,9 @@ def surface_positions(
 
 
 def _key(asked: Asked, chain: ControlChain | None, segment: Segment) -> tuple[object, ...]:
-    """What positions depend on: of a whole aircraft its identity and where it begins, of a chain that chain."""
+    """What positions depend on: of a whole aircraft its identity and where it begins, of a chain
+    that chain.
+    """
     controls = segment.at_commands().controlled
     if chain is None:
         began = (segment.time_s.tobytes(), segment.start.tobytes(), segment.altitude_m, segment.h_m)
@@ -341,8 +353,8 @@ def _put_in(asked: Asked, segment: Segment, rows: FloatArray) -> FloatArray:
 
 
 def _chain_of(asked: Asked, cut: Sequence[Segment]) -> ControlChain | None:
-    """What moves the positions asked for, if that reads commands, servos' numbers and constants alone and comes to the positions of
-    the whole aircraft, with which it is compared once."""
+    """What moves the positions asked for, if that reads commands, servos' numbers and constants
+    alone and comes to the positions of the whole aircraft, with which it is compared once."""
     model = asked.model
     key = (model.identity, tuple(asked.known.values()))
     if key not in _chains:
@@ -384,7 +396,9 @@ def _found(asked: Asked) -> ControlChain | None:
 
 @cached(LRUCache(_CHAINS), key=lambda asked, chain, segment: (chain.xml, repr(set_by(asked.model))))
 def _agrees(asked: Asked, chain: ControlChain, segment: Segment) -> bool:
-    """Whether the beginning of a segment comes out alike; compared once for aircraft that share a chain."""
+    """Whether the beginning of a segment comes out alike; compared once for aircraft that share a
+    chain.
+    """
     short = _beginning(segment)
     extra = tuple(asked.known.values())
     theirs = by_jsbsim(ReplayJob(asked.model, short, asked.servos, short.start, extra=extra))[

@@ -1,13 +1,15 @@
-"""Replay of recorded flight by JSBSim: the record's controls in, the model's channels at the record's sample times out.
+"""Replay of recorded flight by JSBSim: the record's controls in, the model's channels at the
+record's sample times out.
 
-Timing. Controls act at the times at which the record has them, also between rows where outputs are compared at fewer. A record's
-command k acts from sample k on: the acceleration of sample k has seen it, the rates only later. So the command
-is set before the run that arrives at sample k, and never earlier: one run too early or late is a lag in every servo.
-JSBSim's Adams-Bashforth integrators and its actuators (Tustin) take a step for a ramp that began a run before, half a run early in
-the mean; the values of the runs around a step make up for that, to the square of a run (`by_run`). Any flight has its own way
-between two samples, one that JSBSim flew acted half of its own step early: how late the controls act is for the estimator to find
-(CONTROL_DELAY). So is whether a row's accelerometers were read before its command went out (UNSEEN): a surface without a lag jumps
-then, and so do they.
+Timing. Controls act at the times at which the record has them, also between rows where outputs are
+compared at fewer. A record's command k acts from sample k on: the acceleration of sample k has seen
+it, the rates only later. So the command is set before the run that arrives at sample k, and never
+earlier: one run too early or late is a lag in every servo. JSBSim's Adams-Bashforth integrators and
+its actuators (Tustin) take a step for a ramp that began a run before, half a run early in the mean;
+the values of the runs around a step make up for that, to the square of a run (`by_run`). Any flight
+has its own way between two samples, one that JSBSim flew acted half of its own step early: how late
+the controls act is for the estimator to find (CONTROL_DELAY). So is whether a row's accelerometers
+were read before its command went out (UNSEEN): a surface without a lag jumps then, and so do they.
 """
 
 from __future__ import annotations
@@ -46,9 +48,10 @@ _STEP_S = 1e-3
 def begun(
     model: ReplayModel, segment: Segment, properties: Mapping[str, float], limits: FloatArray
 ) -> FloatArray:
-    """(c,) where actuators with a lag stand at the first row, and where controls that jump stood before it, in the record's units;
-    NaN of other controls, and where no command before it is known. properties: values in force, of which the actuators' own
-    count; limits (c, 2): where a command goes no further."""
+    """(c,) where actuators with a lag stand at the first row, and where controls that jump stood
+    before it, in the record's units; NaN of other controls, and where no command before it is
+    known. properties: values in force, of which the actuators' own count; limits (c, 2): where a
+    command goes no further."""
     out = np.full(len(model.controls), np.nan)
     before = segment.at_commands().before
     if before is None or not len(before):
@@ -71,7 +74,9 @@ def begun(
     LRUCache(_KEPT), key=lambda servo, commands, command_s: (servo, commands.tobytes(), command_s)
 )
 def _last(servo: Actuator, commands: FloatArray, command_s: float) -> float:
-    """Where a servo at rest at the first of some commands is when the last of them has been held as long as the others."""
+    """Where a servo at rest at the first of some commands is when the last of them has been held as
+    long as the others.
+    """
     step_s = command_s / max(1, math.ceil(command_s / _STEP_S - 1e-6))
     return float(servo.follow(np.append(commands, commands[-1]), command_s, step_s)[-1])
 
@@ -137,20 +142,26 @@ CONTROL_DELAY = "controls"
 UNSEEN = "unseen"
 """What the share of a jump is called that the accelerometers of its row have not seen."""
 MAX_STEP_S = 0.005
-"""Longest run. The integrators change a mode of rate w by (3/8)(w run)^3: 0.003 % of a roll mode of 8.5 rad/s, and they are stable
-to 0.545 / run = 109 rad/s."""
+"""Longest run. The integrators change a mode of rate w by (3/8)(w run)^3: 0.003 % of a roll mode of
+8.5 rad/s, and they are stable to 0.545 / run = 109 rad/s."""
 SHORT_STEP_S = 0.0025
-"""Longest run where a surface jumps with its command, and the accelerometers with it, or where forces go with the rates of alpha or
-beta, which JSBSim takes from the run before."""
+"""Longest run where a surface jumps with its command, and the accelerometers with it, or where
+forces go with the rates of alpha or beta, which JSBSim takes from the run before."""
 BETWEEN_S = 0.005
 """Longest time between outputs that are wanted between rows."""
 MIN_RUNS = 2
 _JUMP = (5.0 / 12.0, 8.0 / 12.0, -1.0 / 12.0)
-"""Shares of a step in three runs (Adams-Moulton's weights): the sum, the mean time and its spread are those of the step itself."""
+"""Shares of a step in three runs (Adams-Moulton's weights): the sum, the mean time and its spread
+are those of the step itself.
+"""
 _BEYOND = 11.0 / 12.0
-"""How far, in steps, the same takes a command beyond its goal where a servo by Tustin's rule has not moved at the row."""
+"""How far, in steps, the same takes a command beyond its goal where a servo by Tustin's rule has
+not moved at the row.
+"""
 _RETURN = (1.0, -37.0 / 21.0, 11.0 / 21.0, 5.0 / 21.0)
-"""Values that move a row's own by 1 and nothing else: not sum, mean time and spread, nor what is summed up four runs later."""
+"""Values that move a row's own by 1 and nothing else: not sum, mean time and spread, nor what is
+summed up four runs later.
+"""
 _KINK = 1.0 / 12.0
 """Of a line's change of direction: what sums over runs have too little."""
 _REMEMBERED = 64
@@ -169,7 +180,9 @@ assert [c for c in CHANNELS if STANDARD[c].over] == list(CHANNELS[_OVER_MASS])
 
 @dataclass(frozen=True)
 class Shape:
-    """How a segment is stepped: runs of ``dt_s``, ``runs`` from row to row, an output every ``stride`` runs, ``rows`` outputs."""
+    """How a segment is stepped: runs of ``dt_s``, ``runs`` from row to row, an output every
+    ``stride`` runs, ``rows`` outputs.
+    """
 
     dt_s: float
     runs: int
@@ -198,8 +211,8 @@ def run_controls(
     late_s: float = 0.0,
     unseen: float = 0.0,
 ) -> FloatArray:
-    """((n - 1) runs + 1, c) values of the controls' properties in every run, the first while initialising. properties: values in
-    force, of which the actuators' own count."""
+    """((n - 1) runs + 1, c) values of the controls' properties in every run, the first while
+    initialising. properties: values in force, of which the actuators' own count."""
     measured, lagging = (
         [name in kind for name in model.controls] for kind in (model.measured, model.lagging)
     )
@@ -217,8 +230,9 @@ def run_controls(
 
 
 def runs_per_row(dt_s: float, longest_s: float | None = None) -> int:
-    """JSBSim runs from one row to the next, none longer than ``longest_s`` (MAX_STEP_S): at least two, and four, as many as the
-    values around a step take, unless they were shorter than SHORT_STEP_S."""
+    """JSBSim runs from one row to the next, none longer than ``longest_s`` (MAX_STEP_S): at least
+    two, and four, as many as the values around a step take, unless they were shorter than
+    SHORT_STEP_S."""
     whole, short = (
         math.ceil(dt_s / step - 1e-6) for step in (longest_s or MAX_STEP_S, SHORT_STEP_S)
     )
@@ -237,12 +251,11 @@ def fly_segment(
 ) -> FloatArray:
     """(n, 13 + len(extra)) outputs: CHANNELS, then the properties ``extra`` in their own units.
 
-    properties are set before initialising; start (9,) replaces the segment's own; controls act ``late_s`` after their time;
-    unseen: share of a jump that the accelerometers of its row have not seen.
-    between: ((n - 1) k + 1, ...) outputs at the rows and at k - 1 equal steps between two of them, BETWEEN_S or less.
-    Rows after a failure in flight are NaN.
-    Raises BadInputError for a property that the model has not.
-    """
+    properties are set before initialising; start (9,) replaces the segment's own; controls act
+    ``late_s`` after their time; unseen: share of a jump that the accelerometers of its row have not
+    seen. between: ((n - 1) k + 1, ...) outputs at the rows and at k - 1 equal steps between two of
+    them, BETWEEN_S or less. Rows after a failure in flight are NaN. Raises BadInputError for a
+    property that the model has not."""
     shape = shape_of(model, segment, between)
     fdm = model.open(shape.dt_s)
     for name, value in properties.items():
@@ -268,10 +281,11 @@ def at_rows(between: FloatArray, n: int) -> FloatArray:
 
 
 def late_rows(between: FloatArray, n: int, late: float) -> FloatArray:
-    """(n,) values at the rows, ``late`` rows late (early if negative), of outputs between them; the ends are held.
+    """(n,) values at the rows, ``late`` rows late (early if negative), of outputs between them; the
+    ends are held.
 
-    Straight from one to the next: a step of a control makes a kink or a jump, across which a smoother curve would ring.
-    """
+    Straight from one to the next: a step of a control makes a kink or a jump, across which a
+    smoother curve would ring."""
     at = np.arange(len(between), dtype=float)
     return np.asarray(
         np.interp(at_rows(at, n) - late * ((len(between) - 1) // (n - 1)), at, between)
@@ -286,7 +300,9 @@ def _initialise(
     model: ReplayModel,
     first: list[float],
 ) -> None:
-    """Start states and the controls' ``first`` values: those of the first run, which commands that act early may have moved."""
+    """Start states and the controls' ``first`` values: those of the first run, which commands that
+    act early may have moved.
+    """
     _put(setters, first)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in start)
     u, v, w = body_velocity(V, alpha, beta)
@@ -330,18 +346,21 @@ def by_run(
     limits: FloatArray | None = None,
     stood: FloatArray | None = None,
 ) -> FloatArray:
-    """((n - 1) runs + 1, c) control values of every run, the first at the first row; all of them ``late`` runs late.
+    """((n - 1) runs + 1, c) control values of every run, the first at the first row; all of them
+    ``late`` runs late.
 
-    A command is held. The values of the runs around its step are such that Adams-Bashforth's sums have the step's own area, mean
-    time and spread (see the module's text). An actuator with a lag has not moved at the row of a step: what is missing there the
-    runs after it have besides, so that a rate limit behind the lag begins in time. A surface that jumps with its command has jumped
-    at its row by the share ``seen``, whenever the others began to move; None, for outputs between rows: as it comes. The runs after
-    take back what this moves too early. With fewer than four runs a row only area and mean time are kept: more would reach into
-    the next row; limits (c, 2): where a command goes no further; stood (c,): where actuators with a lag stand at the first row, and
-    where surfaces that jump stood before it, which a late command leaves there; NaN for at its command, as without any.
-    A measured position goes to the next one as a servo does: exponentially towards its command where that is known and explains
-    the two, else in a straight line.
-    """
+    A command is held. The values of the runs around its step are such that Adams-Bashforth's sums
+    have the step's own area, mean time and spread (see the module's text). An actuator with a lag
+    has not moved at the row of a step: what is missing there the runs after it have besides, so
+    that a rate limit behind the lag begins in time. A surface that jumps with its command has
+    jumped at its row by the share ``seen``, whenever the others began to move; None, for outputs
+    between rows: as it comes. The runs after take back what this moves too early. With fewer than
+    four runs a row only area and mean time are kept: more would reach into the next row; limits (c,
+    2): where a command goes no further; stood (c,): where actuators with a lag stand at the first
+    row, and where surfaces that jump stood before it, which a late command leaves there; NaN for at
+    its command, as without any. A measured position goes to the next one as a servo does:
+    exponentially towards its command where that is known and explains the two, else in a straight
+    line."""
     held, lags = ~np.asarray(measured), np.asarray(lagging)
     on_time = _on_time(segment, runs, held, lags, limits, stood)
     out = on_time.copy() if late == 0.0 else _later(on_time, late)
@@ -363,8 +382,8 @@ def by_run(
 
 
 def _later(values: FloatArray, late: float) -> FloatArray:
-    """(n, c) values ``late`` of their steps later, in proportion between two: the mean time of what moves is right. The ends are
-    held. `numpy.interp`, all columns at once."""
+    """(n, c) values ``late`` of their steps later, in proportion between two: the mean time of what
+    moves is right. The ends are held. `numpy.interp`, all columns at once."""
     last = len(values) - 1
     if last == 0:
         return values.copy()
@@ -380,11 +399,12 @@ def _later(values: FloatArray, late: float) -> FloatArray:
 
 
 def _waiting(n: int, late: float) -> FloatArray:
-    """(n,) shares of a jump at the first row that are missing in the runs behind it while the command waits ``late`` runs.
+    """(n,) shares of a jump at the first row that are missing in the runs behind it while the
+    command waits ``late`` runs.
 
-    Sum and mean time of what Adams-Bashforth's sums make of them are those of the wait: a value acts around its own run, half a
-    run after the mean of the wait that it stands for, which the first one makes up for and the last one takes back.
-    """
+    Sum and mean time of what Adams-Bashforth's sums make of them are those of the wait: a value
+    acts around its own run, half a run after the mean of the wait that it stands for, which the
+    first one makes up for and the last one takes back."""
     run = np.arange(1.0, n + 1.0)
     share = np.clip(late - run + 1.0, 0.0, 1.0)
     last = max(1, math.ceil(late) - 1)
@@ -416,8 +436,9 @@ def _on_time(
     limits: FloatArray | None,
     stood: FloatArray | None,
 ) -> FloatArray:
-    """`by_run` of controls that are not late, before what a row has seen of a jump, not to be written to; those asked for last are
-    remembered: a segment's are wanted with every lateness that an estimator tries."""
+    """`by_run` of controls that are not late, before what a row has seen of a jump, not to be
+    written to; those asked for last are remembered: a segment's are wanted with every lateness that
+    an estimator tries."""
     now, then = segment.controls[:-1], segment.controls[1:]
     before = np.vstack([now[:1], now[:-1]])
     if stood is not None:
@@ -465,7 +486,9 @@ def _beyond(
 
 
 def _spread(values: FloatArray, shares: Sequence[float]) -> FloatArray:
-    """Values each of which begins bit by bit, in as many runs as there are shares; before the first they were as there."""
+    """Values each of which begins bit by bit, in as many runs as there are shares; before the first
+    they were as there.
+    """
     held = np.vstack([values[:1]] * (len(shares) - 1) + [values])
     return sum(
         (share * held[len(shares) - 1 - k : len(held) - k] for k, share in enumerate(shares)),
@@ -506,7 +529,9 @@ def _advance(
 
 
 def outputs_of(raw: FloatArray, segment: Segment, extra: int, n: int) -> FloatArray:
-    """(n, 13 + extra) CHANNELS and further properties from rows of RAW and those; NaN behind the last row."""
+    """(n, 13 + extra) CHANNELS and further properties from rows of RAW and those; NaN behind the
+    last row.
+    """
     c = len(CHANNELS)
     done = len(raw)
     out = np.empty((c + extra, n)).T
@@ -537,8 +562,9 @@ _RUNS = 2000
 
 @dataclass(frozen=True)
 class Speed:
-    """simulations (replays of all segments) and flight seconds a second of wall time, and the processes they ran in;
-    bare: flight seconds a second of one process that does nothing but step the same model."""
+    """simulations (replays of all segments) and flight seconds a second of wall time, and the
+    processes they ran in; bare: flight seconds a second of one process that does nothing but step
+    the same model."""
 
     simulations_per_s: float
     flight_s_per_s: float
@@ -548,13 +574,17 @@ class Speed:
     def text(self) -> str:
         """One line for a report."""
         return (
-            f"{self.simulations_per_s:.1f} simulations or {self.flight_s_per_s:.0f} flight seconds per second in {self.processes} "
-            f"process{'' if self.processes == 1 else 'es'}; JSBSim's bare loop: {self.bare_flight_s_per_s:.0f}"
+            f"{self.simulations_per_s:.1f} simulations or {self.flight_s_per_s:.0f} flight seconds"
+            f" per second in {self.processes} process{'' if self.processes == 1 else 'es'};"
+            f" JSBSim's bare loop: {self.bare_flight_s_per_s:.0f}"
         )
 
 
 def bare_rate(model: ReplayModel, segment: Segment) -> float:
-    """Flight seconds a second of wall time when the model is stepped and nothing is set or read. Raises BadInputError."""
+    """Flight seconds a second of wall time when the model is stepped and nothing is set or read.
+
+    Raises BadInputError.
+    """
     dt_s = segment.dt_s / runs_per_row(segment.dt_s)
     fdm = model.open(dt_s)
     fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = (

@@ -1,4 +1,6 @@
-"""JSBSim's side of the residual coefficients: the aircraft's own prediction at a flight's measured states."""
+"""JSBSim's side of the residual coefficients: the aircraft's own prediction at a flight's measured
+states.
+"""
 
 from __future__ import annotations
 
@@ -49,13 +51,16 @@ from uqharness.simulator import Aircraft
 # model, and what the formulas leave of these flights is the error of sampling.
 
 _PIECE_S = 2.0
-"""Seconds flown from one measured state: gusts, or a model that is wrong or unstable, must not lead far away meanwhile."""
+"""Seconds flown from one measured state: gusts, or a model that is wrong or unstable, must not lead
+far away meanwhile.
+"""
 
 
 @dataclass(frozen=True)
 class MeasuredSegment:
-    """A segment with its measured channels by name, (n,) each without gaps, positions (n, c) of the controls in the record's
-    units, altitude_m (n,) above sea level, and by how much the controls act late, ``late_s``."""
+    """A segment with its measured channels by name, (n,) each without gaps, positions (n, c) of the
+    controls in the record's units, altitude_m (n,) above sea level, and by how much the controls
+    act late, ``late_s``."""
 
     segment: Segment
     channels: Mapping[str, FloatArray]
@@ -97,8 +102,9 @@ def sampling_errors(
     Returns
     -------
     list of ndarray
-        (n, 6) CX CY CZ Cl Cm Cn of each segment, demanded minus predicted, of flights that the model itself makes; zero where no
-        surface jumps nearby, and where the model leaves the flight.
+        (n, 6) CX CY CZ Cl Cm Cn of each segment, demanded minus predicted, of flights that the
+        model itself makes; zero where no surface jumps nearby, and where the model leaves the
+        flight.
     """
     out = [np.zeros((len(part.positions), 6)) for part in parts]
     flights = [
@@ -140,7 +146,9 @@ def _flights(
     properties: Mapping[str, float],
     cutoff_hz: float,
 ) -> Iterator[_Flight]:
-    """Flights of the model around the jumps of a segment, each wider than the rows wanted of it by the filter's half width."""
+    """Flights of the model around the jumps of a segment, each wider than the rows wanted of it by
+    the filter's half width.
+    """
     segment = part.segment
     surfaces = [model.controls.index(c) for c in model.jumping if c != "throttle"]
     n, width = len(segment.time_s), half_width(segment.dt_s, cutoff_hz)
@@ -198,12 +206,17 @@ ANSWERED = ("coefficients", "other_force", "other_moment", "qbar")
 """What a model says of each row."""
 _PRE_ROLL_S = 2.0
 _EVERY = 4
-"""Changes of what the model says are asked for at every fourth row: they move with the state, which takes longer than that."""
+"""Changes of what the model says are asked for at every fourth row: they move with the state, which
+takes longer than that.
+"""
 
 
 @dataclass(frozen=True)
 class JsbsimPrediction:
-    """coefficients(record, piece) of a flight's model. ``straight`` passes its controls through, ``model`` has its actuators."""
+    """coefficients(record, piece) of a flight's model.
+
+    ``straight`` passes its controls through, ``model`` has its actuators.
+    """
 
     model: ReplayModel
     straight: ReplayModel
@@ -214,8 +227,8 @@ class JsbsimPrediction:
     positions: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
     def all(self, asked: Sequence[tuple[FlightRecord, Piece, int]]) -> list[Prediction]:
-        """Force states upon the model, all at once, and read what it says: of each record and piece those of every so many rows and
-        of the last. Raises BadInputError."""
+        """Force states upon the model, all at once, and read what it says: of each record and piece
+        those of every so many rows and of the last. Raises BadInputError."""
         self._prepare([piece for _, piece, _ in asked])
         parts = [self._states(*one) for one in asked]
         names = [f"{c}_pos_deg" if c != "throttle" else "throttle_pct" for c in CONTROLS]
@@ -257,7 +270,9 @@ class JsbsimPrediction:
         )
 
     def sampling_errors(self, arm_m: Sequence[float], cutoff_hz: float) -> list[FloatArray]:
-        """(n, 6) errors of sampling in the coefficients of each piece of the flight (`sampling_errors`)."""
+        """(n, 6) errors of sampling in the coefficients of each piece of the flight
+        (`sampling_errors`).
+        """
         pieces = self.flight.pieces
         if self.flight.half_way:
             return [np.zeros((p.rows.stop - p.rows.start, 6)) for p in pieces]
@@ -276,8 +291,8 @@ class JsbsimPrediction:
         return sampling_errors(self.model, self.straight, parts, self.values, cutoff_hz)
 
     def _prepare(self, pieces: Sequence[Piece]) -> None:
-        """Segments, and where the controls stood. Actuators run up before the piece: where one stands at its start follows from
-        before."""
+        """Segments, and where the controls stood. Actuators run up before the piece: where one
+        stands at its start follows from before."""
         missing = {
             (p.rows.start, p.rows.stop): p
             for p in pieces
@@ -311,7 +326,9 @@ def asked_rows(n: int, every: int) -> NDArray[np.intp]:
 
 
 def changed(near: Prediction, said: Prediction, every: int) -> Prediction:
-    """What a model says at states near those of ``near``: asked at every so many rows, its change drawn straight between them."""
+    """What a model says at states near those of ``near``: asked at every so many rows, its change
+    drawn straight between them.
+    """
     n = len(near.qbar)
     asked, full = asked_rows(n, every), np.arange(n)
 
@@ -332,8 +349,8 @@ def prediction_of(
     ideal_servos: bool = False,
     values: Mapping[str, float] | None = None,
 ) -> Iterator[ReplayPair]:
-    """The aircraft opened twice: with its actuators, and with controls passed straight through. values: of properties that are
-    not to be as in its XML."""
+    """The aircraft opened twice: with its actuators, and with controls passed straight through.
+    values: of properties that are not to be as in its XML."""
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with (
         ReplayFolder(aircraft, measured=measured, ideal=ideal) as model,
@@ -358,7 +375,9 @@ class ReplayPair:
         return lambda record, piece: self._every_row(flight, record, piece)
 
     def around(self, flight: Flight) -> Model:
-        """The same for one who asks for a piece's own states first and then for states near them."""
+        """The same for one who asks for a piece's own states first and then for states near
+        them.
+        """
         own = dict[tuple[int, int], Prediction]()
 
         def near(record: FlightRecord, piece: Piece) -> Prediction:
@@ -381,7 +400,9 @@ class ReplayPair:
         pieces: Sequence[Piece],
         every: int = 1,
     ) -> None:
-        """Ask for all states of some records at once, at every so many rows: piece by piece an answer takes many times as long."""
+        """Ask for all states of some records at once, at every so many rows: piece by piece an
+        answer takes many times as long.
+        """
         asked = {self._key(flight, r, p, every): (r, p, every) for r in records for p in pieces}
         missing = {key: one for key, one in asked.items() if key not in self.said}
         if missing:
@@ -428,7 +449,10 @@ def read_bounds_flights(
     map_path: Path | None = None,
     flight_numbers: Sequence[int] = (),
 ) -> tuple[list[Flight], tuple[str, ...]]:
-    """Flights cut where every channel of NEEDED is there, and the surfaces with measured positions. Raises BadInputError."""
+    """Flights cut where every channel of NEEDED is there, and the surfaces with measured positions.
+
+    Raises BadInputError.
+    """
     flights, measured = read_flights(
         paths, aircraft, manoeuvres, map_path, flight_numbers=flight_numbers
     )
@@ -442,8 +466,9 @@ def recut(flight: Flight, measured: Sequence[str]) -> Flight:
     ]
     if missing:
         raise BadInputError(
-            f"{flight.name}: the record has no {', '.join(missing)}; residual coefficients need {', '.join(NEEDED)}. "
-            "Without vanes an autopilot's estimate will do (uqharness log import makes alpha and beta from EKF and wind)"
+            f"{flight.name}: the record has no {', '.join(missing)}; residual coefficients need"
+            f" {', '.join(NEEDED)}. Without vanes an autopilot's estimate will do (uqharness log"
+            " import makes alpha and beta from EKF and wind)"
         )
     pieces, how = cut(flight.record, (*NEEDED, *control_columns(measured)))
     if not pieces:
@@ -469,7 +494,8 @@ def flight_residuals(
         raise BadInputError(f"{flight.name}: {error}") from None
     errors = pair.sampling_errors(flight, arm_m, cutoffs.all_hz)
     dt_s = found.dt_s
-    # Rows nearer to an end than the filter is wide are no part of a residual piece, and shorter pieces have none.
+    # Rows nearer to an end than the filter is wide are no part of a residual piece, and shorter
+    # pieces have none.
     m = half_width(dt_s, cutoffs.all_hz)
     kept = [error[m : len(error) - m] for error in errors if len(error) >= 2 * m + 3]
     pieces = tuple(

@@ -13,7 +13,8 @@ from sysid.digests import sha256_hex
 
 @dataclass(frozen=True)
 class Commands:
-    """Controls at a record's own rate where its rows were thinned, ``per_row`` of them from row to row.
+    """Controls at a record's own rate where its rows were thinned, ``per_row`` of them from row to
+    row.
 
     controls, targets ((n - 1) per_row + 1, c): as those of a Segment.
     """
@@ -27,13 +28,14 @@ class Commands:
 class Segment:
     """One piece to fly through.
 
-    time_s (n,) equidistant; controls (n, c) in the record's units, in the model's order of controls; start (9,) as STATES;
-    altitude_m above sea level at the start; h_m what the record calls its height there; arm_m place of the accelerometers
-    from the CG; targets (n, c) the commands behind measured positions, NaN where there are none. above_ground: whether h_m is that.
-    commands: the same controls between the rows as well, where the record had more rows; None: it had no more.
-    before (k, c): the controls at the commands before the first row, the last of them behind; None where none is known.
-    reach (9,): how far the measured states are from ``start`` within the first rows, by which an estimate of it may move.
-    """
+    time_s (n,) equidistant; controls (n, c) in the record's units, in the model's order of
+    controls; start (9,) as STATES; altitude_m above sea level at the start; h_m what the record
+    calls its height there; arm_m place of the accelerometers from the CG; targets (n, c) the
+    commands behind measured positions, NaN where there are none. above_ground: whether h_m is that.
+    commands: the same controls between the rows as well, where the record had more rows; None: it
+    had no more. before (k, c): the controls at the commands before the first row, the last of them
+    behind; None where none is known. reach (9,): how far the measured states are from ``start``
+    within the first rows, by which an estimate of it may move."""
 
     label: str
     flight: str
@@ -71,7 +73,9 @@ class Segment:
 
     @cached_property
     def controlled(self) -> str:
-        """Digest of controls, those before and targets, by which whatever is made of them is remembered."""
+        """Digest of controls, those before and targets, by which whatever is made of them is
+        remembered.
+        """
         known = (part for part in (self.controls, self.targets, self.before) if part is not None)
         return sha256_hex(b"".join(part.tobytes() for part in known))
 
@@ -110,7 +114,9 @@ class Segment:
         )
 
     def on_rows(self, values: FloatArray) -> FloatArray:
-        """(n,) values at the rows of what is known at each command (N,): their straight lines have the same area."""
+        """(n,) values at the rows of what is known at each command (N,): their straight lines have
+        the same area.
+        """
         k = self.per_row
         hat = np.append(np.arange(1, k + 1), np.arange(k - 1, 0, -1)) / k**2
         padded = np.concatenate(

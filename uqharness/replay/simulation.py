@@ -1,4 +1,6 @@
-"""Replays as the estimators want them: outputs as a function of one vector, with a memory, so that little is flown twice."""
+"""Replays as the estimators want them: outputs as a function of one vector, with a memory, so that
+little is flown twice.
+"""
 
 from __future__ import annotations
 
@@ -37,23 +39,28 @@ from uqharness.replay.segments import Segment
 
 _CACHE_BYTES = 300_000_000
 _TOGETHER_BYTES = _CACHE_BYTES // 4
-"""Of pieces flown together: all are read before the first is forgotten, and what they are compared with stays besides."""
+"""Of pieces flown together: all are read before the first is forgotten, and what they are compared
+with stays besides.
+"""
 _RESTING_BYTES = _CACHE_BYTES // 4
-"""Of pieces that stay when many points have been read: those of the point that all of them are near."""
+"""Of pieces that stay when many points have been read: those of the point that all of them are
+near.
+"""
 Start = tuple[FloatArray, float, float]
 """Start state (9,), how late the controls act [s], share of a jump unseen."""
 
 
 class Replay:
-    """simulate(theta) of a set of segments, for the estimators: picklable, with the runs of late memory kept.
+    """simulate(theta) of a set of segments, for the estimators: picklable, with the runs of late
+    memory kept.
 
-    theta is laid out by ``names``: JSBSim properties; ``bias/<flight>/<channel>`` added to an output;
-    ``delay/<flight>/<sensor>`` by which a sensor's outputs come late, s (SENSOR_OF), or, for CONTROL_DELAY, by which the controls
-    act late; ``unseen/<flight>`` the share of a control's jump that the accelerometers of its row have not seen; and
-    ``start/<segment number>/<state>`` added to a segment's start state. What a perturbed value does not touch is
-    not flown again.
-    channels: which of CHANNELS are returned; late_s: channel -> known time by which it comes late besides.
-    """
+    theta is laid out by ``names``: JSBSim properties; ``bias/<flight>/<channel>`` added to an
+    output; ``delay/<flight>/<sensor>`` by which a sensor's outputs come late, s (SENSOR_OF), or,
+    for CONTROL_DELAY, by which the controls act late; ``unseen/<flight>`` the share of a control's
+    jump that the accelerometers of its row have not seen; and ``start/<segment number>/<state>``
+    added to a segment's start state. What a perturbed value does not touch is not flown again.
+    channels: which of CHANNELS are returned; late_s: channel -> known time by which it comes late
+    besides."""
 
     def __init__(
         self,
@@ -121,7 +128,9 @@ class Replay:
         )
 
     def starts_at(self, theta: FloatArray) -> list[Start]:
-        """Every segment's start state (9,), how late its controls act [s], and what share of a jump is unseen, at theta."""
+        """Every segment's start state (9,), how late its controls act [s], and what share of a jump
+        is unseen, at theta.
+        """
         starts = []
         for number, segment in enumerate(self.segments):
             start = segment.start.copy()
@@ -152,7 +161,9 @@ class Replay:
     def _sensed(
         self, segment: Segment, number: int, theta: FloatArray, pieces: Mapping[_Key, ReplayJob]
     ) -> FloatArray:
-        """(n, m) outputs of one segment with its flight's delays and biases; the last ones are kept."""
+        """(n, m) outputs of one segment with its flight's delays and biases; the last ones are
+        kept.
+        """
         late, biased = self._delays.get(segment.flight, []), self._biases.get(segment.flight, [])
         state = (tuple(pieces), theta[[i for i, _ in (*late, *biased)]].tobytes())
         kept = self._kept.get(number)
@@ -198,15 +209,18 @@ class Replay:
         return {(*made, late_s, job.unseen, job.between): job for job in jobs}
 
     def forget(self) -> None:
-        """Let go of what is remembered of this replay and its copies: nothing more will be asked of it."""
+        """Let go of what is remembered of this replay and its copies: nothing more will be asked of
+        it.
+        """
         for key in [k for k in _flown if k[0] == self.token]:
             counter["bytes"] -= _flown.pop(key).nbytes
 
     def fetch(self, thetas: Sequence[FloatArray], map_: Callable[..., Iterable[Any]]) -> None:
-        """Fly whatever several theta need and nobody remembers, each piece once, by ``map_`` (a process pool's, say).
+        """Fly whatever several theta need and nobody remembers, each piece once, by ``map_`` (a
+        process pool's, say).
 
-        Afterwards every ``self(theta)`` only puts together what is remembered: little has to travel between processes.
-        """
+        Afterwards every ``self(theta)`` only puts together what is remembered: little has to travel
+        between processes."""
         for _ in self.fetched(thetas, map_):
             pass
 
@@ -217,8 +231,8 @@ class Replay:
     def fetched(
         self, thetas: Sequence[FloatArray], map_: Callable[..., Iterable[Any]]
     ) -> Iterator[FloatArray]:
-        """Each theta as soon as its pieces have been flown, each once; those of so many theta together as are remembered until they
-        are asked for."""
+        """Each theta as soon as its pieces have been flown, each once; those of so many theta
+        together as are remembered until they are asked for."""
         jobs: dict[_Key, ReplayJob] = {}
         waiting: list[FloatArray] = []
         size = 0
@@ -240,7 +254,8 @@ class Replay:
         yield from waiting
 
 
-# Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start leaves the others as they were.
+# Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start
+# leaves the others as they were.
 _Key = tuple[str, int, bytes, bytes, float, float, bool]
 _flown: OrderedDict[_Key, FloatArray] = OrderedDict()
 counter = {"rows": 0, "bytes": 0, "segments": 0}
@@ -269,8 +284,9 @@ def _shrink(most: int) -> None:
 
 
 def spread_over(map_: Callable[..., Any]) -> Callable[..., Iterable[Any]]:
-    """A `map` for output error that has the replays of its points flown together, as many as memory keeps at once, and gives what
-    comes of them one after the other; ``map_`` spreads what JSBSim flies."""
+    """A `map` for output error that has the replays of its points flown together, as many as memory
+    keeps at once, and gives what comes of them one after the other; ``map_`` spreads what JSBSim
+    flies."""
 
     def spread(function: Callable[[FloatArray], Any], points: Any) -> Iterable[Any]:
         replay = getattr(function, "simulate", None)
@@ -332,7 +348,10 @@ _BIAS_WIDTH = {"V_mps": 5.0, "ax_mps2": 2.0, "ay_mps2": 2.0, "az_mps2": 2.0}
 _DEFAULT_WIDTH = 0.5
 _DELAY_WIDTH = 0.15
 SHARES = (0.0, 1.0)
-"""Of a jump that accelerometers have not seen: none and all of it. Beyond, a control would move further than it does."""
+"""Of a jump that accelerometers have not seen: none and all of it.
+
+Beyond, a control would move further than it does.
+"""
 _REFERENCE = SENSOR_OF["p_radps"]
 
 
@@ -353,8 +372,9 @@ def nuisance_layout(
     late: Mapping[str, Sequence[str]],
     jumping: Sequence[str] = (),
 ) -> Layout:
-    """Parameters, one bias a flight and channel, the delays ``late`` (flight -> channels), what the accelerometers have not seen of
-    the jumps in flights ``jumping``, start states of every segment."""
+    """Parameters, one bias a flight and channel, the delays ``late`` (flight -> channels), what the
+    accelerometers have not seen of the jumps in flights ``jumping``, start states of every segment.
+    """
     extra, bounds = [], list(limits)
     for flight in dict.fromkeys(s.flight for s in cut):
         for channel in biases:
@@ -373,7 +393,8 @@ def nuisance_layout(
             extra.append(f"start/{number}/{state}")
             width = _START_WIDTH.get(state, _DEFAULT_WIDTH)
             if segment.reach is not None:
-                # A sensor that is late shows the start a few rows later, when a fast mode has moved on.
+                # A sensor that is late shows the start a few rows later, when a fast mode has moved
+                # on.
                 width += float(segment.reach[STATES.index(state)])
             bounds.append((-width, width))
     return Layout((*names, *extra), bounds)
@@ -382,11 +403,12 @@ def nuisance_layout(
 def delayed(
     flights: Sequence[Flight], outputs: Sequence[str], asked: Sequence[str] | None
 ) -> dict[str, list[str]]:
-    """Flight -> what is late, of which delays are estimated: the controls (CONTROL_DELAY) and sensors.
+    """Flight -> what is late, of which delays are estimated: the controls (CONTROL_DELAY) and
+    sensors.
 
-    By default the controls, in every flight: a command is held for a sample, and whatever carried it out began somewhere in
-    between; and, of logs, whose channels are stamped when written, every sensor but the gyros, from which delays count.
-    """
+    By default the controls, in every flight: a command is held for a sample, and whatever carried
+    it out began somewhere in between; and, of logs, whose channels are stamped when written, every
+    sensor but the gyros, from which delays count."""
     out = {}
     for flight in flights:
         logged = bool(flight.record.metadata.native_hz)
@@ -400,20 +422,24 @@ def delayed(
 
 
 LATE_ROWS = 0.5
-"""A record's commands act from their own row on: controls that act more rows earlier or later than this are misplaced."""
+"""A record's commands act from their own row on: controls that act more rows earlier or later than
+this are misplaced.
+"""
 _LEAST_LATE_S = 0.0075  # JSBSim's own flights act half a run early (see replay.py).
 
 
 def late_limit_s(flight: Flight, dt_s: float) -> float:
-    """How late the controls of a flight may act: half a row of commands, ``dt_s`` long; without limit for a log, whose channels are
-    stamped when written."""
+    """How late the controls of a flight may act: half a row of commands, ``dt_s`` long; without
+    limit for a log, whose channels are stamped when written."""
     return math.inf if flight.record.metadata.native_hz else max(LATE_ROWS * dt_s, _LEAST_LATE_S)
 
 
 def misplaced(
     flights: Sequence[Flight], cut: Sequence[Segment], nuisance: Mapping[str, tuple[float, float]]
 ) -> list[str]:
-    """A sentence for every flight whose controls, by the estimate in ``nuisance``, act when its record says they do not."""
+    """A sentence for every flight whose controls, by the estimate in ``nuisance``, act when its
+    record says they do not.
+    """
     said = []
     for flight in flights:
         late, std = nuisance.get(f"delay/{flight.name}/{CONTROL_DELAY}", (0.0, 0.0))
@@ -421,9 +447,10 @@ def misplaced(
         # A delay that the flight does not determine (std NaN) says nothing.
         if abs(late) - 2.0 * std > limit:
             said.append(
-                f"{flight.name}: its controls act {1e3 * abs(late):.1f} ms {'late' if late > 0.0 else 'early'}, and "
-                f"{1e3 * limit:.1f} ms are allowed: its command columns are shifted; a command belongs to the row whose "
-                "acceleration has seen it first"
+                f"{flight.name}: its controls act {1e3 * abs(late):.1f} ms"
+                f" {'late' if late > 0.0 else 'early'}, and {1e3 * limit:.1f} ms are allowed: its"
+                " command columns are shifted; a command belongs to the row whose acceleration has"
+                " seen it first"
             )
     return said
 
@@ -464,7 +491,10 @@ def columns_of(
 def write_histories(
     folder: Path, segments: Sequence[Segment], columns: Mapping[str, Sequence[FloatArray]]
 ) -> None:
-    """Write histories.parquet into ``folder``; ``columns`` as :func:`columns_of` gives them. Same input, same bytes."""
+    """Write histories.parquet into ``folder``; ``columns`` as :func:`columns_of` gives them.
+
+    Same input, same bytes.
+    """
     write_pieces(folder / HISTORIES, [(s.flight, s.label, s.time_s) for s in segments], columns)
 
 
@@ -501,7 +531,10 @@ def _texts(values: Sequence[str], counts: Sequence[int]) -> pa.Array:
 
 
 def read_histories(path: Path) -> list[History]:
-    """Segments of a file, none where there is no file. Raises BadInputError for one that `write_pieces` cannot have written."""
+    """Segments of a file, none where there is no file.
+
+    Raises BadInputError for one that `write_pieces` cannot have written.
+    """
     if not path.is_file():
         return []
     table = _checked(read_table(path), path)
@@ -544,7 +577,10 @@ _KEYS = {
 
 
 def _checked(table: pa.Table, path: Path) -> pa.Table:
-    """The table, if its columns are of the kinds that are written. Raises BadInputError naming the first that is not."""
+    """The table, if its columns are of the kinds that are written.
+
+    Raises BadInputError naming the first that is not.
+    """
     names = table.column_names
     for name in (*_KEYS, *names):
         wanted = _KEYS.get(name, pa.float64())
@@ -555,7 +591,8 @@ def _checked(table: pa.Table, path: Path) -> pa.Table:
                 else f"there {names.count(name)} times"
             )
             raise BadInputError(
-                f"{path}: column {name} is {found}, it must be there once, of type {wanted}; run its command again"
+                f"{path}: column {name} is {found}, it must be there once, of type {wanted}; run"
+                " its command again"
             )
         if name in _KEYS and table.column(name).null_count:
             raise BadInputError(f"{path}: column {name} has gaps; run its command again")
@@ -601,7 +638,9 @@ def axis_label(name: str) -> str:
 
 
 def with_shown_names(text: str, channels: Iterable[str]) -> str:
-    """The text with names of columns as people read them: ``q`` for ``q_radps``. channels: the columns that it may name."""
+    """The text with names of columns as people read them: ``q`` for ``q_radps``. channels: the
+    columns that it may name.
+    """
     names = {c: shown_channel(c)[0] for c in channels}
     found = re.compile(r"\b(" + "|".join(map(re.escape, names)) + r")\b") if names else None
     return text if found is None else found.sub(lambda match: names[match[0]], text)

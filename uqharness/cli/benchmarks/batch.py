@@ -1,12 +1,14 @@
-"""What the batch engine brings over JSBSim's bare loop, measured in turns: ``python -m uqharness.cli.benchmarks.batch``.
+"""What the batch engine brings over JSBSim's bare loop, measured in turns: ``python -m
+uqharness.cli.benchmarks.batch``.
 
-One flight is the expensive case: loiter in wind, turbulence, sensor noise, autopilot, and with --model-form bounds that depend on
-the state. Loops take turns in one process, and the least processor time of all rounds counts:
+One flight is the expensive case: loiter in wind, turbulence, sensor noise, autopilot, and with
+--model-form bounds that depend on the state. Loops take turns in one process, and the least
+processor time of all rounds counts:
 
-a  JSBSim's bare loop, one flight;
-c  the product through JSBSim: a campaign's default air, recorded, scored, one flight;
-d  the batch engine alone: 64 corners in two airs, streams included, recorded, not scored; for each width of vector there is here;
-e  a corner campaign from end to end, by the clock: engine check, flights, scores, journal, tables; in one process and in two.
+a  JSBSim's bare loop, one flight; c  the product through JSBSim: a campaign's default air,
+recorded, scored, one flight; d  the batch engine alone: 64 corners in two airs, streams included,
+recorded, not scored; for each width of vector there is here; e  a corner campaign from end to end,
+by the clock: engine check, flights, scores, journal, tables; in one process and in two.
 
 With --flight also f, g and h: replays of it (``replays``).
 """
@@ -64,7 +66,10 @@ _SPREAD = 0.02
 def measure_replays(
     aircraft: Aircraft, flight: Path, rounds: int, replays: int = 400
 ) -> dict[str, float]:
-    """Figures of f, g and h, the least processor time of all rounds. Raises BadInputError for a flight shorter than 90 s."""
+    """Figures of f, g and h, the least processor time of all rounds.
+
+    Raises BadInputError for a flight shorter than 90 s.
+    """
     flights, measured = read_flights([flight], aircraft)
     best: dict[str, float] = {}
     for _ in range(rounds):
@@ -117,7 +122,8 @@ def _whole(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...]) -> Seg
     rows = round(_FLIGHT_S / flight.record.dt_s) + 1
     if len(flight.record) < rows:
         raise BadInputError(
-            f"{flight.name}: {_FLIGHT_S:g} s of flight are needed, it has {len(flight.record)} rows of {rows}"
+            f"{flight.name}: {_FLIGHT_S:g} s of flight are needed, it has {len(flight.record)} rows"
+            f" of {rows}"
         )
     pieces = (Piece("whole", slice(0, rows), 0.0, _FLIGHT_S),)
     return segments(replace(flight, pieces=pieces), measured, aircraft.accelerometer_m)[0]
@@ -127,7 +133,10 @@ def said_of_replays(found: Mapping[str, float]) -> list[str]:
     """The figures for a reader."""
     rate = found["f_replays_per_s"]
     return [
-        f"  f  replays of {_FLIGHT_S:.0f} s, one core               {rate:8.0f} a second   400 take {400.0 / rate:.2f} s",
+        (
+            f"  f  replays of {_FLIGHT_S:.0f} s, one core               {rate:8.0f} a second   400"
+            f" take {400.0 / rate:.2f} s"
+        ),
         f"  g  replays translated, compiled, checked   {found['g_compile_s']:8.2f} s of one core",
         f"  h  identify, all parameters, with g        {found['h_identify_s']:8.2f} s of one core",
     ]
@@ -146,7 +155,9 @@ def measure_batch(
     model_form: Path | None = None,
     campaign_airs: int = CAMPAIGN_AIRS,
 ) -> dict[str, float]:
-    """Microseconds per step and flight of a, c and each d, flight hours per core hour of d and e, and their ratios."""
+    """Microseconds per step and flight of a, c and each d, flight hours per core hour of d and e,
+    and their ratios.
+    """
     with scratch_folder() as scratch:
         aircraft = find_aircraft(aircraft_name)
         flown = (
@@ -227,7 +238,9 @@ def _compiled_for(name: str) -> Iterator[None]:
 def _campaigns(
     aircraft: Aircraft, duration_s: float, folder: Path, model_form: Path | None, airs: int
 ) -> dict[str, float]:
-    """Flight hours per hour of the clock of whole campaigns; the least worker time would leave out what the parent does."""
+    """Flight hours per hour of the clock of whole campaigns; the least worker time would leave out
+    what the parent does.
+    """
     found: dict[str, float] = {}
     bounds = dict.fromkeys(COEFFICIENTS, 0.001) if model_form is None else str(model_form.resolve())
     for workers in (1, 2):
@@ -281,12 +294,14 @@ def said(found: Mapping[str, float]) -> str:
             _, name, source, *_ = key.split("_")
             ratio = found[key.replace("us_per_step", "over_a")]
             lines.append(
-                f"  d  batch, {name:7s} air from {source:7s}          {value:8.3f} us/step and flight   a/d {ratio:5.1f}"
+                f"  d  batch, {name:7s} air from {source:7s}          {value:8.3f} us/step and"
+                f" flight   a/d {ratio:5.1f}"
             )
     for workers in (1, 2):
         hours = found[f"e_{workers}_flight_hours_per_hour"]
         lines.append(
-            f"  e  corner campaign, {workers} process(es), by the clock  {hours:8.0f} flight h per h"
+            f"  e  corner campaign, {workers} process(es), by the clock  {hours:8.0f} flight h"
+            " per h"
         )
     lines.append(f"     two processes over one                {found['e_2_over_1']:8.2f}")
     if "f_replays_per_s" in found:

@@ -1,17 +1,20 @@
-"""What the harness costs over JSBSim's bare loop, measured side by side: ``python -m uqharness.cli.benchmarks.loop``.
+"""What the harness costs over JSBSim's bare loop, measured side by side: ``python -m
+uqharness.cli.benchmarks.loop``.
 
-Three loops take turns in one process, each flying the same minutes of the loiter in wind, turbulence and sensor noise:
+Three loops take turns in one process, each flying the same minutes of the loiter in wind,
+turbulence and sensor noise:
 
-a  the bare ``while run()`` loop of the aircraft's own XML, plugin, air (JSBSim's turbulence) and sensors on, nothing recorded;
-b  the same without the plugin (its system and its functions taken out of a copy of the XML);
-c  the harness with a campaign's default air: conditions, levels, recording, scoring and storage of the result.
+a  the bare ``while run()`` loop of the aircraft's own XML, plugin, air (JSBSim's turbulence) and
+sensors on, nothing recorded; b  the same without the plugin (its system and its functions taken out
+of a copy of the XML); c  the harness with a campaign's default air: conditions, levels, recording,
+scoring and storage of the result.
 
-With --model-form the aircraft is one whose bounds depend on its state. With --side-by-side two processes fly a at the same
-time, then two workers fly c, by the clock, and once more with workers in the air of a (JSBSim's turbulence) at a corner: that needs
-two cores with nothing else to do.
+With --model-form the aircraft is one whose bounds depend on its state. With --side-by-side two
+processes fly a at the same time, then two workers fly c, by the clock, and once more with workers
+in the air of a (JSBSim's turbulence) at a corner: that needs two cores with nothing else to do.
 
-Processor time is counted, the least of all rounds is quoted, and ratios are what to compare: machines are noisy.
-"""
+Processor time is counted, the least of all rounds is quoted, and ratios are what to compare:
+machines are noisy."""
 
 from __future__ import annotations
 
@@ -47,11 +50,15 @@ from uqharness.simulator import (
 )
 
 REFERENCE_HOURS_PER_CORE_HOUR = 890.0
-"""Flight hours per core hour at 100 Hz of a hand-written loop with compiled intervals, the figure to beat."""
+"""Flight hours per core hour at 100 Hz of a hand-written loop with compiled intervals, the figure
+to beat.
+"""
 
 
 def without_plugin(aircraft: Aircraft, folder: Path) -> Aircraft:
-    """A copy of the aircraft in ``folder`` whose XML has no model-form system and no uq/ function."""
+    """A copy of the aircraft in ``folder`` whose XML has no model-form system and no uq/
+    function.
+    """
     target = folder / "aircraft" / aircraft.name
     copy_folder(aircraft.folder, target)
     path = target / aircraft.card.aircraft.xml
@@ -69,7 +76,9 @@ def without_plugin(aircraft: Aircraft, folder: Path) -> Aircraft:
 def bare_loop(
     aircraft: Aircraft, spec: FlightSpec, clock: Callable[[], float] = time.process_time
 ) -> Callable[[], float]:
-    """A function that flies ``spec`` with JSBSim's bare loop and returns the seconds spent in it by ``clock``."""
+    """A function that flies ``spec`` with JSBSim's bare loop and returns the seconds spent in it by
+    ``clock``.
+    """
     mission = StagedMission(aircraft, find_script(spec.script), end_s=spec.duration_s)
 
     def once() -> float:
@@ -88,7 +97,9 @@ def bare_loop(
 
 
 def harness_loop(spec: FlightSpec, folder: Path) -> Callable[[], float]:
-    """A function that flies ``spec`` as a campaign does, result on the disk, and returns the processor seconds of all of it."""
+    """A function that flies ``spec`` as a campaign does, result on the disk, and returns the
+    processor seconds of all of it.
+    """
     store = Store(folder)
     count = iter(range(10**9))
 
@@ -112,7 +123,9 @@ def with_model_form(aircraft: Aircraft, model_form: Path, folder: Path) -> Aircr
 
 
 def bare_flight(spec: FlightSpec) -> FlightResult:
-    """Flight function for a worker: the bare loop alone, its seconds by the clock as the metric ``loop_s``."""
+    """Flight function for a worker: the bare loop alone, its seconds by the clock as the metric
+    ``loop_s``.
+    """
     loop_s = bare_loop(find_aircraft(spec.aircraft), spec, time.monotonic)()
     return FlightResult("ok", "", spec.duration_s, {"loop_s": loop_s}, {}, {})
 
@@ -120,7 +133,9 @@ def bare_flight(spec: FlightSpec) -> FlightResult:
 def side_by_side(
     bare: FlightSpec, flown: FlightSpec, rounds: int, workers: int = 2
 ) -> dict[str, float]:
-    """Flight seconds per second by the clock: that many bare loops at once, as many workers, and the ratio."""
+    """Flight seconds per second by the clock: that many bare loops at once, as many workers, and
+    the ratio.
+    """
 
     def fly_all(
         executor: ProcessExecutor, function: FlightFunction, spec: FlightSpec, count: int
@@ -164,7 +179,9 @@ def measure(
     model_form: Path | None = None,
     together: bool = False,
 ) -> dict[str, float]:
-    """Least microseconds per step of a, b and c, their ratios, and flight hours per core hour of c."""
+    """Least microseconds per step of a, b and c, their ratios, and flight hours per core
+    hour of c.
+    """
     with scratch_folder() as scratch:
         aircraft = find_aircraft(aircraft_name)
         if model_form is not None:
@@ -193,7 +210,8 @@ def _measure(
         if levels == "corner"
         else replace(spec, levels=_driver(levels), properties={"uq/active": 1.0})
     )
-    # Without a host JSBSim has only its own turbulence: that is the air of the bare loops, whatever the harness flies.
+    # Without a host JSBSim has only its own turbulence: that is the air of the bare loops, whatever
+    # the harness flies.
     bare = replace(spec, turbulence_source="jsbsim")
     with scratch_folder() as scratch:
         folder = scratch.path
@@ -273,23 +291,28 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(json.dumps(figures))
         return 0
     print(
-        f"{args.aircraft}, loiter, moderate turbulence ({args.turbulence_source}), {args.rounds} rounds of {args.duration_s:g} s"
+        f"{args.aircraft}, loiter, moderate turbulence ({args.turbulence_source}), {args.rounds}"
+        f" rounds of {args.duration_s:g} s"
     )
     print(f"  a  bare loop, plugin, air, sensors  {figures['a_us_per_step']:7.2f} us/step")
     print(
-        f"  b  the same without the plugin      {figures['b_us_per_step']:7.2f} us/step   a/b {figures['a_over_b']:.3f}"
+        f"  b  the same without the plugin      {figures['b_us_per_step']:7.2f} us/step   a/b"
+        f" {figures['a_over_b']:.3f}"
     )
     print(
-        f"  c  harness with levels, stored      {figures['c_us_per_step']:7.2f} us/step   c/a {figures['c_over_a']:.3f}"
+        f"  c  harness with levels, stored      {figures['c_us_per_step']:7.2f} us/step   c/a"
+        f" {figures['c_over_a']:.3f}"
     )
     print(
-        f"  flight hours per core hour: {figures['flight_hours_per_core_hour']:.0f} (to beat: {REFERENCE_HOURS_PER_CORE_HOUR:.0f})"
+        f"  flight hours per core hour: {figures['flight_hours_per_core_hour']:.0f} (to beat:"
+        f" {REFERENCE_HOURS_PER_CORE_HOUR:.0f})"
     )
     if args.side_by_side:
         print(
-            f"  two workers {figures['workers_2_flight_s_per_s']:.0f}, two bare loops {figures['bare_2_flight_s_per_s']:.0f} "
-            f"flight s per s by the clock: {figures['workers_2_over_bare_2']:.3f} "
-            f"(in the same air, corners: {figures['workers_2_in_the_same_air_over_bare_2']:.3f})"
+            f"  two workers {figures['workers_2_flight_s_per_s']:.0f}, two bare loops"
+            f" {figures['bare_2_flight_s_per_s']:.0f} flight s per s by the clock:"
+            f" {figures['workers_2_over_bare_2']:.3f} (in the same air, corners:"
+            f" {figures['workers_2_in_the_same_air_over_bare_2']:.3f})"
         )
     return 0
 

@@ -1,4 +1,6 @@
-"""``uqharness campaign status | report | merge | rerun``: a campaign's folder looked at, reported, put together, flown again."""
+"""``uqharness campaign status | report | merge | rerun``: a campaign's folder looked at, reported,
+put together, flown again.
+"""
 
 from __future__ import annotations
 
@@ -77,8 +79,8 @@ Writes DIR/rerun/ID/: record.parquet (all signals at 50 Hz, burn-in included), f
 
 
 MOST_SHOWN_S = 600.0
-"""Flight time that a report flies again without being asked [s]. 1800 s of the E-SPAARO take 15 s of a core, recording and
-drawing included, so these take some 5 s."""
+"""Flight time that a report flies again without being asked [s]. 1800 s of the E-SPAARO take 15 s
+of a core, recording and drawing included, so these take some 5 s."""
 
 
 def add_folder(parser: argparse.ArgumentParser) -> None:
@@ -143,7 +145,10 @@ def _status(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(found.as_dict()))
     else:
-        summary = f"{args.folder}: {found.state}, {done} of {found.cases} flights done, {failures(statuses)}"
+        summary = (
+            f"{args.folder}: {found.state}, {done} of {found.cases} flights done,"
+            f" {failures(statuses)}"
+        )
         summary += f"\nengine {engine_words(found.engine, found.why)}"
         print("\n".join([summary, *found.joint, *lines(found.answers)]))
         if found.state == "interrupted":
@@ -167,8 +172,9 @@ def _report(args: argparse.Namespace) -> int:
 
 
 def _fly_shown(folder: Path) -> list[str]:
-    """Fly the worst and the median flight again for the page's ground track; nothing where records of flights are there, and with
-    a note where that takes too long or is not possible any more. Returns the ids of the cases."""
+    """Fly the worst and the median flight again for the page's ground track; nothing where records
+    of flights are there, and with a note where that takes too long or is not possible any more.
+    Returns the ids of the cases."""
     manifest = read_manifest(folder)
     if manifest.get("state") != "complete" or any((folder / RERUN).glob("*/record.parquet")):
         return []
@@ -196,11 +202,13 @@ def _merge(args: argparse.Namespace) -> int:
         print(json.dumps(merged.as_dict()))
     else:
         print(
-            f"{merged.folder}: {done} of {merged.cases} flights from {len(merged.shards)} shards, {failures(merged.statuses)}"
+            f"{merged.folder}: {done} of {merged.cases} flights from {len(merged.shards)} shards,"
+            f" {failures(merged.statuses)}"
         )
     if merged.missing and not args.json:
         print(
-            f"{merged.missing} flights are in none of {', '.join(merged.shards)}; fly the shards that lack, then merge again",
+            f"{merged.missing} flights are in none of {', '.join(merged.shards)}; fly the shards"
+            " that lack, then merge again",
             file=sys.stderr,
         )
     return 1 if merged.missing else 0
@@ -222,7 +230,8 @@ def _rerun(args: argparse.Namespace) -> int:
         how = {True: "as stored", False: "NOT as stored", None: "not flown before"}[found.same]
         end = f" ({outcome.reason})" if outcome.reason else ""
         print(
-            f"{found.folder}: {outcome.status}{end}, {how}; {', '.join(path.name for path in files)}"
+            f"{found.folder}: {outcome.status}{end}, {how};"
+            f" {', '.join(path.name for path in files)}"
         )
         for difference in found.differences:
             print(f"  {difference}")
@@ -320,8 +329,9 @@ def _area(args: argparse.Namespace) -> int:
     else:
         for row in document["rows"]:
             print(
-                f"{row['metric']}, {row['condition']}: {row['flights']} flights, area {row['area']:.3g} outside the p-box, "
-                f"{row['beyond_chance']:.3g} beyond chance: {row['verdict']}"
+                f"{row['metric']}, {row['condition']}: {row['flights']} flights, area"
+                f" {row['area']:.3g} outside the p-box, {row['beyond_chance']:.3g} beyond chance:"
+                f" {row['verdict']}"
             )
     return int(any(item.verdict == "outside" for item in result))
 
@@ -477,4 +487,7 @@ def _salvaged_lines(found: Salvaged) -> Iterator[str]:
     yield text + (f"; damaged, under another name: {', '.join(found.aside)}" if found.aside else "")
     for name, command in _REMADE.items():
         if any(item.startswith(f"{name}.damaged-") for item in found.aside):
-            yield f"  {name}.csv is written again by: uqharness {command} {shlex.quote(str(found.folder))}"
+            yield (
+                f"  {name}.csv is written again by: uqharness {command}"
+                f" {shlex.quote(str(found.folder))}"
+            )

@@ -102,7 +102,10 @@ def _add_campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--engine",
         choices=("auto", "batch", "jsbsim"),
-        help="engine, in place of [campaign] engine; auto: batch where it understands aircraft and mission, else jsbsim",
+        help=(
+            "engine, in place of [campaign] engine; auto: batch where it understands aircraft and"
+            " mission, else jsbsim"
+        ),
     )
     add_workers(parser)
 
@@ -127,7 +130,10 @@ def add_yes(parser: argparse.ArgumentParser) -> None:
 
 
 def asked_campaign(args: argparse.Namespace) -> CampaignSpec:
-    """The campaign of ``args.campaign`` with ``--hours``, ``--samples`` and ``--engine`` in it. Raises BadInputError."""
+    """The campaign of ``args.campaign`` with ``--hours``, ``--samples`` and ``--engine`` in it.
+
+    Raises BadInputError.
+    """
     spec = read_campaign(find_campaign(args.campaign))
     engine = getattr(args, "engine", None)
     spec = spec if engine is None else spec.with_engine(engine)
@@ -145,7 +151,9 @@ def flying_command(args: argparse.Namespace, out: Path) -> list[str]:
 
 
 def tell_cost(agreed: bool, name: Path) -> Callable[[Cost], None]:
-    """What a campaign calls before it flies: refuses more than a day unless that was agreed to, and says what is ahead."""
+    """What a campaign calls before it flies: refuses more than a day unless that was agreed to, and
+    says what is ahead.
+    """
 
     def told(cost: Cost) -> None:
         refuse_if_long(cost, agreed, name)
@@ -158,7 +166,8 @@ def say_rewritten(folder: Path, names: Sequence[str]) -> None:
     """Say which files were not as they had been written."""
     for name in names:
         print(
-            f"note: {folder / name} was not as it had been written; it is written again from the journal",
+            f"note: {folder / name} was not as it had been written; it is written again from the"
+            " journal",
             file=sys.stderr,
         )
 
@@ -168,7 +177,10 @@ def failures(statuses: Mapping[str, int]) -> str:
     failed = {status: number for status, number in statuses.items() if status != "ok"}
     if not failed:
         return "none failed"
-    return f"{sum(failed.values())} failed ({', '.join(f'{number} {status}' for status, number in failed.items())})"
+    return (
+        f"{sum(failed.values())} failed"
+        f" ({', '.join(f'{number} {status}' for status, number in failed.items())})"
+    )
 
 
 def _check(args: argparse.Namespace) -> int:
@@ -202,8 +214,8 @@ def _check(args: argparse.Namespace) -> int:
         told = [f"{cost.words}{asked}", f"engine {settled.words}", *joint, *remarks]
         if cost.size.tried < cost.size.conditions:
             told.append(
-                f"{cost.size.tried} of {cost.size.conditions} conditions were tried out: each turbulence with its weakest and "
-                "strongest wind and winds between them"
+                f"{cost.size.tried} of {cost.size.conditions} conditions were tried out: each"
+                " turbulence with its weakest and strongest wind and winds between them"
             )
         print("\n".join(f"{args.campaign}: {line}" for line in told))
     return 0
@@ -293,8 +305,8 @@ def _executor(args: argparse.Namespace, stack: ExitStack) -> Executor:
     if args.dask is not None:
         if args.serial or args.workers is not None:
             raise BadInputError(
-                "--dask: the cluster's workers fly; leave out --workers and --serial, and give the number to: dask worker "
-                "--nworkers"
+                "--dask: the cluster's workers fly; leave out --workers and --serial, and give the"
+                " number to: dask worker --nworkers"
             )
         # Imported here: Dask is an extra.
         from uqharness.campaign.execution import DaskExecutor
@@ -327,6 +339,9 @@ def _sentence(summary: CampaignSummary) -> str:
         text += f", {summary.done_before} of them before this run"
     text += f", {failures(summary.statuses)}"
     if summary.cases > summary.done_before:
-        text += f"; {progress.flown_s / 3600.0:.2f} flight h in {clock(progress.elapsed_s)} on {progress.workers} workers"
+        text += (
+            f"; {progress.flown_s / 3600.0:.2f} flight h in {clock(progress.elapsed_s)} on"
+            f" {progress.workers} workers"
+        )
         text += f", {progress.hours_per_core_hour:.0f} flight h per core h, engine {summary.engine}"
     return text
