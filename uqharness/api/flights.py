@@ -31,7 +31,7 @@ from uqharness.flight import (
 )
 from uqharness.heartbeat import notebook_line
 from uqharness.plugin import with_card
-from uqharness.replay import in_free_flight, numbers_of_files, read_flight, refuse_twice
+from uqharness.replay import in_free_flight, numbers_of_files, read_flight, refuse_duplicates
 from uqharness.simulator import Aircraft, find_aircraft, find_script, read_script
 from uqharness.text_tables import Tabled
 
@@ -263,7 +263,7 @@ def read_flights(
         for path, number in zip(files, numbers, strict=True)
     ]
     hashes = [file_sha256(path) for path in files]
-    refuse_twice(files, hashes)
+    refuse_duplicates(files, hashes)
     return [
         Flight(path.stem, record, sha256)
         for path, record, sha256 in zip(files, records, hashes, strict=True)
@@ -387,7 +387,7 @@ def given_flights(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) 
             "no flight was given; at least one is needed, such as uq.read_flights(['flight.bin'],"
             " aircraft)"
         )
-    refuse_twice([flight.name for flight in found], [flight.sha256 for flight in found])
+    refuse_duplicates([flight.name for flight in found], [flight.sha256 for flight in found])
     return found
 
 

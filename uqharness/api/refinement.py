@@ -25,7 +25,7 @@ from uqharness.heartbeat import notebook_line
 from uqharness.isolation import isolated
 from uqharness.refinement import Refinement, Request
 from uqharness.refinement import run as running
-from uqharness.replay import renamed
+from uqharness.replay import unique_names
 from uqharness.report import write_report
 from uqharness.report.write import write_results
 from uqharness.simulator import Aircraft
@@ -165,7 +165,7 @@ def _files(
     loose = [flight for flight in given if not isinstance(flight, str | PathLike)]
     known = given_flights(loose, aircraft) if loose else []
     written = iter(
-        [folder / f"{name}.parquet" for name in renamed([flight.name for flight in known])]
+        [folder / f"{name}.parquet" for name in unique_names([flight.name for flight in known])]
     )
     folder.mkdir()
     found = [

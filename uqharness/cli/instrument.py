@@ -302,13 +302,11 @@ def _check_lines(check: dict[str, Any] | None) -> list[str]:
     if check is None:
         return []
     if check["status"] == "works":
-        same = (
-            f"beside the original, {check['properties']} properties are bit-identical with"
-            " uq/active 0"
+        properties, worst = check["properties"], check["worst"]
+        text = (
+            f"Check: {properties} properties are bit-identical to the original with uq/active 0;"
+            f" relative errors of force and moment increments: at most {worst:.0e}."
         )
-        return [
-            f"Check: {same}; relative errors of force and moment increments:"
-            + f" at most {check['worst']:.0e}."
-        ]
+        return [text]
     what = "WRONG" if check["status"] == "wrong" else "not made, because the original fails"
     return [f"Check: {what}: {check['reason']}."]

@@ -111,8 +111,8 @@ class NoisyFlight:
         sizes = noise_sizes(flight, aircraft.card.sensors.noise_std, residuals.cutoffs)
         std = {c: found.std for c, found in sizes.items()}
         # Rates moved by noise's probe and by rotation's are the same states: asked once.
-        model, arm = pair.around(flight), tuple(aircraft.accelerometer_m)
-        pair.ahead_near(flight, offset_records(flight.record, residuals.cutoffs), flight.pieces)
+        model, arm = pair.model_near(flight), tuple(aircraft.accelerometer_m)
+        pair.prefetch_near(flight, offset_records(flight.record, residuals.cutoffs), flight.pieces)
         noisy = with_sensor_noise(
             residuals,
             flight.record,
@@ -261,7 +261,7 @@ def make_bounds(
     Raises BadInputError when the flights are too short for any fit.
     """
     arm = aircraft.accelerometer_m
-    flights = [f.with_commands_as_felt() for f in flights] if options.ideal_servos else flights
+    flights = [f.with_smoothing_delay() for f in flights] if options.ideal_servos else flights
     with prediction_of(aircraft, measured, options.ideal_servos, options.values) as pair:
         say("residual coefficients")
         parts = [flight_residuals(pair, f, arm, options.cutoffs) for f in flights]
@@ -640,7 +640,7 @@ def validate(
         )
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
     arm = aircraft.accelerometer_m
-    flights = [f.with_commands_as_felt() for f in flights] if ideal_servos else flights
+    flights = [f.with_smoothing_delay() for f in flights] if ideal_servos else flights
     with prediction_of(aircraft, measured, ideal_servos, values) as pair:
         parts = [flight_residuals(pair, f, arm, cutoffs) for f in flights]
         residuals = together(

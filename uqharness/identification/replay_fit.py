@@ -32,8 +32,8 @@ from uqharness.replay import (
     Replay,
     ReplayModel,
     Segment,
+    SegmentStates,
     Speed,
-    StatesOf,
     altitudes,
     force_all,
     nuisance_layout,
@@ -326,7 +326,7 @@ def forced_at(
     """
     stood = surface_positions(model, cut, CONTROLS, properties)
     parts = [
-        StatesOf(segment, channels, controls, altitudes(model, segment, channels["h_m"]))
+        SegmentStates(segment, channels, controls, altitudes(model, segment, channels["h_m"]))
         for segment, channels, controls in zip(cut, every, stood, strict=True)
     ]
     out = []

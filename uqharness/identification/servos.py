@@ -188,7 +188,7 @@ def _fit(
         del fdm
         near, _ = equation_error_start(
             bench.model,
-            bench.straight,
+            bench.direct_model,
             flights,
             setup.segments,
             names,
@@ -206,7 +206,7 @@ def _fit(
         ]
         try:
             best = best_flown(bench.model, setup, points, map_)
-            fit = refit(bench.model, bench.straight, setup, best.point, names, limits, map_)
+            fit = refit(bench.model, bench.direct_model, setup, best.point, names, limits, map_)
         except np.linalg.LinAlgError:
             return None
     return _ServoFit(_log_likelihood(setup, fit.flown), lagging, _common_s(setup, fit.flown.point))

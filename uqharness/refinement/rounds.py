@@ -54,7 +54,7 @@ from uqharness.identification.linearised import fly as linearised_fly
 from uqharness.plugin import Estimate
 from uqharness.refinement.round import Round, Start, column_evidence, joint_point
 from uqharness.refinement.write_xml import Written, carrier, control_slopes, write_effects
-from uqharness.replay import CONTROLS, Flight, runs_per_row, spread_over
+from uqharness.replay import CONTROLS, Flight, batched_pool, runs_per_row
 from uqharness.simulator import Actuator, Aircraft, find_aircraft
 
 # Controls recorded late or early: one time for all of them looks like a lag in every servo, and
@@ -117,7 +117,7 @@ def joint_gain(evidence: Evidence, free: Sequence[str], keys: Sequence[str]) -> 
 
 def later(flights: Sequence[Flight], late_s: float) -> list[Flight]:
     """The flights with every command and position ``late_s`` seconds later; before the first row its value is held."""
-    return [f.with_commands_later(late_s) if late_s else f for f in flights]
+    return [f.with_delayed_commands(late_s) if late_s else f for f in flights]
 
 
 def words(late_s: float, std_s: float, dt_s: float) -> str:
@@ -368,7 +368,7 @@ def _flown(start: Start, selection: Selection, about: Round, folder: Path) -> Ro
             # What an effect did was noise to the sensors, and a filter that follows vanes late finds their scales and rates.
             found = gust_refit(
                 bench.model,
-                bench.straight,
+                bench.direct_model,
                 setup,
                 begin,
                 names,
@@ -382,7 +382,7 @@ def _flown(start: Start, selection: Selection, about: Round, folder: Path) -> Ro
             options = [begin, replace(start.before.flown.point, effects=written)]
             best = best_flown(bench.model, setup, options, start.map_)
             fit = refit(
-                bench.model, bench.straight, setup, best.point, names, start.limits, start.map_
+                bench.model, bench.direct_model, setup, best.point, names, start.limits, start.map_
             )
             cost = fit.flown.cost
     return _round_of(start, setup, fit, gusts, cost, written)
@@ -418,7 +418,7 @@ def settled(start: Start, final: Round, folder: Path) -> Round:
     limits = [start.limits.get(n, unlimited) for n in free]
     with Bench(staged, setup) as bench:
         result = fit_replays(
-            bench.model, data, free, [begun], limits, spread_over(start.map_), errors=False
+            bench.model, data, free, [begun], limits, batched_pool(start.map_), errors=False
         )
         result.replay.forget()
         estimates = result.values()
@@ -434,7 +434,7 @@ def settled(start: Start, final: Round, folder: Path) -> Round:
             return final
         fit = fit_at(
             bench.model,
-            bench.straight,
+            bench.direct_model,
             setup,
             [*start.names, *written],
             flown,

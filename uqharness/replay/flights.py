@@ -31,7 +31,13 @@ from sysid.logs import (
 from sysid.record import FlightRecord
 from sysid.units import FT_M, LBF_N
 from uqharness.errors import BadInputError
-from uqharness.replay.model import CONTROLS, ReplayFolder, control_setters, height_known, heights
+from uqharness.replay.model import (
+    CONTROLS,
+    ReplayFolder,
+    control_setters,
+    has_ground_heights,
+    heights,
+)
 from uqharness.replay.replay import CHANNELS, STATES
 from uqharness.replay.segments import Commands, Segment
 from uqharness.simulator import TRIM_LATITUDE_DEG, Aircraft, engine, with_start_altitude
@@ -56,7 +62,7 @@ def with_steps_placed(
     """Commands logged more slowly than the record's rows, their steps where the gyro saw them act,
     and by how much the gyro is late [s]: the mean over the steps that are placed, 0 where there are
     none."""
-    found: dict[str, FloatArray] = {}
+    placed_commands: dict[str, FloatArray] = {}
     notes, late, steps = [], 0.0, 0
     for column, rate in _AXIS.items():
         native = record.metadata.native_hz.get(column, 0.0)
@@ -68,17 +74,17 @@ def with_steps_placed(
         placed = place_steps(
             command, logged_rows(command, stride), record[rate], noise, record.dt_s
         )
-        found[column] = placed.command
+        placed_commands[column] = placed.command
         if placed.steps:
             late, steps = late + placed.steps * placed.late_s, steps + placed.steps
         notes.append(
             f"{column} was logged at {native:.0f} Hz: {placed.steps} of its steps are where {rate}"
             " says that they happened, and between other logged values it goes straight"
         )
-    return record.with_columns(found), notes, late / steps if steps else 0.0
+    return record.with_columns(placed_commands), notes, late / steps if steps else 0.0
 
 
-def command_later(command: FloatArray, time_s: FloatArray, late_s: float) -> FloatArray:
+def delayed_command(command: FloatArray, time_s: FloatArray, late_s: float) -> FloatArray:
     """(n,) a command ``late_s`` after its time; before the first row its value is held."""
     return np.interp(time_s - late_s, time_s, command)
 
@@ -96,7 +102,7 @@ _THROTTLES, _SPEEDS = 21, 5
 """Points of the engines' map: curves between 0 and 100 % and over the airspeeds of one flight are
 smooth.
 """
-_BEYOND, _BEYOND_SHARE = 0.02, 0.05
+_NOISE_MARGIN, _MAX_OUTSIDE_SHARE = 0.02, 0.05
 """Of the largest value: noise beyond the engines' range is cut off.
 
 Share of rows beyond it from which on it is not noise.
@@ -115,7 +121,7 @@ def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[
     column = next((c for c in SOURCES if _has(record, c)), None)
     if column is None or not _has(record, "V_mps"):
         return record, ""
-    V, wanted = record["V_mps"], record[column]
+    V, measured = record["V_mps"], record[column]
     height = record["h_m"] if _has(record, "h_m") else np.zeros(1)
     altitude = float(record.metadata.start.get("alt_m", 0.0)) + float(np.nanmedian(height))
     speeds = np.linspace(
@@ -123,20 +129,20 @@ def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[
     )
     throttles = np.linspace(0.0, 100.0, _THROTTLES)
     curves = engine_map(aircraft, column, speeds, throttles, altitude)
-    what, unit = SOURCES[column]
+    quantity, unit = SOURCES[column]
     if not np.ptp(curves) > 0.0:
         raise BadInputError(
-            f"{name}: the record has {column} and no {THROTTLE}, and {aircraft.name}'s {what} does"
+            f"{name}: the record has {column} and no {THROTTLE}, and {aircraft.name}'s {quantity} does"
             f" not change with its throttle; give the record {THROTTLE}"
         )
-    throttle = throttle_at(V, wanted, speeds, throttles, curves)
+    throttle = throttle_at(V, measured, speeds, throttles, curves)
     low, high = float(curves.min()), float(curves.max())
-    known = np.isfinite(wanted) & np.isfinite(V)
-    margin = _BEYOND * high
-    outside = (wanted[known] > high + margin) | (wanted[known] < low - margin)
-    if outside.mean() > _BEYOND_SHARE:
+    finite = np.isfinite(measured) & np.isfinite(V)
+    margin = _NOISE_MARGIN * high
+    outside = (measured[finite] > high + margin) | (measured[finite] < low - margin)
+    if outside.mean() > _MAX_OUTSIDE_SHARE:
         raise BadInputError(
-            f"{name}: {column} is {np.nanmin(wanted):.0f} to {np.nanmax(wanted):.0f} {unit}, and"
+            f"{name}: {column} is {np.nanmin(measured):.0f} to {np.nanmax(measured):.0f} {unit}, and"
             f" {aircraft.name}'s engines have {low:.0f} to {high:.0f} {unit} between no and full"
             f" throttle at {speeds[0]:.0f} to {speeds[-1]:.0f} m/s; check its unit and that it is"
             " of all engines together, or correct the engine in the aircraft's XML"
@@ -145,22 +151,26 @@ def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[
         record.with_columns({THROTTLE: throttle}),
         (
             f"{THROTTLE} was made of {column}: the throttle at which {aircraft.name}'s engines have"
-            f" the measured {what} at the measured airspeed, {np.nanmin(throttle):.0f} to"
+            f" the measured {quantity} at the measured airspeed, {np.nanmin(throttle):.0f} to"
             f" {np.nanmax(throttle):.0f} %"
         ),
     )
 
 
 def throttle_at(
-    V: FloatArray, wanted: FloatArray, speeds: FloatArray, throttles: FloatArray, curves: FloatArray
+    V: FloatArray,
+    measured: FloatArray,
+    speeds: FloatArray,
+    throttles: FloatArray,
+    curves: FloatArray,
 ) -> FloatArray:
     """(n,) throttle at airspeeds V [m/s] and values wanted (n,), NaN where either is; curves
     (speeds, throttles), cut off at the ends of the range."""
     rising = np.maximum.accumulate(curves, axis=1)
     out = np.full(len(V), np.nan)
-    for k in np.flatnonzero(np.isfinite(V) & np.isfinite(wanted)):
+    for k in np.flatnonzero(np.isfinite(V) & np.isfinite(measured)):
         curve = np.array([np.interp(V[k], speeds, column) for column in rising.T])
-        out[k] = np.interp(wanted[k], curve, throttles)
+        out[k] = np.interp(measured[k], curve, throttles)
     return out
 
 
@@ -219,7 +229,7 @@ def _has(record: FlightRecord, column: str) -> bool:
 
 MAX_RATE_HZ = 60.0
 """Most rows a second at which outputs are compared; controls act at the record's own."""
-LEAST_COMMAND_S = 0.005
+MIN_COMMAND_S = 0.005
 """Shortest time that a command is held in a replay, MAX_STEP_S of a run: those of faster records
 are averaged over it.
 """
@@ -248,13 +258,13 @@ _POSITION = {name: f"{name}_pos_deg" for name in ("elevator", "aileron", "rudder
 _JUMPING = ("ax_mps2", "ay_mps2", "az_mps2")  # with a step of a control
 LATE_S = 0.03
 """By how much a log's accelerometers may be late."""
-_START_S, _LEAST_LINE = 0.4, 6
-_CHANCE = 0.01
+_START_S, _MIN_LINE_ROWS = 0.4, 6
+_CURVED_BY_CHANCE = 0.01
 """Probability by which noise about a straight line looks bent."""
 MAX_GAP_SHARE = 0.5
-STANDING_MPS = 3.0
+MIN_FLYING_MPS = 3.0
 """Airspeed below which nothing flies: the smallest gliders need more."""
-AS_COMMANDED = 1e-3
+MAX_COMMAND_ERROR = 1e-3
 """Of its command's range: a position that is never further off is no measurement beside it."""
 
 
@@ -277,45 +287,45 @@ class Flight:
     per_row: int = 1
     half_way: bool = False
 
-    def felt_late_s(self) -> float:
+    def smoothing_delay_s(self) -> float:
         """By how much a jumping surface's command comes late for what compares it with smoothed
         rates row by row: as late as the gyro, and half a row, since at the row of its jump it
         stands half-way."""
         return self.gyro_late_s + 0.5 * self.record.dt_s
 
-    def with_commands_as_felt(self) -> Flight:
+    def with_smoothing_delay(self) -> Flight:
         """The flight with its commands `felt_late_s` later."""
-        record, late_s = self.record, self.felt_late_s()
+        record, late_s = self.record, self.smoothing_delay_s()
         moved = {
-            c: command_later(record[c], record["time_s"], late_s)
+            c: delayed_command(record[c], record["time_s"], late_s)
             for c in _COLUMN.values()
             if c in record
         }
         record = record.with_columns(moved)
         return replace(self, record=record, commands={}, per_row=1, half_way=True)
 
-    def with_commands_later(self, late_s: float) -> Flight:
+    def with_delayed_commands(self, late_s: float) -> Flight:
         """The flight with every command and position so much later [s]; before the first row its
         value is held.
 
         A command is held until the next one wherever it begins: one that then begins between two
         rows stands between them in ``commands``. A straight line from row to row would be a servo
         that is slower at first and faster then."""
-        own_s = float(self.record.dt_s) / self.per_row
-        whole = math.isclose(late_s / own_s, round(late_s / own_s), abs_tol=1e-6)
-        finer = 1 if whole else max(1, int(own_s / LEAST_COMMAND_S + 1e-6))
-        per_row, step_s = self.per_row * finer, own_s / finer
+        spacing_s = float(self.record.dt_s) / self.per_row
+        on_grid = math.isclose(late_s / spacing_s, round(late_s / spacing_s), abs_tol=1e-6)
+        finer = 1 if on_grid else max(1, int(spacing_s / MIN_COMMAND_S + 1e-6))
+        per_row, step_s = self.per_row * finer, spacing_s / finer
         between, moved = {}, {}
         for c in (*_COLUMN.values(), *_POSITION.values()):
             if c not in self.record:
                 continue
-            held = c in _COLUMN.values()
-            own = self.commands[c] if self.per_row > 1 else _filled(self.record[c])
-            fine = np.repeat(own, finer)[: (len(own) - 1) * finer + 1]
-            if not held:
-                fine = np.interp(np.arange(len(fine)), finer * np.arange(len(own)), own)
-            between[c] = command_later(fine, np.arange(0.0, len(fine)) * step_s, late_s)
-            rows = mean_ahead(between[c], per_row) if held else between[c]
+            is_command = c in _COLUMN.values()
+            values = self.commands[c] if self.per_row > 1 else _filled(self.record[c])
+            fine = np.repeat(values, finer)[: (len(values) - 1) * finer + 1]
+            if not is_command:
+                fine = np.interp(np.arange(len(fine)), finer * np.arange(len(values)), values)
+            between[c] = delayed_command(fine, np.arange(0.0, len(fine)) * step_s, late_s)
+            rows = mean_ahead(between[c], per_row) if is_command else between[c]
             moved[c] = rows[::per_row][: len(self.record)]
         return replace(
             self,
@@ -370,32 +380,32 @@ def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> F
     if record.metadata.dialect != "record":
         if record.metadata.free_flight_s:
             record = record.between(*record.metadata.free_flight_s[0])
-        elif _stands(record):
+        elif _is_on_ground(record):
             phase = next((f for f in record.metadata.findings if f.code == "flight-phase"), None)
             raise BadInputError(
                 f"{where}: {phase.message if phase else 'it never flew'}; a log with free flight is"
                 " needed (uqharness log info shows it)"
             )
-    wrong = next((f for f in record.metadata.findings if in_degrees(f)), None)
-    if wrong is not None and record.metadata.dialect == "record":
+    degrees_finding = next((f for f in record.metadata.findings if in_degrees(f)), None)
+    if degrees_finding is not None and record.metadata.dialect == "record":
         raise BadInputError(
-            f"{where}: {wrong.message}; angles and rates of a flight record are in rad and rad/s"
+            f"{where}: {degrees_finding.message}; angles and rates of a flight record are in rad and rad/s"
         )
-    named = record.metadata.aircraft
-    if named and named not in (aircraft.card.aircraft.name, aircraft.name):
+    aircraft_name = record.metadata.aircraft
+    if aircraft_name and aircraft_name not in (aircraft.card.aircraft.name, aircraft.name):
         raise BadInputError(
-            f"{where}: this record was made with the card of aircraft '{named}', not of"
+            f"{where}: this record was made with the card of aircraft '{aircraft_name}', not of"
             f" '{aircraft.card.aircraft.name}'; its surface angles follow that card: import the log"
             " again with --aircraft, or name that aircraft"
         )
     return record
 
 
-def _stands(record: FlightRecord) -> bool:
+def _is_on_ground(record: FlightRecord) -> bool:
     """Whether a record's airspeed is that of an aircraft on the ground."""
     speed = record["V_mps"] if "V_mps" in record else np.empty(0)
     speed = speed[np.isfinite(speed)]
-    return bool(len(speed)) and float(np.quantile(speed, 0.9)) < STANDING_MPS
+    return bool(len(speed)) and float(np.quantile(speed, 0.9)) < MIN_FLYING_MPS
 
 
 def measured_surfaces(records: Sequence[FlightRecord]) -> tuple[str, ...]:
@@ -404,21 +414,21 @@ def measured_surfaces(records: Sequence[FlightRecord]) -> tuple[str, ...]:
         name
         for name, column in _POSITION.items()
         if all(column in r and np.isfinite(r[column]).mean() > MAX_GAP_SHARE for r in records)
-        and not all(_same(r, column, _COLUMN[name]) for r in records)
+        and not all(_equals_command(r, column, _COLUMN[name]) for r in records)
     )
 
 
-def _same(record: FlightRecord, position: str, command: str) -> bool:
+def _equals_command(record: FlightRecord, position: str, command: str) -> bool:
     """Whether a position is its command at every row: such a surface jumps, and does not go from
     row to row in a straight line.
     """
     if command not in record:
         return False
-    asked = record[command]
-    apart = np.abs(record[position] - asked)
-    known = np.isfinite(apart)
-    travel = float(np.ptp(asked[known])) if known.any() else 0.0
-    return travel > 0.0 and bool(apart[known].max() <= AS_COMMANDED * travel)
+    commanded = record[command]
+    deviation = np.abs(record[position] - commanded)
+    finite = np.isfinite(deviation)
+    travel = float(np.ptp(commanded[finite])) if finite.any() else 0.0
+    return travel > 0.0 and bool(deviation[finite].max() <= MAX_COMMAND_ERROR * travel)
 
 
 def control_columns(measured: Sequence[str]) -> tuple[str, ...]:
@@ -445,60 +455,60 @@ def prepare(
         c for c in (*_NEEDED, *columns) if c not in record or not np.isfinite(record[c]).any()
     ]
     if missing:
-        why = (
+        reason = (
             "without the surfaces' commands or positions nothing can be replayed (import the log"
             " with --aircraft, whose card turns servo outputs into angles; thrust_N or rpm may"
             " stand for throttle_pct)"
             if set(missing) & set(columns)
             else "a replay starts from them and is compared with them"
         )
-        raise BadInputError(f"{name}: the record has no {', '.join(missing)}; {why}")
+        raise BadInputError(f"{name}: the record has no {', '.join(missing)}; {reason}")
     if len(record) < 2:
         raise BadInputError(f"{name}: the record has {len(record)} row(s)")
     commands = [c for c in columns if c not in _POSITION.values()]
-    record, bridged = bridge(record, (*_NEEDED, "alpha_rad", "beta_rad", *columns), commands)
-    record, placed, gyro_late_s = with_steps_placed(record, columns)
-    notes = [f"{name}: {text}" for text in (*bridged, *placed)]
-    together = max(1, int(LEAST_COMMAND_S / record.dt_s + 1e-6))
-    per_row = max(1, math.ceil(1.0 / (record.dt_s * together * MAX_RATE_HZ) - 1e-6))
+    record, gap_notes = bridge(record, (*_NEEDED, "alpha_rad", "beta_rad", *columns), commands)
+    record, step_notes, gyro_late_s = with_steps_placed(record, columns)
+    notes = [f"{name}: {text}" for text in (*gap_notes, *step_notes)]
+    averaged_rows = max(1, int(MIN_COMMAND_S / record.dt_s + 1e-6))
+    per_row = max(1, math.ceil(1.0 / (record.dt_s * averaged_rows * MAX_RATE_HZ) - 1e-6))
     between: dict[str, FloatArray] = {}
-    if (step := together * per_row) > 1:
+    if (step := averaged_rows * per_row) > 1:
         notes.append(
             f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used; controls act"
             " at all rows"
         )
-        record, between = _thinned(record, together, per_row)
+        record, between = _thinned(record, averaged_rows, per_row)
     if 1.0 / record.dt_s < 9.5:
         raise BadInputError(
             f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees"
             " neither short period nor roll"
         )
-    record, moved = _aligned(record, align or bool(record.metadata.native_hz))
-    notes += [f"{name}: {text}" for text in moved]
-    pieces, how = cut(record, (*_NEEDED, *columns), min_s, max_s)
+    record, alignment_notes = _aligned(record, align or bool(record.metadata.native_hz))
+    notes += [f"{name}: {text}" for text in alignment_notes]
+    pieces, cut_note = cut(record, (*_NEEDED, *columns), min_s, max_s)
     if not pieces:
         raise BadInputError(
             f"{name}: no stretch of {min_s:g} s has all of {', '.join((*_NEEDED, *columns))}"
-            f" without a gap{_lost(record, columns)}; nothing can be replayed"
+            f" without a gap{_describe_gaps(record, columns)}; nothing can be replayed"
         )
     notes.append(
-        f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s; {how}"
+        f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s; {cut_note}"
     )
     return Flight(name, record, tuple(pieces), tuple(notes), gyro_late_s, between, per_row)
 
 
 def _thinned(
-    record: FlightRecord, together: int, per_row: int
+    record: FlightRecord, averaged_rows: int, per_row: int
 ) -> tuple[FlightRecord, dict[str, FloatArray]]:
     """Rows at which outputs are compared, and the controls with ``per_row`` values from one to the
-    next, each the mean of ``together`` of the record's own (a position: its value)."""
+    next, each the mean of ``averaged_rows`` of the record's own (a position: its value)."""
     mask = np.zeros(len(record), dtype=bool)
-    mask[:: together * per_row] = True
+    mask[:: averaged_rows * per_row] = True
     commands = [c for c in _COLUMN.values() if c in record]
-    between = {c: _filled(mean_ahead(record[c], together)[::together]) for c in commands}
-    between |= {c: _filled(record[c][::together]) for c in _POSITION.values() if c in record}
-    held = {c: mean_ahead(record[c], together * per_row) for c in commands}
-    return record.with_columns(held).rows(mask), between
+    between = {c: _filled(mean_ahead(record[c], averaged_rows)[::averaged_rows]) for c in commands}
+    between |= {c: _filled(record[c][::averaged_rows]) for c in _POSITION.values() if c in record}
+    mean_commands = {c: mean_ahead(record[c], averaged_rows * per_row) for c in commands}
+    return record.with_columns(mean_commands).rows(mask), between
 
 
 def _filled(values: FloatArray) -> FloatArray:
@@ -507,7 +517,7 @@ def _filled(values: FloatArray) -> FloatArray:
     return np.asarray(values[last], dtype=np.float64)
 
 
-def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
+def _describe_gaps(record: FlightRecord, columns: Sequence[str]) -> str:
     """What breaks a record up, in words: the channel that lacks most samples, and how many rows
     come late.
     """
@@ -568,8 +578,8 @@ def segments(
         begins = [_start(record, name, rows) for name in STATES]
         h = float(states(flight, piece)["h_m"][0])
         between = flight.commands_in(rows, control_columns(measured))
-        asked = flight.commands_in(rows, [_COLUMN[c] for c in CONTROLS])
-        commands = None if between is None else Commands(flight.per_row, between, asked)
+        target_commands = flight.commands_in(rows, [_COLUMN[c] for c in CONTROLS])
+        commands = None if between is None else Commands(flight.per_row, between, target_commands)
         out.append(
             Segment(
                 piece.label,
@@ -580,8 +590,8 @@ def segments(
                 _altitude(record, rows, h),
                 h,
                 arm_m,
-                np.column_stack([_command(record, c, rows) for c in CONTROLS]),
-                height_known(record),
+                np.column_stack([_command_column(record, c, rows) for c in CONTROLS]),
+                has_ground_heights(record),
                 commands,
                 _commands_before(flight, rows.start, control_columns(measured)),
                 np.array([b.reach for b in begins]),
@@ -599,20 +609,20 @@ def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> Floa
     gaps = np.flatnonzero(np.diff(record["time_s"][begin : first + 1]) > 1.5 * record.dt_s)
     begin += int(gaps[-1]) + 1 if len(gaps) else 0
     between = flight.commands_in(slice(begin, first + 1), columns)
-    known = (
+    values = (
         np.column_stack([record[c][begin : first + 1] for c in columns])
         if between is None
         else between
     )
-    lost = np.flatnonzero(~np.isfinite(known[:-1]).all(axis=1))
-    known = known[lost[-1] + 1 if len(lost) else 0 : -1]
-    return known if len(known) else None
+    missing_rows = np.flatnonzero(~np.isfinite(values[:-1]).all(axis=1))
+    values = values[missing_rows[-1] + 1 if len(missing_rows) else 0 : -1]
+    return values if len(values) else None
 
 
-def _command(record: FlightRecord, control: str, rows: slice) -> FloatArray:
+def _command_column(record: FlightRecord, control: str, rows: slice) -> FloatArray:
     column = _COLUMN[control]
-    known = record[column][rows] if column in record else np.full(rows.stop - rows.start, np.nan)
-    return np.asarray(known, dtype=np.float64)
+    values = record[column][rows] if column in record else np.full(rows.stop - rows.start, np.nan)
+    return np.asarray(values, dtype=np.float64)
 
 
 def _unwrapped(name: str, values: FloatArray) -> FloatArray:
@@ -621,8 +631,8 @@ def _unwrapped(name: str, values: FloatArray) -> FloatArray:
     """
     out = np.array(values, dtype=np.float64)
     if name == "psi_rad":
-        good = np.isfinite(out)
-        out[good] = np.unwrap(out[good])
+        finite = np.isfinite(out)
+        out[finite] = np.unwrap(out[finite])
     return out
 
 
@@ -651,11 +661,11 @@ def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
         return _Start(0.0, 0.0)
     first = values[at]
     value, n = float(first[0]), len(at)
-    while n >= _LEAST_LINE:
-        line, straight = _polynomial_at_zero(at[:n], first[:n], 1)
-        _, bent = _polynomial_at_zero(at[:n], first[:n], 3)
+    while n >= _MIN_LINE_ROWS:
+        line, line_sse = _polynomial_at_zero(at[:n], first[:n], 1)
+        _, cubic_sse = _polynomial_at_zero(at[:n], first[:n], 3)
         # Of F's distribution with 2 degrees of freedom above, n - 4 below.
-        if bent >= straight * _CHANCE ** (2.0 / (n - 4)):
+        if cubic_sse >= line_sse * _CURVED_BY_CHANCE ** (2.0 / (n - 4)):
             value = line
             break
         n //= 2
@@ -668,8 +678,8 @@ def _polynomial_at_zero(
     """Fit a polynomial; its value at row 0, and the sum of squares that it leaves."""
     basis = (at / at[-1])[:, None] ** np.arange(degree + 1)
     coefficients = np.linalg.lstsq(basis, values, rcond=None)[0]
-    left = values - basis @ coefficients
-    return float(coefficients[0]), float(left @ left)
+    residual = values - basis @ coefficients
+    return float(coefficients[0]), float(residual @ residual)
 
 
 def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
@@ -725,17 +735,17 @@ def states(flight: Flight, piece: Piece) -> Mapping[str, FloatArray]:
             if name in flight.record
             else np.zeros(0)
         )
-        good = np.isfinite(values)
-        if not good.any():
+        finite = np.isfinite(values)
+        if not finite.any():
             values = np.zeros(piece.rows.stop - piece.rows.start)
-        elif not good.all():
+        elif not finite.all():
             at = np.arange(len(values))
-            values = np.interp(at, at[good], values[good])
+            values = np.interp(at, at[finite], values[finite])
         out[name] = values
     return {**out, "h_m": heights(out, flight.record.dt_s)} if out["h_m"].any() else out
 
 
-def renamed(names: Sequence[str]) -> list[str]:
+def unique_names(names: Sequence[str]) -> list[str]:
     """File stems made unique, so that reports distinguish every flight."""
     out: list[str] = []
     for name in names:
@@ -762,7 +772,7 @@ def read_flights(
     flight_numbers: which boot of each file is read, one number for all files or one a file; the
     longest flight by default."""
     numbers = numbers_of_files(flight_numbers, len(paths))
-    refuse_twice(paths, [file_sha256(path) if path.is_file() else str(path) for path in paths])
+    refuse_duplicates(paths, [file_sha256(path) if path.is_file() else str(path) for path in paths])
     records = [
         read_flight(path, aircraft, manoeuvres, map_path, number)
         for path, number in zip(paths, numbers, strict=True)
@@ -785,16 +795,16 @@ def numbers_of_files(flight_numbers: Sequence[int], files: int) -> list[int | No
     return [*flight_numbers] * (files if len(flight_numbers) == 1 else 1)
 
 
-def refuse_twice(names: Sequence[object], hashes: Sequence[str]) -> None:
+def refuse_duplicates(names: Sequence[object], hashes: Sequence[str]) -> None:
     """BadInputError for a flight that is given twice; ``names`` say which, ``hashes`` are of their
     content.
     """
-    twice = next(
+    duplicate = next(
         (name for name, digest in zip(names, hashes, strict=True) if hashes.count(digest) > 1), None
     )
-    if twice is not None:
+    if duplicate is not None:
         raise BadInputError(
-            f"flight {twice} is given more than once: its noise would count as if it were measured"
+            f"flight {duplicate} is given more than once: its noise would count as if it were measured"
             " anew"
         )
 
@@ -814,20 +824,20 @@ def prepare_together(
     measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
     placed = [with_start_altitude(record, aircraft.folder) for record in records]
     flights = []
-    for name, (record, said) in zip(renamed(names), placed, strict=True):
-        driven, how = with_throttle(record, aircraft, name)
+    for name, (record, altitude_note) in zip(unique_names(names), placed, strict=True):
+        with_controls, throttle_note = with_throttle(record, aircraft, name)
         choices = [
             f"{name}: {f.message}"
             for f in record.metadata.findings
             if f.code == "clock-restart" or (f.code == "sensor-choice" and f.severity != "info")
         ]
-        flight = prepare(name, driven, measured, min_s, max_s, align)
+        flight = prepare(name, with_controls, measured, min_s, max_s, align)
         flights.append(
             replace(
                 flight,
                 notes=(
                     *choices,
-                    *(f"{name}: {text}" for text in (said, how) if text),
+                    *(f"{name}: {text}" for text in (altitude_note, throttle_note) if text),
                     *flight.notes,
                 ),
             )

@@ -33,15 +33,15 @@ from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS, TRIM_LATITUDE_DEG, b
 # interruption gets the same digits.
 
 _LOG = logging.getLogger("uqharness")
-WORTH_ROWS = 2_000
+MIN_BATCH_STATES = 2_000
 """States asked for at once from which on the aircraft is translated and compiled, for which JSBSim
 answers some 12,000. Who asks for the states of a whole flight asks several times; tests, trims and
 start states ask for fewer."""
-AGREES = 1e-6
+TOLERANCE = 1e-6
 """Largest difference of a force or moment between the engines, in units of its largest size among
 the states compared.
 """
-_COMPARED, _KEPT, _LEVEL_M = 9, 8, 1000.0
+_COMPARED_STATES, _MAX_PROGRAMS, _LEVEL_M = 9, 8, 1000.0
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class States:
     altitude_m: FloatArray
     terrain_m: FloatArray
 
-    def some(self, rows: FloatArray) -> States:
+    def subset(self, rows: FloatArray) -> States:
         """Those of some rows."""
         motion = {name: np.asarray(value)[rows] for name, value in self.motion.items()}
         return States(motion, self.controls[rows], self.altitude_m[rows], self.terrain_m[rows])
@@ -77,40 +77,40 @@ class States:
 
 
 @dataclass
-class _Known:
+class _CachedProgram:
     """program: None until it is worth one, and where JSBSim is to answer (``refused``)."""
 
     program: StateProgram | None = None
     refused: bool = False
 
 
-_known: LRUCache[str, _Known] = LRUCache(_KEPT)
+_cached_programs: LRUCache[str, _CachedProgram] = LRUCache(_MAX_PROGRAMS)
 
 
 def by_batch(
     model: ReplayModel,
-    asked: States,
+    states: States,
     dt_s: float,
     properties: Mapping[str, float],
     records: Sequence[str],
     by_jsbsim: Callable[[States], FloatArray],
 ) -> FloatArray | None:
     """(n, records) at the states, None where JSBSim is to answer. ``by_jsbsim`` answers for it."""
-    known = _known.setdefault(model.identity, _Known())
-    if known.refused or len(asked.controls) < WORTH_ROWS:
+    entry = _cached_programs.setdefault(model.identity, _CachedProgram())
+    if entry.refused or len(states.controls) < MIN_BATCH_STATES:
         return None
-    names = {*properties, *(known.program.given if known.program is not None else ())}
-    if known.program is None or not names <= set(known.program.given):
-        known.program = _judged(
-            model, asked, dt_s, properties, by_jsbsim, _made(model, dt_s, names, records)
+    names = {*properties, *(entry.program.given if entry.program is not None else ())}
+    if entry.program is None or not names <= set(entry.program.given):
+        entry.program = _verified(
+            model, states, dt_s, properties, by_jsbsim, _compile(model, dt_s, names, records)
         )
-        known.refused = known.program is None
+        entry.refused = entry.program is None
     return (
-        None if known.program is None else _answered(known.program, model, asked, dt_s, properties)
+        None if entry.program is None else _evaluate(entry.program, model, states, dt_s, properties)
     )
 
 
-def _made(
+def _compile(
     model: ReplayModel, dt_s: float, names: set[str], records: Sequence[str]
 ) -> StateProgram | None:
     if batch.available() is not None:
@@ -132,9 +132,9 @@ def _made(
         return None
 
 
-def _judged(
+def _verified(
     model: ReplayModel,
-    asked: States,
+    states: States,
     dt_s: float,
     properties: Mapping[str, float],
     by_jsbsim: Callable[[States], FloatArray],
@@ -143,55 +143,60 @@ def _judged(
     """The program, if it answers as JSBSim does."""
     if program is None:
         return None
-    some = asked.some(np.unique(np.linspace(0, len(asked.controls) - 1, _COMPARED).astype(int)))
-    ours, theirs = _answered(program, model, some, dt_s, properties), by_jsbsim(some)
-    apart = float(np.max(np.abs(ours - theirs) / np.maximum(np.abs(theirs).max(axis=0), 1e-3)))
-    if apart <= AGREES:
+    subset = states.subset(
+        np.unique(np.linspace(0, len(states.controls) - 1, _COMPARED_STATES).astype(int))
+    )
+    from_batch, from_jsbsim = _evaluate(program, model, subset, dt_s, properties), by_jsbsim(subset)
+    difference = float(
+        np.max(np.abs(from_batch - from_jsbsim) / np.maximum(np.abs(from_jsbsim).max(axis=0), 1e-3))
+    )
+    if difference <= TOLERANCE:
         return program
     _LOG.warning(
-        "states are forced upon JSBSim: the batch engine differs by %.1g of a force's size", apart
+        "states are forced upon JSBSim: the batch engine differs by %.1g of a force's size",
+        difference,
     )
     return None
 
 
-def _answered(
+def _evaluate(
     program: StateProgram,
     model: ReplayModel,
-    asked: States,
+    states: States,
     dt_s: float,
     properties: Mapping[str, float],
 ) -> FloatArray:
     V, alpha, beta = (
-        np.asarray(asked.motion[name], dtype=float) for name in ("V_mps", "alpha_rad", "beta_rad")
+        np.asarray(states.motion[name], dtype=float) for name in ("V_mps", "alpha_rad", "beta_rad")
     )
     n = len(V)
     # At one latitude geodetic height goes with height above sea level in a straight line, to 1e-9
     # of it below 3 km.
     (latitude, at_sea), (_, at_top) = (level_of(model, level) for level in (0.0, _LEVEL_M))
-    height = at_sea + (at_top - at_sea) / _LEVEL_M * asked.altitude_m
+    height = at_sea + (at_top - at_sea) / _LEVEL_M * states.altitude_m
     conditions = {
         "ic/lat-geod-rad": np.full(n, latitude),
         "ic/long-gc-rad": np.zeros(n),
         "ic/geod-alt-ft": height,
-        "ic/phi-rad": asked.motion["phi_rad"],
-        "ic/theta-rad": asked.motion["theta_rad"],
+        "ic/phi-rad": states.motion["phi_rad"],
+        "ic/theta-rad": states.motion["theta_rad"],
         "ic/psi-true-rad": np.zeros(n),
         "ic/u-fps": V * np.cos(alpha) * np.cos(beta) / FT_M,
         "ic/v-fps": V * np.sin(beta) / FT_M,
         "ic/w-fps": V * np.sin(alpha) * np.cos(beta) / FT_M,
-        "ic/p-rad_sec": asked.motion["p_radps"],
-        "ic/q-rad_sec": asked.motion["q_radps"],
-        "ic/r-rad_sec": asked.motion["r_radps"],
+        "ic/p-rad_sec": states.motion["p_radps"],
+        "ic/q-rad_sec": states.motion["q_radps"],
+        "ic/r-rad_sec": states.motion["r_radps"],
     }
     return batch.at_states(
-        program, conditions, asked.terrain_m / FT_M, dt_s, asked.controls, properties
+        program, conditions, states.terrain_m / FT_M, dt_s, states.controls, properties
     )
 
 
 _FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")
 _MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a in "lmn")
 _RECORDS = (*_FORCES, *_MOMENTS, "aero/qbar-psf")
-_WEIGHED = 8
+_MAX_MASSES = 8
 
 
 @dataclass(frozen=True)
@@ -221,7 +226,7 @@ class ForcedModel:
 
 
 @dataclass(frozen=True)
-class StatesOf:
+class SegmentStates:
     """States of one segment to be forced: V, alpha, beta, phi, theta, p, q, r (n,) each; controls
     (n, c) [record units]; altitude_m (n,) above sea level, default the segment's throughout."""
 
@@ -230,7 +235,7 @@ class StatesOf:
     controls: FloatArray
     altitude_m: FloatArray | None = None
 
-    def asked(self, model: ReplayModel) -> States:
+    def to_states(self, model: ReplayModel) -> States:
         """With controls in their properties' units, over ground that none of the states is
         below.
         """
@@ -249,17 +254,17 @@ def force_states(
     altitude_m: FloatArray | None = None,
 ) -> ForcedModel:
     """`force_all` of one segment's states."""
-    return force_all(model, [StatesOf(segment, states, controls, altitude_m)], properties)[0]
+    return force_all(model, [SegmentStates(segment, states, controls, altitude_m)], properties)[0]
 
 
 def force_all(
     model: ReplayModel,
-    parts: Sequence[StatesOf],
+    parts: Sequence[SegmentStates],
     properties: Mapping[str, float],
-    map_: Processes = ALONE,
+    pool: Processes = ALONE,
 ) -> list[ForcedModel]:
     """What the model says of several sets of states, those of one time step asked for at once.
-    Where JSBSim answers, ``map_`` spreads the sets.
+    Where JSBSim answers, ``pool`` spreads the sets.
 
     ``model`` must pass its controls straight through (`ReplayFolder` with every control ideal): a
     lag would remember the state before. Raises BadInputError."""
@@ -270,38 +275,38 @@ def force_all(
         places = [k for k, step in enumerate(steps) if step == dt_s]
         out |= zip(
             places,
-            _of_step(model, [parts[k].asked(model) for k in places], dt_s, properties, map_),
+            _force_step(model, [parts[k].to_states(model) for k in places], dt_s, properties, pool),
             strict=True,
         )
     return [out[k] for k in range(len(parts))]
 
 
-def _of_step(
+def _force_step(
     model: ReplayModel,
-    every: Sequence[States],
+    state_sets: Sequence[States],
     dt_s: float,
     properties: Mapping[str, float],
-    map_: Processes,
+    pool: Processes,
 ) -> list[ForcedModel]:
-    def by_jsbsim(some: States) -> FloatArray:
-        return _by_jsbsim((model, dt_s, properties, some))
+    def by_jsbsim(subset: States) -> FloatArray:
+        return _by_jsbsim((model, dt_s, properties, subset))
 
-    raw = by_batch(model, States.of(every), dt_s, properties, _RECORDS, by_jsbsim)
+    raw = by_batch(model, States.of(state_sets), dt_s, properties, _RECORDS, by_jsbsim)
     if raw is None:
         raw = np.concatenate(
-            list(map_(_by_jsbsim, [(model, dt_s, properties, states) for states in every]))
+            list(pool(_by_jsbsim, [(model, dt_s, properties, states) for states in state_sets]))
         )
     mass = _mass_of(model, dt_s, properties)
-    edges = np.cumsum([0, *(len(part.controls) for part in every)])
-    return [_said(raw[a:b], mass) for a, b in pairwise(edges.tolist())]
+    edges = np.cumsum([0, *(len(part.controls) for part in state_sets)])
+    return [_forced_model(raw[a:b], mass) for a, b in pairwise(edges.tolist())]
 
 
 def _by_jsbsim(job: tuple[ReplayModel, float, Mapping[str, float], States]) -> FloatArray:
     model, dt_s, properties, states = job
-    return _forced(_opened(model, dt_s, properties), model, states)
+    return _force_in_jsbsim(_open(model, dt_s, properties), model, states)
 
 
-def _said(raw: FloatArray, mass: MassProperties) -> ForcedModel:
+def _forced_model(raw: FloatArray, mass: MassProperties) -> ForcedModel:
     total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
     total_moment, aero_moment = raw[:, 6:9] * LBF_FT_NM, raw[:, 9:12] * LBF_FT_NM
     return ForcedModel(
@@ -309,7 +314,7 @@ def _said(raw: FloatArray, mass: MassProperties) -> ForcedModel:
     )
 
 
-def _opened(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> Any:
+def _open(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> Any:
     fdm = model.open(dt_s)
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
@@ -317,17 +322,17 @@ def _opened(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) ->
 
 
 @cached(
-    LRUCache(_WEIGHED),
+    LRUCache(_MAX_MASSES),
     key=lambda model, dt_s, properties: (model.identity, *sorted(properties.items())),
 )
 def _mass_of(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> MassProperties:
     """Mass properties of a model."""
-    fdm = _opened(model, dt_s, properties)
+    fdm = _open(model, dt_s, properties)
     engine.run_ic(fdm)
     return mass_properties(fdm, model)
 
 
-def _forced(fdm: Any, model: ReplayModel, asked: States) -> FloatArray:
+def _force_in_jsbsim(fdm: Any, model: ReplayModel, states: States) -> FloatArray:
     """(n, records) at n states, one after the other."""
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
@@ -347,33 +352,33 @@ def _forced(fdm: Any, model: ReplayModel, asked: States) -> FloatArray:
         "q-rad_sec",
         "r-rad_sec",
     )
-    put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in names]
+    state_setters = [engine.handle(fdm, f"ic/{name}").set_double_value for name in names]
     get = [engine.handle(fdm, name).get_double_value for name in _RECORDS]
     rates = [
         engine.handle(fdm, f"aero/{name}dot-rad_sec").get_double_value for name in ("alpha", "beta")
     ]
-    raw, states = np.empty((len(asked.controls), len(get))), asked.motion
+    raw, motion = np.empty((len(states.controls), len(get))), states.motion
     for k in range(len(raw)):
-        for handles, value in zip(setters, asked.controls[k], strict=True):
+        for handles, value in zip(setters, states.controls[k], strict=True):
             for setter in handles:
                 setter(float(value))
         u, v, w = body_velocity(
-            float(states["V_mps"][k]), float(states["alpha_rad"][k]), float(states["beta_rad"][k])
+            float(motion["V_mps"][k]), float(motion["alpha_rad"][k]), float(motion["beta_rad"][k])
         )
         state = (
-            asked.altitude_m[k] / FT_M,
-            states["phi_rad"][k],
-            states["theta_rad"][k],
+            states.altitude_m[k] / FT_M,
+            motion["phi_rad"][k],
+            motion["theta_rad"][k],
             0.0,
             u / FT_M,
             v / FT_M,
             w / FT_M,
-            states["p_radps"][k],
-            states["q_radps"][k],
-            states["r_radps"][k],
+            motion["p_radps"][k],
+            motion["q_radps"][k],
+            motion["r_radps"][k],
         )
-        terrain(float(asked.terrain_m[k]) / FT_M)
-        for setter, value in zip(put, state, strict=True):
+        terrain(float(states.terrain_m[k]) / FT_M)
+        for setter, value in zip(state_setters, state, strict=True):
             setter(float(value))
         if not fdm.run_ic():
             raise engine.RuntimeFailure(f"JSBSim could not take the state of sample {k}")
@@ -388,16 +393,16 @@ def _forced(fdm: Any, model: ReplayModel, asked: States) -> FloatArray:
 def _settle_rates(fdm: Any, alphadot: Callable[[], float], betadot: Callable[[], float]) -> None:
     # JSBSim takes alphadot and betadot from the accelerations of the frame before: of another
     # state, when states are forced.
-    before, moved = (alphadot(), betadot()), float("inf")
+    previous, change = (alphadot(), betadot()), float("inf")
     for _ in range(MOST_FRAMES):
         engine.renew_forces(fdm)
-        now, last = (alphadot(), betadot()), moved
-        moved = abs(now[0] - before[0]) + abs(now[1] - before[1])
+        current, last_change = (alphadot(), betadot()), change
+        change = abs(current[0] - previous[0]) + abs(current[1] - previous[1])
         # A force that outgrows the acceleration that it is a part of settles nowhere, and no frame
         # of it is better than another.
-        if moved < SETTLED_RADPS or not moved < last:
+        if change < SETTLED_RADPS or not change < last_change:
             return
-        before = now
+        previous = current
 
 
 def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:

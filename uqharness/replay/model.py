@@ -104,15 +104,15 @@ class ReplayModel:
                 out[..., column] = np.interp(controls[..., column], *throw)
         return out
 
-    def fed(self) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    def control_properties(self) -> tuple[tuple[str, ...], tuple[int, ...]]:
         """Properties that the controls set, and the place in ``controls`` of the one that sets
         each: JSBSim's throttle is that of every engine."""
         names, places = [], []
         for place, control in enumerate(self.controls):
             prop = self.card.inputs[control].property
-            further = range(1, self.engines) if prop == THROTTLE else ()
-            names += [prop, *(f"{prop}[{k}]" for k in further)]
-            places += [place] * (1 + len(further))
+            engine_numbers = range(1, self.engines) if prop == THROTTLE else ()
+            names += [prop, *(f"{prop}[{k}]" for k in engine_numbers)]
+            places += [place] * (1 + len(engine_numbers))
         return tuple(names), tuple(places)
 
     def open(self, dt_s: float) -> Any:
@@ -165,7 +165,7 @@ class ReplayFolder:
         self._scratch = scratch_folder("replay")
         staging = stage(aircraft, self._scratch.path)
         copy, card = staging.folder, aircraft.card
-        lagging, servos = _edit(copy, aircraft.xml.name, card, (*measured, *ideal))
+        lagging, servos = _strip_dynamics(copy, aircraft.xml.name, card, (*measured, *ideal))
         self.model = ReplayModel(
             staging,
             card,
@@ -175,8 +175,8 @@ class ReplayFolder:
             tuple(c for c in controls if card.inputs[c].position in lagging),
             {c: lagging[p] for c in controls if (p := card.inputs[c].position) in lagging},
             dict(settings or {}),
-            near_ground=_asks_for(_HEIGHT, copy),
-            by_rates=_asks_for(_RATES, copy),
+            near_ground=_xml_mentions(_HEIGHT, copy),
+            by_rates=_xml_mentions(_RATES, copy),
             identity=repr(
                 (
                     content_hash(aircraft),
@@ -207,7 +207,7 @@ class ReplayFolder:
         self._scratch.close()
 
 
-def _asks_for(names: re.Pattern[str], folder: Path) -> bool:
+def _xml_mentions(names: re.Pattern[str], folder: Path) -> bool:
     """Whether any XML of an aircraft's folder has one of such property names."""
     texts = (
         p.read_bytes().decode("utf-8", errors="replace") for p in sorted(folder.rglob("*.xml"))
@@ -238,7 +238,7 @@ def _throws(
     """For every control its positions [deg] and commands over the travel, None where a factor
     serves.
     """
-    found: list[tuple[tuple[float, ...], tuple[float, ...]] | None] = []
+    throws: list[tuple[tuple[float, ...], tuple[float, ...]] | None] = []
     for control in model.controls:
         card = model.card.inputs[control]
         if (
@@ -247,15 +247,15 @@ def _throws(
             or card.unit != "norm"
             or card.position is None
         ):
-            found.append(None)
+            throws.append(None)
             continue
         commands = np.linspace(*card.limits, 41)
         fdm = model.open(dt_s)
-        (put,) = control_setters(fdm, replace(model, controls=(control,)))[0]
+        (set_command,) = control_setters(fdm, replace(model, controls=(control,)))[0]
         read = engine.handle(fdm, card.position).get_double_value
         positions = np.empty(len(commands))
         for k, command in enumerate(commands):
-            put(float(command))
+            set_command(float(command))
             # Twice: a property in degrees may be made of the radians of the frame before.
             engine.run_ic(fdm)
             engine.run_ic(fdm)
@@ -264,14 +264,16 @@ def _throws(
         rising = bool((step >= 0.0).all()) and positions[-1] > positions[0]
         if rising or ((step <= 0.0).all() and positions[-1] < positions[0]):
             order = np.argsort(positions, kind="stable")
-            kept = order[np.append(True, np.diff(positions[order]) > 0.0)]
-            found.append((tuple(positions[kept].tolist()), tuple(commands[kept].tolist())))
+            increasing = order[np.append(True, np.diff(positions[order]) > 0.0)]
+            throws.append(
+                (tuple(positions[increasing].tolist()), tuple(commands[increasing].tolist()))
+            )
         else:
-            found.append(None)
-    return tuple(found)
+            throws.append(None)
+    return tuple(throws)
 
 
-def _edit(
+def _strip_dynamics(
     folder: Path, main: str, card: Card, direct: Sequence[str]
 ) -> tuple[dict[str | None, tuple[str, str]], tuple[str, ...]]:
     """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every
@@ -281,9 +283,9 @@ def _edit(
     unit. Returns the positions whose actuators keep a lag, with that lag and rate limit, and the
     properties that actuators' numbers are."""
     lagging: dict[str | None, tuple[str, str]] = {}
-    read: set[str] = set()
+    number_properties: set[str] = set()
     surfaces = {
-        _surface(position): position
+        _without_unit(position): position
         for entry in card.inputs.values()
         if (position := entry.position) is not None
     }
@@ -298,12 +300,16 @@ def _edit(
                     root.remove(system)
                     changed = True
         for actuator in root.iter("actuator"):
-            moved = [
+            output_names = [
                 str(actuator.get("name")),
                 *((o.text or "").strip() for o in actuator.findall("output")),
             ]
-            known = {surfaces[_surface(name)] for name in moved if _surface(name) in surfaces}
-            if known & positions:
+            moved_positions = {
+                surfaces[_without_unit(name)]
+                for name in output_names
+                if _without_unit(name) in surfaces
+            }
+            if moved_positions & positions:
                 for kind in _ACTUATOR_DYNAMICS:
                     for element in actuator.findall(kind):
                         actuator.remove(element)
@@ -312,21 +318,21 @@ def _edit(
                 # A rate limit counts in the unit of the actuator's own output.
                 texts = [(actuator.findtext(kind) or "").strip() for kind in ("lag", "rate_limit")]
                 lagging |= {
-                    position: (texts[0], texts[1] if position in moved else "")
-                    for position in known
+                    position: (texts[0], texts[1] if position in output_names else "")
+                    for position in moved_positions
                 }
             numbers = (
                 (e.text or "").strip()
                 for kind in _ACTUATOR_DYNAMICS
                 for e in actuator.findall(kind)
             )
-            read |= {text for text in numbers if "/" in text}
+            number_properties |= {text for text in numbers if "/" in text}
         if changed:
             tree.write(str(path), encoding="UTF-8", xml_declaration=True)
-    return lagging, tuple(sorted(read))
+    return lagging, tuple(sorted(number_properties))
 
 
-def _surface(name: str) -> str:
+def _without_unit(name: str) -> str:
     """A position property without its unit: one surface has several."""
     return re.sub(r"-(deg|rad|norm)$", "", name if "/" in name else f"fcs/{name}")
 
@@ -365,7 +371,7 @@ def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
     """For every control of the model the setters of its properties: one, or JSBSim's throttle of
     every engine.
     """
-    found = []
+    setters = []
     for name in model.controls:
         prop = model.card.inputs[name].property
         handles = [engine.handle(fdm, prop).set_double_value]
@@ -374,8 +380,8 @@ def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
             handles += [
                 engine.handle(fdm, f"{prop}[{i}]").set_double_value for i in range(1, engines)
             ]
-        found.append(handles)
-    return found
+        setters.append(handles)
+    return setters
 
 
 # How far the ground is in a replay: as recorded where the aircraft's aerodynamics ask for it,
@@ -386,13 +392,13 @@ def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
 
 OUT_OF_REACH_M = 2000.0
 _BEGINNING_S, _ZERO_M, _AT_REST_MPS = 0.5, 0.5, 5.0
-_ABOUT_S = 4.0
+_HALF_WINDOW_S = 4.0
 """Heights within this time of a row say how high it is: of a barometer's noise of 1.5 m at 50 Hz .1
 m is left, at an end .2 m.
 """
 
 
-def height_known(record: FlightRecord) -> bool:
+def has_ground_heights(record: FlightRecord) -> bool:
     """Whether a record's heights are above the ground: it starts elsewhere than at its zero, or at
     rest.
     """
@@ -402,8 +408,8 @@ def height_known(record: FlightRecord) -> bool:
         or not np.nanmedian(record["h_m"]) > 0.0
     ):
         return False
-    begun = slice(0, max(1, round(_BEGINNING_S / record.dt_s)))
-    first = {c: np.array(record[c][begun]) for c in ("h_m", "V_mps") if c in record}
+    beginning = slice(0, max(1, round(_BEGINNING_S / record.dt_s)))
+    first = {c: np.array(record[c][beginning]) for c in ("h_m", "V_mps") if c in record}
     low = {c: float(np.median(v[np.isfinite(v)])) for c, v in first.items() if np.isfinite(v).any()}
     return abs(low.get("h_m", 0.0)) > _ZERO_M or low.get("V_mps", np.inf) < _AT_REST_MPS
 
@@ -418,10 +424,10 @@ def heights(channels: Mapping[str, FloatArray], dt_s: float) -> FloatArray:
     across = np.sin(b) * np.sin(phi) + np.sin(a) * np.cos(b) * np.cos(phi)
     climb = V * (np.cos(a) * np.cos(b) * np.sin(theta) - across * np.cos(theta))
     path = dt_s * np.concatenate([[0.0], np.cumsum(0.5 * (climb[1:] + climb[:-1]))])
-    return path + _on_lines(h - path, max(1, round(_ABOUT_S / dt_s)))
+    return path + _local_lines(h - path, max(1, round(_HALF_WINDOW_S / dt_s)))
 
 
-def _on_lines(values: FloatArray, half: int) -> FloatArray:
+def _local_lines(values: FloatArray, half: int) -> FloatArray:
     """(n,) where the straight line through the values at most ``half`` samples away is, at each of
     them.
     """
@@ -432,14 +438,14 @@ def _on_lines(values: FloatArray, half: int) -> FloatArray:
         np.pad(np.stack([np.ones(n), at, at**2, values, at * values]), ((0, 0), (1, 0))), axis=1
     )
     count, x, xx, y, xy = sums[:, last] - sums[:, first]
-    spread = count * xx - x**2
-    slope = np.divide(count * xy - x * y, spread, out=np.zeros(n), where=spread > 0.0)
+    denominator = count * xx - x**2
+    slope = np.divide(count * xy - x * y, denominator, out=np.zeros(n), where=denominator > 0.0)
     return np.asarray(y / count + slope * (at - x / count))
 
 
 def terrain_m(model: ReplayModel, segment: Segment) -> float:
     """Elevation [m] of the ground under a replay, above sea level."""
-    return segment.altitude_m - (segment.h_m if _counts(model, segment) else OUT_OF_REACH_M)
+    return segment.altitude_m - (segment.h_m if _ground_counts(model, segment) else OUT_OF_REACH_M)
 
 
 def altitudes(model: ReplayModel, segment: Segment, h_m: FloatArray) -> FloatArray:
@@ -447,9 +453,9 @@ def altitudes(model: ReplayModel, segment: Segment, h_m: FloatArray) -> FloatArr
     does not count.
     """
     return segment.altitude_m + (
-        h_m - segment.h_m if _counts(model, segment) else np.zeros(len(h_m))
+        h_m - segment.h_m if _ground_counts(model, segment) else np.zeros(len(h_m))
     )
 
 
-def _counts(model: ReplayModel, segment: Segment) -> bool:
+def _ground_counts(model: ReplayModel, segment: Segment) -> bool:
     return model.near_ground and segment.above_ground

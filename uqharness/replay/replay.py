@@ -40,12 +40,12 @@ from uqharness.simulator import (
 # Where a segment finds its actuators: behind a lag they are on their way to the commands that
 # came before its first row.
 
-_KEPT, _MODELS = 512, 16
+_MAX_SERVO_RUNS, _MODELS = 512, 16
 _STEP_S = 1e-3
 """Longest step of an actuator, from command to command."""
 
 
-def begun(
+def initial_actuator_positions(
     model: ReplayModel, segment: Segment, properties: Mapping[str, float], limits: FloatArray
 ) -> FloatArray:
     """(c,) where actuators with a lag stand at the first row, and where controls that jump stood
@@ -59,21 +59,22 @@ def begun(
     for control in model.jumping:
         k = model.controls.index(control)
         out[k] = np.clip(before[-1, k], *limits[k])
-    given = {**_given(model), **properties}
+    values = {**_xml_servo_values(model), **properties}
     for control, numbers in model.lags.items():
         k = model.controls.index(control)
-        lag, rate = (_number(text, given) for text in numbers)
+        lag, rate = (_number(text, values) for text in numbers)
         if control in model.lagging and np.isfinite(before[:, k]).all() and not math.isnan(lag):
             fastest = math.inf if math.isnan(rate) else abs(rate * model.position_unit(control))
             servo = Actuator(lag if lag * SHORTEST_S < 1.0 else None, fastest)
-            out[k] = _last(servo, np.clip(before[:, k], *limits[k]), segment.command_s)
+            out[k] = _servo_position(servo, np.clip(before[:, k], *limits[k]), segment.command_s)
     return out
 
 
 @cached(
-    LRUCache(_KEPT), key=lambda servo, commands, command_s: (servo, commands.tobytes(), command_s)
+    LRUCache(_MAX_SERVO_RUNS),
+    key=lambda servo, commands, command_s: (servo, commands.tobytes(), command_s),
 )
-def _last(servo: Actuator, commands: FloatArray, command_s: float) -> float:
+def _servo_position(servo: Actuator, commands: FloatArray, command_s: float) -> float:
     """Where a servo at rest at the first of some commands is when the last of them has been held as
     long as the others.
     """
@@ -82,19 +83,19 @@ def _last(servo: Actuator, commands: FloatArray, command_s: float) -> float:
 
 
 @cached(LRUCache(_MODELS), key=lambda model: model.identity)
-def _given(model: ReplayModel) -> dict[str, float]:
+def _xml_servo_values(model: ReplayModel) -> dict[str, float]:
     """Values in the XML of the properties that actuators' numbers are."""
     fdm = model.open(0.01)
     exists = fdm.get_property_manager().hasNode
     return {name: float(fdm[name]) for name in model.servos if exists(name)}
 
 
-def _number(text: str, given: Mapping[str, float]) -> float:
+def _number(text: str, values: Mapping[str, float]) -> float:
     """A number of an actuator, as it stands or as the property that it is; NaN without one."""
     try:
         return float(text)
     except ValueError:
-        return given.get(text, math.nan)
+        return values.get(text, math.nan)
 
 
 CHANNELS = (
@@ -154,7 +155,7 @@ _JUMP = (5.0 / 12.0, 8.0 / 12.0, -1.0 / 12.0)
 """Shares of a step in three runs (Adams-Moulton's weights): the sum, the mean time and its spread
 are those of the step itself.
 """
-_BEYOND = 11.0 / 12.0
+_OVERSHOOT = 11.0 / 12.0
 """How far, in steps, the same takes a command beyond its goal where a servo by Tustin's rule has
 not moved at the row.
 """
@@ -164,7 +165,7 @@ summed up four runs later.
 """
 _KINK = 1.0 / 12.0
 """Of a line's change of direction: what sums over runs have too little."""
-_REMEMBERED = 64
+_MAX_SEGMENTS = 64
 """Segments whose controls are remembered by runs."""
 _ANGULAR = (
     "accelerations/pdot-rad_sec2",
@@ -216,16 +217,16 @@ def run_controls(
     measured, lagging = (
         [name in kind for name in model.controls] for kind in (model.measured, model.lagging)
     )
-    seen = 1.0 - unseen if shape.stride == shape.runs else None
+    jump_share = 1.0 - unseen if shape.stride == shape.runs else None
     late = late_s / segment.dt_s * shape.runs
     limits = [
         tuple(limit / factor for limit in model.card.inputs[c].limits)
         for c, factor in zip(model.controls, model.factor, strict=True)
     ]
     runs, ends = shape.runs // segment.per_row, np.sort(limits)
-    stood = begun(model, segment, properties, ends)
+    initial = initial_actuator_positions(model, segment, properties, ends)
     return model.to_property(
-        by_run(segment.at_commands(), runs, measured, lagging, late, seen, ends, stood)
+        by_run(segment.at_commands(), runs, measured, lagging, late, jump_share, ends, initial)
     )
 
 
@@ -233,10 +234,10 @@ def runs_per_row(dt_s: float, longest_s: float | None = None) -> int:
     """JSBSim runs from one row to the next, none longer than ``longest_s`` (MAX_STEP_S): at least
     two, and four, as many as the values around a step take, unless they were shorter than
     SHORT_STEP_S."""
-    whole, short = (
+    required, at_short_step = (
         math.ceil(dt_s / step - 1e-6) for step in (longest_s or MAX_STEP_S, SHORT_STEP_S)
     )
-    return max(MIN_RUNS, whole, min(len(_RETURN), short))
+    return max(MIN_RUNS, required, min(len(_RETURN), at_short_step))
 
 
 def fly_segment(
@@ -303,7 +304,7 @@ def _initialise(
     """Start states and the controls' ``first`` values: those of the first run, which commands that
     act early may have moved.
     """
-    _put(setters, first)
+    _set_controls(setters, first)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in start)
     u, v, w = body_velocity(V, alpha, beta)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
@@ -319,16 +320,16 @@ def _initialise(
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
         engine.start_engines(fdm)
-        _put(setters, first)
+        _set_controls(setters, first)
     engine.run_ic(fdm)
     if engines:
         engine.settle_engines(fdm)
 
 
-def _put(setters: list[list[Any]], values: list[float]) -> None:
+def _set_controls(setters: list[list[Any]], values: list[float]) -> None:
     for handles, value in zip(setters, values, strict=True):
-        for put in handles:
-            put(value)
+        for setter in handles:
+            setter(value)
 
 
 def _reader(fdm: Any, extra: Sequence[str]) -> Any:
@@ -342,9 +343,9 @@ def by_run(
     measured: Sequence[bool],
     lagging: Sequence[bool],
     late: float = 0.0,
-    seen: float | None = 1.0,
+    jump_share: float | None = 1.0,
     limits: FloatArray | None = None,
-    stood: FloatArray | None = None,
+    initial: FloatArray | None = None,
 ) -> FloatArray:
     """((n - 1) runs + 1, c) control values of every run, the first at the first row; all of them
     ``late`` runs late.
@@ -353,7 +354,7 @@ def by_run(
     have the step's own area, mean time and spread (see the module's text). An actuator with a lag
     has not moved at the row of a step: what is missing there the runs after it have besides, so
     that a rate limit behind the lag begins in time. A surface that jumps with its command has
-    jumped at its row by the share ``seen``, whenever the others began to move; None, for outputs
+    jumped at its row by the share ``jump_share``, whenever the others began to move; None, for outputs
     between rows: as it comes. The runs after take back what this moves too early. With fewer than
     four runs a row only area and mean time are kept: more would reach into the next row; limits (c,
     2): where a command goes no further; stood (c,): where actuators with a lag stand at the first
@@ -361,27 +362,29 @@ def by_run(
     its command, as without any. A measured position goes to the next one as a servo does:
     exponentially towards its command where that is known and explains the two, else in a straight
     line."""
-    held, lags = ~np.asarray(measured), np.asarray(lagging)
-    on_time = _on_time(segment, runs, held, lags, limits, stood)
-    out = on_time.copy() if late == 0.0 else _later(on_time, late)
-    if late > 0.0 and stood is not None:
+    is_command, lags = ~np.asarray(measured), np.asarray(lagging)
+    on_time = _on_time(segment, runs, is_command, lags, limits, initial)
+    out = on_time.copy() if late == 0.0 else _delayed(on_time, late)
+    if late > 0.0 and initial is not None:
         # The first run is that of the start: its value is what the first row has seen.
-        waits = held & ~lags & np.isfinite(stood)
-        out[1:, waits] -= np.outer(_waiting(len(out) - 1, late), segment.controls[0] - stood)[
+        waits = is_command & ~lags & np.isfinite(initial)
+        out[1:, waits] -= np.outer(_waiting(len(out) - 1, late), segment.controls[0] - initial)[
             :, waits
         ]
-    if seen is not None:
-        now, jumps = segment.controls[:-1], held & ~lags
+    if jump_share is not None:
+        current, jumps = segment.controls[:-1], is_command & ~lags
         rows = np.arange(len(out))[::runs]
-        before = np.vstack([segment.controls[:1], now])
-        missing = np.where(jumps, before + seen * (segment.controls - before) - out[rows], 0.0)
+        before = np.vstack([segment.controls[:1], current])
+        missing = np.where(
+            jumps, before + jump_share * (segment.controls - before) - out[rows], 0.0
+        )
         out[-1] += missing[-1]
         for run, part in enumerate(_RETURN if runs >= len(_RETURN) else (1.0, -1.0)):
             out[rows[:-1] + run] += part * missing[:-1]
     return out
 
 
-def _later(values: FloatArray, late: float) -> FloatArray:
+def _delayed(values: FloatArray, late: float) -> FloatArray:
     """(n, c) values ``late`` of their steps later, in proportion between two: the mean time of what
     moves is right. The ends are held. `numpy.interp`, all columns at once."""
     last = len(values) - 1
@@ -415,83 +418,87 @@ def _waiting(n: int, late: float) -> FloatArray:
     return share
 
 
-def _content(
+def _controls_key(
     segment: Segment,
     runs: int,
-    held: NDArray[np.bool_],
+    is_command: NDArray[np.bool_],
     lags: NDArray[np.bool_],
     limits: FloatArray | None,
-    stood: FloatArray | None,
+    initial: FloatArray | None,
 ) -> tuple[object, ...]:
-    asked = (segment.controls, segment.targets, limits, held, lags, stood)
-    return (runs, segment.controls.shape, *(None if a is None else a.tobytes() for a in asked))
+    arrays = (segment.controls, segment.targets, limits, is_command, lags, initial)
+    return (runs, segment.controls.shape, *(None if a is None else a.tobytes() for a in arrays))
 
 
-@cached(LRUCache(_REMEMBERED), key=_content)
+@cached(LRUCache(_MAX_SEGMENTS), key=_controls_key)
 def _on_time(
     segment: Segment,
     runs: int,
-    held: NDArray[np.bool_],
+    is_command: NDArray[np.bool_],
     lags: NDArray[np.bool_],
     limits: FloatArray | None,
-    stood: FloatArray | None,
+    initial: FloatArray | None,
 ) -> FloatArray:
     """`by_run` of controls that are not late, before what a row has seen of a jump, not to be
     written to; those asked for last are remembered: a segment's are wanted with every lateness that
     an estimator tries."""
-    now, then = segment.controls[:-1], segment.controls[1:]
-    before = np.vstack([now[:1], now[:-1]])
-    if stood is not None:
-        before[0] = np.where(lags & np.isfinite(stood), stood, now[0])
+    current, following = segment.controls[:-1], segment.controls[1:]
+    previous = np.vstack([current[:1], current[:-1]])
+    if initial is not None:
+        previous[0] = np.where(lags & np.isfinite(initial), initial, current[0])
     fits = runs >= len(_RETURN)
-    values = np.repeat(now[:, None, :], runs, axis=1)
-    values[:, 0, lags] = before[:, lags]
-    beyond = _beyond(before, now, _BEYOND if fits else 0.5, limits)
-    values[:, 1, lags] += beyond[:, lags]
+    values = np.repeat(current[:, None, :], runs, axis=1)
+    values[:, 0, lags] = previous[:, lags]
+    overshoot = _overshoot(previous, current, _OVERSHOOT if fits else 0.5, limits)
+    values[:, 1, lags] += overshoot[:, lags]
     if fits:
         values[:, 2, lags] += np.where(
-            np.abs(beyond) < 0.25 * np.abs(now - before), beyond, 0.5 * (now - before) - beyond
+            np.abs(overshoot) < 0.25 * np.abs(current - previous),
+            overshoot,
+            0.5 * (current - previous) - overshoot,
         )[:, lags]
     share = (np.arange(runs) / runs)[None, :, None]
-    straight = now[:, None, :] + share * (then - now)[:, None, :]
+    path = current[:, None, :] + share * (following - current)[:, None, :]
     if segment.targets is not None:
-        away, later = now - segment.targets[:-1], then - segment.targets[:-1]
+        distance, next_distance = current - segment.targets[:-1], following - segment.targets[:-1]
         with np.errstate(invalid="ignore", divide="ignore"):
-            decay = later / away
-            lag = (decay > 1e-3) & (decay < 1.0) & (np.abs(away) > 1e-6)
-            bent = (
+            decay = next_distance / distance
+            lag = (decay > 1e-3) & (decay < 1.0) & (np.abs(distance) > 1e-6)
+            exponential = (
                 segment.targets[:-1, None, :]
-                + away[:, None, :] * np.where(lag, decay, 1.0)[:, None, :] ** share
+                + distance[:, None, :] * np.where(lag, decay, 1.0)[:, None, :] ** share
             )
-        straight = np.where(lag[:, None, :], bent, straight)
-    values = np.where(held[None, None, :], values, straight)
-    out = np.vstack([values.reshape(-1, now.shape[1]), segment.controls[-1:]])
-    jumps = held & ~lags
+        path = np.where(lag[:, None, :], exponential, path)
+    values = np.where(is_command[None, None, :], values, path)
+    out = np.vstack([values.reshape(-1, current.shape[1]), segment.controls[-1:]])
+    jumps = is_command & ~lags
     if fits:
-        out[1::runs, ~held] += _KINK * np.diff(out, 2, axis=0, prepend=out[:1])[::runs, ~held]
-    out[:, jumps] = _spread(out[:, jumps], _JUMP if fits else (0.5, 0.5))
+        out[1::runs, ~is_command] += (
+            _KINK * np.diff(out, 2, axis=0, prepend=out[:1])[::runs, ~is_command]
+        )
+    out[:, jumps] = _distribute(out[:, jumps], _JUMP if fits else (0.5, 0.5))
     out.setflags(write=False)
     return out
 
 
-def _beyond(
-    before: FloatArray, now: FloatArray, steps: float, limits: FloatArray | None
+def _overshoot(
+    previous: FloatArray, current: FloatArray, steps: float, limits: FloatArray | None
 ) -> FloatArray:
     """(n, c) so many steps, or as much of them as the limits leave room for."""
-    wanted = steps * (now - before)
+    overshoot = steps * (current - previous)
     if limits is None:
-        return wanted
+        return overshoot
     low, high = limits.T
-    return np.clip(wanted, np.minimum(low - now, 0.0), np.maximum(high - now, 0.0))
+    return np.clip(overshoot, np.minimum(low - current, 0.0), np.maximum(high - current, 0.0))
 
 
-def _spread(values: FloatArray, shares: Sequence[float]) -> FloatArray:
+def _distribute(values: FloatArray, shares: Sequence[float]) -> FloatArray:
     """Values each of which begins bit by bit, in as many runs as there are shares; before the first
     they were as there.
     """
-    held = np.vstack([values[:1]] * (len(shares) - 1) + [values])
+    padded = np.vstack([values[:1]] * (len(shares) - 1) + [values])
     return sum(
-        (share * held[len(shares) - 1 - k : len(held) - k] for k, share in enumerate(shares)),
+        (share * padded[len(shares) - 1 - k : len(padded) - k] for k, share in enumerate(shares)),
         np.zeros_like(values),
     )
 
@@ -506,17 +513,17 @@ def _advance(
     plan = [(handles[0], handles[1:]) for handles in setters]
     last = values[0]
 
-    def put(numbers: list[float]) -> None:
-        for (first, others), value in zip(plan, numbers, strict=True):
+    def set_controls(numbers: list[float]) -> None:
+        for (first, copies), value in zip(plan, numbers, strict=True):
             first(value)
-            for other in others:
+            for other in copies:
                 other(value)
 
     try:
         for row in range(1, len(values), runs):
             for numbers in values[row : row + runs]:
                 if numbers != last:
-                    put(numbers)
+                    set_controls(numbers)
                     last = numbers
                 run()
             sample = read()
@@ -593,7 +600,7 @@ def bare_rate(model: ReplayModel, segment: Segment) -> float:
     )
     engine.run_ic(fdm)
     run = fdm.run
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     for _ in range(_RUNS):
         run()
-    return _RUNS * dt_s / (time.perf_counter() - begun)
+    return _RUNS * dt_s / (time.perf_counter() - start_s)

@@ -31,10 +31,10 @@ from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.flights import Flight, control_columns, read_flights, segments
 from uqharness.replay.flights import states as measured_states
-from uqharness.replay.force import ForcedModel, StatesOf, force_all
+from uqharness.replay.force import ForcedModel, SegmentStates, force_all
 from uqharness.replay.in_lanes import ReplayJob, by_jsbsim, fly_all
 from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel, heights
-from uqharness.replay.positions import WORTH_ONCE_S, surface_positions
+from uqharness.replay.positions import MIN_SINGLE_BATCH_S, surface_positions
 from uqharness.replay.replay import CHANNELS, STATES
 from uqharness.replay.segments import Segment
 from uqharness.simulator import Aircraft
@@ -70,18 +70,18 @@ class MeasuredSegment:
 
 
 @dataclass(frozen=True)
-class _Flight:
+class _JumpFlight:
     """Rows of segment ``number`` that are flown, of which ``rows`` are wanted."""
 
     number: int
     rows: slice
-    flown: slice
+    flown_rows: slice
     job: ReplayJob
 
 
 def sampling_errors(
     model: ReplayModel,
-    straight: ReplayModel,
+    direct_model: ReplayModel,
     parts: Sequence[MeasuredSegment],
     properties: Mapping[str, float],
     cutoff_hz: float = CUTOFF_HZ,
@@ -110,42 +110,42 @@ def sampling_errors(
     flights = [
         flight
         for number, part in enumerate(parts)
-        for flight in _flights(model, number, part, properties, cutoff_hz)
+        for flight in _jump_flights(model, number, part, properties, cutoff_hz)
     ]
     if not flights:
         return out
     jobs = [flight.job for flight in flights]
     seconds = sum(float(np.ptp(job.segment.time_s)) for job in jobs)
-    flown = list(fly_all(jobs) if seconds > WORTH_ONCE_S else map(by_jsbsim, jobs))
-    sound = [
+    outputs = list(fly_all(jobs) if seconds > MIN_SINGLE_BATCH_S else map(by_jsbsim, jobs))
+    completed = [
         (f, dict(zip(CHANNELS, y.T, strict=True)))
-        for f, y in zip(flights, flown, strict=True)
+        for f, y in zip(flights, outputs, strict=True)
         if np.isfinite(y).all()
     ]
     states = [
-        StatesOf(
+        SegmentStates(
             f.job.segment,
             channels,
-            parts[f.number].positions[f.flown],
-            parts[f.number].altitude_m[f.flown],
+            parts[f.number].positions[f.flown_rows],
+            parts[f.number].altitude_m[f.flown_rows],
         )
-        for f, channels in sound
+        for f, channels in completed
     ]
-    answers = force_all(straight, states, properties) if states else []
-    for (f, channels), forced in zip(sound, answers, strict=True):
-        error = _error(channels, forced, f.job.segment, cutoff_hz)
-        first = f.rows.start - f.flown.start
+    forced_models = force_all(direct_model, states, properties) if states else []
+    for (f, channels), forced in zip(completed, forced_models, strict=True):
+        error = _sampling_error(channels, forced, f.job.segment, cutoff_hz)
+        first = f.rows.start - f.flown_rows.start
         out[f.number][f.rows] = error[first : first + f.rows.stop - f.rows.start]
     return out
 
 
-def _flights(
+def _jump_flights(
     model: ReplayModel,
     number: int,
     part: MeasuredSegment,
     properties: Mapping[str, float],
     cutoff_hz: float,
-) -> Iterator[_Flight]:
+) -> Iterator[_JumpFlight]:
     """Flights of the model around the jumps of a segment, each wider than the rows wanted of it by
     the filter's half width.
     """
@@ -158,23 +158,23 @@ def _flights(
     length = max(round(_PIECE_S / segment.dt_s), 2 * width + 1)
     for start in range(0, n, length):
         rows = slice(start, min(start + length, n))
-        flown = slice(max(rows.start - width, 0), min(rows.stop + width, n))
-        if flown.stop - flown.start > 2 and jumps[flown].any():
-            piece = segment.part(flown)
-            if flown.start > 0:
-                state = np.array([part.channels[c][flown.start] for c in STATES])
-                altitude = float(part.altitude_m[flown.start])
+        flown_rows = slice(max(rows.start - width, 0), min(rows.stop + width, n))
+        if flown_rows.stop - flown_rows.start > 2 and jumps[flown_rows].any():
+            piece = segment.part(flown_rows)
+            if flown_rows.start > 0:
+                state = np.array([part.channels[c][flown_rows.start] for c in STATES])
+                altitude = float(part.altitude_m[flown_rows.start])
                 height = segment.h_m + altitude - segment.altitude_m
                 piece = replace(piece, start=state, altitude_m=altitude, h_m=height)
             job = ReplayJob(model, piece, properties, piece.start, part.late_s)
-            yield _Flight(number, rows, flown, job)
+            yield _JumpFlight(number, rows, flown_rows, job)
 
 
-def _error(
+def _sampling_error(
     channels: Mapping[str, FloatArray], forced: ForcedModel, segment: Segment, cutoff_hz: float
 ) -> FloatArray:
     """(n, 6) demanded minus predicted coefficients of a flight that the model has made."""
-    flown = demanded(
+    demanded_coefficients = demanded(
         np.column_stack([channels[f"a{a}_mps2"] for a in "xyz"]),
         np.column_stack([channels[f"{a}_radps"] for a in "pqr"]),
         forced.qbar,
@@ -185,7 +185,7 @@ def _error(
         np.array(segment.arm_m),
         cutoff_hz,
     )
-    return np.asarray(flown - smooth(forced.coefficients, segment.dt_s, cutoff_hz))
+    return np.asarray(demanded_coefficients - smooth(forced.coefficients, segment.dt_s, cutoff_hz))
 
 
 NEEDED = (
@@ -202,10 +202,10 @@ NEEDED = (
     "az_mps2",
 )
 """Channels without which there is no residual; none of them is bridged across a gap."""
-ANSWERED = ("coefficients", "other_force", "other_moment", "qbar")
+PREDICTED_FIELDS = ("coefficients", "other_force", "other_moment", "qbar")
 """What a model says of each row."""
 _PRE_ROLL_S = 2.0
-_EVERY = 4
+_ROW_STRIDE = 4
 """Changes of what the model says are asked for at every fourth row: they move with the state, which
 takes longer than that.
 """
@@ -219,36 +219,38 @@ class JsbsimPrediction:
     """
 
     model: ReplayModel
-    straight: ReplayModel
+    direct_model: ReplayModel
     flight: Flight
     measured: tuple[str, ...]
     values: Mapping[str, float] = field(default_factory=dict)
     segments: dict[tuple[int, int], Segment] = field(default_factory=dict)
     positions: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
-    def all(self, asked: Sequence[tuple[FlightRecord, Piece, int]]) -> list[Prediction]:
+    def predict(self, requests: Sequence[tuple[FlightRecord, Piece, int]]) -> list[Prediction]:
         """Force states upon the model, all at once, and read what it says: of each record and piece
         those of every so many rows and of the last. Raises BadInputError."""
-        self._prepare([piece for _, piece, _ in asked])
-        parts = [self._states(*one) for one in asked]
+        self._prepare([piece for _, piece, _ in requests])
+        parts = [self._states(*one) for one in requests]
         names = [f"{c}_pos_deg" if c != "throttle" else "throttle_pct" for c in CONTROLS]
         columns = [self.model.controls.index(c) for c in CONTROLS]
         out = []
-        for part, said in zip(parts, force_all(self.straight, parts, self.values), strict=True):
+        for part, forced in zip(
+            parts, force_all(self.direct_model, parts, self.values), strict=True
+        ):
             positions = {n: part.controls[:, k] for n, k in zip(names, columns, strict=True)}
             out.append(
                 Prediction(
-                    said.coefficients,
-                    said.other_force,
-                    said.other_moment,
-                    said.qbar,
-                    said.mass,
+                    forced.coefficients,
+                    forced.other_force,
+                    forced.other_moment,
+                    forced.qbar,
+                    forced.mass,
                     positions,
                 )
             )
         return out
 
-    def _states(self, record: FlightRecord, piece: Piece, every: int) -> StatesOf:
+    def _states(self, record: FlightRecord, piece: Piece, every: int) -> SegmentStates:
         rows = piece.rows
         segment, controls = (
             self.segments[rows.start, rows.stop],
@@ -261,12 +263,12 @@ class JsbsimPrediction:
                 {c: np.array(record[c][rows], dtype=float) for c in (*NEEDED, "h_m")}, record.dt_s
             )
             altitude += height - (segment.h_m if self.model.near_ground else np.median(height))
-        some = asked_rows(len(controls), every)
-        return StatesOf(
+        sampled = sampled_rows(len(controls), every)
+        return SegmentStates(
             segment,
-            {c: np.asarray(record[c][rows], dtype=float)[some] for c in NEEDED},
-            controls[some],
-            altitude[some],
+            {c: np.asarray(record[c][rows], dtype=float)[sampled] for c in NEEDED},
+            controls[sampled],
+            altitude[sampled],
         )
 
     def sampling_errors(self, arm_m: Sequence[float], cutoff_hz: float) -> list[FloatArray]:
@@ -288,7 +290,7 @@ class JsbsimPrediction:
             parts.append(
                 MeasuredSegment(segment, channels, self.positions[rows], states.altitude_m)
             )
-        return sampling_errors(self.model, self.straight, parts, self.values, cutoff_hz)
+        return sampling_errors(self.model, self.direct_model, parts, self.values, cutoff_hz)
 
     def _prepare(self, pieces: Sequence[Piece]) -> None:
         """Segments, and where the controls stood. Actuators run up before the piece: where one
@@ -305,41 +307,46 @@ class JsbsimPrediction:
         run_up = round(_PRE_ROLL_S / record.dt_s)
         longer = []
         for (start, stop), piece in missing.items():
-            whole = next(s for s in record.segments(needed) if s.start <= start < s.stop)
-            first = max(whole.start, start - run_up)
+            stretch = next(s for s in record.segments(needed) if s.start <= start < s.stop)
+            first = max(stretch.start, start - run_up)
             longer.append(
                 replace(piece, rows=slice(first, stop), start_s=float(record["time_s"][first]))
             )
-        own, before = (
+        piece_segments, longer_segments = (
             segments(replace(self.flight, pieces=tuple(some)), self.measured)
             for some in (missing.values(), longer)
         )
-        self.segments.update(zip(missing, own, strict=True))
-        flown = surface_positions(self.model, before, CONTROLS, self.values, WORTH_ONCE_S)
-        for rows, piece, stood in zip(missing, longer, flown, strict=True):
-            self.positions[rows] = stood[rows[0] - piece.rows.start :]
+        self.segments.update(zip(missing, piece_segments, strict=True))
+        positions = surface_positions(
+            self.model, longer_segments, CONTROLS, self.values, MIN_SINGLE_BATCH_S
+        )
+        for rows, piece, values in zip(missing, longer, positions, strict=True):
+            self.positions[rows] = values[rows[0] - piece.rows.start :]
 
 
-def asked_rows(n: int, every: int) -> NDArray[np.intp]:
+def sampled_rows(n: int, every: int) -> NDArray[np.intp]:
     """Every so many of n rows, and the last."""
     return np.unique(np.append(np.arange(0, n, every), n - 1))
 
 
-def changed(near: Prediction, said: Prediction, every: int) -> Prediction:
-    """What a model says at states near those of ``near``: asked at every so many rows, its change
+def with_sampled_change(reference: Prediction, prediction: Prediction, every: int) -> Prediction:
+    """What a model says at states near those of ``reference``: asked at every so many rows, its change
     drawn straight between them.
     """
-    n = len(near.qbar)
-    asked, full = asked_rows(n, every), np.arange(n)
+    n = len(reference.qbar)
+    sampled, full = sampled_rows(n, every), np.arange(n)
 
-    def moved(all_rows: FloatArray, some: FloatArray) -> FloatArray:
-        change = some - all_rows[asked]
-        flat = change.reshape(len(asked), -1)
-        wide = np.column_stack([np.interp(full, asked, column) for column in flat.T])
+    def moved(all_rows: FloatArray, at_sampled: FloatArray) -> FloatArray:
+        change = at_sampled - all_rows[sampled]
+        flat = change.reshape(len(sampled), -1)
+        wide = np.column_stack([np.interp(full, sampled, column) for column in flat.T])
         return np.asarray(all_rows + wide.reshape(all_rows.shape))
 
-    answers = {name: moved(getattr(near, name), getattr(said, name)) for name in ANSWERED}
-    return replace(near, **answers)  # type: ignore[arg-type]
+    fields = {
+        name: moved(getattr(reference, name), getattr(prediction, name))
+        for name in PREDICTED_FIELDS
+    }
+    return replace(reference, **fields)  # type: ignore[arg-type]
 
 
 @contextmanager
@@ -354,9 +361,9 @@ def prediction_of(
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with (
         ReplayFolder(aircraft, measured=measured, ideal=ideal) as model,
-        ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight,
+        ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model,
     ):
-        yield ReplayPair(model, straight, tuple(measured), dict(values or {}))
+        yield ReplayPair(model, direct_model, tuple(measured), dict(values or {}))
 
 
 @dataclass(frozen=True)
@@ -364,36 +371,36 @@ class ReplayPair:
     """The aircraft, and what it has said already: another filter asks for the same states again."""
 
     model: ReplayModel
-    straight: ReplayModel
+    direct_model: ReplayModel
     measured: tuple[str, ...]
     values: Mapping[str, float] = field(default_factory=dict)
-    said: dict[tuple[object, ...], Prediction] = field(default_factory=dict)
+    predictions: dict[tuple[object, ...], Prediction] = field(default_factory=dict)
     models: dict[int, JsbsimPrediction] = field(default_factory=dict)
 
     def of(self, flight: Flight) -> Model:
         """The callable that `residual_coefficients` takes."""
         return lambda record, piece: self._every_row(flight, record, piece)
 
-    def around(self, flight: Flight) -> Model:
+    def model_near(self, flight: Flight) -> Model:
         """The same for one who asks for a piece's own states first and then for states near
         them.
         """
-        own = dict[tuple[int, int], Prediction]()
+        references = dict[tuple[int, int], Prediction]()
 
-        def near(record: FlightRecord, piece: Piece) -> Prediction:
+        def predict(record: FlightRecord, piece: Piece) -> Prediction:
             rows = (piece.rows.start, piece.rows.stop)
-            if rows not in own or self._key(flight, record, piece, 1) in self.said:
-                known = self._every_row(flight, record, piece)
-                own.setdefault(rows, known)
-                return known
-            key = self._key(flight, record, piece, _EVERY)
-            if key not in self.said:
-                self.ahead(flight, [record], [piece], _EVERY)
-            return changed(own[rows], self.said[key], _EVERY)
+            if rows not in references or self._key(flight, record, piece, 1) in self.predictions:
+                prediction = self._every_row(flight, record, piece)
+                references.setdefault(rows, prediction)
+                return prediction
+            key = self._key(flight, record, piece, _ROW_STRIDE)
+            if key not in self.predictions:
+                self.prefetch(flight, [record], [piece], _ROW_STRIDE)
+            return with_sampled_change(references[rows], self.predictions[key], _ROW_STRIDE)
 
-        return near
+        return predict
 
-    def ahead(
+    def prefetch(
         self,
         flight: Flight,
         records: Sequence[FlightRecord],
@@ -403,18 +410,18 @@ class ReplayPair:
         """Ask for all states of some records at once, at every so many rows: piece by piece an
         answer takes many times as long.
         """
-        asked = {self._key(flight, r, p, every): (r, p, every) for r in records for p in pieces}
-        missing = {key: one for key, one in asked.items() if key not in self.said}
+        requests = {self._key(flight, r, p, every): (r, p, every) for r in records for p in pieces}
+        missing = {key: one for key, one in requests.items() if key not in self.predictions}
         if missing:
-            self.said.update(
-                zip(missing, self._model(flight).all(list(missing.values())), strict=True)
+            self.predictions.update(
+                zip(missing, self._model(flight).predict(list(missing.values())), strict=True)
             )
 
-    def ahead_near(
+    def prefetch_near(
         self, flight: Flight, records: Sequence[FlightRecord], pieces: Sequence[Piece]
     ) -> None:
         """The same for states near a piece's own, which `around` is asked for."""
-        self.ahead(flight, records, pieces, _EVERY)
+        self.prefetch(flight, records, pieces, _ROW_STRIDE)
 
     def sampling_errors(
         self, flight: Flight, arm_m: Sequence[float], cutoff_hz: float
@@ -424,17 +431,17 @@ class ReplayPair:
 
     def _every_row(self, flight: Flight, record: FlightRecord, piece: Piece) -> Prediction:
         key = self._key(flight, record, piece, 1)
-        if key not in self.said:
-            self.ahead(flight, [record], [piece])
-        return self.said[key]
+        if key not in self.predictions:
+            self.prefetch(flight, [record], [piece])
+        return self.predictions[key]
 
     def _model(self, flight: Flight) -> JsbsimPrediction:
-        found = self.models.get(id(flight))
-        if found is None or found.flight is not flight:
-            found = self.models[id(flight)] = JsbsimPrediction(
-                self.model, self.straight, flight, self.measured, self.values
+        prediction = self.models.get(id(flight))
+        if prediction is None or prediction.flight is not flight:
+            prediction = self.models[id(flight)] = JsbsimPrediction(
+                self.model, self.direct_model, flight, self.measured, self.values
             )
-        return found
+        return prediction
 
     @staticmethod
     def _key(flight: Flight, record: FlightRecord, piece: Piece, every: int) -> tuple[object, ...]:
@@ -470,7 +477,7 @@ def recut(flight: Flight, measured: Sequence[str]) -> Flight:
             f" {', '.join(NEEDED)}. Without vanes an autopilot's estimate will do (uqharness log"
             " import makes alpha and beta from EKF and wind)"
         )
-    pieces, how = cut(flight.record, (*NEEDED, *control_columns(measured)))
+    pieces, cut_note = cut(flight.record, (*NEEDED, *control_columns(measured)))
     if not pieces:
         raise BadInputError(
             f"{flight.name}: no stretch of two seconds has all of {', '.join(NEEDED)} without a gap"
@@ -479,7 +486,10 @@ def recut(flight: Flight, measured: Sequence[str]) -> Flight:
     return replace(
         flight,
         pieces=tuple(pieces),
-        notes=(*flight.notes[:-1], f"{flight.name}: {len(pieces)} pieces, {seconds:.0f} s; {how}"),
+        notes=(
+            *flight.notes[:-1],
+            f"{flight.name}: {len(pieces)} pieces, {seconds:.0f} s; {cut_note}",
+        ),
     )
 
 
@@ -488,18 +498,20 @@ def flight_residuals(
 ) -> Residuals:
     """A flight's residual coefficients. Raises BadInputError."""
     try:
-        pair.ahead(flight, [steady_airspeed(flight.record, cutoffs.airspeed_hz)], flight.pieces)
-        found = residual_coefficients(flight.record, flight.pieces, pair.of(flight), arm_m, cutoffs)
+        pair.prefetch(flight, [steady_airspeed(flight.record, cutoffs.airspeed_hz)], flight.pieces)
+        residuals = residual_coefficients(
+            flight.record, flight.pieces, pair.of(flight), arm_m, cutoffs
+        )
     except ValueError as error:
         raise BadInputError(f"{flight.name}: {error}") from None
     errors = pair.sampling_errors(flight, arm_m, cutoffs.all_hz)
-    dt_s = found.dt_s
+    dt_s = residuals.dt_s
     # Rows nearer to an end than the filter is wide are no part of a residual piece, and shorter
     # pieces have none.
     m = half_width(dt_s, cutoffs.all_hz)
-    kept = [error[m : len(error) - m] for error in errors if len(error) >= 2 * m + 3]
+    interior_errors = [error[m : len(error) - m] for error in errors if len(error) >= 2 * m + 3]
     pieces = tuple(
         replace(piece, delta=piece.delta - error)
-        for piece, error in zip(found.pieces, kept, strict=True)
+        for piece, error in zip(residuals.pieces, interior_errors, strict=True)
     )
-    return replace(found, pieces=pieces)
+    return replace(residuals, pieces=pieces)

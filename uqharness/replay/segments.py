@@ -76,34 +76,34 @@ class Segment:
         """Digest of controls, those before and targets, by which whatever is made of them is
         remembered.
         """
-        known = (part for part in (self.controls, self.targets, self.before) if part is not None)
-        return sha256_hex(b"".join(part.tobytes() for part in known))
+        arrays = (part for part in (self.controls, self.targets, self.before) if part is not None)
+        return sha256_hex(b"".join(part.tobytes() for part in arrays))
 
     def at_commands(self) -> Segment:
         """The same piece with a row for each command."""
-        return self if self.commands is None else self._acting
+        return self if self.commands is None else self._at_commands
 
     @cached_property
-    def _acting(self) -> Segment:
-        own = self.commands
-        assert own is not None
-        time_s = np.linspace(self.time_s[0], self.time_s[-1], len(own.controls))
+    def _at_commands(self) -> Segment:
+        commands = self.commands
+        assert commands is not None
+        time_s = np.linspace(self.time_s[0], self.time_s[-1], len(commands.controls))
         return replace(
-            self, time_s=time_s, controls=own.controls, targets=own.targets, commands=None
+            self, time_s=time_s, controls=commands.controls, targets=commands.targets, commands=None
         )
 
     def part(self, rows: slice) -> Segment:
         """Cut out some rows; start and height stay those of the first row."""
         first, last = rows.start, rows.stop
         fine = slice(first * self.per_row, (last - 1) * self.per_row + 1)
-        own = self.commands
-        commands, before = own, self.before
-        if own is not None:
-            targets = None if own.targets is None else own.targets[fine]
-            commands = Commands(own.per_row, own.controls[fine], targets)
+        original = self.commands
+        commands, before = original, self.before
+        if original is not None:
+            targets = None if original.targets is None else original.targets[fine]
+            commands = Commands(original.per_row, original.controls[fine], targets)
         if first > 0:
-            earlier = (self.controls if own is None else own.controls)[: fine.start]
-            before = earlier if before is None else np.vstack([before, earlier])
+            preceding = (self.controls if original is None else original.controls)[: fine.start]
+            before = preceding if before is None else np.vstack([before, preceding])
         return replace(
             self,
             time_s=self.time_s[rows],

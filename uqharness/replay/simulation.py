@@ -23,7 +23,7 @@ from uqharness.errors import BadInputError
 from uqharness.parallel import process_count, process_pool
 from uqharness.parquet_files import read_table, write_table
 from uqharness.replay.flights import Flight
-from uqharness.replay.in_lanes import ReplayJob, as_flown, fly_all
+from uqharness.replay.in_lanes import ReplayJob, fly_all, split_job
 from uqharness.replay.model import ReplayModel
 from uqharness.replay.replay import (
     CHANNELS,
@@ -37,12 +37,12 @@ from uqharness.replay.replay import (
 )
 from uqharness.replay.segments import Segment
 
-_CACHE_BYTES = 300_000_000
-_TOGETHER_BYTES = _CACHE_BYTES // 4
+_MAX_CACHE_BYTES = 300_000_000
+_MAX_PENDING_BYTES = _MAX_CACHE_BYTES // 4
 """Of pieces flown together: all are read before the first is forgotten, and what they are compared
 with stays besides.
 """
-_RESTING_BYTES = _CACHE_BYTES // 4
+_MAX_IDLE_BYTES = _MAX_CACHE_BYTES // 4
 """Of pieces that stay when many points have been read: those of the point that all of them are
 near.
 """
@@ -87,22 +87,22 @@ class Replay:
         self._starts: dict[int, list[tuple[int, int]]] = {}
         self._late: dict[str, int] = {}
         self._unseen: dict[str, int] = {}
-        self._kept: dict[int, tuple[tuple[tuple[_Key, ...], bytes], FloatArray]] = {}
+        self._last_outputs: dict[int, tuple[tuple[tuple[_Key, ...], bytes], FloatArray]] = {}
         self._sizes: list[int] = []
         for i, name in enumerate(names):
-            kind, _, rest = name.partition("/")
-            where, _, what = rest.rpartition("/")
+            kind, _, target = name.partition("/")
+            where, _, element = target.rpartition("/")
             if kind == UNSEEN:
-                self._unseen[rest] = i
-            elif kind == "bias" and what in self.channels:
-                self._biases.setdefault(where, []).append((i, self.channels.index(what)))
-            elif kind == "delay" and what == CONTROL_DELAY:
+                self._unseen[target] = i
+            elif kind == "bias" and element in self.channels:
+                self._biases.setdefault(where, []).append((i, self.channels.index(element)))
+            elif kind == "delay" and element == CONTROL_DELAY:
                 self._late[where] = i
             elif kind == "delay":
-                late = [k for k, c in enumerate(self.channels) if SENSOR_OF.get(c, c) == what]
+                late = [k for k, c in enumerate(self.channels) if SENSOR_OF.get(c, c) == element]
                 self._delays.setdefault(where, []).extend((i, k) for k in late)
             elif kind == "start":
-                self._starts.setdefault(int(where), []).append((i, STATES.index(what)))
+                self._starts.setdefault(int(where), []).append((i, STATES.index(element)))
         for segment in self.segments:
             rows = shape_of(
                 model, segment, segment.flight in self._delays or bool(self._late_s)
@@ -111,13 +111,13 @@ class Replay:
 
     def moved(self, index: int) -> tuple[int, ...] | None:
         """Numbers of the segments whose outputs theta's element moves, None for all."""
-        kind, _, rest = self.names[index].partition("/")
+        kind, _, target = self.names[index].partition("/")
         if kind == "start":
-            return (int(rest.partition("/")[0]),)
+            return (int(target.partition("/")[0]),)
         flight = (
-            rest
+            target
             if kind == UNSEEN
-            else rest.rpartition("/")[0]
+            else target.rpartition("/")[0]
             if kind in ("bias", "delay")
             else None
         )
@@ -166,32 +166,34 @@ class Replay:
         """
         late, biased = self._delays.get(segment.flight, []), self._biases.get(segment.flight, [])
         state = (tuple(pieces), theta[[i for i, _ in (*late, *biased)]].tobytes())
-        kept = self._kept.get(number)
-        if kept is not None and kept[0] == state:
-            return kept[1]
+        cached = self._last_outputs.get(number)
+        if cached is not None and cached[0] == state:
+            return cached[1]
         n = len(segment.time_s)
-        between, *rows = (self._flown(key, job)[:, self._columns] for key, job in pieces.items())
-        flown = (rows[0] if rows else at_rows(between, n)).copy()
+        between, *rows = (
+            self._fly_cached(key, job)[:, self._columns] for key, job in pieces.items()
+        )
+        outputs = (rows[0] if rows else at_rows(between, n)).copy()
         late_s = dict(self._late_s)
         for i, k in late:
             late_s[k] = late_s.get(k, 0.0) + float(theta[i])
         for k, seconds in late_s.items():
             if seconds != 0.0:
-                flown[:, k] = late_rows(between[:, k], n, seconds / segment.dt_s)
+                outputs[:, k] = late_rows(between[:, k], n, seconds / segment.dt_s)
         for i, k in biased:
-            flown[:, k] += theta[i]
-        flown.setflags(write=False)
-        self._kept[number] = (state, flown)
-        return flown
+            outputs[:, k] += theta[i]
+        outputs.setflags(write=False)
+        self._last_outputs[number] = (state, outputs)
+        return outputs
 
-    def _flown(self, key: _Key, job: ReplayJob) -> FloatArray:
-        found = _flown.get(key)
-        if found is None:
-            (found,) = fly_all([job])
-            _remember(key, found)
+    def _fly_cached(self, key: _Key, job: ReplayJob) -> FloatArray:
+        rows = _replay_cache.get(key)
+        if rows is None:
+            (rows,) = fly_all([job])
+            _remember(key, rows)
         else:
-            _flown.move_to_end(key)
-        return found
+            _replay_cache.move_to_end(key)
+        return rows
 
     def _pieces(
         self, number: int, segment: Segment, properties: Mapping[str, float], conditions: Start
@@ -201,35 +203,35 @@ class Replay:
         between = segment.flight in self._delays or bool(self._late_s)
         late = {*self._late_s, *(k for _, k in self._delays.get(segment.flight, ()))}
         on_time = [c for k, c in enumerate(self.channels) if k not in late]
-        jobs = as_flown(
+        jobs = split_job(
             ReplayJob(self.model, segment, dict(properties), start, late_s, between, unseen=unseen),
             on_time,
         )
-        made = (self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes())
-        return {(*made, late_s, job.unseen, job.between): job for job in jobs}
+        key = (self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes())
+        return {(*key, late_s, job.unseen, job.between): job for job in jobs}
 
     def forget(self) -> None:
         """Let go of what is remembered of this replay and its copies: nothing more will be asked of
         it.
         """
-        for key in [k for k in _flown if k[0] == self.token]:
-            counter["bytes"] -= _flown.pop(key).nbytes
+        for key in [k for k in _replay_cache if k[0] == self.token]:
+            counter["bytes"] -= _replay_cache.pop(key).nbytes
 
-    def fetch(self, thetas: Sequence[FloatArray], map_: Callable[..., Iterable[Any]]) -> None:
-        """Fly whatever several theta need and nobody remembers, each piece once, by ``map_`` (a
+    def fetch(self, thetas: Sequence[FloatArray], pool: Callable[..., Iterable[Any]]) -> None:
+        """Fly whatever several theta need and nobody remembers, each piece once, by ``pool`` (a
         process pool's, say).
 
         Afterwards every ``self(theta)`` only puts together what is remembered: little has to travel
         between processes."""
-        for _ in self.fetched(thetas, map_):
+        for _ in self.fetched(thetas, pool):
             pass
 
-    def rest(self) -> None:
+    def shrink_memory(self) -> None:
         """Let go of most pieces: those asked for last stay."""
-        _shrink(_RESTING_BYTES)
+        _shrink(_MAX_IDLE_BYTES)
 
     def fetched(
-        self, thetas: Sequence[FloatArray], map_: Callable[..., Iterable[Any]]
+        self, thetas: Sequence[FloatArray], pool: Callable[..., Iterable[Any]]
     ) -> Iterator[FloatArray]:
         """Each theta as soon as its pieces have been flown, each once; those of so many theta
         together as are remembered until they are asked for."""
@@ -240,73 +242,73 @@ class Replay:
             properties, starts = self._conditions(theta)
             for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True)):
                 for key, job in self._pieces(number, segment, properties, start).items():
-                    if key in _flown:
-                        _flown.move_to_end(key)
+                    if key in _replay_cache:
+                        _replay_cache.move_to_end(key)
                     elif key not in jobs:
                         jobs[key] = job
                         size += self._sizes[number]
             waiting.append(theta)
-            if size > _TOGETHER_BYTES:
-                _fly(jobs, map_)
+            if size > _MAX_PENDING_BYTES:
+                _fly(jobs, pool)
                 yield from waiting
                 jobs, waiting, size = {}, [], 0
-        _fly(jobs, map_)
+        _fly(jobs, pool)
         yield from waiting
 
 
 # Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start
 # leaves the others as they were.
 _Key = tuple[str, int, bytes, bytes, float, float, bool]
-_flown: OrderedDict[_Key, FloatArray] = OrderedDict()
+_replay_cache: OrderedDict[_Key, FloatArray] = OrderedDict()
 counter = {"rows": 0, "bytes": 0, "segments": 0}
 
 
-def _fly(jobs: Mapping[_Key, ReplayJob], map_: Callable[..., Iterable[Any]]) -> None:
-    for key, found in zip(jobs, fly_all(list(jobs.values()), map_), strict=True):
-        _remember(key, found)
+def _fly(jobs: Mapping[_Key, ReplayJob], pool: Callable[..., Iterable[Any]]) -> None:
+    for key, rows in zip(jobs, fly_all(list(jobs.values()), pool), strict=True):
+        _remember(key, rows)
 
 
-def _remember(key: _Key, found: FloatArray) -> None:
-    _flown[key] = found
-    counter["rows"] += len(found)
+def _remember(key: _Key, rows: FloatArray) -> None:
+    _replay_cache[key] = rows
+    counter["rows"] += len(rows)
     counter["segments"] += 1
-    counter["bytes"] += found.nbytes
-    _shrink(_CACHE_BYTES)
+    counter["bytes"] += rows.nbytes
+    _shrink(_MAX_CACHE_BYTES)
 
 
-def _shrink(most: int) -> None:
-    while counter["bytes"] > most:
-        counter["bytes"] -= _flown.popitem(last=False)[1].nbytes
+def _shrink(max_bytes: int) -> None:
+    while counter["bytes"] > max_bytes:
+        counter["bytes"] -= _replay_cache.popitem(last=False)[1].nbytes
 
 
 # Replays of many points at once: together by the batch engine, or in worker processes; each
 # piece that several share once.
 
 
-def spread_over(map_: Callable[..., Any]) -> Callable[..., Iterable[Any]]:
+def batched_pool(pool: Callable[..., Any]) -> Callable[..., Iterable[Any]]:
     """A `map` for output error that has the replays of its points flown together, as many as memory
-    keeps at once, and gives what comes of them one after the other; ``map_`` spreads what JSBSim
+    keeps at once, and gives what comes of them one after the other; ``pool`` spreads what JSBSim
     flies."""
 
-    def spread(function: Callable[[FloatArray], Any], points: Any) -> Iterable[Any]:
+    def mapped(function: Callable[[FloatArray], Any], points: Any) -> Iterable[Any]:
         replay = getattr(function, "simulate", None)
         return (
-            _read(function, replay, list(points), map_)
+            _map_replays(function, replay, list(points), pool)
             if isinstance(replay, Replay)
             else map(function, list(points))
         )
 
-    return spread
+    return mapped
 
 
-def _read(
+def _map_replays(
     function: Callable[[FloatArray], Any],
     replay: Replay,
     points: list[FloatArray],
-    map_: Callable[..., Any],
+    pool: Callable[..., Any],
 ) -> Iterator[Any]:
-    yield from map(function, replay.fetched(points, map_))
-    replay.rest()
+    yield from map(function, replay.fetched(points, pool))
+    replay.shrink_memory()
 
 
 @contextmanager
@@ -317,17 +319,17 @@ def replay_pool(workers: int | None = None) -> Any:
     """
     count = process_count(workers)
     with ExitStack() as stack:
-        pool: Any = None
+        executor: Any = None
 
         def by_processes(function: Callable[[Any], Any], jobs: Sequence[Any]) -> Any:
             # Started when the first replay is one that the batch engine does not fly.
-            nonlocal pool
+            nonlocal executor
             if count == 1:
                 return map(function, jobs)
-            pool = pool or stack.enter_context(process_pool(count))
-            return pool.map(function, jobs, chunksize=max(1, len(jobs) // (8 * count)))
+            executor = executor or stack.enter_context(process_pool(count))
+            return executor.map(function, jobs, chunksize=max(1, len(jobs) // (8 * count)))
 
-        yield spread_over(by_processes)
+        yield batched_pool(by_processes)
 
 
 # What a replay's theta holds beside the parameters: sensor biases, delays and the segments'
@@ -366,7 +368,7 @@ class Layout:
 def nuisance_layout(
     names: Sequence[str],
     limits: Sequence[tuple[float, float]],
-    cut: Sequence[Segment],
+    segments: Sequence[Segment],
     biases: Sequence[str],
     outputs: Sequence[str],
     late: Mapping[str, Sequence[str]],
@@ -376,7 +378,7 @@ def nuisance_layout(
     accelerometers have not seen of the jumps in flights ``jumping``, start states of every segment.
     """
     extra, bounds = [], list(limits)
-    for flight in dict.fromkeys(s.flight for s in cut):
+    for flight in dict.fromkeys(s.flight for s in segments):
         for channel in biases:
             extra.append(f"bias/{flight}/{channel}")
             width = _BIAS_WIDTH.get(channel, 0.1)
@@ -386,7 +388,7 @@ def nuisance_layout(
         bounds += [(-_DELAY_WIDTH, _DELAY_WIDTH)] * len(channels)
     extra += [f"{UNSEEN}/{flight}" for flight in jumping]
     bounds += [SHARES] * len(jumping)
-    for number, segment in enumerate(cut):
+    for number, segment in enumerate(segments):
         for state in _FREE_STARTS:
             if state not in outputs:
                 continue
@@ -401,7 +403,7 @@ def nuisance_layout(
 
 
 def delayed(
-    flights: Sequence[Flight], outputs: Sequence[str], asked: Sequence[str] | None
+    flights: Sequence[Flight], outputs: Sequence[str], requested: Sequence[str] | None
 ) -> dict[str, list[str]]:
     """Flight -> what is late, of which delays are estimated: the controls (CONTROL_DELAY) and
     sensors.
@@ -412,12 +414,16 @@ def delayed(
     out = {}
     for flight in flights:
         logged = bool(flight.record.metadata.native_hz)
-        wanted = [SENSOR_OF.get(c, c) for c in outputs if (logged if asked is None else c in asked)]
-        if asked is None:
-            wanted = [CONTROL_DELAY, *(c for c in wanted if c != _REFERENCE)]
-        elif CONTROL_DELAY in asked:
-            wanted = [CONTROL_DELAY, *wanted]
-        out[flight.name] = list(dict.fromkeys(wanted))
+        sensors = [
+            SENSOR_OF.get(c, c)
+            for c in outputs
+            if (logged if requested is None else c in requested)
+        ]
+        if requested is None:
+            sensors = [CONTROL_DELAY, *(c for c in sensors if c != _REFERENCE)]
+        elif CONTROL_DELAY in requested:
+            sensors = [CONTROL_DELAY, *sensors]
+        out[flight.name] = list(dict.fromkeys(sensors))
     return out
 
 
@@ -425,34 +431,36 @@ LATE_ROWS = 0.5
 """A record's commands act from their own row on: controls that act more rows earlier or later than
 this are misplaced.
 """
-_LEAST_LATE_S = 0.0075  # JSBSim's own flights act half a run early (see replay.py).
+_MIN_LATE_S = 0.0075  # JSBSim's own flights act half a run early (see replay.py).
 
 
 def late_limit_s(flight: Flight, dt_s: float) -> float:
     """How late the controls of a flight may act: half a row of commands, ``dt_s`` long; without
     limit for a log, whose channels are stamped when written."""
-    return math.inf if flight.record.metadata.native_hz else max(LATE_ROWS * dt_s, _LEAST_LATE_S)
+    return math.inf if flight.record.metadata.native_hz else max(LATE_ROWS * dt_s, _MIN_LATE_S)
 
 
 def misplaced(
-    flights: Sequence[Flight], cut: Sequence[Segment], nuisance: Mapping[str, tuple[float, float]]
+    flights: Sequence[Flight],
+    segments: Sequence[Segment],
+    nuisance: Mapping[str, tuple[float, float]],
 ) -> list[str]:
     """A sentence for every flight whose controls, by the estimate in ``nuisance``, act when its
     record says they do not.
     """
-    said = []
+    warnings = []
     for flight in flights:
         late, std = nuisance.get(f"delay/{flight.name}/{CONTROL_DELAY}", (0.0, 0.0))
-        limit = late_limit_s(flight, next(s.command_s for s in cut if s.flight == flight.name))
+        limit = late_limit_s(flight, next(s.command_s for s in segments if s.flight == flight.name))
         # A delay that the flight does not determine (std NaN) says nothing.
         if abs(late) - 2.0 * std > limit:
-            said.append(
+            warnings.append(
                 f"{flight.name}: its controls act {1e3 * abs(late):.1f} ms"
                 f" {'late' if late > 0.0 else 'early'}, and {1e3 * limit:.1f} ms are allowed: its"
                 " command columns are shifted; a command belongs to the row whose acceleration has"
                 " seen it first"
             )
-    return said
+    return warnings
 
 
 # histories.parquet: what was measured and what a model made of it, sample by sample, for the
@@ -556,14 +564,14 @@ def read_histories(path: Path) -> list[History]:
 
 def _values(column: pa.ChunkedArray) -> NDArray[Any]:
     """(n,) numbers of a column, NaN where there is none."""
-    whole = column.combine_chunks()
+    combined = column.combine_chunks()
     # to_numpy would load pandas; what this program wrote has no gaps.
     return np.asarray(
-        whole.to_numpy(zero_copy_only=False) if whole.null_count else np.from_dlpack(whole)
+        combined.to_numpy(zero_copy_only=False) if combined.null_count else np.from_dlpack(combined)
     )
 
 
-def have(pieces: Sequence[History], names: Iterable[str]) -> bool:
+def have_columns(pieces: Sequence[History], names: Iterable[str]) -> bool:
     """Whether there are pieces and all have these columns."""
     return bool(pieces) and set(names) <= set(pieces[0].columns)
 
@@ -583,15 +591,15 @@ def _checked(table: pa.Table, path: Path) -> pa.Table:
     """
     names = table.column_names
     for name in (*_KEYS, *names):
-        wanted = _KEYS.get(name, pa.float64())
-        if names.count(name) != 1 or table.column(name).type != wanted:
-            found = (
+        expected_type = _KEYS.get(name, pa.float64())
+        if names.count(name) != 1 or table.column(name).type != expected_type:
+            description = (
                 f"{table.column(name).type}"
                 if names.count(name) == 1
                 else f"there {names.count(name)} times"
             )
             raise BadInputError(
-                f"{path}: column {name} is {found}, it must be there once, of type {wanted}; run"
+                f"{path}: column {name} is {description}, it must be there once, of type {expected_type}; run"
                 " its command again"
             )
         if name in _KEYS and table.column(name).null_count:
@@ -642,5 +650,5 @@ def with_shown_names(text: str, channels: Iterable[str]) -> str:
     columns that it may name.
     """
     names = {c: shown_channel(c)[0] for c in channels}
-    found = re.compile(r"\b(" + "|".join(map(re.escape, names)) + r")\b") if names else None
-    return text if found is None else found.sub(lambda match: names[match[0]], text)
+    pattern = re.compile(r"\b(" + "|".join(map(re.escape, names)) + r")\b") if names else None
+    return text if pattern is None else pattern.sub(lambda match: names[match[0]], text)

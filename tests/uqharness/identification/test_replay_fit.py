@@ -21,9 +21,9 @@ from uqharness.identification.replay_fit import Observed, fit_replays, jumping_i
 from uqharness.refinement.base import base_fit_and_noise, left_alone
 from uqharness.refinement.evaluation import show
 from uqharness.refinement.round import Side
-from uqharness.replay import CONTROL_DELAY, CONTROLS, ReplayFolder, command_later
+from uqharness.replay import CONTROL_DELAY, CONTROLS, ReplayFolder, delayed_command
 from uqharness.replay.flights import prepare
-from uqharness.replay.simulation import spread_over
+from uqharness.replay.simulation import batched_pool
 from uqharness.simulator.aircraft import find_aircraft
 
 NAMES = ("aero/Cl_p", "aero/Cl_da", "aero/Cm_q", "aero/Cm_alpha", "aero/Cn_r")
@@ -58,7 +58,7 @@ def test_identify_and_refine_estimate_the_same(aircraft, flight):
     assert np.abs(late) < 4.0 * std < 0.002
     # Commands 3 ms later are seen by both: by their lateness, not in the parameters.
     moved = {
-        c: command_later(flight.record[c], flight.record["time_s"], 0.003)
+        c: delayed_command(flight.record[c], flight.record["time_s"], 0.003)
         for c in flight.record.columns
         if c.endswith("_deg")
     }
@@ -94,7 +94,7 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
             names,
             (values + np.array([0.5, 0.02]), values),
             [(-60.0, 0.0), (1.8, 1.9)],
-            spread_over(map),
+            batched_pool(map),
         )
         assert fit.lost == ("aero/CX_alpha2",)
         assert fit.values()["aero/CX_alpha2"] == 1.86
@@ -106,7 +106,7 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
                 names,
                 (np.array([1e9, 1e9]),),
                 [(None, None)] * 2,
-                spread_over(map),
+                batched_pool(map),
             )
 
 
@@ -134,7 +134,7 @@ def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(
     monkeypatch.setattr(replay_fit, "output_error", estimated)
     with ReplayFolder(aircraft) as model:
         fit = fit_replays(
-            model, observed, names, (near, card), [(-60.0, 0.0), (1.8, 1.9)], spread_over(map)
+            model, observed, names, (near, card), [(-60.0, 0.0), (1.8, 1.9)], batched_pool(map)
         )
     assert fit.lost == ("aero/CX_alpha2",)
     assert [theta[1] for theta in begun] == [1.84, 1.86]
@@ -175,7 +175,7 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
     bounds = [aircraft.card.parameters[n].bounds for n in names]
     with ReplayFolder(aircraft, ideal=CONTROLS) as model:
         fit = fit_replays(
-            model, observed(setup), names, (np.array(true),), bounds, spread_over(map)
+            model, observed(setup), names, (np.array(true),), bounds, batched_pool(map)
         )
         blind = fit_replays(
             replace(model, lagging=("throttle_pct",)),
@@ -183,12 +183,12 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
             names,
             (np.array(true),),
             bounds,
-            spread_over(map),
+            batched_pool(map),
         )
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(replay_fit, "jumping_in", lambda *_: [])
             without = fit_replays(
-                model, observed(setup), names, (np.array(true),), bounds, spread_over(map)
+                model, observed(setup), names, (np.array(true),), bounds, batched_pool(map)
             )
     share, std = (
         fit.values()["unseen/f"],

@@ -12,7 +12,7 @@ from uqharness.replay import (
     CHANNELS,
     HISTORIES,
     History,
-    have,
+    have_columns,
     read_histories,
     shown_channel,
     with_shown_names,
@@ -218,7 +218,7 @@ def _coefficient_section(
     figures = []
     series = [("{}_flight", "second thin", ""), ("{}_model", "first thin", "")]
     for c in COEFFICIENTS:
-        if have(histories, (f"{c}_flight", f"{c}_model")):
+        if have_columns(histories, (f"{c}_flight", f"{c}_model")):
             drawn = [(key.format(c), kind, words) for key, kind, words in series]
             label = (
                 f"{c} [-] that the flight demanded and that the model gives, segments end to end."

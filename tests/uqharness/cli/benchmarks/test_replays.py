@@ -13,9 +13,9 @@ from uqharness.simulator import find_aircraft
 
 def test_replays_are_measured_and_said(tmp_path, monkeypatch):
     compiled = []
-    made = in_lanes._made
+    made = in_lanes._compile
     monkeypatch.setattr(
-        in_lanes, "_made", lambda job, names: compiled.append(job) or made(job, names)
+        in_lanes, "_compile", lambda job, names: compiled.append(job) or made(job, names)
     )
     flight = tmp_path / "flight.parquet"
     main(["fly", "espaaro", "--script", "flight-ident", "--noise", "--out", str(flight)])
