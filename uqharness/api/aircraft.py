@@ -8,7 +8,7 @@ from numbers import Real
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import ModelForm, read_model_form
-from uqharness.api.flights import AnyAircraft, AnyPath, given_aircraft
+from uqharness.api.flights import AnyAircraft, AnyPath, aircraft_of
 from uqharness.arguments import flag, instance, number, path, require
 from uqharness.arguments import properties as settings
 from uqharness.errors import BadInputError
@@ -84,7 +84,7 @@ def find_trim(
     condition = SteadyCondition(
         V_mps, altitude_m, climb_rad, bank_rad, heading_rad, properties=settings(properties)
     )
-    return run_unsupervised(trim.find_trim, given_aircraft(aircraft), condition)
+    return run_unsupervised(trim.find_trim, aircraft_of(aircraft), condition)
 
 
 def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
@@ -109,8 +109,10 @@ def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
     BadInputError
         If the trim did not converge or is of another aircraft.
 
-    References ---------- B. L. Stevens, F. L. Lewis, Aircraft Control and Simulation: numerical
-    linearisation by central differences.
+    References
+    ----------
+    B. L. Stevens, F. L. Lewis, Aircraft Control and Simulation: numerical linearisation by central
+    differences.
 
     Examples
     --------
@@ -119,7 +121,7 @@ def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
     >>> model.A.shape, model.controls
     ((8, 8), ('elevator', 'aileron', 'rudder', 'throttle'))
     """
-    return run_unsupervised(linear.linearise, given_aircraft(aircraft), steady)
+    return run_unsupervised(linear.linearise, aircraft_of(aircraft), steady)
 
 
 @notebook_line("instrument")
@@ -194,11 +196,11 @@ def instrument(
         form = form.form
     elif form is not None and not isinstance(form, ModelForm):
         form = read_model_form(path("form", form))
-    given = instance(
+    constant_bounds = instance(
         "constant", {} if constant is None else constant, Mapping, 'a mapping such as {"CX": 0.01}'
     )
-    bounds = Bounds(form, {name: _pair(name, value) for name, value in given.items()})
-    model = given_aircraft(aircraft)
+    bounds = Bounds(form, {name: _pair(name, value) for name, value in constant_bounds.items()})
+    model = aircraft_of(aircraft)
     check_folder(folder)
     return run_unsupervised(
         instrument_aircraft,
@@ -211,10 +213,10 @@ def instrument(
     )
 
 
-def _mass(given: Mapping[str, float] | None) -> MassProperties:
+def _mass(mass: Mapping[str, float] | None) -> MassProperties:
     allowed = tuple(MassProperties.__dataclass_fields__)
     numbers = instance(
-        "mass", {} if given is None else given, Mapping, 'a mapping such as {"mass_kg": 900.0}'
+        "mass", {} if mass is None else mass, Mapping, 'a mapping such as {"mass_kg": 900.0}'
     )
     if unknown := [name for name in numbers if name not in allowed]:
         raise BadInputError(f"mass: {unknown[0]!r} is unknown; allowed are {', '.join(allowed)}")

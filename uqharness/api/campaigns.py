@@ -44,9 +44,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-_NOWHERE = Path("campaign.toml")
+_NO_FILE = Path("campaign.toml")
 """Stands for the file of a campaign that is in none."""
-_IN_A_FILE = re.compile(rf"^{re.escape(str(_NOWHERE))}:\d+: (the file: )?")
+_FILE_AND_LINE = re.compile(rf"^{re.escape(str(_NO_FILE))}:\d+: (the file: )?")
 
 
 @dataclass(frozen=True)
@@ -157,8 +157,10 @@ def run_campaign(
         For mistakes in the campaign, each with its line, a model that does not fly, and a folder of
         another campaign.
 
-    References ---------- L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3: nested sampling
-    of epistemic and aleatory uncertainty.
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3: nested sampling of epistemic and
+    aleatory uncertainty.
 
     Examples
     --------
@@ -198,19 +200,19 @@ def run_campaign(
     command += [] if samples is None else ["--samples", str(samples)]
     command += [] if engine is None else ["--engine", engine]
     # No command goes on with a campaign that stands in no file; the same call does.
-    told = shlex.join(command) if isinstance(campaign, str | PathLike) else ""
+    resume_command = shlex.join(command) if isinstance(campaign, str | PathLike) else ""
     notes = (*noise_notes(spec), *bounds_notes(spec))
     rate = Rate()
 
     def show(progress: Progress) -> None:
         done, total = progress.done - progress.done_before, progress.cases - progress.done_before
-        left = rate.seconds_left(done, total)
+        remaining_s = rate.seconds_left(done, total)
         STATE.stage = f"{progress.done} of {progress.cases} flights"
-        STATE.stage += "" if left is None else f", {clock(left)} to go"
+        STATE.stage += "" if remaining_s is None else f", {clock(remaining_s)} to go"
         if on_progress is not None:
             on_progress(progress)
 
-    running.run_campaign(spec, folder, workers, on_progress=show, command=told)
+    running.run_campaign(spec, folder, workers, on_progress=show, command=resume_command)
     return CampaignResult(folder, read_complete(folder), notes)
 
 
@@ -275,9 +277,11 @@ def pbox(
     BadInputError
         For no sample, an empty one, no known value, or a confidence outside 0 to 1.
 
-    References ---------- L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3. S. Ferson et
-    al., Constructing probability boxes and Dempster-Shafer structures, SAND2002-4015, 2003. The
-    band: Bonferroni over the samples on Kolmogorov's statistic.
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3. S. Ferson et al., Constructing
+    probability boxes and Dempster-Shafer structures, SAND2002-4015, 2003. The band: Bonferroni over
+    the samples on Kolmogorov's statistic.
 
     Examples
     --------
@@ -293,9 +297,9 @@ def pbox(
         isinstance(samples, Iterable) and not isinstance(samples, str),
         "a mapping or sequence of arrays",
     )
-    named = samples.items() if isinstance(samples, Mapping) else enumerate(samples)
+    labelled = samples.items() if isinstance(samples, Mapping) else enumerate(samples)
     try:
-        return boxes.pbox([_sample(str(name), values) for name, values in named], confidence)
+        return boxes.pbox([_sample(str(name), values) for name, values in labelled], confidence)
     except (ValueError, TypeError) as error:
         raise BadInputError(f"samples: {error}") from None
 
@@ -303,9 +307,9 @@ def pbox(
 def _sample(name: str, values: ArrayLike | Sample) -> Sample:
     if isinstance(values, Sample):
         return values
-    known = np.asarray(values, dtype=float).ravel()
-    finite = np.isfinite(known)
-    return Sample(name, known[finite], int(np.count_nonzero(~finite)))
+    array = np.asarray(values, dtype=float).ravel()
+    finite = np.isfinite(array)
+    return Sample(name, array[finite], int(np.count_nonzero(~finite)))
 
 
 def campaign_of(campaign: AnyPath | CampaignSpec | Mapping[str, Any]) -> CampaignSpec:
@@ -314,9 +318,9 @@ def campaign_of(campaign: AnyPath | CampaignSpec | Mapping[str, Any]) -> Campaig
         return campaign
     if isinstance(campaign, Mapping):
         try:
-            return reading.campaign_from(_plain(campaign), _NOWHERE)
+            return reading.campaign_from(_plain(campaign), _NO_FILE)
         except BadInputError as error:
-            raise BadInputError(*(_IN_A_FILE.sub("", line) for line in error.args)) from None
+            raise BadInputError(*(_FILE_AND_LINE.sub("", line) for line in error.args)) from None
     if not isinstance(campaign, str | PathLike):
         raise BadInputError(
             "a campaign is a file, a name or its sections as a dictionary; received"

@@ -161,13 +161,19 @@ def fly(
     ----------
     MIL-F-8785C, 1980, section 3.7: the Dryden turbulence.
 
-    Examples -------- >>> import uqharness as uq >>> flight = uq.fly("espaaro", "loiter",
-    duration_s=10, wind_mps=3, turbulence="moderate", seed=7) >>> flight.status, len(flight) ('ok',
-    501) >>> table = flight.to_dataframe() >>> list(table.columns[:4]) ['time_s', 'V_mps',
-    'alpha_rad', 'beta_rad']"""
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> flight = uq.fly("espaaro", duration_s=10, wind_mps=3, turbulence="moderate", seed=7)
+    >>> flight.status, len(flight)
+    ('ok', 501)
+    >>> table = flight.to_dataframe()
+    >>> list(table.columns[:4])
+    ['time_s', 'V_mps', 'alpha_rad', 'beta_rad']
+    """
     if mission is not None:
         script = argument_path("mission", mission)
-    model, run = given_aircraft(aircraft), read_script(find_script(argument_path("script", script)))
+    model, run = aircraft_of(aircraft), read_script(find_script(argument_path("script", script)))
     for name, value in (
         ("wind_mps", wind_mps),
         ("wind_from_deg", wind_from_deg),
@@ -190,10 +196,11 @@ def fly(
         record_rate_hz=rate_hz,
     )
     frame, recorded = recorded_flight(model, run, as_asked(spec, seed))
-    known = {str(name): frame[name].to_numpy() for name in frame.columns if name in SIGNALS}
-    record = FlightRecord(known, Metadata(source=run.path.stem, dialect="record"))
+    channels = {str(name): frame[name].to_numpy() for name in frame.columns if name in SIGNALS}
+    record = FlightRecord(channels, Metadata(source=run.path.stem, dialect="record"))
     record = FlightRecord(
-        known, Metadata(source=run.path.stem, dialect="record", findings=tuple(check_units(record)))
+        channels,
+        Metadata(source=run.path.stem, dialect="record", findings=tuple(check_units(record))),
     )
     return Flight(
         run.path.stem,
@@ -354,7 +361,7 @@ def log_info(
         return report_of_log(record)
 
 
-def given_aircraft(aircraft: AnyAircraft) -> Aircraft:
+def aircraft_of(aircraft: AnyAircraft) -> Aircraft:
     """The aircraft of that name or folder, or the one given. Raises BadInputError."""
     return (
         aircraft
@@ -368,10 +375,10 @@ def carded_aircraft(aircraft: AnyAircraft) -> Aircraft:
 
     Raises BadInputError.
     """
-    return with_card(given_aircraft(aircraft))
+    return with_card(aircraft_of(aircraft))
 
 
-def given_flights(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) -> list[Flight]:
+def flights_of(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) -> list[Flight]:
     """One flight or several, whatever each was given as, at least one and none twice.
 
     Raises BadInputError.
@@ -381,17 +388,19 @@ def given_flights(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) 
     several = instance(
         "flights", flights, Iterable, "a path, a FlightRecord, a Flight or several of them"
     )
-    found = [_given(flight, aircraft) for flight in several]
-    if not found:
+    unique_flights = [_flight_of(flight, aircraft) for flight in several]
+    if not unique_flights:
         raise BadInputError(
             "no flight was given; at least one is needed, such as uq.read_flights(['flight.bin'],"
             " aircraft)"
         )
-    refuse_duplicates([flight.name for flight in found], [flight.sha256 for flight in found])
-    return found
+    refuse_duplicates(
+        [flight.name for flight in unique_flights], [flight.sha256 for flight in unique_flights]
+    )
+    return unique_flights
 
 
-def _given(flight: AnyFlight, aircraft: Aircraft) -> Flight:
+def _flight_of(flight: AnyFlight, aircraft: Aircraft) -> Flight:
     if isinstance(flight, Flight):
         return flight
     if isinstance(flight, FlightRecord):

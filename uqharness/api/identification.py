@@ -16,7 +16,7 @@ from uqharness.api.flights import (
     AnyPath,
     Flight,
     carded_aircraft,
-    given_flights,
+    flights_of,
 )
 from uqharness.arguments import flag, instance, one_of, path, share, whole
 from uqharness.arguments import workers as given_workers
@@ -105,9 +105,11 @@ def identify(
         For flights that lack a channel, unknown parameters or channels, and a model that cannot fly
         the segments.
 
-    References ---------- L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9: output
-    error. R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed., 2015: filter error.
-    docs/method.md has the equations.
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9: output error. R. V. Jategaonkar,
+    Flight Vehicle System Identification, 2nd ed., 2015: filter error. docs/method.md has the
+    equations.
 
     Examples
     --------
@@ -118,8 +120,8 @@ def identify(
     (True, ('aero/Cm_q', 'aero/Cm_de'))
     """
     model, workers = carded_aircraft(aircraft), given_workers(workers)
-    asked = None if parameters is None else _names("parameters", parameters)
-    if asked == []:
+    names = None if parameters is None else _names("parameters", parameters)
+    if names == []:
         raise BadInputError(
             "parameters is empty; name properties such as aero/Cm_q, or leave it out"
         )
@@ -128,13 +130,13 @@ def identify(
         _channels("biases", biases),
         _channels("outputs", outputs),
     )
-    ready, measured = _prepared(given_flights(flights, model), model)
+    ready, measured = _prepared(flights_of(flights, model), model)
     choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS), workers)
     return identifying.identify(
         model,
         choice.noted(ready),
         measured,
-        asked,
+        names,
         start=one_of("start", start, ("current", "initial")),
         biases=identifying.BIASES if biased is None else biased,
         delays=late,
@@ -183,8 +185,10 @@ def compare(
     BadInputError
         For a flight that lacks a channel and a model that cannot fly any segment.
 
-    References ---------- H. Theil's inequality coefficient, with its shares of bias, variance and
-    covariance; docs/identification.md has the rest.
+    References
+    ----------
+    H. Theil, Economic Forecasts and Policy, 1961: inequality coefficient with its shares of bias,
+    variance and covariance. docs/identification.md describes the other measures.
 
     Examples
     --------
@@ -196,12 +200,12 @@ def compare(
     """
     model, workers = carded_aircraft(aircraft), given_workers(workers)
     late, biased = _channels("delays", delays), _channels("biases", biases)
-    found = given_flights(flight, model)
-    if len(found) != 1:
+    flights = flights_of(flight, model)
+    if len(flights) != 1:
         raise BadInputError(
-            f"compare takes one flight, {len(found)} were given; call it once for each"
+            f"compare takes one flight, {len(flights)} were given; call it once for each"
         )
-    ready, measured = _prepared(found, model, align=False)
+    ready, measured = _prepared(flights, model, align=False)
     choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS), workers)
     return comparing.compare(
         model,
@@ -265,27 +269,35 @@ def fit_model_form(
     BadInputError
         For flights that lack a channel or are too short, and for unknown states or terms.
 
-    References ---------- L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.11 to 2.18: residual
-    coefficients, and the prediction interval of their regression on the flight states.
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.11 to 2.18: residual coefficients, and the
+    prediction interval of their regression on the flight states.
 
-    Examples -------- >>> import uqharness as uq >>> flight = uq.fly("espaaro_truth",
-    "flight-bounds", duration_s=40, turbulence="light", noise=True, seed=2) >>> made =
-    uq.fit_model_form("espaaro", flight, checks=False) >>> sorted(made.form.coefficients) ['CX',
-    'CY', 'CZ', 'Cl', 'Cm', 'Cn']"""
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> flight = uq.fly(
+    ...     "espaaro_truth", "flight-bounds", duration_s=40, turbulence="light", noise=True, seed=2
+    ... )
+    >>> bounds = uq.fit_model_form("espaaro", flight, checks=False)
+    >>> sorted(bounds.form.coefficients)
+    ['CX', 'CY', 'CZ', 'Cl', 'Cm', 'Cn']
+    """
     model = carded_aircraft(aircraft)
-    chosen, named = _designs("states", states), _designs("terms", terms)
+    state_texts, term_texts = _designs("states", states), _designs("terms", terms)
     options = BoundsOptions(
         designs=parse_designs(
-            chosen, named, one_of("order", whole("order", order), (0, 1, 2, 3)), False
+            state_texts, term_texts, one_of("order", whole("order", order), (0, 1, 2, 3)), False
         ),
         fit=FitOptions(share("confidence", confidence)),
         cutoffs=Cutoffs(),
         outside=one_of("outside", outside, ("grow", "clamp")),
         checks=flag("checks", checks),
     )
-    found = given_flights(flights, model)
-    ready, measured = _prepared(found, model)
-    hashes = [flight.sha256 for flight in found]
+    flight_list = flights_of(flights, model)
+    ready, measured = _prepared(flight_list, model)
+    hashes = [flight.sha256 for flight in flight_list]
     ready = [recut(flight, measured) for flight in ready]
     choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS))
     options = replace(options, ideal_servos=choice.ideal)
@@ -339,7 +351,7 @@ def validate_bounds(
         form = form.form
     if not isinstance(form, ModelForm):
         form = load_form(path("form", form))
-    new = given_flights(flights, model)
+    new = flights_of(flights, model)
     ready, measured = _prepared(new, model)
     hashes = [flight.sha256 for flight in new]
     with notebook_line("validate_bounds"):
@@ -356,22 +368,26 @@ def _prepared(
     )
 
 
-def _channels(what: str, names: Sequence[str] | None) -> tuple[str, ...] | None:
-    return parse_channels(f"--{what}", None if names is None else ",".join(_names(what, names)))
+def _channels(argument: str, names: Sequence[str] | None) -> tuple[str, ...] | None:
+    return parse_channels(
+        f"--{argument}", None if names is None else ",".join(_names(argument, names))
+    )
 
 
-def _names(what: str, names: Sequence[str]) -> list[str]:
+def _names(argument: str, names: Sequence[str]) -> list[str]:
     """One name or several."""
     several = (
-        [names] if isinstance(names, str) else instance(what, names, Iterable, "a name or several")
+        [names]
+        if isinstance(names, str)
+        else instance(argument, names, Iterable, "a name or several")
     )
-    return [instance(what, name, str, "a name, as a str,") for name in several]
+    return [instance(argument, name, str, "a name, as a str,") for name in several]
 
 
-def _designs(what: str, given: Mapping[str, Sequence[str]] | None) -> list[str]:
-    known = (
+def _designs(argument: str, by_coefficient: Mapping[str, Sequence[str]] | None) -> list[str]:
+    mapping = (
         {}
-        if given is None
-        else instance(what, given, Mapping, 'a mapping such as {"CX": ["V", "alpha"]}')
+        if by_coefficient is None
+        else instance(argument, by_coefficient, Mapping, 'a mapping such as {"CX": ["V", "alpha"]}')
     )
-    return [f"{c}={','.join(_names(what, names))}" for c, names in known.items()]
+    return [f"{c}={','.join(_names(argument, names))}" for c, names in mapping.items()]

@@ -15,7 +15,7 @@ from uqharness.api.flights import (
     AnyPath,
     Flight,
     carded_aircraft,
-    given_flights,
+    flights_of,
 )
 from uqharness.arguments import flag, instance, one_of, path, require
 from uqharness.arguments import workers as given_workers
@@ -98,15 +98,23 @@ def refine(
     ----------
     L. E. Hale, dissertation, Virginia Tech, 2016, section 2.7. docs/refine.md has the method.
 
-    Examples -------- >>> import uqharness as uq >>> flights = [uq.fly("espaaro_truth",
-    "flight-ident", noise=True, seed=seed) for seed in (1, 2)] >>> found = uq.refine("espaaro",
-    train=flights[0], test=flights[1], out="refined", pbox=False, figures=False) >>>
-    found.document["verdict"] 'effects-found'"""
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> train, test = (
+    ...     uq.fly("espaaro_truth", "flight-ident", noise=True, seed=seed) for seed in (1, 2)
+    ... )
+    >>> result = uq.refine(
+    ...     "espaaro", train=train, test=test, out="refined", pbox=False, figures=False
+    ... )
+    >>> result.document["verdict"]
+    'effects-found'
+    """
     model, folder, workers = carded_aircraft(aircraft), path("out", out), given_workers(workers)
     one_of("servos", servos, ("auto", "card", "ideal"))
     flag("figures", figures)
     require("on_stage", on_stage, callable(on_stage), "a function of a text")
-    own, mission = (
+    effects_file, mission = (
         None if f is None else path(n, f) for n, f in (("effects", effects), ("campaign", campaign))
     )
     if not flag("pbox", pbox) and campaign is not None:
@@ -114,7 +122,7 @@ def refine(
             "campaign and pbox = False: a campaign is flown for its p-box; leave out one of them"
         )
     check_folder(folder)
-    extra = tuple(read_effects(own)) if own is not None else ()
+    extra = tuple(read_effects(effects_file)) if effects_file is not None else ()
     with scratch_folder("flights") as scratch:
         files = {
             name: _files(flights, model, scratch.path / name)
@@ -122,7 +130,7 @@ def refine(
         }
         options: dict[str, object] = {
             "--servos": servos if servos != "auto" else None,
-            "--effects": own,
+            "--effects": effects_file,
             "--campaign": mission,
             "--no-pbox": not pbox,
             "--bake": flag("bake", bake),
@@ -157,25 +165,26 @@ def _files(
 ) -> tuple[Path, ...]:
     """Files of the flights: their own, or ones in ``folder`` for flights that are in memory."""
     several = [flights] if isinstance(flights, str | PathLike | FlightRecord | Flight) else flights
-    given = list(
+    flight_list = list(
         instance(
             "flights", several, Iterable, "a path, a FlightRecord, a Flight or several of them"
         )
     )
-    loose = [flight for flight in given if not isinstance(flight, str | PathLike)]
-    known = given_flights(loose, aircraft) if loose else []
-    written = iter(
-        [folder / f"{name}.parquet" for name in unique_names([flight.name for flight in known])]
+    in_memory = [flight for flight in flight_list if not isinstance(flight, str | PathLike)]
+    records = flights_of(in_memory, aircraft) if in_memory else []
+    new_files = iter(
+        [folder / f"{name}.parquet" for name in unique_names([flight.name for flight in records])]
     )
     folder.mkdir()
-    found = [
-        Path(flight) if isinstance(flight, str | PathLike) else next(written) for flight in given
+    files = [
+        Path(flight) if isinstance(flight, str | PathLike) else next(new_files)
+        for flight in flight_list
     ]
-    for file, flight in zip((p for p in found if p.parent == folder), known, strict=True):
+    for file, flight in zip((p for p in files if p.parent == folder), records, strict=True):
         flight.record.write(file)
-    if not found:
+    if not files:
         raise BadInputError("refine needs at least one flight to train on and one to test on")
-    return tuple(found)
+    return tuple(files)
 
 
 def _command(

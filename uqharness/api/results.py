@@ -490,8 +490,10 @@ def campaign_area(
     BadInputError
         Where no flight is given, or none has a metric of the campaign.
 
-    References ---------- S. Ferson, W. L. Oberkampf, L. Ginzburg, Model validation and predictive
-    capability for the thermal challenge problem, 2008.
+    References
+    ----------
+    S. Ferson, W. L. Oberkampf, L. Ginzburg, Model validation and predictive capability for the
+    thermal challenge problem, 2008.
 
     Examples
     --------

@@ -25,7 +25,7 @@ from uqharness.cli.options import (
     number,
     results_folder,
 )
-from uqharness.cli.progress import say_warnings, working
+from uqharness.cli.progress import print_warnings, working
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder, write_bytes, write_json, write_text
 from uqharness.identification import (
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_out(parser)
     add_log_options(parser)
     confidence = number(
-        "--confidence", "a probability such as 0.95", above=0.0, most=math.nextafter(1.0, 0.0)
+        "--confidence", "a probability such as 0.95", above=0.0, maximum=math.nextafter(1.0, 0.0)
     )
     parser.add_argument(
         "--confidence",
@@ -132,7 +132,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--airspeed-cutoff-hz",
             2.0,
             "low-pass of the airspeed, Hz (default 2; 0: none)",
-            {"least": 0.0},
+            {"minimum": 0.0},
         ),
         (
             "--walk-cutoff-hz",
@@ -187,34 +187,34 @@ def _run(args: argparse.Namespace) -> int:
             stage("servos: the card's or ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos)
         flights, options = servos.noted(flights), replace(options, ideal_servos=servos.ideal)
-        found = make_bounds(
+        bounds = make_bounds(
             aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, stage
         )
-        system = model_form_xml(found.form, aircraft)
+        system = model_form_xml(bounds.form, aircraft)
         out = results_folder(args.out)
-        document = bounds_document(found)
+        document = bounds_document(bounds)
         write_bytes(out / "model-form.xml", system)
-        kept = document | {"command": command_as_given(args), "version": __version__}
-        write_json(out / "bounds.json", kept)
-        write_residuals(found.form, found.residuals, ", ".join(f.name for f in flights), out)
-        write_text(out / "model-form.json", found.form.to_json())
+        stored = document | {"command": command_as_given(args), "version": __version__}
+        write_json(out / "bounds.json", stored)
+        write_residuals(bounds.form, bounds.residuals, ", ".join(f.name for f in flights), out)
+        write_text(out / "model-form.json", bounds.form.to_json())
         stage("report")
         report = write_report(out, not args.no_figures)
         if not args.no_figures:
-            _more_figures(found, out)
-    say_warnings(found.warnings)
+            _more_figures(bounds, out)
+    print_warnings(bounds.warnings)
     print(json.dumps(document) if args.json else report.text)
     return 0
 
 
-def _more_figures(found: MadeBounds, out: Path) -> None:
+def _more_figures(bounds: MadeBounds, out: Path) -> None:
     """Drawings of what the folder does not keep: the levels' changes, and the bounds of the usual
     states beside others.
     """
 
-    sections = [variation_section(found.variations)]
-    if found.baseline:
+    sections = [variation_section(bounds.variations)]
+    if bounds.baseline:
         sections.append(
-            slice_section(found.form, read_histories(out / RESIDUALS), baseline=found.baseline)
+            slice_section(bounds.form, read_histories(out / RESIDUALS), baseline=bounds.baseline)
         )
-    write_figures(out, sections, f"Model-form bounds of {found.form.aircraft.name}")
+    write_figures(out, sections, f"Model-form bounds of {bounds.form.aircraft.name}")

@@ -9,8 +9,8 @@ import json
 from pathlib import Path
 
 from uqharness.cli.options import (
+    DEFAULT_WORKERS,
     FLIGHT_FILE,
-    MOST_WORKERS,
     add_aircraft,
     add_log_options,
     add_no_figures,
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_out(parser)
     add_log_options(parser)
     add_replay_options(parser)
-    add_workers(parser, MOST_WORKERS)
+    add_workers(parser, DEFAULT_WORKERS)
     add_no_figures(parser)
 
 
@@ -71,7 +71,7 @@ def _run(args: argparse.Namespace) -> int:
             stage("servos: the card's or ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos, args.workers)
         flights = servos.noted(flights)
-        found = compare(
+        comparison = compare(
             aircraft,
             flights[0],
             measured,
@@ -79,12 +79,12 @@ def _run(args: argparse.Namespace) -> int:
             delays=delays,
             ideal_servos=servos.ideal,
             workers=args.workers,
-            on_stage=stage,
+            callback=stage,
         )
         stage("report")
         out = results_folder(args.out)
-        document = document_of(found) | {"command": command_as_given(args)}
-        write_tables(found, document, out)
+        document = document_of(comparison) | {"command": command_as_given(args)}
+        write_tables(comparison, document, out)
         report = write_report(out, not args.no_figures)
     print(json.dumps(document) if args.json else report.text)
-    return 0 if found.reached else 1
+    return 0 if comparison.reached else 1

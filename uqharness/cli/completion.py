@@ -44,13 +44,13 @@ def _run(args: argparse.Namespace) -> int:
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
     """The script for ``bash`` or ``zsh`` from the parser of all commands."""
     for action in _actions(parser):
-        found = _completer(action)
-        if found is not None:
-            action.complete = found  # type: ignore[attr-defined]
+        completer = _completer(action)
+        if completer is not None:
+            action.complete = completer  # type: ignore[attr-defined]
     names = " ".join(shlex.quote(name) for name in known_aircraft())
     preamble = _AIRCRAFT[shell].format(names=shlex.quote(names), words=names)
-    given: Any = {shell: preamble}  # the library's annotation knows texts alone
-    return str(shtab.complete(parser, shell, preamble=given)).rstrip("\n")
+    preambles: Any = {shell: preamble}  # the library's annotation knows texts alone
+    return str(shtab.complete(parser, shell, preamble=preambles)).rstrip("\n")
 
 
 def known_aircraft() -> list[str]:
@@ -75,5 +75,5 @@ def _completer(action: argparse.Action) -> Mapping[str, str] | None:
         return dict.fromkeys(SHELLS, "_uqharness_aircraft")
     if action.type is not Path:
         return None
-    known = shtab.DIRECTORY if str(action.metavar).startswith("DIR") else shtab.FILE
-    return {shell: str(known[shell]) for shell in SHELLS}
+    completion = shtab.DIRECTORY if str(action.metavar).startswith("DIR") else shtab.FILE
+    return {shell: str(completion[shell]) for shell in SHELLS}

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from uqharness.cli.options import add_page, add_seed, command_as_given, describe, number, whole
+from uqharness.cli.options import add_page, add_seed, command_as_given, describe, integer, number
 from uqharness.cli.progress import counting
 from uqharness.differences import (
     ROUNDING,
@@ -36,7 +36,7 @@ _EXAMPLE = """
   uqharness diff HEAD~1:aircraft/espaaro aircraft/espaaro --speed-mps 22 --script loiter --out diff.html
   uqharness diff c172p my/c172p --speed-mps 45 --speed-mps 60 --json
   uqharness diff c172p c172p --speed-mps 50 --python-b other-jsbsim/bin/python"""
-_SHOWN = 12
+_MAX_ROWS = 12
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar=name.upper(),
             help="aircraft: name, folder, or REVISION:FOLDER of a git repository",
         )
-    speed = number("--speed-mps", above=0.0, most=1000.0)
+    speed = number("--speed-mps", above=0.0, maximum=1000.0)
     parser.add_argument(
         "--speed-mps",
         type=speed,
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--altitude-m",
-        type=number("--altitude-m", above=0.0, most=30_000.0),
+        type=number("--altitude-m", above=0.0, maximum=30_000.0),
         default=200.0,
         metavar="H",
         help="height of the manoeuvres above sea level, m (default %(default)g)",
@@ -93,7 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--tolerance",
-        type=number("--tolerance", least=0.0, most=1.0),
+        type=number("--tolerance", minimum=0.0, maximum=1.0),
         default=ROUNDING,
         metavar="R",
         help=(
@@ -103,7 +103,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--repeats",
-        type=whole("--repeats", 0, 1000),
+        type=integer("--repeats", 0, 1000),
         default=0,
         metavar="N",
         help=(
@@ -133,7 +133,7 @@ def _run(args: argparse.Namespace) -> int:
             "nothing to fly: give --speed-mps V, an airspeed at which A trims (uqharness modes A"
             " --speed-mps V shows the trim), or --script S"
         )
-    asked = Asked(
+    request = Asked(
         speeds_mps=tuple(args.speed_mps),
         altitude_m=args.altitude_m,
         scripts=tuple(find_script(s) for s in args.script),
@@ -150,10 +150,10 @@ def _run(args: argparse.Namespace) -> int:
         )
         terms = differing_terms(a.folder, b.folder)
         with counting("flights compared") as progress:
-            channels, flights = fly_matched(a, b, asked, progress)
-    found = differences(channels, flights, terms, args.tolerance)
+            channels, flights = fly_matched(a, b, request, progress)
+    all_differences = differences(channels, flights, terms, args.tolerance)
     refused = [f for f in flights if f.reason]
-    first = by_channel(found)
+    first = by_channel(all_differences)
     if args.out is not None:
         page = difference_page(
             (args.a, args.b), channels, flights, first, terms, command_as_given(args)
@@ -161,7 +161,7 @@ def _run(args: argparse.Namespace) -> int:
         write_html(args.out, page)
     differ = bool(first or refused or any(f.only_a or f.only_b for f in flights))
     if args.json:
-        print(json.dumps(_document(args, flights, found, terms, differ)))
+        print(json.dumps(_document(args, flights, all_differences, terms, differ)))
     else:
         print(_text(flights, first, terms, differ))
     return 1 if differ else 0
@@ -170,18 +170,18 @@ def _run(args: argparse.Namespace) -> int:
 def _text(
     flights: Sequence[Matched], first: Sequence[Difference], terms: Sequence[Term], differ: bool
 ) -> str:
-    flown = (
+    flight_summary = (
         f"{len(flights)} flights,"
         f" {sum(float(f.time_s[-1]) for f in flights if len(f.time_s)):.0f} s"
     )
-    beyond = " beyond what A varies by itself" if any(f.varied for f in flights) else ""
+    beyond_benign = " beyond what A varies by itself" if any(f.varied for f in flights) else ""
     if not differ:
         if not terms:
-            return f"The models do not differ{beyond} ({flown}; the XML says the same)."
+            return f"The models do not differ{beyond_benign} ({flight_summary}; the XML says the same)."
         return "\n".join(
             [
                 (
-                    f"No output differs{beyond} ({flown}), but {len(terms)} elements of the XML do:"
+                    f"No output differs{beyond_benign} ({flight_summary}), but {len(terms)} elements of the XML do:"
                     " these flights do not show them."
                 ),
                 *(f"  {line}" for line in _terms(terms)),
@@ -210,11 +210,11 @@ def _text(
                 "Largest difference": f"{x.size:.3g} {x.unit}".removesuffix(" -"),
                 "Share of range [%]": f"{100 * x.share:.2g}",
             }
-            for x in first[:_SHOWN]
+            for x in first[:_MAX_ROWS]
         ]
         out += ["", *text_table(rows)]
-        if len(first) > _SHOWN:
-            out.append(f"and {len(first) - _SHOWN} more (--json lists all)")
+        if len(first) > _MAX_ROWS:
+            out.append(f"and {len(first) - _MAX_ROWS} more (--json lists all)")
     if terms:
         out += [
             "",
@@ -226,9 +226,10 @@ def _text(
 
 def _terms(terms: Sequence[Term]) -> list[str]:
     lines = [
-        f"{_where(t)}: {t.path}: {t.a or 'nothing'} -> {t.b or 'nothing'}" for t in terms[:_SHOWN]
+        f"{_where(t)}: {t.path}: {t.a or 'nothing'} -> {t.b or 'nothing'}"
+        for t in terms[:_MAX_ROWS]
     ]
-    return [*lines, f"and {len(terms) - _SHOWN} more"] if len(terms) > _SHOWN else lines
+    return [*lines, f"and {len(terms) - _MAX_ROWS} more"] if len(terms) > _MAX_ROWS else lines
 
 
 def _where(term: Term) -> str:
@@ -238,7 +239,7 @@ def _where(term: Term) -> str:
 def _document(
     args: argparse.Namespace,
     flights: Sequence[Matched],
-    found: Sequence[Difference],
+    all_differences: Sequence[Difference],
     terms: Sequence[Term],
     differ: bool,
 ) -> dict[str, Any]:
@@ -276,7 +277,7 @@ def _document(
                 "b": finite(d.b),
                 "likeliest": [_where(t) for t in d.terms[:3]],
             }
-            for d in found
+            for d in all_differences
         ],
         "terms": [
             {

@@ -81,10 +81,13 @@ def _match(dossier: Dossier) -> dict[str, Any]:
     if dossier.source is None:
         return {"tests": [], "not_in_the_data": {}}
     match = dossier.source.match
-    return {"tests": [_judged(j) for j in match.judged], "not_in_the_data": dict(match.missing)}
+    return {
+        "tests": [_test_document(j) for j in match.judged],
+        "not_in_the_data": dict(match.missing),
+    }
 
 
-def _judged(judged: Judged) -> dict[str, Any]:
+def _test_document(outcome: Judged) -> dict[str, Any]:
     rows = [
         {
             "quantity": r.quantity,
@@ -94,18 +97,18 @@ def _judged(judged: Judged) -> dict[str, Any]:
             "answer": r.answer,
             "share_inside": None if math.isnan(r.share) else r.share,
         }
-        for r in judged.rows
+        for r in outcome.rows
     ]
-    segment = judged.segment
-    found = {
-        "test": judged.test.entry,
-        "title": judged.test.title,
+    segment = outcome.segment
+    document = {
+        "test": outcome.test.entry,
+        "title": outcome.test.title,
         "flight": segment.flight,
         "manoeuvre": segment.manoeuvre,
         "from_s": float(segment.time_s[0]),
-        "answer": judged.answer,
-        "why": judged.why,
+        "answer": outcome.answer,
+        "why": outcome.why,
         "rows": rows,
     }
-    out: dict[str, Any] = finite(found)
+    out: dict[str, Any] = finite(document)
     return out

@@ -15,12 +15,12 @@ from uqharness.cli.options import (
     add_page,
     add_seed,
     aircraft_with_card,
-    as_data,
     command_as_given,
     describe,
+    gains_document,
     gains_of,
     number,
-    tell_gains,
+    print_gains,
 )
 from uqharness.errors import BadInputError
 from uqharness.files import check_out, check_page, scratch_folder
@@ -82,26 +82,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--speed-mps",
-        type=number("--speed-mps", above=0.0, most=1000.0),
+        type=number("--speed-mps", above=0.0, maximum=1000.0),
         metavar="V",
         help="true airspeed of --mission, m/s",
     )
     parser.add_argument(
         "--altitude-m",
-        type=number("--altitude-m", above=0.0, most=30_000.0),
+        type=number("--altitude-m", above=0.0, maximum=30_000.0),
         default=200.0,
         metavar="H",
         help="height of --mission above flat ground at sea level, m (default %(default)g)",
     )
     parser.add_argument(
         "--duration-s",
-        type=number("--duration-s", above=0.0, most=1e6),
+        type=number("--duration-s", above=0.0, maximum=1e6),
         metavar="T",
         help="length of the flight, s (default: the script's end)",
     )
     parser.add_argument(
         "--wind-mps",
-        type=number("--wind-mps", least=0.0, most=100.0),
+        type=number("--wind-mps", minimum=0.0, maximum=100.0),
         default=0.0,
         metavar="W",
         help="steady wind, m/s (default 0)",
@@ -142,7 +142,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_autopilot(parser)
     parser.add_argument(
         "--rate-hz",
-        type=number("--rate-hz", above=0.0, most=1e5),
+        type=number("--rate-hz", above=0.0, maximum=1e5),
         default=50.0,
         metavar="R",
         help="rows per second (default 50)",
@@ -189,14 +189,18 @@ def _run(args: argparse.Namespace) -> int:
         return _fly(args, aircraft, copy, path)
 
 
-def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Path) -> int:
-    """Fly ``flown``, which is ``aircraft`` or its copy with initial conditions, and write the
+def _fly(
+    args: argparse.Namespace, aircraft: Aircraft, flight_aircraft: Aircraft, path: Path
+) -> int:
+    """Fly ``flight_aircraft``, which is ``aircraft`` or its copy with initial conditions, and write the
     record.
     """
     script = read_script(path)
-    gains = gains_of(args.autopilot, flown, path)
+    gains = gains_of(args.autopilot, flight_aircraft, path)
     record, recorded = recorded_flight(
-        flown, script, _spec(args, flown, script, gains.properties if gains else {})
+        flight_aircraft,
+        script,
+        _spec(args, flight_aircraft, script, gains.properties if gains else {}),
     )
     if not aircraft.has_card:
         print(
@@ -206,7 +210,7 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
         )
     left_out = write_record(record, args.out, aircraft, start_of(recorded))
     if args.page is not None:
-        asked = FlightAsked(
+        request = FlightAsked(
             aircraft.name,
             args.mission or path.stem,
             _conditions(args),
@@ -214,7 +218,7 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
             command_as_given(args),
         )
         columns = {name: record[name].to_numpy() for name in record.columns}
-        write_html(args.page, flight_page(asked, columns, recorded.status, recorded.reason))
+        write_html(args.page, flight_page(request, columns, recorded.status, recorded.reason))
     summary = {
         "status": recorded.status,
         "reason": recorded.reason,
@@ -222,15 +226,15 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
         "rows": len(record),
         "out": str(args.out),
         "left_out": list(left_out),
-        "autopilot": as_data(gains),
+        "autopilot": gains_document(gains),
     }
     if args.json:
         print(json.dumps(summary))
     else:
-        tell_gains(args.autopilot, gains)
+        print_gains(args.autopilot, gains)
         end = "" if recorded.status == "ok" else f", {recorded.status}: {recorded.reason}"
-        lost = f"; DataFlash has no message for {', '.join(left_out)}" if left_out else ""
-        print(f"{args.out}: {len(record)} rows, {recorded.flown_s:.1f} s{end}{lost}")
+        unsupported = f"; DataFlash has no message for {', '.join(left_out)}" if left_out else ""
+        print(f"{args.out}: {len(record)} rows, {recorded.flown_s:.1f} s{end}{unsupported}")
     return 0 if recorded.status == "ok" else 1
 
 

@@ -8,7 +8,7 @@ import sys
 
 from sysid.digests import file_sha256
 from uqharness.cli.options import (
-    MOST_WORKERS,
+    DEFAULT_WORKERS,
     add_aircraft,
     add_flights,
     add_log_options,
@@ -84,11 +84,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="auto",
         help="auto: filter error where output error's residuals show turbulence (default)",
     )
-    add_workers(parser, MOST_WORKERS)
+    add_workers(parser, DEFAULT_WORKERS)
     add_no_figures(parser)
 
 
-def _tell(text: str) -> None:
+def _note(text: str) -> None:
     print(f"uqharness: note: {text}", file=sys.stderr, flush=True)
 
 
@@ -114,7 +114,7 @@ def _run(args: argparse.Namespace) -> int:
             stage("servos: the card's or ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos, args.workers)
         flights = servos.noted(flights)
-        found = identify(
+        result = identify(
             aircraft,
             flights,
             measured,
@@ -126,20 +126,20 @@ def _run(args: argparse.Namespace) -> int:
             ideal_servos=servos.ideal,
             method=args.method,
             workers=args.workers,
-            on_stage=stage,
-            tell=_tell,
+            callback=stage,
+            message_callback=_note,
         )
         stage("report")
         out = results_folder(args.out)
         hashes = [file_sha256(p) for p in args.flight]
         document = write_results(
-            found, aircraft, [p.name for p in args.flight], command_words(args), out, hashes
+            result, aircraft, [p.name for p in args.flight], command_words(args), out, hashes
         )
         report = write_report(out, not args.no_figures)
     if args.json:
         print(json.dumps(document))
     else:
         notes = [f"note: {n}" for f in flights for n in f.notes]
-        speed = [] if found.speed is None else [found.speed.text()]
+        speed = [] if result.speed is None else [result.speed.text()]
         print("\n".join([*notes, report.text, *speed]))
-    return 0 if found.converged and found.identified else 1
+    return 0 if result.converged and result.identified else 1

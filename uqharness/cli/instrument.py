@@ -174,8 +174,8 @@ def _run(args: argparse.Namespace) -> int:
         report["check"] = {k: None if v != v else v for k, v in asdict(done.verdict).items()}
     if args.page is not None:
         _write_page(args, aircraft, done, bounds)
-    wrong = done.verdict is not None and done.verdict.status == "wrong"
-    code = 1 if wrong or done.unmeasured else 0
+    is_wrong = done.verdict is not None and done.verdict.status == "wrong"
+    code = 1 if is_wrong or done.unmeasured else 0
     print(json.dumps(report, indent=1) if args.json else _text(report))
     return code
 
@@ -195,10 +195,10 @@ def _write_page(
             False,
             f"Flown beside the untouched aircraft, {done.verdict.status}: {done.verdict.reason}.",
         )
-    what = Instrumentation(
+    page_data = Instrumentation(
         aircraft.name, done.planned.rows, tuple(done.notes), check, command_as_given(args)
     )
-    write_html(args.page, instrument_page(what, bounds.form, bounds.constant))
+    write_html(args.page, instrument_page(page_data, bounds.form, bounds.constant))
 
 
 def _undo(args: argparse.Namespace) -> int:
@@ -308,5 +308,5 @@ def _check_lines(check: dict[str, Any] | None) -> list[str]:
             f" relative errors of force and moment increments: at most {worst:.0e}."
         )
         return [text]
-    what = "WRONG" if check["status"] == "wrong" else "not made, because the original fails"
-    return [f"Check: {what}: {check['reason']}."]
+    outcome = "WRONG" if check["status"] == "wrong" else "not made, because the original fails"
+    return [f"Check: {outcome}: {check['reason']}."]

@@ -51,7 +51,7 @@ VERBS: Table = {
     "info": ("log:add_info", "contents and findings of a log, and the purposes it serves"),
     "map": ("log:add_map_proposal", "propose a signal map for a log"),
     "import": ("log:add_import", "turn a log into a flight record"),
-    "export": ("log_export:add_export", "write a flight for FlightGear"),
+    "export": ("log:add_export", "write a flight for FlightGear"),
 }
 
 
@@ -205,10 +205,10 @@ def _import(args: argparse.Namespace) -> int:
         from sysid.logs import labelled
 
         record = labelled(record, args.manoeuvres, args.log.stem)
-    kept = whole = (float(record["time_s"][0]), float(record["time_s"][-1]))
+    kept_s = log_s = (float(record["time_s"][0]), float(record["time_s"][-1]))
     if not args.whole and record.metadata.free_flight_s and record.metadata.dialect != "record":
-        kept = record.metadata.free_flight_s[0]
-        record = record.between(*kept)
+        kept_s = record.metadata.free_flight_s[0]
+        record = record.between(*kept_s)
     try:
         args.out.parent.mkdir(parents=True, exist_ok=True)
         record.write(args.out)
@@ -218,15 +218,15 @@ def _import(args: argparse.Namespace) -> int:
         "out": str(args.out),
         "rows": len(record),
         "grid_hz": record.metadata.grid_hz,
-        "kept_s": list(kept),
-        "log_s": list(whole),
+        "kept_s": list(kept_s),
+        "log_s": list(log_s),
         "columns": list(record.columns),
         "findings": [f.as_dict() for f in record.metadata.findings],
     }
     print(
         json.dumps(finite(report), indent=2)
         if args.json
-        else _import_text(record, args.out, kept, whole)
+        else _import_text(record, args.out, kept_s, log_s)
     )
     return 0
 
@@ -329,15 +329,15 @@ def _loiter_text(loiter: Loiter) -> str:
 
 
 def _import_text(
-    record: FlightRecord, out: Path, kept: tuple[float, float], whole: tuple[float, float]
+    record: FlightRecord, out: Path, kept_s: tuple[float, float], log_s: tuple[float, float]
 ) -> str:
-    span = f"{kept[0]:.2f} to {kept[1]:.2f} s of {whole[0]:.2f} to {whole[1]:.2f} s"
+    span = f"{kept_s[0]:.2f} to {kept_s[1]:.2f} s of {log_s[0]:.2f} to {log_s[1]:.2f} s"
     lines = [
         f"{out}: {len(record)} rows at {record.metadata.grid_hz:g} Hz, {span}",
         f"columns: {', '.join(record.columns)}",
     ]
-    told = [f for f in record.metadata.findings if f.severity != "info" or f.code in _IMPORT_NOTES]
-    return "\n".join(lines + _condensed(told))
+    notes = [f for f in record.metadata.findings if f.severity != "info" or f.code in _IMPORT_NOTES]
+    return "\n".join(lines + _condensed(notes))
 
 
 def _condensed(findings: Sequence[Finding]) -> list[str]:
@@ -349,8 +349,8 @@ def _condensed(findings: Sequence[Finding]) -> list[str]:
         groups.setdefault((f.severity, f.code), []).append(f)
     lines = []
     for (severity, code), members in groups.items():
-        others = [f.channel for f in members[1:] if f.channel]
-        more = f" (also: {', '.join(others)})" if others else ""
+        other_channels = [f.channel for f in members[1:] if f.channel]
+        more = f" (also: {', '.join(other_channels)})" if other_channels else ""
         lines.append(f"{severity:8} {code}: {members[0].message}{more}")
         if severity == "error":
             lines += [
@@ -393,12 +393,15 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     add_out(parser)
     add_map(parser)
     add_flight_number(parser)
-    for option, what, most in (("--lat-deg", "latitude", 90.0), ("--lon-deg", "longitude", 180.0)):
+    for option, quantity, limit in (
+        ("--lat-deg", "latitude", 90.0),
+        ("--lon-deg", "longitude", 180.0),
+    ):
         parser.add_argument(
             option,
-            type=number(option, f"a {what} in degrees", least=-most, most=most),
+            type=number(option, f"a {quantity} in degrees", minimum=-limit, maximum=limit),
             metavar="DEG",
-            help=f"{what} of the start point, deg (default: the log's)",
+            help=f"{quantity} of the start point, deg (default: the log's)",
         )
     parser.add_argument(
         "--alt-m",
@@ -408,7 +411,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--rate-hz",
-        type=number("--rate-hz", "a rate in 1/s", above=0.0, most=1000.0),
+        type=number("--rate-hz", "a rate in 1/s", above=0.0, maximum=1000.0),
         default=30.0,
         metavar="R",
         help="rows per second (default %(default)g)",
@@ -447,19 +450,20 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _start(args: argparse.Namespace, known: Mapping[str, float]) -> dict[str, float]:
+def _start(args: argparse.Namespace, logged: Mapping[str, float]) -> dict[str, float]:
     """The start point: what was given, then what the log says.
 
     Raises BadInputError where neither has a position.
     """
-    given = {"lat_deg": args.lat_deg, "lon_deg": args.lon_deg, "alt_m": args.alt_m}
-    found = {
-        name: known.get(name, math.nan) if value is None else value for name, value in given.items()
+    options = {"lat_deg": args.lat_deg, "lon_deg": args.lon_deg, "alt_m": args.alt_m}
+    start = {
+        name: logged.get(name, math.nan) if value is None else value
+        for name, value in options.items()
     }
-    if math.isnan(found["alt_m"]):
-        found["alt_m"] = 0.0
-    if any(math.isnan(value) for value in found.values()):
+    if math.isnan(start["alt_m"]):
+        start["alt_m"] = 0.0
+    if any(math.isnan(value) for value in start.values()):
         raise BadInputError(
             f"{args.log}: the log does not say where it began; give --lat-deg and --lon-deg"
         )
-    return found
+    return start

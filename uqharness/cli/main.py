@@ -28,7 +28,7 @@ _EXAMPLE = """examples:
 
 uqharness COMMAND --help gives the options."""
 
-_SELDOM = 5_000, 10, 10
+_GC_THRESHOLDS = 5_000, 10, 10
 """Objects made until Python looks for those that refer to each other, and how many young looks
 until an older one: with the usual 700 a command looks through its libraries' objects, which all
 stay, for a twentieth of its time."""
@@ -76,10 +76,10 @@ def build_parser() -> argparse.ArgumentParser:
 def complete_parser() -> argparse.ArgumentParser:
     """The same with every command's arguments: for documentation and checks."""
     parser = build_parser()
-    found = list(commands_of(parser).values())
-    for command in found:  # grows on the way
+    parsers = list(commands_of(parser).values())
+    for command in parsers:  # grows on the way
         command.complete()
-        found += commands_of(command).values()
+        parsers += commands_of(command).values()
     return parser
 
 
@@ -103,7 +103,7 @@ def run_words(words: Sequence[str] | None) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the process's exit code."""
-    gc.set_threshold(*_SELDOM)
+    gc.set_threshold(*_GC_THRESHOLDS)
     with clean_terminal(), heartbeat(_command_name(sys.argv[1:] if argv is None else argv)):
         return _run(argv)
 
@@ -156,8 +156,8 @@ def _run(argv: Sequence[str] | None) -> int:
             file=sys.stderr,
         )
         words = shlex.join(["uqharness", *(sys.argv[1:] if argv is None else argv)])
-        again = "resumes" if _resumes(words) else "begins anew"
-        print(f"uqharness: this command {again}: {words}", file=sys.stderr)
+        outcome = "resumes" if _resumes(words) else "begins anew"
+        print(f"uqharness: this command {outcome}: {words}", file=sys.stderr)
         return 130
     except BrokenPipeError:
         # The reader of our output has left (head, less): that is no error, but flushing at exit

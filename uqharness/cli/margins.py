@@ -13,11 +13,11 @@ from uqharness.cli.options import (
     add_aircraft,
     add_autopilot,
     add_page,
-    as_data,
     command_as_given,
     describe,
+    gains_document,
     gains_of,
-    tell_gains,
+    print_gains,
 )
 from uqharness.cli.progress import counting
 from uqharness.errors import BadInputError
@@ -92,12 +92,12 @@ def _run(args: argparse.Namespace) -> int:
             measured: list[LoopMargins] = []
             with counting("loops measured") as progress:
 
-                def tell(share: float) -> None:
+                def update(share: float) -> None:
                     progress(len(measured) + share, len(names))
 
                 for name in names:
                     measured.append(
-                        measure_loop(make_fdm, LOOPS[name], condition=condition, on_progress=tell)
+                        measure_loop(make_fdm, LOOPS[name], condition=condition, on_progress=update)
                     )
         except ValueError as error:
             raise BadInputError(f"margins of {aircraft.name}: {error}") from None
@@ -111,12 +111,12 @@ def _run(args: argparse.Namespace) -> int:
                 {
                     "flight": args.flight,
                     "loops": {item.loop: _as_json(item) for item in measured},
-                    "autopilot": as_data(gains),
+                    "autopilot": gains_document(gains),
                 }
             )
         )
     else:
-        tell_gains(args.autopilot, gains)
+        print_gains(args.autopilot, gains)
         print(_as_text(aircraft.name, args.flight, measured))
     return 0
 
@@ -162,11 +162,11 @@ def _as_text(name: str, flight: str, measured: list[LoopMargins]) -> str:
             f"{show(m.phase_deg):>12}{show(1000 * m.delay_s, 0):>11}{m.modulus:>11.2f}"
             f"   {crossover}"
         )
-    lines += [text for item in measured if (text := _not_read(item))]
+    lines += [text for item in measured if (text := _unread_note(item))]
     return "\n".join(lines)
 
 
-def _not_read(item: LoopMargins) -> str:
+def _unread_note(item: LoopMargins) -> str:
     dropped = item.frequency_radps[~item.reliable]
     if not dropped.size:
         return ""

@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "W",
             0.0,
             "steady wind, m/s; moves the path only",
-            number("--wind-mps", least=0.0),
+            number("--wind-mps", minimum=0.0),
         ),
         (
             "--wind-from-deg",
@@ -107,7 +107,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _angle(option: str, below: float) -> Callable[[str], float]:
-    return number(option, "an angle in degrees", above=-below, most=math.nextafter(below, 0.0))
+    return number(option, "an angle in degrees", above=-below, maximum=math.nextafter(below, 0.0))
 
 
 class Speeds(NamedTuple):
@@ -158,13 +158,13 @@ def _run(args: argparse.Namespace) -> int:
         )
         return 1
     point = point_at(linearise(aircraft, trim), args.category, args.aircraft_class)
-    found, levels = list(point.modes), list(point.levels)
+    modes, levels = list(point.modes), list(point.levels)
     if args.out is not None:
         _write(args, aircraft, trim, condition, point)
     print(
-        json.dumps(_as_json(aircraft, trim, found, levels))
+        json.dumps(_as_json(aircraft, trim, modes, levels))
         if args.json
-        else _as_text(aircraft.name, trim, found, levels)
+        else _as_text(aircraft.name, trim, modes, levels)
     )
     return 0
 
@@ -185,18 +185,18 @@ def _write(
         locus = root_locus(
             aircraft, condition, speeds, args.category, args.aircraft_class, point, progress
         )
-    _, *said = [line.strip() for line in _trim_lines(aircraft.name, trim)]
+    _, *trim_lines = [line.strip() for line in _trim_lines(aircraft.name, trim)]
     altitude = f"{condition.altitude_m:g} m above sea level"
-    facts = [("Altitude", altitude), ("Attitude", said[0]), ("Controls", said[1])]
-    facts += [("Velocity" if "ground" in line else "Path", line) for line in said[2:]]
-    asked = ModesAsked(
+    facts = [("Altitude", altitude), ("Attitude", trim_lines[0]), ("Controls", trim_lines[1])]
+    facts += [("Velocity" if "ground" in line else "Path", line) for line in trim_lines[2:]]
+    request = ModesAsked(
         aircraft.name, args.category, args.aircraft_class, tuple(facts), command_as_given(args)
     )
-    write_html(args.out, modes_page(asked, point, locus))
+    write_html(args.out, modes_page(request, point, locus))
 
 
 def _as_json(
-    aircraft: Aircraft, trim: Trim, found: list[Mode], levels: list[Assessment]
+    aircraft: Aircraft, trim: Trim, modes: list[Mode], levels: list[Assessment]
 ) -> dict[str, object]:
     def number(value: float) -> float | None:
         return value if math.isfinite(value) else None
@@ -232,7 +232,7 @@ def _as_json(
                 "wn_radps": m.wn_radps,
                 "zeta": number(m.zeta),
             }
-            for m in found
+            for m in modes
         ],
         "levels": [
             {
@@ -248,13 +248,13 @@ def _as_json(
     }
 
 
-def _measured(found: Assessment) -> str:
+def _measured(assessment: Assessment) -> str:
     """The criterion with its value; no time to double amplitude is a mode that is stable."""
-    if math.isinf(found.value):
+    if math.isinf(assessment.value):
         return "stable"
-    if math.isnan(found.value):
-        return f"{found.criterion} undefined"
-    return f"{found.criterion} {found.value:.3g} {'' if found.unit == '1' else found.unit}".rstrip()
+    if math.isnan(assessment.value):
+        return f"{assessment.criterion} undefined"
+    return f"{assessment.criterion} {assessment.value:.3g} {'' if assessment.unit == '1' else assessment.unit}".rstrip()
 
 
 def _trim_lines(name: str, trim: Trim) -> list[str]:
@@ -283,7 +283,7 @@ def _trim_lines(name: str, trim: Trim) -> list[str]:
     ]
 
 
-def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment]) -> str:
+def _as_text(name: str, trim: Trim, modes: list[Mode], levels: list[Assessment]) -> str:
     lines = [
         *_trim_lines(name, trim),
         "",
@@ -292,14 +292,14 @@ def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment])
             " MIL-F-8785C"
         ),
     ]
-    named: set[str] = set()
-    for mode in found:
+    listed: set[str] = set()
+    for mode in modes:
         remarks = [
             f"Level {a.level}" + (" (worse than 3)" if a.level == 4 else "") + f" {_measured(a)}"
             for a in levels
-            if a.mode == mode.name and _belongs(a, mode, first=mode.name not in named)
+            if a.mode == mode.name and _belongs(a, mode, first=mode.name not in listed)
         ]
-        named.add(mode.name)
+        listed.add(mode.name)
         lines.append(
             f"  {mode.name:<14}{mode.real:>11.4f}{mode.imag:>11.4f}{mode.wn_radps:>11.4f}"
             f"{mode.zeta:>9.3f}   {'; '.join(remarks)}".rstrip()

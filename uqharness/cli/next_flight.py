@@ -18,11 +18,11 @@ from uqharness.cli.options import (
     add_seed,
     command_as_given,
     describe,
+    integer,
     number,
     results_folder,
-    whole,
 )
-from uqharness.cli.progress import say_warnings, working
+from uqharness.cli.progress import print_warnings, working
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder, write_bytes, write_json
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
@@ -95,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--minutes",
-        type=number("--minutes", "a time in minutes", above=0.0, most=120.0),
+        type=number("--minutes", "a time in minutes", above=0.0, maximum=120.0),
         default=5.0,
         metavar="N",
         help="length of the flight at most, min (default 5)",
@@ -115,7 +115,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--cases",
-        type=whole("--cases", 1),
+        type=integer("--cases", 1),
         default=6,
         metavar="N",
         help=(
@@ -189,7 +189,7 @@ def _answer(args: argparse.Namespace, stage: Stage) -> tuple[str, int]:
     if args.redone is not None:
         after = load_form(args.redone)
         check_form(after, aircraft, winner.coefficient, str(args.redone))
-        return _redone(args, form, after, mission, winner.coefficient)
+        return _compare_redone(args, form, after, mission, winner.coefficient)
     return _plan(args, form, path, aircraft, campaign, mission, winner, stage)
 
 
@@ -204,7 +204,7 @@ def _plan(
     stage: Stage,
 ) -> tuple[str, int]:
     flight = flight_of(campaign, aircraft, form, args.turbulence)
-    found = plan_flight(
+    plan = plan_flight(
         form,
         winner.coefficient,
         mission,
@@ -231,10 +231,10 @@ def _plan(
     warnings = warnings_of(
         form, campaign, flight, args.bounds, args.flight, flown=not args.occupancy
     )
-    doc = document(found, winner, mission, missing, air, units, warnings)
+    doc = document(plan, winner, mission, missing, air, units, warnings)
     out = results_folder(args.out)
-    points = [p.point for p in found.plan]
-    purpose = f"Flight for {found.coefficient}"
+    points = [p.point for p in plan.plan]
+    purpose = f"Flight for {plan.coefficient}"
     write_bytes(
         out / SCRIPT,
         script_text(
@@ -247,22 +247,22 @@ def _plan(
             purpose,
         ),
     )
-    write_bytes(out / TABLE, points_csv(found, units))
+    write_bytes(out / TABLE, points_csv(plan, units))
     write_json(out / DOCUMENT, doc)
     figures = []
     if not args.no_figures:
-        bounds = form.coefficients[found.coefficient]
-        flown = mission.of(bounds.states)
+        bounds = form.coefficients[plan.coefficient]
+        mission_states = mission.of(bounds.states)
         figures = uncertainty_figures(
-            bounds, found.bounds_then, flown, found.states, form.outside, found.coefficient
+            bounds, plan.bounds_then, mission_states, plan.states, form.outside, plan.coefficient
         )
-    page = next_flight_page(found, doc, figures, command_as_given(args))
+    page = next_flight_page(plan, doc, figures, command_as_given(args))
     report = write_page(out, page, page if figures else None)
-    say_warnings(warnings)
-    return json.dumps(doc) if args.json else report.text, 0 if found.worth_flying else 1
+    print_warnings(warnings)
+    return json.dumps(doc) if args.json else report.text, 0 if plan.worth_flying else 1
 
 
-def _redone(
+def _compare_redone(
     args: argparse.Namespace,
     before: ModelForm,
     after: ModelForm,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from uqharness.simulator import Aircraft
 
 Handler = Callable[[argparse.Namespace], int]
-MOST_WORKERS = "one a core, 8 at most"
+DEFAULT_WORKERS = "one a core, 8 at most"
 FLIGHT_FILE = "record (.parquet, .csv) or any log that `log import` reads"
 
 
@@ -47,8 +47,10 @@ def describe(
     """
     parser.description = text
     answers = f"0 {done}, 1 {no}" if no else f"0 {done}"
-    shown = examples.strip("\n")
-    parser.epilog = f"examples:\n{shown}\n\nExit codes: {answers}, 2 bad input, 130 interrupted."
+    example_text = examples.strip("\n")
+    parser.epilog = (
+        f"examples:\n{example_text}\n\nExit codes: {answers}, 2 bad input, 130 interrupted."
+    )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     parser.set_defaults(handler=handler, parser=parser)
@@ -72,15 +74,15 @@ def aircraft_with_card(name_or_folder: str) -> Aircraft:
     from uqharness.plugin import with_card
     from uqharness.simulator import find_aircraft
 
-    found = find_aircraft(name_or_folder)
-    if found.has_card:
-        return found
+    aircraft = find_aircraft(name_or_folder)
+    if aircraft.has_card:
+        return aircraft
     print(
-        f"uqharness: note: {found.name} has no airframe.toml; its controls are measured in short"
+        f"uqharness: note: {aircraft.name} has no airframe.toml; its controls are measured in short"
         f" flights. To see and keep the card: uqharness instrument {name_or_folder} --out DIR",
         file=sys.stderr,
     )
-    return with_card(found)
+    return with_card(aircraft)
 
 
 def add_out(parser: argparse.ArgumentParser, required: bool = True) -> None:
@@ -91,18 +93,21 @@ def add_out(parser: argparse.ArgumentParser, required: bool = True) -> None:
     parser.add_argument("--out", type=Path, required=required, metavar="DIR", help=text)
 
 
-def add_page(parser: argparse.ArgumentParser, what: str, option: str = "--out") -> None:
+def add_page(parser: argparse.ArgumentParser, content: str, option: str = "--out") -> None:
     """A page as a file, by ``--out`` or, where that is the command's result, by another
     ``option``.
     """
-    text = f"write a page with {what} (default: no page)"
+    text = f"write a page with {content} (default: no page)"
     parser.add_argument(option, type=Path, metavar="FILE.html", help=text)
 
 
 def add_workers(parser: argparse.ArgumentParser, default: str = "one a core") -> None:
     """``--workers``; None where it is not given."""
     parser.add_argument(
-        "--workers", type=whole("--workers", 1), metavar="N", help=f"processes (default: {default})"
+        "--workers",
+        type=integer("--workers", 1),
+        metavar="N",
+        help=f"processes (default: {default})",
     )
 
 
@@ -110,7 +115,7 @@ def add_seed(parser: argparse.ArgumentParser, of: str, default: int = 0) -> None
     """``--seed`` of what is drawn."""
     parser.add_argument(
         "--seed",
-        type=whole("--seed", 0),
+        type=integer("--seed", 0),
         default=default,
         metavar="N",
         help=f"seed of {of} (default %(default)s)",
@@ -144,7 +149,7 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
     add_map(parser)
     parser.add_argument(
         "--flight-number",
-        type=whole("--flight-number", 1),
+        type=integer("--flight-number", 1),
         nargs="+",
         action="extend",
         default=[],
@@ -180,7 +185,7 @@ def add_flight_number(parser: argparse.ArgumentParser) -> None:
     """``--flight-number``; None where the longest flight is read."""
     parser.add_argument(
         "--flight-number",
-        type=whole("--flight-number", 1),
+        type=integer("--flight-number", 1),
         metavar="N",
         help=(
             "which flight of a log that holds several boots of the autopilot (default: the longest)"
@@ -221,17 +226,17 @@ def add_no_check(parser: argparse.ArgumentParser, text: str) -> None:
     parser.add_argument("--no-check", action="store_true", help=f"skip {text}")
 
 
-def whole(option: str, least: int, most: int | None = None) -> Callable[[str], int]:
+def integer(option: str, minimum: int, maximum: int | None = None) -> Callable[[str], int]:
     """Reader of a whole number within limits. It raises BadInputError."""
 
     def read(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
-            value = least - 1
-        if value < least or (most is not None and value > most):
+            value = minimum - 1
+        if value < minimum or (maximum is not None and value > maximum):
             raise BadInputError(
-                f"{option} {text}: a whole number of {_limits(f'at least {least}', most)} is needed"
+                f"{option} {text}: a whole number of {_limits(f'at least {minimum}', maximum)} is needed"
             )
         return value
 
@@ -240,16 +245,16 @@ def whole(option: str, least: int, most: int | None = None) -> Callable[[str], i
 
 def number(
     option: str,
-    what: str = "a number",
+    quantity: str = "a number",
     *,
     above: float | None = None,
-    least: float | None = None,
-    most: float | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
 ) -> Callable[[str], float]:
-    """Reader of a finite number ``above`` or at ``least`` one limit and up to ``most``. It raises
+    """Reader of a finite number ``above`` or at ``minimum`` one limit and up to ``maximum``. It raises
     BadInputError.
 
-    ``what`` names the quantity and its unit.
+    ``quantity`` names the quantity and its unit.
     """
 
     def read(text: str) -> float:
@@ -257,28 +262,28 @@ def number(
             value = float(text)
         except ValueError:
             value = math.nan
-        low = -math.inf if least is None else least
-        fits = low <= value <= (math.inf if most is None else most) and (
+        low = -math.inf if minimum is None else minimum
+        fits = low <= value <= (math.inf if maximum is None else maximum) and (
             above is None or value > above
         )
         if not (math.isfinite(value) and fits):
             lower = (
                 f"above {above:g}"
                 if above is not None
-                else f"of at least {least:g}"
-                if least is not None
+                else f"of at least {minimum:g}"
+                if minimum is not None
                 else ""
             )
             raise BadInputError(
-                f"{option} {text}: {what} {_limits(lower, most)}".rstrip() + " is needed"
+                f"{option} {text}: {quantity} {_limits(lower, maximum)}".rstrip() + " is needed"
             )
         return value
 
     return read
 
 
-def _limits(lower: str, most: float | None) -> str:
-    upper = "" if most is None else f"up to {most:g}"
+def _limits(lower: str, maximum: float | None) -> str:
+    upper = "" if maximum is None else f"up to {maximum:g}"
     return " and ".join(part for part in (lower, upper) if part)
 
 
@@ -346,13 +351,13 @@ def gains_of(path: Path | None, aircraft: Aircraft, script: Path) -> AutopilotGa
         return read_gains(path, set(engine.catalog(mission.open())))
 
 
-def tell_gains(path: Path | None, gains: AutopilotGains | None) -> None:
+def print_gains(path: Path | None, gains: AutopilotGains | None) -> None:
     """Print which gains were taken, which not, and why."""
     if gains is not None:
         print("\n  ".join([f"{path}:", *gains.lines()]))
 
 
-def as_data(gains: AutopilotGains | None) -> dict[str, Any] | None:
+def gains_document(gains: AutopilotGains | None) -> dict[str, Any] | None:
     """The same for --json."""
     return (
         None

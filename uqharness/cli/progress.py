@@ -75,14 +75,14 @@ def working(
 
     Yields a function that is told each stage.
     """
-    shown = console or Console(stderr=True, file=drawing(sys.stderr))
-    if not shown.is_terminal:
+    console_used = console or Console(stderr=True, file=drawing(sys.stderr))
+    if not console_used.is_terminal:
 
-        def tell(text: str) -> None:
+        def set_stage(text: str) -> None:
             number = 0 if count is None else count()
             STATE.stage = f"{text}, {number:,} {unit}" if number and text else text
 
-        yield tell
+        yield set_stage
         STATE.stage = ""
         return
     columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()]
@@ -92,19 +92,25 @@ def working(
     with (
         bar_drawn(),
         Bar(
-            *columns, console=shown, transient=True, redirect_stdout=False, redirect_stderr=False
+            *columns,
+            console=console_used,
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
         ) as bar,
     ):
         task = bar.add_task(command, total=None)
-        current, begun = "", time.monotonic()
+        current, stage_start_s = "", time.monotonic()
 
         def stage(text: str) -> None:
-            nonlocal current, begun
+            nonlocal current, stage_start_s
             if _without_numbers(text) != _without_numbers(current):
                 if keep and current:
-                    line = f"{command}: {visible(current)} ({clock(time.monotonic() - begun)})"
+                    line = (
+                        f"{command}: {visible(current)} ({clock(time.monotonic() - stage_start_s)})"
+                    )
                     bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
-                begun = time.monotonic()
+                stage_start_s = time.monotonic()
             current = text
             bar.update(
                 task, description=f"{command}: {visible(text)}" if text else command, refresh=True
@@ -119,13 +125,13 @@ def _without_numbers(text: str) -> str:
     return re.sub(r"\d+", "", text)
 
 
-def say_line(text: object) -> None:
+def print_line(text: object) -> None:
     """A line of its own."""
     if sys.stderr.isatty():
         print(text, file=sys.stderr)
 
 
-def say_warnings(warnings: Iterable[str]) -> None:
+def print_warnings(warnings: Iterable[str]) -> None:
     """A line each on standard error, in a pipe too; on a terminal in place of a line that moves."""
     for text in warnings:
         if sys.stderr.isatty():
@@ -134,16 +140,16 @@ def say_warnings(warnings: Iterable[str]) -> None:
 
 
 @contextmanager
-def counting(what: str) -> Iterator[Callable[[float, int], None]]:
+def counting(title: str) -> Iterator[Callable[[float, int], None]]:
     """A counter with an estimate of the time to go: call it with how many are done, parts included,
     and how many there are.
     """
     terminal, rate = sys.stderr.isatty(), Rate()
 
     def update(done: float, total: int) -> None:
-        left = rate.seconds_left(done, total)
-        text = f"{visible(what)}: {math.floor(done)} of {total}"
-        text += "" if left is None else f", {clock(left)} to go"
+        remaining_s = rate.seconds_left(done, total)
+        text = f"{visible(title)}: {math.floor(done)} of {total}"
+        text += "" if remaining_s is None else f", {clock(remaining_s)} to go"
         STATE.stage = text
         if terminal:
             print(f"\r\x1b[K{text}", end="", file=drawing(sys.stderr), flush=True)
@@ -184,10 +190,10 @@ class ProgressView:
 
     def update(self, progress: Progress) -> None:
         """Show a state; counts only what is on the disk."""
-        left = self._rate.seconds_left(
+        remaining_s = self._rate.seconds_left(
             progress.done - progress.done_before, progress.cases - progress.done_before
         )
-        note = describe(progress, left)
+        note = describe(progress, remaining_s)
         ready = "; writing the tables" if progress.done == progress.cases else ""
         STATE.stage = f"{progress.done} of {progress.cases} flights, {note}{ready}"
         if self._bar is not None and self._task is not None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from sysid.effects import read_effects
 from uqharness.cli.options import (
-    MOST_WORKERS,
+    DEFAULT_WORKERS,
     add_aircraft,
     add_flights,
     add_log_options,
@@ -76,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "write estimated scales into the numbers of the author's functions (-9.0 becomes -12.6)"
         ),
     )
-    add_workers(parser, MOST_WORKERS)
+    add_workers(parser, DEFAULT_WORKERS)
     add_no_figures(parser)
 
 

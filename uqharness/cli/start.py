@@ -24,9 +24,9 @@ from uqharness.errors import TerminatedError
 
 INTERRUPTED = 130
 TERMINATED = 143
-_PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+_FORWARDED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 _PR_SET_PDEATHSIG = 1
-_LITTLE_BYTES = 4_000_000_000
+_MIN_ADDRESS_BYTES = 4_000_000_000
 """Address space below which a failure to load is put down to want of it; about a gigabyte is
 needed.
 """
@@ -42,7 +42,7 @@ def run(argv: Sequence[str] | None = None) -> int:
     if not hasattr(os, "fork") or threading.active_count() > 1:
         return _run_here(argv)
     # No signal may arrive between the fork and the handlers.
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {*_PASSED_ON, signal.SIGTSTP})
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {*_FORWARDED, signal.SIGTSTP})
     child = os.fork()
     if child:
         # What is to be done at the end of a process, the child does: it has all that this one had.
@@ -53,17 +53,17 @@ def run(argv: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTTOU, signal.SIG_IGN)
     # Functions that are isolated elsewhere (uqharness.isolation.SUPERVISED) run here directly.
     os.environ["UQHARNESS_SUPERVISED"] = str(os.getpid())
-    ends = _Ends()
+    ends = _EndSignals()
     signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
     return _run_here(argv, ends)
 
 
-def _run_here(argv: Sequence[str] | None, ends: _Ends | None = None) -> int:
+def _run_here(argv: Sequence[str] | None, ends: _EndSignals | None = None) -> int:
     """Run one command in this process; its exit code.
 
     After a signal the process ends here: Python would end it by SIGINT, whatever code it was given,
     where code that is made at run time, such as a dataclass's, was interrupted once."""
-    ends = ends or _Ends()
+    ends = ends or _EndSignals()
     code = _run(argv, ends)
     scratch = sys.modules.get("uqharness.files")
     if scratch is not None:
@@ -83,7 +83,7 @@ class _Supervisor:
     def __init__(self, child: int, blocked: set[int | signal.Signals]) -> None:
         self._child = child
         self._passed_on: set[int] = set()
-        for number in _PASSED_ON:
+        for number in _FORWARDED:
             # Under nohup and the like both processes go on ignoring the signal.
             if signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, self._pass_on)
@@ -113,13 +113,15 @@ class _Supervisor:
         if code >= 0:
             return code
         if -code in self._passed_on:
-            _say("interrupted" if -code == signal.SIGINT else "terminated")
+            _print_error("interrupted" if -code == signal.SIGINT else "terminated")
             return 128 - code
         name = signal.Signals(-code).name
         if -code == signal.SIGKILL:
-            _say(f"error: the command was killed ({name}), by somebody or for want of memory")
+            _print_error(
+                f"error: the command was killed ({name}), by somebody or for want of memory"
+            )
             return 128 - code
-        _say(
+        _print_error(
             f"error: the command's process ended with signal {-code} ({name}): JSBSim ends the"
             " process at some errors in an aircraft or a run script, such as a <mod> by zero in"
             " flight; look for what the model computes there"
@@ -162,7 +164,7 @@ def _one_thread() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-def _run(argv: Sequence[str] | None, ends: _Ends) -> int:
+def _run(argv: Sequence[str] | None, ends: _EndSignals) -> int:
     limit = None
     try:
         limit = _address_limit()
@@ -175,11 +177,11 @@ def _run(argv: Sequence[str] | None, ends: _Ends) -> int:
         load_command(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt:
         # OpenBLAS interrupts its own process where it gets no thread.
-        return _no_memory(limit) if limit is not None and not ends.terminated else ends.said()
+        return _no_memory(limit) if limit is not None and not ends.terminated else ends.report_end()
     except (MemoryError, ImportError, OSError, RuntimeError, SystemError) as error:
         if ends.received:
             return (
-                ends.said()
+                ends.report_end()
             )  # some modules turn an interruption while they load into an error of their own
         if (
             limit is not None
@@ -191,14 +193,14 @@ def _run(argv: Sequence[str] | None, ends: _Ends) -> int:
     try:
         return command_line(argv)
     except KeyboardInterrupt:  # while an error was being told
-        return ends.said()
+        return ends.report_end()
     except ImportError:
         if limit is None:
             raise
         return _no_memory(limit)
 
 
-class _Ends:
+class _EndSignals:
     """Which signals asked this process to end.
 
     SIGTERM does it as Ctrl-C does, so that workers end and files are left whole.
@@ -226,9 +228,9 @@ class _Ends:
             raise TerminatedError
         raise KeyboardInterrupt
 
-    def said(self) -> int:
+    def report_end(self) -> int:
         """Say how the process was ended; its exit code."""
-        _say("terminated" if self.terminated else "interrupted")
+        _print_error("terminated" if self.terminated else "interrupted")
         return TERMINATED if self.terminated else INTERRUPTED
 
 
@@ -239,7 +241,7 @@ def _address_limit() -> int | None:
     except ImportError:  # Windows
         return None
     soft, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return soft if soft != resource.RLIM_INFINITY and soft < _LITTLE_BYTES else None
+    return soft if soft != resource.RLIM_INFINITY and soft < _MIN_ADDRESS_BYTES else None
 
 
 def _no_memory(limit: int | None) -> int:
@@ -251,10 +253,10 @@ def _no_memory(limit: int | None) -> int:
             " needed"
         )
     )
-    _say(f"error: not enough memory to start{allowed}")
+    _print_error(f"error: not enough memory to start{allowed}")
     return 2
 
 
-def _say(text: str) -> None:
+def _print_error(text: str) -> None:
     with contextlib.suppress(OSError, ValueError, AttributeError, MemoryError):
         print(f"uqharness: {text}", file=sys.stderr)

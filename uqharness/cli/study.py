@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from uqharness.cli.options import add_out, add_workers, describe
-from uqharness.cli.progress import say_line
+from uqharness.cli.progress import print_line
 from uqharness.files import find_campaign
 from uqharness.report import write_report
 from uqharness.study import read_chain, run_chain
@@ -40,7 +40,7 @@ def _run(args: argparse.Namespace) -> int:
     spec = read_chain(find_campaign(args.study, "chain.toml"))
     command = shlex.join(["uqharness", "study", str(args.study), "--out", str(args.out)])
     try:
-        document = run_chain(args.run_words, spec, args.out, args.workers, command, say_line)
+        document = run_chain(args.run_words, spec, args.out, args.workers, command, print_line)
     except KeyboardInterrupt:
         print(
             f"{args.out}: stopped; finished stages are kept, the same command resumes",

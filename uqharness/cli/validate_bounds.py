@@ -20,7 +20,7 @@ from uqharness.cli.options import (
     describe,
     results_folder,
 )
-from uqharness.cli.progress import say_warnings, working
+from uqharness.cli.progress import print_warnings, working
 from uqharness.files import check_folder, write_json
 from uqharness.identification import choose_servos, load_form, validate, verdicts
 from uqharness.replay import read_bounds_flights
@@ -65,16 +65,16 @@ def _run(args: argparse.Namespace) -> int:
         servos = choose_servos(aircraft, flights, measured, args.servos)
         flights = servos.noted(flights)
         stage("residual coefficients")
-        found = validate(aircraft, form, flights, measured, hashes, servos.ideal)
-        document = validation_document(found)
+        validation = validate(aircraft, form, flights, measured, hashes, servos.ideal)
+        document = validation_document(validation)
         text = "\n".join(first_lines(coverage_page_of(document)))
         if args.out is not None:
             stage("report")
             out = results_folder(args.out)
-            kept = document | {"command": command_as_given(args), "version": __version__}
-            write_residuals(form, found.residuals, ", ".join(f.name for f in flights), out)
-            write_json(out / "coverage.json", kept)
+            stored = document | {"command": command_as_given(args), "version": __version__}
+            write_residuals(form, validation.residuals, ", ".join(f.name for f in flights), out)
+            write_json(out / "coverage.json", stored)
             text = write_report(out, figures=True).text
-    say_warnings(found.warnings)
+    print_warnings(validation.warnings)
     print(json.dumps(document) if args.json else text)
-    return 0 if set(verdicts(found).values()) == {"holds"} else 1
+    return 0 if set(verdicts(validation).values()) == {"holds"} else 1

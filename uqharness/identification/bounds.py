@@ -79,14 +79,14 @@ def noise_sizes(
         if name not in record:
             continue
         pieces = [np.asarray(record[name][p.rows], dtype=float) for p in flight.pieces]
-        found = noise_size(
+        size = noise_size(
             [x for x in pieces if np.isfinite(x).all()],
             record.dt_s,
             cutoffs.all_hz,
             stated.get(name),
         )
-        if found is not None:
-            out[name] = found
+        if size is not None:
+            out[name] = size
     return out
 
 
@@ -109,7 +109,7 @@ class NoisyFlight:
     ) -> NoisyFlight:
         """Asks the model for what noise and rotation would change."""
         sizes = noise_sizes(flight, aircraft.card.sensors.noise_std, residuals.cutoffs)
-        std = {c: found.std for c, found in sizes.items()}
+        std = {c: size.std for c, size in sizes.items()}
         # Rates moved by noise's probe and by rotation's are the same states: asked once.
         model, arm = pair.model_near(flight), tuple(aircraft.accelerometer_m)
         pair.prefetch_near(flight, offset_records(flight.record, residuals.cutoffs), flight.pieces)
@@ -120,12 +120,12 @@ class NoisyFlight:
             model,
             arm,
             std,
-            {c: found.spread for c, found in sizes.items()},
+            {c: size.spread for c, size in sizes.items()},
         )
-        felt = not set(VANES) & set(flight.record.metadata.estimates)
+        measures_wind_angles = not set(VANES) & set(flight.record.metadata.estimates)
         air = (
             air_pieces(flight.record, flight.pieces, model, residuals.cutoffs.airspeed_hz)
-            if felt
+            if measures_wind_angles
             else None
         )
         return NoisyFlight(noisy, std, air, arm)
@@ -151,7 +151,7 @@ def noisy_residuals(
     return noisy.in_still_air(noisy.residuals)[0]
 
 
-def said_of_air(flight: Flight, air: AirFound) -> str:
+def air_note(flight: Flight, air: AirFound) -> str:
     """What was taken for the air's."""
     return (
         f"{flight.name}: {100.0 * air.share:.0f} ± {100.0 * air.std:.0f} % of the rotation that"
@@ -254,32 +254,32 @@ def make_bounds(
     measured: Sequence[str],
     hashes: Sequence[str],
     options: BoundsOptions,
-    say: Callable[[str], object] = lambda stage: None,
+    callback: Callable[[str], object] = lambda stage: None,
 ) -> MadeBounds:
-    """Fit the intervals. hashes: SHA-256 of each flight's file; ``say`` is told each stage.
+    """Fit the intervals. hashes: SHA-256 of each flight's file; ``callback`` is told each stage.
 
     Raises BadInputError when the flights are too short for any fit.
     """
     arm = aircraft.accelerometer_m
     flights = [f.with_smoothing_delay() for f in flights] if options.ideal_servos else flights
     with prediction_of(aircraft, measured, options.ideal_servos, options.values) as pair:
-        say("residual coefficients")
+        callback("residual coefficients")
         parts = [flight_residuals(pair, f, arm, options.cutoffs) for f in flights]
-        say("sensor noise")
+        callback("sensor noise")
         noisy = [NoisyFlight.of(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)]
-        still = (
+        calm_residuals = (
             [n.in_still_air(n.residuals) for n in noisy]
             if options.fit.noise == "apart"
             else [(n.residuals, None) for n in noisy]
         )
-        residuals = together([r for r, _ in still])
-        say("model error apart from noise" if options.fit.noise == "apart" else "intervals")
+        residuals = together([r for r, _ in calm_residuals])
+        callback("model error apart from noise" if options.fit.noise == "apart" else "intervals")
         fitted = _fit(residuals, options.designs, options.fit)
-        table = []
+        cutoff_rows = []
         if options.checks:
-            say("other filters")
-            table = [
-                _other(pair, flights, noisy, arm, c, options)
+            callback("other filters")
+            cutoff_rows = [
+                _with_cutoffs(pair, flights, noisy, arm, c, options)
                 for c in _other_cutoffs(options.cutoffs)
             ]
     walks = {
@@ -288,7 +288,9 @@ def make_bounds(
     }
     form = ModelForm(
         aircraft=AircraftReference(aircraft.name, content_hash(aircraft)),
-        flights=tuple(_used(f, r, h) for f, r, h in zip(flights, parts, hashes, strict=True)),
+        flights=tuple(
+            _flight_used(f, r, h) for f, r, h in zip(flights, parts, hashes, strict=True)
+        ),
         filtering=Filtering(
             options.cutoffs.all_hz,
             options.cutoffs.airspeed_hz,
@@ -299,15 +301,15 @@ def make_bounds(
         outside=options.outside,
         coefficients=with_walk_rates(fitted, {c: w.rate for c, w in walks.items()}),
     )
-    say("leaving manoeuvres out")
+    callback("leaving manoeuvres out")
     left_out = (
         leave_one_out(residuals, options.designs, options.fit, options.outside, fitted)
         if options.checks
         else {}
     )
-    said = [
-        said_of_air(f, air)
-        for f, (_, air) in zip(flights, still, strict=True)
+    air_notes = [
+        air_note(f, air)
+        for f, (_, air) in zip(flights, calm_residuals, strict=True)
         if air is not None and air.level > 0.0
     ]
     return MadeBounds(
@@ -317,12 +319,12 @@ def make_bounds(
         baseline=_baseline(residuals, options),
         variations=walks,
         widths=mean_widths(form, residuals),
-        noise=_forced(together([n.residuals for n in noisy])),
+        noise=_noise_rms(together([n.residuals for n in noisy])),
         left_out=left_out,
-        cutoffs=tuple(table),
+        cutoffs=tuple(cutoff_rows),
         notes=(
             *(n for f in flights for n in f.notes),
-            *said,
+            *air_notes,
             *_notes_of(fitted),
         ),
         warnings=tuple(_warnings(aircraft, flights, hashes, form, walks, options.cutoffs)),
@@ -370,7 +372,7 @@ def mean_widths(form: ModelForm, residuals: Residuals) -> dict[str, float]:
     }
 
 
-def _forced(residuals: Residuals) -> dict[str, float]:
+def _noise_rms(residuals: Residuals) -> dict[str, float]:
     """Root mean square of the sensors' noise in each coefficient's samples [-]."""
     variance = np.concatenate(
         [noise_variance(p.noise) for p in residuals.pieces if p.noise is not None]
@@ -388,7 +390,7 @@ def _other_cutoffs(used: Cutoffs) -> list[Cutoffs]:
     ]
 
 
-def _other(
+def _with_cutoffs(
     pair: ReplayPair,
     flights: Sequence[Flight],
     used: Sequence[NoisyFlight],
@@ -423,8 +425,8 @@ def mean_left_out(
     """
     if not left_out:
         return dict.fromkeys(COEFFICIENTS, float("nan"))
-    named = told_apart(residuals)
-    n = {label: sum(named.only([label]).lengths) for label in left_out}
+    by_manoeuvre = told_apart(residuals)
+    n = {label: sum(by_manoeuvre.only([label]).lengths) for label in left_out}
     names = next(iter(left_out.values()))
     return {
         c: float(np.average([left_out[m][c] for m in left_out], weights=[n[m] for m in left_out]))
@@ -432,7 +434,7 @@ def mean_left_out(
     }
 
 
-def _used(flight: Flight, residuals: Residuals, sha256: str) -> FlightUsed:
+def _flight_used(flight: Flight, residuals: Residuals, sha256: str) -> FlightUsed:
     seconds = sum(p.time_s[-1] - p.time_s[0] for p in residuals.pieces)
     estimates = tuple(c for c in flight.record.metadata.estimates if c in NOISY)
     return FlightUsed(
@@ -499,13 +501,15 @@ def _identified_from(
     path = aircraft.folder.parent / "fit.json"
     try:
         document = parse_json(read_regular(path))
-        known, names = document.get("flights_sha256", []), document.get("flights", [])
-        known, names = ([text for text in row if isinstance(text, str)] for row in (known, names))
+        digests, names = document.get("flights_sha256", []), document.get("flights", [])
+        digests, names = (
+            [text for text in row if isinstance(text, str)] for row in (digests, names)
+        )
     except (OSError, ValueError, AttributeError, TypeError):
         return []
     out = []
     for flight, sha256 in zip(flights, hashes, strict=True):
-        if sha256 in known or (not known and any(Path(n).stem == flight.name for n in names)):
+        if sha256 in digests or (not digests and any(Path(n).stem == flight.name for n in names)):
             out.append(
                 f"{flight.name}: {path} says that the model was identified from this flight; its"
                 " residuals are too small for bounds. Use another flight"
@@ -555,14 +559,14 @@ def parse_designs(
         designs[coefficient] = Design(tuple(_SHORT.get(n, n) for n in names), None, order)
     for text in terms:
         coefficient, names = _assignment("--terms", text, list(designs))
-        written = ["*".join(_long(f) for f in name.split("*")) for name in names]
+        long_names = ["*".join(_long_name(f) for f in name.split("*")) for name in names]
         used = tuple(
             s
             for s in STATES
-            if any(s == f.split("^")[0] for name in written for f in name.split("*"))
+            if any(s == f.split("^")[0] for name in long_names for f in name.split("*"))
         )
         try:
-            chosen = tuple(parse_term(name, used) for name in written)
+            chosen = tuple(parse_term(name, used) for name in long_names)
         except ValueError as error:
             raise BadInputError(
                 f"--terms {text}: {error}; states are {', '.join(_SHORT)}"
@@ -576,17 +580,17 @@ def parse_designs(
     return designs
 
 
-def _long(factor: str) -> str:
+def _long_name(factor: str) -> str:
     state, caret, power = factor.strip().partition("^")
     return f"{_SHORT.get(state, state)}{caret}{power}"
 
 
-def _assignment(option: str, text: str, known: list[str]) -> tuple[str, list[str]]:
-    coefficient, equals, rest = text.partition("=")
-    names = [n.strip() for n in rest.split(",") if n.strip()]
-    if not equals or not names or coefficient not in known:
+def _assignment(option: str, text: str, coefficients: list[str]) -> tuple[str, list[str]]:
+    coefficient, equals, names_text = text.partition("=")
+    names = [n.strip() for n in names_text.split(",") if n.strip()]
+    if not equals or not names or coefficient not in coefficients:
         raise BadInputError(
-            f"{option} {text}: C=name,name with C one of {', '.join(known)} is needed, such as"
+            f"{option} {text}: C=name,name with C one of {', '.join(coefficients)} is needed, such as"
             f" {option} CX=V,alpha"
         )
     return coefficient, names
@@ -676,11 +680,13 @@ def validate(
     )
 
 
-def verdicts(found: Validation) -> dict[str, Verdict]:
+def verdicts(validation: Validation) -> dict[str, Verdict]:
     """Coefficient -> whether its 95 % bounds hold on these flights."""
-    return {c: verdict(row.share[0.95], row.error[0.95], 0.95) for c, row in found.coverage.items()}
+    return {
+        c: verdict(row.share[0.95], row.error[0.95], 0.95) for c, row in validation.coverage.items()
+    }
 
 
-def failed(found: Validation) -> tuple[str, ...]:
+def failed(validation: Validation) -> tuple[str, ...]:
     """Coefficients whose 95 % bounds do not hold."""
-    return tuple(c for c, said in verdicts(found).items() if said == "fails")
+    return tuple(c for c, outcome in verdicts(validation).items() if outcome == "fails")

@@ -27,7 +27,7 @@ from uqharness.identification.replay_fit import (
     Observed,
     coefficient_gaps,
     fit_replays,
-    jumping_in,
+    jumping_flights,
 )
 from uqharness.replay import (
     CHANNELS,
@@ -62,13 +62,13 @@ MOTION_SIGMA = 1.0
 """Standard deviations of the sensor's noise that the model's motion must have, rms about a straight
 line, before sign, scale or delay are looked for: below, what noise and start states have in common
 passes for a scale of hundreds."""
-MOST_DELAY_S = 0.2
+MAX_DELAY_S = 0.2
 """Delays are looked for up to this, either way."""
-DELAY_STD_S = 0.25 * MOST_DELAY_S
+DELAY_STD_S = 0.25 * MAX_DELAY_S
 """Standard error above which a delay is undefined: two of them on either side are the whole range
 that is looked through.
 """
-SAME = 0.33
+SCALE_MARGIN = 0.33
 """By how much a channel may be larger or smaller than the model's before its unit is doubted:
 derivatives are that wrong.
 """
@@ -91,7 +91,7 @@ class Answer:
 
 def slip_of(answer: Relation) -> str:
     """Sign or scale that is wrong for sure, in words; "" when it cannot be told or is right."""
-    if not answer.evident or answer.allows(1.0, SAME):
+    if not answer.evident or answer.allows(1.0, SCALE_MARGIN):
         return ""
     size = f"{answer.scale:.2f} times the model's (between {answer.low:.2f} and {answer.high:.2f})"
     return f"reversed: {size}" if answer.scale < 0.0 else f"out of scale: {size}"
@@ -117,23 +117,23 @@ def answer_of(
 
     noise: standard deviation of the measured channel, its own unit
     """
-    moved = motion(modelled)
-    if not moved >= MOTION_SIGMA * noise:
-        return Answer(_NO_RELATION, _no_shift(), _too_little(moved / noise))
+    rms_motion = motion(modelled)
+    if not rms_motion >= MOTION_SIGMA * noise:
+        return Answer(_NO_RELATION, _no_shift(), _motion_note(rms_motion / noise))
     relation = _relation(measured, modelled, dt_s)
     if slip := slip_of(relation):
         return Answer(relation, _no_shift(), slip.split(":")[0])
-    shift = time_shift(measured, modelled, dt_s, MOST_DELAY_S)
+    shift = time_shift(measured, modelled, dt_s, MAX_DELAY_S)
     if not math.isfinite(shift.seconds):
         return Answer(relation, _no_shift(), "the model does not move")
     if not shift.std <= DELAY_STD_S:
         return Answer(relation, _no_shift(), f"its standard error is {1e3 * shift.std:.0f} ms")
-    if abs(shift.seconds) >= MOST_DELAY_S:
-        return Answer(relation, _no_shift(), f"no minimum within {1e3 * MOST_DELAY_S:.0f} ms")
+    if abs(shift.seconds) >= MAX_DELAY_S:
+        return Answer(relation, _no_shift(), f"no minimum within {1e3 * MAX_DELAY_S:.0f} ms")
     return Answer(relation, shift)
 
 
-def _too_little(sigma: float) -> str:
+def _motion_note(sigma: float) -> str:
     return (
         f"the model moves {sigma:.1f} sigma" if math.isfinite(sigma) else "the model does not move"
     )
@@ -149,21 +149,21 @@ def _relation(
     """Where the channel was logged, straight lines between samples."""
     x, y = [], []
     for z, m in zip(measured, modelled, strict=True):
-        at, good = np.arange(len(z)), np.isfinite(z)
-        if good.sum() > 0.1 * len(z) and np.isfinite(m).all() and good.sum() > 8:
-            x.append(np.interp(at, at[good], m[good]))
-            y.append(np.interp(at, at[good], z[good]))
+        at, logged = np.arange(len(z)), np.isfinite(z)
+        if logged.sum() > 0.1 * len(z) and np.isfinite(m).all() and logged.sum() > 8:
+            x.append(np.interp(at, at[logged], m[logged]))
+            y.append(np.interp(at, at[logged], z[logged]))
     return relate(x, y, dt_s, *_ANSWER_HZ)
 
 
 LIMIT = NOISE_FLOOR
 """The noise floor is reached when no judged channel's rms is above this many times its noise."""
-_SURE = 2.0
+_DELAY_SIGMA = 2.0
 """Standard errors by which the controls' delay must pass its limit before the record counts as not
 aligned.
 """
-_WORST = 20
-_ANSWERS = {
+_MAX_MOMENTS = 20
+_RESPONSES = {
     "elevator": {"q_radps", "alpha_rad", "az_mps2", "theta_rad"},
     "aileron": {"p_radps", "phi_rad"},
     "rudder": {"r_radps", "beta_rad", "ay_mps2"},
@@ -274,22 +274,25 @@ class Comparison(Tabled):
 
         A row of difference would otherwise pass for a lag in every servo.
         """
-        return not abs(self.controls_late_s) - _SURE * self.controls_late_std_s > self.late_limit_s
+        return (
+            not abs(self.controls_late_s) - _DELAY_SIGMA * self.controls_late_std_s
+            > self.late_limit_s
+        )
 
     @property
     def slips(self) -> tuple[str, ...]:
         """Judged channels whose sign or scale is not the model's, in words, and the control that
         explains it where one does.
         """
-        wrong = {c: g.slip for c, g in self.channels.items() if g.judged and g.slip}
-        reversed_ = {c for c, text in wrong.items() if text.startswith("reversed")}
-        said = [
+        slips = {c: g.slip for c, g in self.channels.items() if g.judged and g.slip}
+        reversed_ = {c for c, text in slips.items() if text.startswith("reversed")}
+        reversed_controls = [
             f"the {control} is reversed: {' and '.join(sorted(reversed_ & answers))} answer it with"
             " the opposite sign"
-            for control, answers in _ANSWERS.items()
+            for control, answers in _RESPONSES.items()
             if len(reversed_ & answers) >= 2
         ]
-        return (*said, *(f"{c} is {text}" for c, text in wrong.items()))
+        return (*reversed_controls, *(f"{c} is {text}" for c, text in slips.items()))
 
     @property
     def reached(self) -> bool:
@@ -303,10 +306,10 @@ class Comparison(Tabled):
     @property
     def above(self) -> tuple[str, ...]:
         """Judged channels above the limit, the worst first."""
-        found = [
+        ratios = [
             (g.ratio, c) for c, g in self.channels.items() if g.judged and not g.ratio <= LIMIT
         ]
-        return tuple(c for _, c in sorted(found, reverse=True))
+        return tuple(c for _, c in sorted(ratios, reverse=True))
 
     def to_dataframe(self) -> pd.DataFrame:
         """The table of channels: rms of measured minus model, noise, their ratio, whether it is
@@ -356,47 +359,52 @@ def compare(
     delays: Sequence[str] | None = None,
     ideal_servos: bool = False,
     workers: int | None = None,
-    on_stage: Callable[[str], None] = lambda stage: None,
+    callback: Callable[[str], None] = lambda stage: None,
 ) -> Comparison:
-    """Replay a flight and measure the gap; ``on_stage`` is told what is being done.
+    """Replay a flight and measure the gap; ``callback`` is told what is being done.
 
     Raises BadInputError when the model cannot fly any segment.
     """
     arm = aircraft.accelerometer_m
-    cut = segments(flight, measured, arm)
+    cut_segments = segments(flight, measured, arm)
     present = tuple(
         c for c in CHANNELS if c in flight.record and np.isfinite(flight.record[c]).any()
     )
-    judged = tuple(c for c in OUTPUTS if c in present)
+    judged_channels = tuple(c for c in OUTPUTS if c in present)
     data = measured_outputs(flight, present)
     noise = channel_noise(data, present, aircraft.card.sensors.noise_std)
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
-        on_stage("start states, biases and delays")
-        with replay_pool(workers) as spread:
-            wanted = [b for b in biases if b in judged]
-            late = delayed([flight], judged, delays)
-            theta, layout_names, kept, notes, late_std_s = _starts(
-                model, cut, judged, data, present, wanted, late, spread
+        callback("start states, biases and delays")
+        with replay_pool(workers) as pool:
+            fitted_biases = [b for b in biases if b in judged_channels]
+            late = delayed([flight], judged_channels, delays)
+            theta, layout_names, flyable, notes, late_std_s = _fit_starts(
+                model, cut_segments, judged_channels, data, present, fitted_biases, late, pool
             )
-        replay = Replay(model, cut, layout_names, present, uuid.uuid4().hex)
+        replay = Replay(model, cut_segments, layout_names, present, uuid.uuid4().hex)
         modelled = replay(theta)
-        on_stage("coefficients")
-        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
-            demand, said, floor = _coefficients(
-                model, straight, flight, cut, noise, _control_delay_s(layout_names, theta)
+        callback("coefficients")
+        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model:
+            demand, predicted, floor = _coefficients(
+                model,
+                direct_model,
+                flight,
+                cut_segments,
+                noise,
+                _control_delay_s(layout_names, theta),
             )
-    data = [d for d, ok in zip(data, kept, strict=True) if ok]
-    modelled = [y for y, ok in zip(modelled, kept, strict=True) if ok]
-    cut = [s for s, ok in zip(cut, kept, strict=True) if ok]
-    demand = [d for d, ok in zip(demand, kept, strict=True) if ok]
-    said = [d for d, ok in zip(said, kept, strict=True) if ok]
+    data = [d for d, ok in zip(data, flyable, strict=True) if ok]
+    modelled = [y for y, ok in zip(modelled, flyable, strict=True) if ok]
+    cut_segments = [s for s, ok in zip(cut_segments, flyable, strict=True) if ok]
+    demand = [d for d, ok in zip(demand, flyable, strict=True) if ok]
+    predicted = [d for d, ok in zip(predicted, flyable, strict=True) if ok]
     gaps = [z - y for z, y in zip(data, modelled, strict=True)]
-    estimates = [c for c in judged if c in flight.record.metadata.estimates]
+    estimates = [c for c in judged_channels if c in flight.record.metadata.estimates]
     if estimates:
         # A vane's noise says nothing of an angle that a filter computed from other sensors.
         notes = [*notes, f"estimates of the log, listed and not judged: {', '.join(estimates)}"]
-        judged = tuple(c for c in judged if c not in estimates)
+        judged_channels = tuple(c for c in judged_channels if c not in estimates)
     missing = [c for c in OUTPUTS if c not in present]
     if missing:
         notes = [*notes, f"not in the record and not compared: {', '.join(missing)}"]
@@ -404,61 +412,65 @@ def compare(
         aircraft=aircraft.name,
         flight=flight.name,
         channels={
-            c: _channel(
+            c: _channel_gap(
                 k,
                 c,
                 data,
                 modelled,
                 gaps,
-                cut,
+                cut_segments,
                 noise,
-                c in judged,
-                _allowed(layout_names, theta, c),
+                c in judged_channels,
+                _allowed_delay_s(layout_names, theta, c),
             )
             for k, c in enumerate(present)
         },
-        coefficients={c: _coefficient(k, demand, said, floor) for k, c in enumerate(COEFFICIENTS)},
-        manoeuvres=_by_manoeuvre(cut, gaps, present, noise),
+        coefficients={
+            c: _coefficient_gap(k, demand, predicted, floor) for k, c in enumerate(COEFFICIENTS)
+        },
+        manoeuvres=_by_manoeuvre(cut_segments, gaps, present, noise),
         manoeuvre_coefficients=_by_manoeuvre(
-            cut,
-            [d - s for d, s in zip(demand, said, strict=True)],
+            cut_segments,
+            [d - s for d, s in zip(demand, predicted, strict=True)],
             COEFFICIENTS,
             dict(zip(COEFFICIENTS, floor, strict=True)),
         ),
-        moments=_moments(cut, gaps, judged, present, noise),
-        segments=tuple(cut),
+        moments=_moments(cut_segments, gaps, judged_channels, present, noise),
+        segments=tuple(cut_segments),
         outputs=present,
         measured=data,
         modelled=modelled,
         demanded=demand,
-        predicted=said,
+        predicted=predicted,
         nuisance=dict(zip(layout_names, theta.tolist(), strict=True)),
         notes=(*flight.notes, *notes),
         controls_late_s=_control_delay_s(layout_names, theta),
-        late_limit_s=late_limit_s(flight, cut[0].command_s),
+        late_limit_s=late_limit_s(flight, cut_segments[0].command_s),
         controls_late_std_s=late_std_s,
     )
 
 
-def _starts(
+def _fit_starts(
     model: ReplayModel,
-    cut: list[Segment],
-    judged: Sequence[str],
+    segments: list[Segment],
+    judged_channels: Sequence[str],
     data: list[FloatArray],
     present: Sequence[str],
     biases: Sequence[str],
     late: Mapping[str, Sequence[str]],
-    spread: Any,
+    pool: Any,
 ) -> tuple[FloatArray, tuple[str, ...], list[bool], list[str], float]:
     """Start states and biases (and their names) that bring the replay nearest; which segments the
     model can fly; notes; standard error of the controls' delay [s], NaN where the flight does not
     determine it."""
-    columns = [list(present).index(c) for c in judged]
-    layout = nuisance_layout((), (), cut, biases, judged, late, jumping_in(model, cut, late))
+    columns = [list(present).index(c) for c in judged_channels]
+    layout = nuisance_layout(
+        (), (), segments, biases, judged_channels, late, jumping_flights(model, segments, late)
+    )
     token = uuid.uuid4().hex
-    plain = Replay(model, cut, (), judged, token)
-    kept = [bool(np.isfinite(y).all()) for y in plain(np.zeros(0))]
-    if not any(kept):
+    plain = Replay(model, segments, (), judged_channels, token)
+    flyable = [bool(np.isfinite(y).all()) for y in plain(np.zeros(0))]
+    if not any(flyable):
         raise BadInputError(
             "the model leaves the flight in every segment (its state is no longer finite); check"
             " its XML and the controls' signs"
@@ -466,19 +478,24 @@ def _starts(
     notes = [
         f"{s.label} at {s.time_s[0]:.1f} s was left out: the model's state is no longer finite"
         " there"
-        for s, ok in zip(cut, kept, strict=True)
+        for s, ok in zip(segments, flyable, strict=True)
         if not ok
     ]
-    flown = [s for s, ok in zip(cut, kept, strict=True) if ok]
-    wanted = [z[:, columns] for z, ok in zip(data, kept, strict=True) if ok]
+    flyable_segments = [s for s, ok in zip(segments, flyable, strict=True) if ok]
+    flyable_data = [z[:, columns] for z, ok in zip(data, flyable, strict=True) if ok]
     fitted = fit_replays(
-        model, Observed(flown, tuple(judged), wanted, biases, late), (), [np.zeros(0)], (), spread
+        model,
+        Observed(flyable_segments, tuple(judged_channels), flyable_data, biases, late),
+        (),
+        [np.zeros(0)],
+        (),
+        pool,
     )
-    fit, inner = fitted.found, fitted.layout
+    fit, inner = fitted.fit, fitted.layout
     if not fit.converged:
         notes.append("start states and biases did not converge: the gaps may be too large")
     # Numbers of the segments flown back to numbers of all segments.
-    number = [i for i, ok in enumerate(kept) if ok]
+    number = [i for i, ok in enumerate(flyable) if ok]
     theta = np.zeros(len(layout.names))
     for name, value in zip(inner.names, fit.theta, strict=True):
         if name.startswith("start/"):
@@ -488,14 +505,14 @@ def _starts(
     errors = [
         s for n, s in zip(inner.names, fit.std, strict=True) if n.endswith(f"/{CONTROL_DELAY}")
     ]
-    return theta, layout.names, kept, notes, float(errors[0]) if errors else math.nan
+    return theta, layout.names, flyable, notes, float(errors[0]) if errors else math.nan
 
 
 def _coefficients(
     model: ReplayModel,
-    straight: ReplayModel,
+    direct_model: ReplayModel,
     flight: Flight,
-    cut: Sequence[Segment],
+    segments: Sequence[Segment],
     noise: Mapping[str, float],
     late_s: float,
 ) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
@@ -505,10 +522,10 @@ def _coefficients(
     The latter by experiment: noise is added once more, to what the flight demanded and to the
     states the model was asked at."""
     rng = np.random.default_rng(1)
-    every = [states(flight, piece) for piece in flight.pieces]
-    found = coefficient_gaps(model, straight, cut, every, noise, rng, late_s=late_s)
-    demand, said, change = (list(part) for part in zip(*found, strict=True))
-    return demand, said, floor_of([np.concatenate(change)])
+    channels = [states(flight, piece) for piece in flight.pieces]
+    gaps = coefficient_gaps(model, direct_model, segments, channels, noise, rng, late_s=late_s)
+    demand, predicted, change = (list(part) for part in zip(*gaps, strict=True))
+    return demand, predicted, floor_of([np.concatenate(change)])
 
 
 def _control_delay_s(names: Sequence[str], theta: FloatArray) -> float:
@@ -517,7 +534,7 @@ def _control_delay_s(names: Sequence[str], theta: FloatArray) -> float:
     return float(sum(v for n, v in ends if n.endswith(f"/{CONTROL_DELAY}")))
 
 
-def _allowed(names: Sequence[str], theta: FloatArray, channel: str) -> float:
+def _allowed_delay_s(names: Sequence[str], theta: FloatArray, channel: str) -> float:
     """How late, s, the channel was let come after the commands: the controls' delay and its own
     sensor's.
     """
@@ -531,19 +548,19 @@ def _allowed(names: Sequence[str], theta: FloatArray, channel: str) -> float:
     )
 
 
-def _channel(
+def _channel_gap(
     k: int,
     name: str,
     data: list[FloatArray],
     modelled: list[FloatArray],
     gaps: list[FloatArray],
-    cut: list[Segment],
+    segments: list[Segment],
     noise: Mapping[str, float],
     judged: bool,
     allowed_s: float,
 ) -> ChannelGap:
     z, y = [d[:, k] for d in data], [m[:, k] for m in modelled]
-    answer = answer_of(z, y, noise[name], cut[0].dt_s)
+    answer = answer_of(z, y, noise[name], segments[0].dt_s)
     return ChannelGap(
         rms(np.concatenate([g[:, k] for g in gaps])),
         noise[name],
@@ -556,38 +573,40 @@ def _channel(
     )
 
 
-def _coefficient(
-    k: int, demand: list[FloatArray], said: list[FloatArray], floor: FloatArray
+def _coefficient_gap(
+    k: int, demand: list[FloatArray], predicted: list[FloatArray], floor: FloatArray
 ) -> CoefficientGap:
-    gap = np.concatenate([d[:, k] - s[:, k] for d, s in zip(demand, said, strict=True)])
+    gap = np.concatenate([d[:, k] - s[:, k] for d, s in zip(demand, predicted, strict=True)])
     return CoefficientGap(rms(gap), float(floor[k]), float(np.nanmean(gap)))
 
 
 def _by_manoeuvre(
-    cut: Sequence[Segment],
+    segments: Sequence[Segment],
     gaps: Sequence[FloatArray],
     names: Sequence[str],
     noise: Mapping[str, float],
 ) -> dict[str, dict[str, float]]:
     out = {}
-    for label in dict.fromkeys(s.label for s in cut):
-        together = np.concatenate([g for s, g in zip(cut, gaps, strict=True) if s.label == label])
-        out[label] = {c: rms(together[:, k]) / noise[c] for k, c in enumerate(names)}
+    for label in dict.fromkeys(s.label for s in segments):
+        pooled = np.concatenate(
+            [g for s, g in zip(segments, gaps, strict=True) if s.label == label]
+        )
+        out[label] = {c: rms(pooled[:, k]) / noise[c] for k, c in enumerate(names)}
     return out
 
 
 def _moments(
-    cut: Sequence[Segment],
+    segments: Sequence[Segment],
     gaps: Sequence[FloatArray],
-    judged: Sequence[str],
+    judged_channels: Sequence[str],
     present: Sequence[str],
     noise: Mapping[str, float],
 ) -> tuple[Moment, ...]:
-    found = []
-    for segment, gap in zip(cut, gaps, strict=True):
-        for channel in judged:
+    moments = []
+    for segment, gap in zip(segments, gaps, strict=True):
+        for channel in judged_channels:
             for at, size in worst(
                 gap[:, list(present).index(channel)], segment.time_s, noise[channel], 3, 1.0
             ):
-                found.append(Moment(at, channel, segment.label, size, abs(size) / noise[channel]))
-    return tuple(sorted(found, key=lambda m: -m.noises)[:_WORST])
+                moments.append(Moment(at, channel, segment.label, size, abs(size) / noise[channel]))
+    return tuple(sorted(moments, key=lambda m: -m.noises)[:_MAX_MOMENTS])

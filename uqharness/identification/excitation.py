@@ -33,12 +33,12 @@ def lateral_constants(model: ReplayModel) -> tuple[str, ...]:
     out = []
     for slot in _LATERAL:
         nodes = axes[slot].node.walk() if slot in axes else ()
-        found = [
+        biases = [
             node.text.strip()
             for node in nodes
             if node.tag == "property" and node.text.strip().startswith(_BIAS)
         ]
-        out += found[:1]
+        out += biases[:1]
     return tuple(out)
 
 
@@ -50,7 +50,7 @@ def lateral_constants(model: ReplayModel) -> tuple[str, ...]:
 # estimated beside it. It comes from the model's motion under the flights' own controls, so it
 # says what the manoeuvres excite.
 
-LEAST_T = 4.0
+MIN_T = 4.0
 """Size over smallest standard error that a parameter must have: below, its 95 % interval would be
 as wide as it is large.
 """
@@ -58,7 +58,7 @@ WIDTH_SHARE = 0.1
 """A parameter's size is its value, or this share of its bounds' width: one of about 0 is known no
 better by being small.
 """
-LEAST_SHARE = 0.01
+MIN_CHANNEL_SHARE = 0.01
 """Share of the information on some parameter that a channel must hold; without it, it says nothing
 of any.
 """
@@ -69,27 +69,27 @@ _STEP = 1e-4
 
 
 @dataclass(frozen=True)
-class Excited:
+class Excitation:
     """held: parameter -> why it stays at its value. left_out: channels that say nothing of the
     others.
     """
 
-    held: Mapping[str, str]
+    fixed: Mapping[str, str]
     left_out: tuple[str, ...]
 
 
-NOTHING = Excited({}, ())
+NONE_FIXED = Excitation({}, ())
 
 
-def excited(
+def find_excited(
     replay: Replay,
     observed: Observed,
     names: Sequence[str],
     initial: FloatArray,
     limits: Sequence[tuple[float, float]],
     noise: Mapping[str, float],
-    map_: Callable[..., Any],
-) -> Excited:
+    pool: Callable[..., Any],
+) -> Excitation:
     """Judge parameters ``names`` (k,) of a replay whose theta begins with them, at ``initial``
     (k,).
 
@@ -105,92 +105,98 @@ def excited(
         # A forward step must not leave the bounds.
         steps[k] *= -1.0 if value + steps[k] > high else 1.0
     sigma = np.array([noise[c] for c in observed.outputs])
-    known = np.isfinite(np.concatenate(list(observed.data))) & (sigma > 0.0)
-    moved = forward_differences(
-        replay, theta, steps, ([len(z) for z in observed.data], len(sigma)), map_
+    logged = np.isfinite(np.concatenate(list(observed.data))) & (sigma > 0.0)
+    sensitivities = forward_differences(
+        replay, theta, steps, ([len(z) for z in observed.data], len(sigma)), pool
     )
-    if moved is None:
-        return NOTHING
+    if sensitivities is None:
+        return NONE_FIXED
     with np.errstate(divide="ignore", invalid="ignore"):
-        slopes = moved.each(
-            lambda part, _, rows: np.where(known[rows, :, None], part / sigma[:, None], 0.0)
+        slopes = sensitivities.each(
+            lambda part, _, rows: np.where(logged[rows, :, None], part / sigma[:, None], 0.0)
         )
     widths = np.array([high - low if np.isfinite(high - low) else 0.0 for low, high in limits])
     size = np.maximum(np.abs(initial), WIDTH_SHARE * widths)
-    found = judged(slopes, replay.names, size, observed.outputs)
+    excitation = assess_excitation(slopes, replay.names, size, observed.outputs)
     return replace(
-        found,
-        held={
-            n: f"held at {initial[list(names).index(n)]:.4g}: {why}"
-            for n, why in found.held.items()
+        excitation,
+        fixed={
+            n: f"held at {initial[list(names).index(n)]:.4g}: {reason}"
+            for n, reason in excitation.fixed.items()
         },
     )
 
 
-def judged(
+def assess_excitation(
     slopes: Blocks, labels: Sequence[str], size: FloatArray, outputs: Sequence[str]
-) -> Excited:
+) -> Excitation:
     """The same from slopes (N, m, K) of the outputs in sigma; the first of the K ``labels`` are
     parameters, of ``size`` (k,), the others are estimated beside them. A parameter of size 0 is not
     held."""
     count = len(size)
     information = total_information(slopes)
-    held: dict[str, str] = {}
+    fixed: dict[str, str] = {}
     while True:
-        rest = [k for k, name in enumerate(labels) if name not in held]
-        gate = assess(information[np.ix_(rest, rest)], tuple(labels[k] for k in rest))
+        free_columns = [k for k, name in enumerate(labels) if name not in fixed]
+        gate = assess(
+            information[np.ix_(free_columns, free_columns)], tuple(labels[k] for k in free_columns)
+        )
         smallest = np.full(len(labels), np.inf)
-        smallest[rest] = np.sqrt(
+        smallest[free_columns] = np.sqrt(
             np.where(gate.identified, np.maximum(np.diagonal(gate.inverse), 0.0), np.inf)
         )
         t = size / smallest[:count]
         # One at a time: what is held leaves the others its share of the information.
-        weak = [k for k in rest if k < count and size[k] > 0.0 and t[k] < LEAST_T]
+        weak = [k for k in free_columns if k < count and size[k] > 0.0 and t[k] < MIN_T]
         if not weak:
             break
         worst = min(weak, key=lambda k: (t[k], information[k, k]))
-        why = gate.reason[rest.index(worst)] or (
+        reason = gate.reason[free_columns.index(worst)] or (
             f"not excited: its standard error would be {smallest[worst]:.2g} at least, "
-            f"{size[worst] / LEAST_T:.2g} at most is needed"
+            f"{size[worst] / MIN_T:.2g} at most is needed"
         )
-        held[labels[worst]] = why
+        fixed[labels[worst]] = reason
     free = [
-        k for k, name in enumerate(labels[:count]) if name not in held and np.isfinite(smallest[k])
+        k for k, name in enumerate(labels[:count]) if name not in fixed and np.isfinite(smallest[k])
     ]
     if not free:
-        return Excited(held, ())
+        return Excitation(fixed, ())
     # (free, m): information of each channel alone on each parameter, in units of what is left of
     # all when the rest is estimated.
     squares = np.zeros((len(outputs), len(labels)))
     for part, columns in slopes:
         squares[:, columns] += np.sum(part**2, axis=0)
     share = squares.T[free] * smallest[free, None] ** 2
-    return Excited(
-        held,
-        tuple(c for c, most in zip(outputs, share.max(axis=0), strict=True) if most < LEAST_SHARE),
+    return Excitation(
+        fixed,
+        tuple(
+            c
+            for c, largest in zip(outputs, share.max(axis=0), strict=True)
+            if largest < MIN_CHANNEL_SHARE
+        ),
     )
 
 
-def without(observed: Observed, left_out: Sequence[str]) -> Observed:
+def without_channels(observed: Observed, left_out: Sequence[str]) -> Observed:
     """The same without some channels."""
-    kept = [k for k, c in enumerate(observed.outputs) if c not in left_out]
-    outputs = tuple(observed.outputs[k] for k in kept)
+    retained = [k for k, c in enumerate(observed.outputs) if c not in left_out]
+    outputs = tuple(observed.outputs[k] for k in retained)
     return replace(
         observed,
         outputs=outputs,
-        data=[z[:, kept] for z in observed.data],
+        data=[z[:, retained] for z in observed.data],
         biases=[b for b in observed.biases if b in outputs],
     )
 
 
-def excited_alone(
+def restrict_to_excited(
     model: ReplayModel,
     observed: Observed,
     names: Sequence[str],
     initial: FloatArray,
     limits: Sequence[tuple[float, float]],
     noise: Mapping[str, float],
-    spread: Callable[..., Any],
+    pool: Callable[..., Any],
     choose: bool,
 ) -> tuple[Observed, list[str]]:
     """What is fitted of what was observed, parameters that it does not excite held; notes. choose:
@@ -200,18 +206,18 @@ def excited_alone(
     layout = nuisance_layout(
         (*names, *constants),
         (*limits, *[(-np.inf, np.inf)] * len(constants)),
-        observed.cut,
+        observed.segments,
         observed.biases,
         observed.outputs,
         observed.late,
     )
-    replay = Replay(model, observed.cut, layout.names, observed.outputs, uuid.uuid4().hex)
-    found = excited(replay, observed, names, initial, limits, noise, spread)
+    replay = Replay(model, observed.segments, layout.names, observed.outputs, uuid.uuid4().hex)
+    excitation = find_excited(replay, observed, names, initial, limits, noise, pool)
     replay.forget()
-    left_out = found.left_out if choose else ()
+    left_out = excitation.left_out if choose else ()
     notes = (
         [f"not fitted, because no parameter that is estimated acts on them: {', '.join(left_out)}"]
         if left_out
         else []
     )
-    return replace(without(observed, left_out), held=found.held), notes
+    return replace(without_channels(observed, left_out), fixed=excitation.fixed), notes

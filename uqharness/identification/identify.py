@@ -24,7 +24,7 @@ from sysid.estimation import (
     rms,
 )
 from uqharness.errors import BadInputError
-from uqharness.identification.excitation import excited_alone
+from uqharness.identification.excitation import restrict_to_excited
 from uqharness.identification.replay_fit import (
     BIASES,
     OUTPUTS,
@@ -82,62 +82,67 @@ def unexplained(
     by that unit's noise"""
     out = {}
     for k, channel in enumerate(outputs):
-        left, moved, samples = 0.0, 0.0, 0
+        residual_square, motion_square, samples = 0.0, 0.0, 0
         for r, z in zip(residual, measured, strict=True):
-            good = np.isfinite(r[:, k]) & np.isfinite(z[:, k])
-            if good.any():
-                left += float(np.sum(r[good, k] ** 2))
-                moved += float(np.sum((z[good, k] - z[good, k].mean()) ** 2))
-                samples += int(good.sum())
+            logged = np.isfinite(r[:, k]) & np.isfinite(z[:, k])
+            if logged.any():
+                residual_square += float(np.sum(r[logged, k] ** 2))
+                motion_square += float(np.sum((z[logged, k] - z[logged, k].mean()) ** 2))
+                samples += int(logged.sum())
         size = max(noise[channel], MEMS_NOISE_STD.get(channel, 0.0))
         if not samples or not size > 0.0:
             continue
-        sigma = float(np.sqrt(left / samples)) / size
-        share = left / moved if moved > 0.0 else np.inf
+        sigma = float(np.sqrt(residual_square / samples)) / size
+        share = residual_square / motion_square if motion_square > 0.0 else np.inf
         if sigma > UNEXPLAINED_SIGMA and share > UNEXPLAINED_SHARE:
             out[channel] = (sigma, share)
     return out
 
 
-def withdrawn(found: Identification) -> Identification:
-    """``found`` itself where it converged and explains its flights; else the same with no parameter
+def withdraw_invalid(result: Identification) -> Identification:
+    """``result`` itself where it converged and explains its flights; else the same with no parameter
     identified, each at its start, and why: neither values nor standard errors hold of a fit that
     has not ended, or of a model that is not the aircraft's."""
-    why = _why_withdrawn(found) if found.identified else ""
-    if not why:
-        return found
+    reason = _invalid_reason(result) if result.identified else ""
+    if not reason:
+        return result
     advice = (
         "check units, signs, mass, inertia and servos with compare, or let refine look for a"
         " missing effect"
     )
     return replace(
-        found,
-        theta=found.initial.copy(),
-        std=np.full(len(found.names), np.nan),
-        std_crb=np.full(len(found.names), np.nan),
-        status=dict.fromkeys(found.names, "not-identified"),
+        result,
+        theta=result.initial.copy(),
+        std=np.full(len(result.names), np.nan),
+        std_crb=np.full(len(result.names), np.nan),
+        status=dict.fromkeys(result.names, "not-identified"),
         reason={
-            n: why if found.status[n] == "identified" else found.reason[n] for n in found.names
+            n: reason if result.status[n] == "identified" else result.reason[n]
+            for n in result.names
         },
         cov=np.zeros((0, 0)),
-        warnings=(f"no parameter is identified: {why}; {advice}", *found.warnings),
+        warnings=(f"no parameter is identified: {reason}; {advice}", *result.warnings),
     )
 
 
-def _why_withdrawn(found: Identification) -> str:
+def _invalid_reason(result: Identification) -> str:
     """Empty where the estimates stand."""
-    wrong = unexplained(found.residual, found.measured, found.outputs, found.noise)
-    if wrong:
-        channel = max(wrong, key=lambda c: wrong[c][1])
-        sigma, share = wrong[channel]
-        others = (
-            f" ({', '.join(c for c in wrong if c != channel)} as well)" if len(wrong) > 1 else ""
+    unexplained_channels = unexplained(
+        result.residual, result.measured, result.outputs, result.noise
+    )
+    if unexplained_channels:
+        channel = max(unexplained_channels, key=lambda c: unexplained_channels[c][1])
+        sigma, share = unexplained_channels[channel]
+        other_channels = (
+            f" ({', '.join(c for c in unexplained_channels if c != channel)} as well)"
+            if len(unexplained_channels) > 1
+            else ""
         )
         return (
             f"the model does not explain the flights: the residual of {channel} is {sigma:.0f}"
-            f" sigma, {100.0 * share:.0f} % of its variance{others}"
+            f" sigma, {100.0 * share:.0f} % of its variance{other_channels}"
         )
-    return "" if found.converged else "not converged; values unchanged"
+    return "" if result.converged else "not converged; values unchanged"
 
 
 # What is said of an estimation's course: its iteration, how far it has to go, and about how
@@ -145,44 +150,48 @@ def _why_withdrawn(found: Identification) -> str:
 
 
 @dataclass
-class Descent:
+class DescentProgress:
     """Told each iteration (`sysid.estimation.gauss_newton.Told`), tells ``on_stage`` a sentence.
 
     Steps become shorter by about a constant factor from one iteration to the next: the time left is
     that of the iterations until they are ``tolerance`` standard errors long, at most of all that
     are allowed (``most``). Descents that follow one another count anew."""
 
-    what: str
-    on_stage: Callable[[str], None]
+    method: str
+    callback: Callable[[str], None]
     tolerance: float
-    most: int
+    max_iterations: int
     clock: Callable[[], float] = time.monotonic
-    _begun: float = 0.0
+    _start_s: float = 0.0
     _lengths: list[float] = field(default_factory=list)
 
     def __call__(self, iteration: int, length: float) -> None:
         """An iteration begins from which the next step would be ``length`` standard errors long."""
         if iteration == 1 or not self._lengths:
-            self._begun, self._lengths = self.clock(), []
+            self._start_s, self._lengths = self.clock(), []
         self._lengths.append(length)
-        text = f"{self.what}: iteration {iteration}"
+        text = f"{self.method}: iteration {iteration}"
         if math.isfinite(length):
             text += f", {length:.2g} standard errors to go"
-        left = self.seconds_left(iteration)
-        self.on_stage(text if left is None else f"{text}, about {max(1, round(left))} s left")
+        remaining_s = self.seconds_left(iteration)
+        self.callback(
+            text if remaining_s is None else f"{text}, about {max(1, round(remaining_s))} s left"
+        )
 
     def seconds_left(self, iteration: int) -> float | None:
         """None in the first iterations of a descent."""
         done = len(self._lengths) - 1
         if done < 2:
             return None
-        wanted = max(float(self.most - iteration), 1.0)
+        iterations_left = max(float(self.max_iterations - iteration), 1.0)
         first, last = self._lengths[0], self._lengths[-1]
         if 0.0 < last < first and last > self.tolerance:
-            wanted = min(wanted, math.log(last / self.tolerance) * done / math.log(first / last))
+            iterations_left = min(
+                iterations_left, math.log(last / self.tolerance) * done / math.log(first / last)
+            )
         elif last <= self.tolerance:
-            wanted = 1.0
-        return wanted * (self.clock() - self._begun) / done
+            iterations_left = 1.0
+        return iterations_left * (self.clock() - self._start_s) / done
 
 
 def identify(
@@ -198,8 +207,8 @@ def identify(
     ideal_servos: bool = False,
     method: str = "auto",
     workers: int | None = None,
-    on_stage: Callable[[str], None] = lambda stage: None,
-    tell: Callable[[str], None] | None = None,
+    callback: Callable[[str], None] = lambda stage: None,
+    message_callback: Callable[[str], None] | None = None,
 ) -> Identification:
     """Estimate JSBSim properties from flights.
 
@@ -223,163 +232,186 @@ def identify(
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
         arm = aircraft.accelerometer_m
-        cut = [s for f in flights for s in segments(f, measured, arm)]
+        cut_segments = [s for f in flights for s in segments(f, measured, arm)]
         initial = _initial(aircraft, model, names, start)
         limits = _limits(aircraft, names, initial)
-        begun = time.perf_counter()
-        on_stage("equation error")
-        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
-            near, notes = equation_error_start(
-                model, straight, flights, cut, names, initial, limits
+        start_s = time.perf_counter()
+        callback("equation error")
+        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model:
+            equation_error_theta, notes = equation_error_start(
+                model, direct_model, flights, cut_segments, names, initial, limits
             )
         channels = _outputs(flights, outputs)
         data = [block for f in flights for block in measured_outputs(f, channels)]
         observed = Observed(
-            cut,
+            cut_segments,
             channels,
             data,
             [b for b in biases if b in channels],
             delayed(flights, channels, delays),
         )
         noise = channel_noise(data, channels, aircraft.card.sensors.noise_std)
-        bare, flown, started = bare_rate(model, cut[0]), counter["rows"], time.perf_counter()
-        with replay_pool(workers) as spread:
+        bare_flight_s_per_s, rows_before, fit_start_s = (
+            bare_rate(model, cut_segments[0]),
+            counter["rows"],
+            time.perf_counter(),
+        )
+        with replay_pool(workers) as pool:
             if parameters is None:
-                on_stage("what the flights excite")
-                observed, more = excited_alone(
-                    model, observed, names, initial, limits, noise, spread, outputs is None
+                callback("what the flights excite")
+                observed, channel_notes = restrict_to_excited(
+                    model, observed, names, initial, limits, noise, pool, outputs is None
                 )
-                notes = [*notes, *more]
-            on_stage("output error")
-            if tell is not None:
-                tell(_why_output_error(observed, names, method))
-            descent = Descent("output error", on_stage, OUTPUT_TOLERANCE, OUTPUT_ITERATIONS)
+                notes = [*notes, *channel_notes]
+            callback("output error")
+            if message_callback is not None:
+                message_callback(_output_error_message(observed, names, method))
+            descent = DescentProgress("output error", callback, OUTPUT_TOLERANCE, OUTPUT_ITERATIONS)
             fitted = fit_replays(
-                model, observed, names, (near, initial), limits, spread, told=descent
+                model,
+                observed,
+                names,
+                (equation_error_theta, initial),
+                limits,
+                pool,
+                callback=descent,
             )
-        fit = fitted.found
-        taken = time.perf_counter() - started
-        seconds = time.perf_counter() - begun
-        flown_s = (counter["rows"] - flown) * cut[0].dt_s
-        speed = Speed(fit.n_simulations / taken, flown_s / taken, process_count(workers), bare)
-        found = _assemble(aircraft, names, initial, fitted, observed, noise, notes, seconds, speed)
-        found = replace(found, warnings=(*misplaced(flights, cut, found.nuisance), *found.warnings))
-        gusty = process_noise_shown(*_sensed(found))
+        fit = fitted.fit
+        fit_s = time.perf_counter() - fit_start_s
+        seconds = time.perf_counter() - start_s
+        flown_s = (counter["rows"] - rows_before) * cut_segments[0].dt_s
+        speed = Speed(
+            fit.n_simulations / fit_s, flown_s / fit_s, process_count(workers), bare_flight_s_per_s
+        )
+        result = _assemble(aircraft, names, initial, fitted, observed, noise, notes, seconds, speed)
+        result = replace(
+            result, warnings=(*misplaced(flights, cut_segments, result.nuisance), *result.warnings)
+        )
+        gusty = process_noise_shown(*_inertial_channels(result))
         if method == "output-error" or (method == "auto" and not gusty):
-            if tell is not None:
-                tell(_why_it_stays(method, gusty))
-            return withdrawn(found if gusty else _in_calm_air(found))
-        if tell is not None:
-            tell(_why_filter_error(found, method))
+            if message_callback is not None:
+                message_callback(_no_filter_message(method, gusty))
+            return withdraw_invalid(result if gusty else _in_calm_air(result))
+        if message_callback is not None:
+            message_callback(_filter_error_message(result, method))
         from uqharness.identification.linearised.gusts import TOLERANCE as FILTER_TOLERANCE
         from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
-        from uqharness.identification.turbulence import Asked, filter_route, filter_setup
+        from uqharness.identification.turbulence import FilterRequest, filter_error, filter_setup
 
-        on_stage("filter error")
+        callback("filter error")
         fitted.replay.forget()
         setup = filter_setup(
-            aircraft, flights, Asked(outputs, biases, delays, measured, ideal), found
+            aircraft, flights, FilterRequest(outputs, biases, delays, measured, ideal), result
         )
         with (
-            ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight,
-            worker_map(workers) as map_,
+            ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model,
+            worker_map(workers) as worker_pool,
         ):
-            descent = Descent("filter error", on_stage, FILTER_TOLERANCE, FILTER_ITERATIONS)
-            return withdrawn(
-                filter_route(
-                    found, fitted, (model, straight), setup, limits, observed.held, map_, descent
+            descent = DescentProgress("filter error", callback, FILTER_TOLERANCE, FILTER_ITERATIONS)
+            return withdraw_invalid(
+                filter_error(
+                    result,
+                    fitted,
+                    (model, direct_model),
+                    setup,
+                    limits,
+                    observed.fixed,
+                    worker_pool,
+                    descent,
                 )
             )
 
 
-def _in_calm_air(found: Identification) -> Identification:
+def _in_calm_air(result: Identification) -> Identification:
     """Return the result with warnings of coloured residuals that no longer suspect turbulence."""
-    coloured = [w for w in found.warnings if w.startswith("coloured residuals")]
+    coloured = [w for w in result.warnings if w.startswith("coloured residuals")]
     if not coloured:
-        return found
-    tint = colour(found.residual, found.modelled)
-    text = colour_warnings(tint, found.std, found.std_crb, "output error", calm_air=True)
-    others = tuple(w for w in found.warnings if w not in coloured)
-    return replace(found, warnings=(*others, *by_channel(text, found.outputs)))
+        return result
+    tint = colour(result.residual, result.modelled)
+    text = colour_warnings(tint, result.std, result.std_crb, "output error", calm_air=True)
+    remaining_warnings = tuple(w for w in result.warnings if w not in coloured)
+    return replace(result, warnings=(*remaining_warnings, *by_channel(text, result.outputs)))
 
 
-def _outputs(flights: Sequence[Flight], asked: Sequence[str] | None) -> tuple[str, ...]:
+def _outputs(flights: Sequence[Flight], requested: Sequence[str] | None) -> tuple[str, ...]:
     """Channels that some flight has. Raises BadInputError for one asked for that none has."""
-    there = tuple(
+    available = tuple(
         c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights)
     )
-    missing = [] if asked is None else [c for c in asked if c not in there]
-    if missing or asked == ():
+    missing = [] if requested is None else [c for c in requested if c not in available]
+    if missing or requested == ():
         raise BadInputError(
             f"no flight has {', '.join(missing) or 'the outputs asked for: none'}; there are"
-            f" {', '.join(there)}"
+            f" {', '.join(available)}"
         )
-    return there if asked is None else tuple(c for c in there if c in asked)
+    return available if requested is None else tuple(c for c in available if c in requested)
 
 
-def _why_output_error(observed: Observed, names: Sequence[str], method: str) -> str:
-    seconds = sum(float(s.time_s[-1] - s.time_s[0]) for s in observed.cut)
-    free = len(names) - len(observed.held)
-    why = {
+def _output_error_message(observed: Observed, names: Sequence[str], method: str) -> str:
+    seconds = sum(float(s.time_s[-1] - s.time_s[0]) for s in observed.segments)
+    free = len(names) - len(observed.fixed)
+    reason = {
         "auto": "assumes calm air; its residuals are then checked for turbulence",
         "output-error": "requested by --method",
         "filter-error": "start of filter error, requested by --method",
     }[method]
-    return f"output error: {len(observed.cut)} segments, {seconds:.0f} s, {free} parameters ({why})"
+    return f"output error: {len(observed.segments)} segments, {seconds:.0f} s, {free} parameters ({reason})"
 
 
-def _why_it_stays(method: str, gusty: bool) -> str:
+def _no_filter_message(method: str, gusty: bool) -> str:
     sign = "show turbulence; estimates may be biased" if gusty else "show no sign of turbulence"
     requested = " (requested by --method)" if method == "output-error" else ""
     return f"keeping output error{requested}: the rate and acceleration residuals {sign}"
 
 
-def _why_filter_error(found: Identification, method: str) -> str:
-    residual, _, noise = _sensed(found)
-    channels = [c for c in found.outputs if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
+def _filter_error_message(result: Identification, method: str) -> str:
+    residual, _, noise = _inertial_channels(result)
+    channels = [c for c in result.outputs if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = {c: rms(np.concatenate(residual)[:, k]) / noise[k] for k, c in enumerate(channels)}
-    left = ", ".join(
+    ratios_text = ", ".join(
         f"{shown_channel(c)[0]} {r:.2f}" for c, r in ratio.items() if np.isfinite(r) and r > 1.0
     )
-    why = "requested by --method"
+    reason = "requested by --method"
     if method != "filter-error":
-        why = (
+        reason = (
             "the residuals of output error show turbulence; rms over noise:"
-            f" {left or 'none above 1'}"
+            f" {ratios_text or 'none above 1'}"
         )
     rows = sum(len(r) for r in residual)
     return (
-        f"filter error after {found.seconds:.0f} s of output error ({why}): {rows} samples, "
-        f"{len(found.names)} parameters; --method output-error skips it"
+        f"filter error after {result.seconds:.0f} s of output error ({reason}): {rows} samples, "
+        f"{len(result.names)} parameters; --method output-error skips it"
     )
 
 
-def _sensed(found: Identification) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
+def _inertial_channels(
+    result: Identification,
+) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
     """Residual, motion and noise of the channels that sensors measure directly.
 
     An estimator's attitude or wind angles have coloured errors of their own, which say nothing of
     the air."""
     columns = [
-        k for k, c in enumerate(found.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
+        k for k, c in enumerate(result.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
     ]
     return (
-        [r[:, columns] for r in found.residual],
-        [y[:, columns] for y in found.modelled],
-        np.array([found.noise[found.outputs[k]] for k in columns]),
+        [r[:, columns] for r in result.residual],
+        [y[:, columns] for y in result.modelled],
+        np.array([result.noise[result.outputs[k]] for k in columns]),
     )
 
 
-def _parameter_names(aircraft: Aircraft, asked: Sequence[str] | None) -> tuple[str, ...]:
-    known = list(aircraft.card.parameters)
-    if asked is None:
-        if not known:
+def _parameter_names(aircraft: Aircraft, requested: Sequence[str] | None) -> tuple[str, ...]:
+    declared = list(aircraft.card.parameters)
+    if requested is None:
+        if not declared:
             raise BadInputError(
                 f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters]; name some"
                 " with --params aero/Cm_q,..."
             )
-        return tuple(known)
-    names = tuple(n if "/" in n else f"aero/{n}" for n in asked)
+        return tuple(declared)
+    names = tuple(n if "/" in n else f"aero/{n}" for n in requested)
     if len(set(names)) < len(names):
         raise BadInputError(f"--params names {max(names, key=names.count)} twice")
     return names
@@ -417,14 +449,14 @@ def _limits(
     return out
 
 
-def _left_over(
+def _noise_warning(
     residual: Sequence[FloatArray], outputs: Sequence[str], noise: Mapping[str, float]
 ) -> list[str]:
     """A sentence when a channel is left further off than its noise explains although nothing looks
     coloured.
     """
-    whole = np.concatenate(residual)
-    ratio = {c: rms(whole[:, k]) / noise[c] for k, c in enumerate(outputs) if noise[c] > 0.0}
+    pooled = np.concatenate(residual)
+    ratio = {c: rms(pooled[:, k]) / noise[c] for k, c in enumerate(outputs) if noise[c] > 0.0}
     above = {c: r for c, r in ratio.items() if r > NOISE_FLOOR}
     if not above:
         return []
@@ -448,21 +480,21 @@ def _assemble(
     seconds: float,
     speed: Speed,
 ) -> Identification:
-    k, fit, outputs = len(names), fitted.found, observed.outputs
+    k, fit, outputs = len(names), fitted.fit, observed.outputs
     identified = [i for i in range(k) if fit.status[names[i]] == "identified"]
-    hidden = {
+    nuisance = {
         n: (float(fit.theta[i]), float(fit.std[i]))
         for i, n in enumerate(fitted.layout.names)
         if i >= k
     }
     # A start state that two channels cannot tell apart is nobody's concern; a parameter is.
-    mine = [
+    parameter_warnings = [
         w for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/", f"{UNSEEN}/"))
     ]
-    warnings = by_channel(mine, outputs)
+    warnings = by_channel(parameter_warnings, outputs)
     assert isinstance(fit.residual, list)
     if not any(w.startswith("coloured") for w in warnings):
-        warnings += _left_over(fit.residual, outputs, noise)
+        warnings += _noise_warning(fit.residual, outputs, noise)
     return Identification(
         aircraft=aircraft.name,
         names=names,
@@ -473,9 +505,9 @@ def _assemble(
         status={n: fit.status[n] for n in names},
         reason={n: fit.reason[n] for n in names},
         cov=fit.cov[np.ix_(identified, identified)],
-        nuisance=hidden,
+        nuisance=nuisance,
         outputs=outputs,
-        segments=tuple(observed.cut),
+        segments=tuple(observed.segments),
         measured=list(observed.data),
         modelled=fitted.replay(fit.theta),
         residual=fit.residual,

@@ -63,14 +63,14 @@ class Observed:
     and why begin   values of biases, delays and shares, by their names in the layout, from which
     they are sought; 0 for the others"""
 
-    cut: Sequence[Segment]
+    segments: Sequence[Segment]
     outputs: tuple[str, ...]
     data: Sequence[FloatArray]
     biases: Sequence[str]
     late: Mapping[str, Sequence[str]]
     late_s: Mapping[str, float] = field(default_factory=dict)
     properties: Mapping[str, float] = field(default_factory=dict)
-    held: Mapping[str, str] = field(default_factory=dict)
+    fixed: Mapping[str, str] = field(default_factory=dict)
     begin: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -80,18 +80,18 @@ class ReplayFit:
     flights do not determine, held.
     """
 
-    found: OutputErrorFit
+    fit: OutputErrorFit
     layout: Layout
     replay: Replay
-    lost: tuple[str, ...]
+    undetermined: tuple[str, ...]
 
     def values(self) -> dict[str, float]:
         """Estimates of everything by name."""
-        return dict(zip(self.layout.names, self.found.theta.tolist(), strict=True))
+        return dict(zip(self.layout.names, self.fit.theta.tolist(), strict=True))
 
     def starts(self) -> list[FloatArray]:
         """(9,) start state of every segment."""
-        return [start for start, *_ in self.replay.starts_at(self.found.theta)]
+        return [start for start, *_ in self.replay.starts_at(self.fit.theta)]
 
 
 def fit_replays(
@@ -100,9 +100,9 @@ def fit_replays(
     names: Sequence[str],
     tries: Sequence[FloatArray],
     limits: Sequence[tuple[float, float]],
-    map_: Callable[..., Any],
+    pool: Callable[..., Any],
     errors: bool = True,
-    told: Callable[[int, float], None] | None = None,
+    callback: Callable[[int, float], None] | None = None,
 ) -> ReplayFit:
     """Fit properties ``names`` of a model, and everything that is estimated beside them.
 
@@ -114,13 +114,13 @@ def fit_replays(
     What ``observed`` holds stays at the last of ``tries``.
     Raises BadInputError when the model cannot fly the segments.
     """
-    jumping = jumping_in(model, observed.cut, observed.late)
+    jumping = jumping_flights(model, observed.segments, observed.late)
     layout = nuisance_layout(
-        names, limits, observed.cut, observed.biases, observed.outputs, observed.late, jumping
+        names, limits, observed.segments, observed.biases, observed.outputs, observed.late, jumping
     )
     replay = Replay(
         model,
-        observed.cut,
+        observed.segments,
         layout.names,
         observed.outputs,
         uuid.uuid4().hex,
@@ -138,12 +138,12 @@ def fit_replays(
             names=layout.names,
             bounds=bounds,
             free=list(free),
-            map=map_,
+            map=pool,
             tolerance=TOLERANCE,
             max_iterations=MAX_ITERATIONS,
             differences="secant",
             errors=errors,
-            told=told,
+            told=callback,
         )
 
     def fit_from(theta: FloatArray, free: Sequence[str]) -> OutputErrorFit:
@@ -160,42 +160,48 @@ def fit_replays(
             for k in kinked:
                 low, high = layout.bounds[k]
                 bounds[k] = (0.0, high) if fit.theta[k] > 0.0 or side == 0.0 else (low, 0.0)
-            begin = _with(fit.theta, np.zeros(len(fit.theta)), places)
-            again = fit_within(bounds, begin, free)
-            fit = replace(again, n_simulations=fit.n_simulations + again.n_simulations)
+            begin = _with_values(fit.theta, np.zeros(len(fit.theta)), places)
+            one_sided = fit_within(bounds, begin, free)
+            fit = replace(one_sided, n_simulations=fit.n_simulations + one_sided.n_simulations)
         return fit
 
-    held = observed.held
-    tries = [_with(values, tries[-1], [list(names).index(n) for n in held]) for values in tries]
-    free = [n for n in layout.names if n not in held]
-    rest = np.array([observed.begin.get(n, 0.0) for n in layout.names[len(names) :]])
-    begun = [np.concatenate([values, rest]) for values in tries]
-    fit = _first_that_flies(lambda theta: fit_from(theta, free), begun)
+    fixed = observed.fixed
+    tries = [
+        _with_values(values, tries[-1], [list(names).index(n) for n in fixed]) for values in tries
+    ]
+    free = [n for n in layout.names if n not in fixed]
+    nuisance = np.array([observed.begin.get(n, 0.0) for n in layout.names[len(names) :]])
+    starts = [np.concatenate([values, nuisance]) for values in tries]
+    fit = _fit_first_flyable(lambda theta: fit_from(theta, free), starts)
     fit = replace(
         fit,
-        status={**fit.status, **dict.fromkeys(held, "not-identified")},
-        reason={**fit.reason, **held},
+        status={**fit.status, **dict.fromkeys(fixed, "not-identified")},
+        reason={**fit.reason, **fixed},
     )
-    lost = tuple(n for n in names if fit.status[n] == "not-identified" and n not in held)
-    if lost:
+    undetermined = tuple(n for n in names if fit.status[n] == "not-identified" and n not in fixed)
+    if undetermined:
         # What the data do not determine goes back to where it was, so that the rest is estimated
         # beside values that will be flown. What was estimated beside a value far from there, at a
         # bound, may fit worse than what the estimate began with.
-        places = [layout.names.index(n) for n in lost]
-        options = [_with(theta, begun[-1], places) for theta in (fit.theta, *begun)]
-        nearest = min(options, key=lambda theta: _misfit(observed.data, replay(theta)))
-        again = fit_from(nearest, [n for n in free if n not in lost])
-        status = {**again.status, **dict.fromkeys((*lost, *held), "not-identified")}
-        reason = {**again.reason, **{n: fit.reason[n] for n in (*lost, *held)}}
-        kept = [w for w in fit.warnings if any(w.startswith(f"{n} not identified") for n in lost)]
+        places = [layout.names.index(n) for n in undetermined]
+        options = [_with_values(theta, starts[-1], places) for theta in (fit.theta, *starts)]
+        nearest = min(options, key=lambda theta: _neg2_log_likelihood(observed.data, replay(theta)))
+        refit = fit_from(nearest, [n for n in free if n not in undetermined])
+        status = {**refit.status, **dict.fromkeys((*undetermined, *fixed), "not-identified")}
+        reason = {**refit.reason, **{n: fit.reason[n] for n in (*undetermined, *fixed)}}
+        warnings = [
+            w
+            for w in fit.warnings
+            if any(w.startswith(f"{n} not identified") for n in undetermined)
+        ]
         fit = replace(
-            again,
+            refit,
             status=status,
             reason=reason,
-            warnings=kept + again.warnings,
-            n_simulations=fit.n_simulations + again.n_simulations,
+            warnings=warnings + refit.warnings,
+            n_simulations=fit.n_simulations + refit.n_simulations,
         )
-    return ReplayFit(fit, layout, replay, (*lost, *held))
+    return ReplayFit(fit, layout, replay, (*undetermined, *fixed))
 
 
 def _kinked_delays(model: ReplayModel, layout: Layout, fit: OutputErrorFit) -> list[int]:
@@ -213,39 +219,39 @@ def _kinked_delays(model: ReplayModel, layout: Layout, fit: OutputErrorFit) -> l
     ]
 
 
-def _misfit(data: Sequence[FloatArray], flown: Sequence[FloatArray]) -> float:
+def _neg2_log_likelihood(data: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> float:
     """Minus twice the log likelihood of data [(n, m)], but for a constant, each channel's noise
     what is left of it; infinite where replays fail."""
-    left = np.concatenate(data) - np.concatenate(flown)
+    residual = np.concatenate(data) - np.concatenate(outputs)
     measured = np.isfinite(np.concatenate(data))
-    if not np.isfinite(left[measured]).all():
+    if not np.isfinite(residual[measured]).all():
         return float("inf")
     return float(
         sum(
-            known.sum() * np.log(np.mean(part[known] ** 2))
-            for part, known in zip(left.T, measured.T, strict=True)
+            logged.sum() * np.log(np.mean(part[logged] ** 2))
+            for part, logged in zip(residual.T, measured.T, strict=True)
         )
     )
 
 
-def _with(values: FloatArray, fixed: FloatArray, places: Sequence[int]) -> FloatArray:
+def _with_values(values: FloatArray, fixed: FloatArray, places: Sequence[int]) -> FloatArray:
     """(k,) values, those of some places as in ``fixed``."""
     out = np.array(values, dtype=float)
     out[list(places)] = np.asarray(fixed)[list(places)]
     return out
 
 
-def jumping_in(
-    model: ReplayModel, cut: Sequence[Segment], late: Mapping[str, Sequence[str]]
+def jumping_flights(
+    model: ReplayModel, segments: Sequence[Segment], late: Mapping[str, Sequence[str]]
 ) -> list[str]:
     """Flights in which some control jumps with its command and no sensor is late: in them a row
     says what it has seen of that.
     """
-    flights = dict.fromkeys(s.flight for s in cut) if model.jumping else {}
+    flights = dict.fromkeys(s.flight for s in segments) if model.jumping else {}
     return [f for f in flights if not set(late.get(f, ())) - {CONTROL_DELAY}]
 
 
-def _first_that_flies(
+def _fit_first_flyable(
     fit_from: Callable[[FloatArray], OutputErrorFit], tries: Sequence[FloatArray]
 ) -> OutputErrorFit:
     """The fit from the first of some values at which the segments can be flown."""
@@ -268,9 +274,9 @@ def _first_that_flies(
 
 def equation_error_start(
     model: ReplayModel,
-    straight: ReplayModel,
+    direct_model: ReplayModel,
     flights: Sequence[Flight],
-    cut: Sequence[Segment],
+    segments: Sequence[Segment],
     names: Sequence[str],
     initial: FloatArray,
     limits: Sequence[tuple[float, float]],
@@ -289,24 +295,28 @@ def equation_error_start(
     if not groups:
         return theta, ["equation error was left out: no parameter is a coefficient term by name"]
     notes: list[str] = []
-    demand, said, base = [], [], []
-    every = [states(flight, piece) for flight in flights for piece in flight.pieces]
-    found = forced_at(model, straight, cut, every, dict(zip(names, initial, strict=True)))
-    for segment, channels, forced in zip(cut, every, found, strict=True):
+    demand, predicted, base = [], [], []
+    channels_of = [states(flight, piece) for flight in flights for piece in flight.pieces]
+    forced_models = forced_at(
+        model, direct_model, segments, channels_of, dict(zip(names, initial, strict=True))
+    )
+    for segment, channels, forced in zip(segments, channels_of, forced_models, strict=True):
         demand.append(demand_of(channels, forced[0], segment))
-        said.append(smooth(forced[0].coefficients, segment.dt_s))
+        predicted.append(smooth(forced[0].coefficients, segment.dt_s))
         base.append({k: smooth(v, segment.dt_s) for k, v in forced[1].items()})
     order = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
     for coefficient, members in groups.items():
         column = order.index(coefficient)
-        y = np.concatenate([d[:, column] - s[:, column] for d, s in zip(demand, said, strict=True)])
+        y = np.concatenate(
+            [d[:, column] - s[:, column] for d, s in zip(demand, predicted, strict=True)]
+        )
         x = np.column_stack(
             [np.concatenate([regressor(split_name(names[i])[1], b) for b in base]) for i in members]  # type: ignore[index]
         )
         gate = assess(x.T @ x, tuple(names[i] for i in members))
-        moved = [i for i, ok in zip(members, gate.identified, strict=True) if ok]
+        identified = [i for i, ok in zip(members, gate.identified, strict=True) if ok]
         delta = np.linalg.lstsq(x[:, gate.identified], y, rcond=None)[0]
-        for i, d in zip(moved, delta, strict=True):
+        for i, d in zip(identified, delta, strict=True):
             low, high = limits[i]
             # A hair inside, so that output error does not start on a bound.
             margin = 1e-6 * (high - low) if np.isfinite(high - low) else 0.0
@@ -316,21 +326,21 @@ def equation_error_start(
 
 def forced_at(
     model: ReplayModel,
-    straight: ReplayModel,
-    cut: Sequence[Segment],
-    every: Sequence[Mapping[str, FloatArray]],
+    direct_model: ReplayModel,
+    segments: Sequence[Segment],
+    channels_of: Sequence[Mapping[str, FloatArray]],
     properties: Mapping[str, float],
 ) -> list[tuple[ForcedModel, dict[str, FloatArray]]]:
     """Of each segment the model forced to its measured channels, and the variables of its
     coefficient terms there.
     """
-    stood = surface_positions(model, cut, CONTROLS, properties)
+    positions = surface_positions(model, segments, CONTROLS, properties)
     parts = [
         SegmentStates(segment, channels, controls, altitudes(model, segment, channels["h_m"]))
-        for segment, channels, controls in zip(cut, every, stood, strict=True)
+        for segment, channels, controls in zip(segments, channels_of, positions, strict=True)
     ]
     out = []
-    for part, forced in zip(parts, force_all(straight, parts, properties), strict=True):
+    for part, forced in zip(parts, force_all(direct_model, parts, properties), strict=True):
         de, da, dr = (
             part.controls[:, model.controls.index(c)] for c in ("elevator", "aileron", "rudder")
         )
@@ -346,9 +356,9 @@ def forced_at(
 
 def coefficient_gaps(
     model: ReplayModel,
-    straight: ReplayModel,
-    cut: Sequence[Segment],
-    every: Sequence[Mapping[str, FloatArray]],
+    direct_model: ReplayModel,
+    segments: Sequence[Segment],
+    channels_of: Sequence[Mapping[str, FloatArray]],
     noise_std: Mapping[str, float],
     rng: np.random.Generator,
     properties: Mapping[str, float] | None = None,
@@ -359,30 +369,34 @@ def coefficient_gaps(
     what sampling makes of them, and how noise added once more changes the first less the second.
     late_s: by how much the controls act late; half_way: commands stand half-way at the row of a
     jump, which makes up for sampling."""
-    noisy = [with_noise(channels, noise_std, rng) for channels in every]
-    given = [*zip(cut, every, strict=True), *zip(cut, noisy, strict=True)]
+    noisy = [with_noise(channels, noise_std, rng) for channels in channels_of]
+    plain_and_noisy = [*zip(segments, channels_of, strict=True), *zip(segments, noisy, strict=True)]
     forced = forced_at(
-        model, straight, [s for s, _ in given], [c for _, c in given], properties or {}
+        model,
+        direct_model,
+        [s for s, _ in plain_and_noisy],
+        [c for _, c in plain_and_noisy],
+        properties or {},
     )
-    found = [
-        (demand_of(channels, said, segment), smooth(said.coefficients, segment.dt_s))
-        for (segment, channels), (said, _) in zip(given, forced, strict=True)
+    coefficients = [
+        (demand_of(channels, model_at, segment), smooth(model_at.coefficients, segment.dt_s))
+        for (segment, channels), (model_at, _) in zip(plain_and_noisy, forced, strict=True)
     ]
-    stood = surface_positions(model, cut, CONTROLS, properties or {})
+    positions = surface_positions(model, segments, CONTROLS, properties or {})
     parts = [
         MeasuredSegment(
             segment, channels, controls, altitudes(model, segment, channels["h_m"]), late_s
         )
-        for segment, channels, controls in zip(cut, every, stood, strict=True)
+        for segment, channels, controls in zip(segments, channels_of, positions, strict=True)
     ]
     if half_way:
         sampled = [np.zeros((len(part.positions), 6)) for part in parts]
     else:
-        sampled = sampling_errors(model, straight, parts, properties or {})
-    both = zip(found[: len(cut)], found[len(cut) :], sampled, strict=True)
+        sampled = sampling_errors(model, direct_model, parts, properties or {})
+    pairs = zip(coefficients[: len(segments)], coefficients[len(segments) :], sampled, strict=True)
     return [
         (demand, said + error, (demand_again - said_again) - (demand - said))
-        for (demand, said), (demand_again, said_again), error in both
+        for (demand, said), (demand_again, said_again), error in pairs
     ]
 
 
@@ -439,12 +453,12 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
         return ()
     short = {c.split("_")[0]: c for c in OUTPUTS}
     names = [short.get(n.strip(), n.strip()) for n in text.split(",")]
-    further = (CONTROL_DELAY,) if option == "--delays" else ()
-    unknown = [n for n in names if n not in (*OUTPUTS, *further)]
+    extra_names = (CONTROL_DELAY,) if option == "--delays" else ()
+    unknown = [n for n in names if n not in (*OUTPUTS, *extra_names)]
     if unknown:
         raise BadInputError(
             f"{option} {text}: unknown channel {unknown[0]}; allowed are none,"
-            f" {', '.join((*further, *short))}"
+            f" {', '.join((*extra_names, *short))}"
         )
     return tuple(dict.fromkeys(names))
 
@@ -517,11 +531,13 @@ class Identification(Tabled):
             "std": self.std,
             "std_crb": self.std_crb,
         }
-        told = {
+        verdict_columns = {
             "status": [self.status[n] for n in self.names],
             "reason": [self.reason[n] for n in self.names],
         }
-        return pd.DataFrame({**columns, **told}, index=pd.Index(self.names, name="parameter"))
+        return pd.DataFrame(
+            {**columns, **verdict_columns}, index=pd.Index(self.names, name="parameter")
+        )
 
 
 def by_channel(sentences: Sequence[str], outputs: Sequence[str]) -> list[str]:

@@ -37,9 +37,9 @@ SERVOS = ("auto", "card", "ideal")
 once.
 """
 SURFACES = CONTROLS[:3]
-PER_SURFACE = 2
+WINDOWS_PER_SURFACE = 2
 """Windows fitted for each surface, those in which it travels most a second."""
-LONGEST_S = 12.0
+MAX_WINDOW_S = 12.0
 """Longest window."""
 
 
@@ -94,12 +94,12 @@ def choose_servos(
     if not logged or not moved:
         return ServoChoice(False)
     busiest = [_busiest(f, moved, measured) for f in logged[:1]]
-    everything = tuple(c for c in CONTROLS if c not in measured)
-    with worker_map(workers) as map_:
-        card = _fit(aircraft, busiest, measured, (), map_)
+    unmeasured = tuple(c for c in CONTROLS if c not in measured)
+    with worker_map(workers) as pool:
+        card = _fit(aircraft, busiest, measured, (), pool)
         if card is not None and not card.lagging:
             return ServoChoice(False)
-        ideal = _fit(aircraft, busiest, measured, everything, map_)
+        ideal = _fit(aircraft, busiest, measured, unmeasured, pool)
     if card is None and ideal is None:
         return ServoChoice(False)
     gain = (ideal.log_likelihood if ideal else -math.inf) - (
@@ -143,14 +143,14 @@ def _busiest(flight: Flight, surfaces: Sequence[str], measured: Sequence[str]) -
     second.
     """
     columns = dict(zip(CONTROLS, control_columns(measured), strict=True))
-    rows = math.ceil(LONGEST_S / flight.record.dt_s)
+    rows = math.ceil(MAX_WINDOW_S / flight.record.dt_s)
     windows = [w for piece in flight.pieces for w in _windows(flight, piece, rows)]
     picked: set[int] = set()
     for surface in surfaces:
         values = flight.record[columns[surface]]
         rate = [float(np.nanmean(np.abs(np.diff(values[w.rows])))) for w in windows]
         order = [k for k in np.argsort(rate)[::-1].tolist() if k not in picked]
-        picked |= set(order[:PER_SURFACE])
+        picked |= set(order[:WINDOWS_PER_SURFACE])
     return replace(flight, pieces=tuple(windows[k] for k in sorted(picked)))
 
 
@@ -170,7 +170,7 @@ def _fit(
     flights: Sequence[Flight],
     measured: Sequence[str],
     ideal: Sequence[str],
-    map_: Processes,
+    pool: Processes,
 ) -> _ServoFit | None:
     """Fit the flights with servos of one kind; None where the model cannot fly them."""
     names = tuple(aircraft.card.parameters)
@@ -186,7 +186,7 @@ def _fit(
         engine.require(fdm, names)
         current = np.array([fdm[n] for n in names])
         del fdm
-        near, _ = equation_error_start(
+        equation_error_theta, _ = equation_error_start(
             bench.model,
             bench.direct_model,
             flights,
@@ -202,21 +202,21 @@ def _fit(
                 dict.fromkeys(setup.nuisance, 0.0),
                 starts,
             )
-            for values in (near, current)
+            for values in (equation_error_theta, current)
         ]
         try:
-            best = best_flown(bench.model, setup, points, map_)
-            fit = refit(bench.model, bench.direct_model, setup, best.point, names, limits, map_)
+            best = best_flown(bench.model, setup, points, pool)
+            fit = refit(bench.model, bench.direct_model, setup, best.point, names, limits, pool)
         except np.linalg.LinAlgError:
             return None
     return _ServoFit(_log_likelihood(setup, fit.flown), lagging, _common_s(setup, fit.flown.point))
 
 
-def _log_likelihood(setup: Setup, flown: Flown) -> float:
+def _log_likelihood(setup: Setup, replays: Flown) -> float:
     """Log likelihood of replays but for a constant, each channel's noise what is left of it."""
-    left = np.concatenate([z - y for z, y in zip(setup.measured, flown.outputs, strict=True)])
-    count = np.isfinite(left).sum(axis=0)
-    square = np.nansum(left**2, axis=0) / np.maximum(count, 1)
+    residual = np.concatenate([z - y for z, y in zip(setup.measured, replays.outputs, strict=True)])
+    count = np.isfinite(residual).sum(axis=0)
+    square = np.nansum(residual**2, axis=0) / np.maximum(count, 1)
     # A channel of no error at all has the noise of rounding.
     floor = (1e-6 * setup.noise) ** 2
     return -0.5 * float(np.sum(count * np.log(np.maximum(square, floor))))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sysid.effects import QUIETER, gather, whiten
 from sysid.parallel import Processes
-from uqharness.identification import equation_error_start, excited_alone, fit_replays
+from uqharness.identification import equation_error_start, fit_replays, restrict_to_excited
 from uqharness.identification.linearised import (
     PRIOR,
     Bench,
@@ -54,7 +54,7 @@ def base_fit_and_noise(
         bench.model, bench.direct_model, setup.flights, setup.segments, names, current, bounds
     )
     noise = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
-    seen, _ = excited_alone(
+    seen, _ = restrict_to_excited(
         bench.model,
         observed(setup),
         names,
@@ -65,7 +65,9 @@ def base_fit_and_noise(
         choose=False,
     )
     found = fit_replays(bench.model, seen, names, (near, current), bounds, batched_pool(map_))
-    kept, excited = (tuple(n for n in names if n not in out) for out in (found.lost, seen.held))
+    kept, excited = (
+        tuple(n for n in names if n not in out) for out in (found.undetermined, seen.fixed)
+    )
     found.replay.forget()
     flown = fly(bench.model, setup, point_of(found, setup, names), map_)
     fit = fit_at(bench.model, bench.direct_model, setup, excited, flown, map_)

@@ -151,8 +151,8 @@ def _replayed(
         return flown
     seen = replace(observed(setup, start.effects), properties=start.values)
     if near is not None and near.starts:
-        cut = [replace(s, start=own) for s, own in zip(seen.cut, near.starts, strict=True)]
-        seen = replace(seen, cut=cut, begin=begun_at(near))
+        cut = [replace(s, start=own) for s, own in zip(seen.segments, near.starts, strict=True)]
+        seen = replace(seen, segments=cut, begin=begun_at(near))
     fit = fit_replays(model, seen, (), [np.zeros(0)], (), batched_pool(map_), errors=False)
     fit.replay.forget()
     return fly(

@@ -430,7 +430,7 @@ def settled(start: Start, final: Round, folder: Path) -> Round:
         new = replace(new, values={**point.values, **new.values}, effects=effects)
         flown = linearised_fly(bench.model, setup, new, start.map_)
         # The concentrated likelihood and this cost, of fixed noise, differ a little at the optimum.
-        if not result.found.converged or flown.cost > final.fit.flown.cost + DIFFERENT**2:
+        if not result.fit.converged or flown.cost > final.fit.flown.cost + DIFFERENT**2:
             return final
         fit = fit_at(
             bench.model,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.identification.identify import Descent
+from uqharness.identification.identify import DescentProgress
 
 
 def told(lengths, seconds=2.0, tolerance=0.05, most=40):
     now, said = [50.0], []
-    descent = Descent("output error", said.append, tolerance, most, clock=lambda: now[0])
+    descent = DescentProgress("output error", said.append, tolerance, most, clock=lambda: now[0])
     left = []
     for iteration, length in enumerate(lengths, 1):
         descent(iteration, length)
@@ -36,7 +36,7 @@ def test_steps_that_do_not_shorten_may_take_all_iterations():
 
 def test_a_second_descent_counts_anew():
     now, said = [0.0], []
-    descent = Descent("filter error", said.append, 0.01, 60, clock=lambda: now[0])
+    descent = DescentProgress("filter error", said.append, 0.01, 60, clock=lambda: now[0])
     for iteration in (1, 2, 3, 1, 2):
         descent(iteration, float("inf") if iteration == 1 else 1.0)
         now[0] += 1.0

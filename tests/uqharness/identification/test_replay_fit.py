@@ -17,7 +17,7 @@ from uqharness.identification import replay_fit
 from uqharness.identification.compare import compare
 from uqharness.identification.identify import identify
 from uqharness.identification.linearised import Bench, Point, make_setup, observed
-from uqharness.identification.replay_fit import Observed, fit_replays, jumping_in
+from uqharness.identification.replay_fit import Observed, fit_replays, jumping_flights
 from uqharness.refinement.base import base_fit_and_noise, left_alone
 from uqharness.refinement.evaluation import show
 from uqharness.refinement.round import Side
@@ -96,7 +96,7 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
             [(-60.0, 0.0), (1.8, 1.9)],
             batched_pool(map),
         )
-        assert fit.lost == ("aero/CX_alpha2",)
+        assert fit.undetermined == ("aero/CX_alpha2",)
         assert fit.values()["aero/CX_alpha2"] == 1.86
         assert fit.values()["aero/Cm_q"] == pytest.approx(-13.8, abs=1.0)
         with pytest.raises(BadInputError, match="cannot fly these segments"):
@@ -136,7 +136,7 @@ def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(
         fit = fit_replays(
             model, observed, names, (near, card), [(-60.0, 0.0), (1.8, 1.9)], batched_pool(map)
         )
-    assert fit.lost == ("aero/CX_alpha2",)
+    assert fit.undetermined == ("aero/CX_alpha2",)
     assert [theta[1] for theta in begun] == [1.84, 1.86]
     first = begun[1][0]
     assert first == -13.0 if far else first == pytest.approx(-13.8, abs=0.5)
@@ -186,7 +186,7 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
             batched_pool(map),
         )
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(replay_fit, "jumping_in", lambda *_: [])
+            patch.setattr(replay_fit, "jumping_flights", lambda *_: [])
             without = fit_replays(
                 model, observed(setup), names, (np.array(true),), bounds, batched_pool(map)
             )
@@ -214,7 +214,7 @@ def test_a_lag_in_every_servo_leaves_nothing_to_see(aircraft, flight):
     setup = make_setup(aircraft, [flight], ())
     with ReplayFolder(aircraft) as model:
         assert model.jumping == ()
-        assert jumping_in(model, setup.segments, {}) == []
+        assert jumping_flights(model, setup.segments, {}) == []
     with ReplayFolder(aircraft, ideal=("elevator",)) as model:
-        assert jumping_in(model, setup.segments, {"f": [CONTROL_DELAY]}) == ["f"]
-        assert jumping_in(model, setup.segments, {"f": ["rates"]}) == []
+        assert jumping_flights(model, setup.segments, {"f": [CONTROL_DELAY]}) == ["f"]
+        assert jumping_flights(model, setup.segments, {"f": ["rates"]}) == []

@@ -34,7 +34,7 @@ LAG = "<lag>25</lag>"
 @pytest.fixture(autouse=True)
 def nothing_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever other tests asked for is forgotten."""
-    for name in ("_stood", "_chains"):
+    for name in ("_position_cache", "_chains"):
         monkeypatch.setattr(module, name, OrderedDict())
     module._chain_agrees.cache.clear()
 

@@ -35,7 +35,7 @@ def test_the_same_states_are_asked_for_once(monkeypatch):
     asked = []
     monkeypatch.setattr(
         residuals.JsbsimPrediction,
-        "all",
+        "predict",
         lambda self, some: [asked.append(one) or len(asked) for one in some],
     )
     pair = ReplayPair(None, None, ())
@@ -73,7 +73,7 @@ def test_a_refusal_bears_the_flights_name(monkeypatch):
     def refuse(self, asked):
         raise ValueError("too short")
 
-    monkeypatch.setattr(residuals.JsbsimPrediction, "all", refuse)
+    monkeypatch.setattr(residuals.JsbsimPrediction, "predict", refuse)
     with pytest.raises(BadInputError, match=r"^f: too short$"):
         flight_residuals(ReplayPair(None, None, ()), made(), (0.0, 0.0, 0.0), Cutoffs())
 

@@ -59,7 +59,7 @@ from uqharness.simulator import Aircraft, find_aircraft, find_script
 # count.
 
 _FLIGHT_S = 90.0
-_SPREAD = 0.02
+_PARAMETER_STD = 0.02
 """Standard deviation of a lane's parameters, in their values."""
 
 
@@ -88,37 +88,40 @@ def measure_replays(
 def _replays(
     aircraft: Aircraft, flight: Flight, measured: tuple[str, ...], count: int
 ) -> dict[str, float]:
-    whole = _whole(aircraft, flight, measured)
+    segment = _long_segment(aircraft, flight, measured)
     rng = np.random.default_rng(1)
     forget_programs()
     with ReplayFolder(aircraft, measured=measured) as model:
         fdm = model.open(aircraft.dt_s)
         values = {name: float(fdm[name]) for name in aircraft.card.parameters}
-        lanes = rng.normal(1.0, _SPREAD, (count, len(values)))
+        lanes = rng.normal(1.0, _PARAMETER_STD, (count, len(values)))
         jobs = [
             ReplayJob(
-                model, whole, dict(zip(values, row * [*values.values()], strict=True)), whole.start
+                model,
+                segment,
+                dict(zip(values, row * [*values.values()], strict=True)),
+                segment.start,
             )
             for row in lanes
         ]
-        begun = time.process_time()
+        start_s = time.process_time()
         fly_all(jobs[:1])
         compiled = time.process_time()
         fly_all(jobs)
         ended = time.process_time()
-        return {"g_s": compiled - begun, "f_s": ended - compiled}
+        return {"g_s": compiled - start_s, "f_s": ended - compiled}
 
 
 def _identify(
     aircraft: Aircraft, flights: list[Flight], measured: tuple[str, ...]
 ) -> dict[str, float]:
     forget_programs()
-    begun = time.process_time()
+    start_s = time.process_time()
     identify(aircraft, flights, measured, workers=1)
-    return {"h_s": time.process_time() - begun}
+    return {"h_s": time.process_time() - start_s}
 
 
-def _whole(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...]) -> Segment:
+def _long_segment(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...]) -> Segment:
     rows = round(_FLIGHT_S / flight.record.dt_s) + 1
     if len(flight.record) < rows:
         raise BadInputError(
@@ -129,16 +132,16 @@ def _whole(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...]) -> Seg
     return segments(replace(flight, pieces=pieces), measured, aircraft.accelerometer_m)[0]
 
 
-def said_of_replays(found: Mapping[str, float]) -> list[str]:
+def replay_lines(figures: Mapping[str, float]) -> list[str]:
     """The figures for a reader."""
-    rate = found["f_replays_per_s"]
+    rate = figures["f_replays_per_s"]
     return [
         (
             f"  f  replays of {_FLIGHT_S:.0f} s, one core               {rate:8.0f} a second   400"
             f" take {400.0 / rate:.2f} s"
         ),
-        f"  g  replays translated, compiled, checked   {found['g_compile_s']:8.2f} s of one core",
-        f"  h  identify, all parameters, with g        {found['h_identify_s']:8.2f} s of one core",
+        f"  g  replays translated, compiled, checked   {figures['g_compile_s']:8.2f} s of one core",
+        f"  h  identify, all parameters, with g        {figures['h_identify_s']:8.2f} s of one core",
     ]
 
 
@@ -160,14 +163,14 @@ def measure_batch(
     """
     with scratch_folder() as scratch:
         aircraft = find_aircraft(aircraft_name)
-        flown = (
+        bounded_aircraft = (
             aircraft if model_form is None else with_model_form(aircraft, model_form, scratch.path)
         )
-        found = _in_turns(flown, duration_s, rounds)
-        return found | _campaigns(aircraft, duration_s, scratch.path, model_form, campaign_airs)
+        figures = _alternate(bounded_aircraft, duration_s, rounds)
+        return figures | _campaigns(aircraft, duration_s, scratch.path, model_form, campaign_airs)
 
 
-def _in_turns(aircraft: Aircraft, duration_s: float, rounds: int) -> dict[str, float]:
+def _alternate(aircraft: Aircraft, duration_s: float, rounds: int) -> dict[str, float]:
     one = FlightSpec(
         aircraft.folder,
         find_script("loiter"),
@@ -184,7 +187,7 @@ def _in_turns(aircraft: Aircraft, duration_s: float, rounds: int) -> dict[str, f
         for air in range(_AIRS)
         for levels in itertools.product((0.0, 1.0), repeat=6)
     ]
-    bare = bare_loop(aircraft, replace(one, turbulence_source="jsbsim"))
+    run_bare_loop = bare_loop(aircraft, replace(one, turbulence_source="jsbsim"))
     best: dict[str, float] = {}
 
     def timed(key: str, seconds: float, flights: int) -> None:
@@ -192,20 +195,22 @@ def _in_turns(aircraft: Aircraft, duration_s: float, rounds: int) -> dict[str, f
         best[key] = min(best.get(key, float("inf")), per_step)
 
     for _ in range(rounds):
-        timed("a_us_per_step", bare(), 1)
-        begun = time.process_time()
+        timed("a_us_per_step", run_bare_loop(), 1)
+        start_s = time.process_time()
         fly(one)
-        timed("c_us_per_step", time.process_time() - begun, 1)
+        timed("c_us_per_step", time.process_time() - start_s, 1)
         for name in target_names():
             with _compiled_for(name):
                 for source in ("spec", "jsbsim"):
                     flights = [replace(spec, turbulence_source=source) for spec in corners]
                     # Translated and compiled once; a campaign does so once for each condition.
                     record_many(flights[:8])
-                    begun = time.process_time()
+                    start_s = time.process_time()
                     record_many(flights)
                     timed(
-                        f"d_{name}_{source}_us_per_step", time.process_time() - begun, len(flights)
+                        f"d_{name}_{source}_us_per_step",
+                        time.process_time() - start_s,
+                        len(flights),
                     )
     ratios = {
         key.replace("us_per_step", "over_a"): best["a_us_per_step"] / value
@@ -241,7 +246,7 @@ def _campaigns(
     """Flight hours per hour of the clock of whole campaigns; the least worker time would leave out
     what the parent does.
     """
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     bounds = dict.fromkeys(COEFFICIENTS, 0.001) if model_form is None else str(model_form.resolve())
     for workers in (1, 2):
         spec = campaign_from(
@@ -269,7 +274,7 @@ def _campaigns(
             },
             folder / "campaign.toml",
         )
-        begun = time.monotonic()
+        start_s = time.monotonic()
         summary = run_campaign(
             spec,
             folder / f"campaign-{workers}",
@@ -278,34 +283,38 @@ def _campaigns(
         )
         assert summary.failed == 0, summary
         hours = summary.cases * (duration_s + _BURN_IN_S) / 3600.0
-        found[f"e_{workers}_flight_hours_per_hour"] = hours / ((time.monotonic() - begun) / 3600.0)
-    found["e_2_over_1"] = found["e_2_flight_hours_per_hour"] / found["e_1_flight_hours_per_hour"]
-    return found
-
-
-def said(found: Mapping[str, float]) -> str:
-    """The figures for a reader."""
-    lines = [f"  a  JSBSim's bare loop                     {found['a_us_per_step']:8.3f} us/step"]
-    lines.append(
-        f"  c  the product through JSBSim             {found['c_us_per_step']:8.3f} us/step"
+        figures[f"e_{workers}_flight_hours_per_hour"] = hours / (
+            (time.monotonic() - start_s) / 3600.0
+        )
+    figures["e_2_over_1"] = (
+        figures["e_2_flight_hours_per_hour"] / figures["e_1_flight_hours_per_hour"]
     )
-    for key, value in found.items():
+    return figures
+
+
+def as_text(figures: Mapping[str, float]) -> str:
+    """The figures for a reader."""
+    lines = [f"  a  JSBSim's bare loop                     {figures['a_us_per_step']:8.3f} us/step"]
+    lines.append(
+        f"  c  the product through JSBSim             {figures['c_us_per_step']:8.3f} us/step"
+    )
+    for key, value in figures.items():
         if key.startswith("d_") and key.endswith("us_per_step"):
             _, name, source, *_ = key.split("_")
-            ratio = found[key.replace("us_per_step", "over_a")]
+            ratio = figures[key.replace("us_per_step", "over_a")]
             lines.append(
                 f"  d  batch, {name:7s} air from {source:7s}          {value:8.3f} us/step and"
                 f" flight   a/d {ratio:5.1f}"
             )
     for workers in (1, 2):
-        hours = found[f"e_{workers}_flight_hours_per_hour"]
+        hours = figures[f"e_{workers}_flight_hours_per_hour"]
         lines.append(
             f"  e  corner campaign, {workers} process(es), by the clock  {hours:8.0f} flight h"
             " per h"
         )
-    lines.append(f"     two processes over one                {found['e_2_over_1']:8.2f}")
-    if "f_replays_per_s" in found:
-        lines += said_of_replays(found)
+    lines.append(f"     two processes over one                {figures['e_2_over_1']:8.2f}")
+    if "f_replays_per_s" in figures:
+        lines += replay_lines(figures)
     return "\n".join(lines)
 
 
@@ -333,10 +342,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
-    found = measure_batch(args.aircraft, args.duration_s, args.rounds, args.model_form)
+    figures = measure_batch(args.aircraft, args.duration_s, args.rounds, args.model_form)
     if args.flight is not None:
-        found |= measure_replays(find_aircraft(args.aircraft), args.flight, args.rounds)
-    print(json.dumps(found) if args.json else said(found))
+        figures |= measure_replays(find_aircraft(args.aircraft), args.flight, args.rounds)
+    print(json.dumps(figures) if args.json else as_text(figures))
     return 0
 
 

@@ -81,7 +81,7 @@ def bare_loop(
     """
     mission = StagedMission(aircraft, find_script(spec.script), end_s=spec.duration_s)
 
-    def once() -> float:
+    def fly_once() -> float:
         fdm = mission.open()
         set_conditions(fdm, mission, spec)
         engine.run_ic(fdm)
@@ -93,7 +93,7 @@ def bare_loop(
         assert fdm.get_sim_time() >= spec.duration_s - fdm.get_delta_t()
         return spent
 
-    return once
+    return fly_once
 
 
 def harness_loop(spec: FlightSpec, folder: Path) -> Callable[[], float]:
@@ -103,7 +103,7 @@ def harness_loop(spec: FlightSpec, folder: Path) -> Callable[[], float]:
     store = Store(folder)
     count = iter(range(10**9))
 
-    def once() -> float:
+    def fly_once() -> float:
         start = time.process_time()
         outcome = attempt(fly, f"{next(count):016x}", spec)
         store.add([outcome])
@@ -111,15 +111,15 @@ def harness_loop(spec: FlightSpec, folder: Path) -> Callable[[], float]:
         assert outcome.status == "ok", outcome.reason
         return spent
 
-    return once
+    return fly_once
 
 
 def with_model_form(aircraft: Aircraft, model_form: Path, folder: Path) -> Aircraft:
     """A copy of the aircraft in ``folder`` that computes the bounds of a model-form.json."""
-    made = folder / "aircraft" / aircraft.name
-    copy_folder(aircraft.folder, made)
-    put_bounds(made, aircraft, model_form)
-    return find_aircraft(made)
+    target = folder / "aircraft" / aircraft.name
+    copy_folder(aircraft.folder, target)
+    put_bounds(target, aircraft, model_form)
+    return find_aircraft(target)
 
 
 def bare_flight(spec: FlightSpec) -> FlightResult:
@@ -131,7 +131,7 @@ def bare_flight(spec: FlightSpec) -> FlightResult:
 
 
 def side_by_side(
-    bare: FlightSpec, flown: FlightSpec, rounds: int, workers: int = 2
+    bare_spec: FlightSpec, harness_spec: FlightSpec, rounds: int, workers: int = 2
 ) -> dict[str, float]:
     """Flight seconds per second by the clock: that many bare loops at once, as many workers, and
     the ratio.
@@ -140,27 +140,27 @@ def side_by_side(
     def fly_all(
         executor: ProcessExecutor, function: FlightFunction, spec: FlightSpec, count: int
     ) -> list[CaseOutcome]:
-        found = [
+        outcomes = [
             item
             for batch in executor.run(function, [(f"{n:016x}", spec) for n in range(count)])
             for item in batch
         ]
-        assert all(item.status == "ok" for item in found), found
-        return found
+        assert all(item.status == "ok" for item in outcomes), outcomes
+        return outcomes
 
     rates = {}
-    for name, function, spec in (("bare", bare_flight, bare), ("workers", fly, flown)):
+    for name, function, spec in (("bare", bare_flight, bare_spec), ("workers", fly, harness_spec)):
         executor = ProcessExecutor(workers, keep=True)
         try:
             # Both are up and have loaded everything before the clock is looked at.
             fly_all(executor, function, replace(spec, duration_s=10.0), 2 * workers)
             start = time.monotonic()
-            found = fly_all(executor, function, spec, rounds * workers)
+            timed = fly_all(executor, function, spec, rounds * workers)
             elapsed = time.monotonic() - start
         finally:
             executor.close()
         clocks = (
-            [item.metrics["loop_s"] for item in found] if name == "bare" else [elapsed / rounds]
+            [item.metrics["loop_s"] for item in timed] if name == "bare" else [elapsed / rounds]
         )
         rates[name] = workers * spec.duration_s * len(clocks) / sum(clocks)
     return {
@@ -177,7 +177,7 @@ def measure(
     source: str,
     levels: str,
     model_form: Path | None = None,
-    together: bool = False,
+    in_parallel: bool = False,
 ) -> dict[str, float]:
     """Least microseconds per step of a, b and c, their ratios, and flight hours per core
     hour of c.
@@ -186,11 +186,11 @@ def measure(
         aircraft = find_aircraft(aircraft_name)
         if model_form is not None:
             aircraft = with_model_form(aircraft, model_form, scratch.path)
-        return _measure(aircraft, duration_s, rounds, source, levels, together)
+        return _measure(aircraft, duration_s, rounds, source, levels, in_parallel)
 
 
 def _measure(
-    aircraft: Aircraft, duration_s: float, rounds: int, source: str, levels: str, together: bool
+    aircraft: Aircraft, duration_s: float, rounds: int, source: str, levels: str, in_parallel: bool
 ) -> dict[str, float]:
     deltas = {"uq/active": 1.0} | {f"uq/{name}/level": 1.0 for name in COEFFICIENTS}
     spec = FlightSpec(
@@ -205,20 +205,20 @@ def _measure(
         seed_noise=12,
         properties=deltas,
     )
-    flown = (
+    harness_spec = (
         spec
         if levels == "corner"
         else replace(spec, levels=_driver(levels), properties={"uq/active": 1.0})
     )
     # Without a host JSBSim has only its own turbulence: that is the air of the bare loops, whatever
     # the harness flies.
-    bare = replace(spec, turbulence_source="jsbsim")
+    bare_spec = replace(spec, turbulence_source="jsbsim")
     with scratch_folder() as scratch:
         folder = scratch.path
         loops = {
-            "a": bare_loop(aircraft, bare),
-            "b": bare_loop(without_plugin(aircraft, folder), replace(bare, properties={})),
-            "c": harness_loop(flown, folder),
+            "a": bare_loop(aircraft, bare_spec),
+            "b": bare_loop(without_plugin(aircraft, folder), replace(bare_spec, properties={})),
+            "c": harness_loop(harness_spec, folder),
         }
         best = dict.fromkeys(loops, float("inf"))
         for _ in range(rounds):
@@ -233,13 +233,15 @@ def _measure(
         "c_over_a": per_step["c"] / per_step["a"],
         "a_over_b": per_step["a"] / per_step["b"],
         "flight_hours_per_core_hour": duration_s / best["c"],
-    } | (_both_airs(bare, flown, rounds) if together else {})
+    } | (_both_airs(bare_spec, harness_spec, rounds) if in_parallel else {})
 
 
-def _both_airs(bare: FlightSpec, flown: FlightSpec, rounds: int) -> dict[str, float]:
+def _both_airs(bare_spec: FlightSpec, harness_spec: FlightSpec, rounds: int) -> dict[str, float]:
     """`side_by_side`, and of workers in the air of the bare loops, levels at a corner."""
-    same = side_by_side(bare, bare, rounds)["workers_2_over_bare_2"]
-    return side_by_side(bare, flown, rounds) | {"workers_2_in_the_same_air_over_bare_2": same}
+    same = side_by_side(bare_spec, bare_spec, rounds)["workers_2_over_bare_2"]
+    return side_by_side(bare_spec, harness_spec, rounds) | {
+        "workers_2_in_the_same_air_over_bare_2": same
+    }
 
 
 def _driver(levels: str) -> LevelDriver | None:

@@ -40,13 +40,13 @@ from uqharness.campaign.folder.verify import verify
 from uqharness.cli.campaign.run import (
     add_size,
     add_yes,
-    asked_campaign,
+    cost_checker,
     failures,
     flying_command,
-    say_rewritten,
-    tell_cost,
+    note_rewritten,
+    requested_campaign,
 )
-from uqharness.cli.options import add_workers, describe, whole
+from uqharness.cli.options import add_workers, describe, integer
 from uqharness.cli.progress import ProgressView
 from uqharness.cli.report import note_damage
 from uqharness.errors import BadInputError
@@ -78,7 +78,7 @@ _RERUN_EXAMPLE = """
 Writes DIR/rerun/ID/: record.parquet (all signals at 50 Hz, burn-in included), flight.svg and result.json."""
 
 
-MOST_SHOWN_S = 600.0
+MAX_REFLOWN_S = 600.0
 """Flight time that a report flies again without being asked [s]. 1800 s of the E-SPAARO take 15 s
 of a core, recording and drawing included, so these take some 5 s."""
 
@@ -140,38 +140,38 @@ def add_rerun(parser: argparse.ArgumentParser) -> None:
 
 
 def _status(args: argparse.Namespace) -> int:
-    found = read_status(args.folder)
-    done, statuses = found.done, dict(found.statuses)
+    status = read_status(args.folder)
+    done, statuses = status.done, dict(status.statuses)
     if args.json:
-        print(json.dumps(found.as_dict()))
+        print(json.dumps(status.as_dict()))
     else:
         summary = (
-            f"{args.folder}: {found.state}, {done} of {found.cases} flights done,"
+            f"{args.folder}: {status.state}, {done} of {status.cases} flights done,"
             f" {failures(statuses)}"
         )
-        summary += f"\nengine {engine_words(found.engine, found.why)}"
-        print("\n".join([summary, *found.joint, *lines(found.answers)]))
-        if found.state == "interrupted":
-            print(f"resume with: {found.command or 'the command that began it'}", file=sys.stderr)
-    return 0 if found.state == "complete" else 1
+        summary += f"\nengine {engine_words(status.engine, status.why)}"
+        print("\n".join([summary, *status.joint, *lines(status.answers)]))
+        if status.state == "interrupted":
+            print(f"resume with: {status.command or 'the command that began it'}", file=sys.stderr)
+    return 0 if status.state == "complete" else 1
 
 
 def _report(args: argparse.Namespace) -> int:
-    flown = [] if args.no_tracks else _fly_shown(args.folder)
+    reflown_cases = [] if args.no_tracks else _fly_displayed(args.folder)
     report = write_campaign_report(args.folder)
     if args.json:
-        found = {"report": str(report.path), "figures": [str(path) for path in report.figures]}
-        print(json.dumps(found | {"verdict": report.verdict, "flown_again": flown}))
+        document = {"report": str(report.path), "figures": [str(path) for path in report.figures]}
+        print(json.dumps(document | {"verdict": report.verdict, "flown_again": reflown_cases}))
     else:
         print(f"{report.path}: written, with {len(report.figures)} figures")
-        if flown:
-            print(f"  Flown again for the ground track: {', '.join(flown)}.")
+        if reflown_cases:
+            print(f"  Flown again for the ground track: {', '.join(reflown_cases)}.")
         for sentence in report.verdict:
             print(f"  {sentence}")
     return note_damage(args.folder, report)
 
 
-def _fly_shown(folder: Path) -> list[str]:
+def _fly_displayed(folder: Path) -> list[str]:
     """Fly the worst and the median flight again for the page's ground track; nothing where records
     of flights are there, and with a note where that takes too long or is not possible any more.
     Returns the ids of the cases."""
@@ -182,21 +182,21 @@ def _fly_shown(folder: Path) -> list[str]:
     seconds = len(cases) * sum(
         float(manifest["campaign"]["aleatory"][key]) for key in ("duration_s", "burn_in_s")
     )
-    if seconds > MOST_SHOWN_S:
+    if seconds > MAX_REFLOWN_S:
         return []
-    flown: list[str] = []
+    case_ids: list[str] = []
     try:
         for case in cases:
             draw_rerun(rerun_case(folder, case))
-            flown.append(case)
+            case_ids.append(case)
     except BadInputError as error:
         print(f"uqharness: note: the page has no new ground track: {error}", file=sys.stderr)
-    return flown
+    return case_ids
 
 
 def _merge(args: argparse.Namespace) -> int:
     merged = merge(args.folder)
-    say_rewritten(merged.folder, merged.rewritten)
+    note_rewritten(merged.folder, merged.rewritten)
     done = merged.cases - merged.missing
     if args.json:
         print(json.dumps(merged.as_dict()))
@@ -215,27 +215,29 @@ def _merge(args: argparse.Namespace) -> int:
 
 
 def _rerun(args: argparse.Namespace) -> int:
-    found = rerun_case(args.folder, args.case)
-    files = [*found.files, *draw_rerun(found)]
-    outcome = found.outcome
+    rerun = rerun_case(args.folder, args.case)
+    files = [*rerun.files, *draw_rerun(rerun)]
+    outcome = rerun.outcome
     if args.json:
         document: dict[str, Any] = {
-            "case_id": found.case.case_id,
+            "case_id": rerun.case.case_id,
             "status": outcome.status,
             "reason": outcome.reason,
         }
-        document |= {"same_as_stored": found.same, "differences": list(found.differences)}
+        document |= {"same_as_stored": rerun.same, "differences": list(rerun.differences)}
         print(json.dumps(document | {"files": [str(path) for path in files]}))
     else:
-        how = {True: "as stored", False: "NOT as stored", None: "not flown before"}[found.same]
+        comparison = {True: "as stored", False: "NOT as stored", None: "not flown before"}[
+            rerun.same
+        ]
         end = f" ({outcome.reason})" if outcome.reason else ""
         print(
-            f"{found.folder}: {outcome.status}{end}, {how};"
+            f"{rerun.folder}: {outcome.status}{end}, {comparison};"
             f" {', '.join(path.name for path in files)}"
         )
-        for difference in found.differences:
+        for difference in rerun.differences:
             print(f"  {difference}")
-    return 1 if found.same is False else 0
+    return 1 if rerun.same is False else 0
 
 
 # ``uqharness campaign convergence | area``: what a flown campaign says of its own size, and of
@@ -266,7 +268,7 @@ def add_convergence(parser: argparse.ArgumentParser) -> None:
     add_folder(parser)
     parser.add_argument(
         "--repeats",
-        type=whole("--repeats", 2),
+        type=integer("--repeats", 2),
         default=10,
         metavar="N",
         help="number of parts into which the flights are divided (default %(default)s)",
@@ -360,7 +362,7 @@ _SALVAGE_EXAMPLE = """
 Keeps every flight that fits its digest, gives damaged files another name (journal.damaged-1.sqlite), flies the rest again and
 writes the tables: the bytes of an undamaged run. Nothing is deleted; the same command resumes after an interruption.
 Give --hours and --samples with --campaign if the campaign was flown with them."""
-_REMADE = {
+_TABLE_COMMANDS = {
     "sensitivity": "sensitivity",
     "convergence": "campaign convergence",
     "area": "campaign area",
@@ -404,12 +406,16 @@ def add_salvage(parser: argparse.ArgumentParser) -> None:
 
 
 def _verify(args: argparse.Namespace) -> int:
-    found = verify(args.folder)
-    print(json.dumps(_verified_json(found)) if args.json else "\n".join(_verified_lines(found)))
-    return 0 if found.whole else 1
+    verification = verify(args.folder)
+    print(
+        json.dumps(_verified_json(verification))
+        if args.json
+        else "\n".join(_verified_lines(verification))
+    )
+    return 0 if verification.whole else 1
 
 
-def _verified_json(found: Verified) -> dict[str, Any]:
+def _verified_json(verification: Verified) -> dict[str, Any]:
     items = [
         {
             "name": item.name,
@@ -417,31 +423,31 @@ def _verified_json(found: Verified) -> dict[str, Any]:
             "remark": item.remark,
             "digest": item.digest or None,
         }
-        for item in found.items
+        for item in verification.items
     ]
     document: dict[str, Any] = {
-        "folder": str(found.folder),
-        "whole": found.whole,
-        "complete": found.complete,
+        "folder": str(verification.folder),
+        "whole": verification.whole,
+        "complete": verification.complete,
         "items": items,
     }
-    return document | {"shards": [_verified_json(part) for part in found.shards]}
+    return document | {"shards": [_verified_json(part) for part in verification.shards]}
 
 
-def _verified_lines(found: Verified) -> Iterator[str]:
-    state = "whole" if found.whole else "NOT whole"
+def _verified_lines(verification: Verified) -> Iterator[str]:
+    state = "whole" if verification.whole else "NOT whole"
     running = (
         ""
-        if found.complete in (True, None)
+        if verification.complete in (True, None)
         else "; the campaign is not complete; existing files were checked"
     )
-    yield f"{found.folder}: {state}{running}"
-    for item in found.items:
-        said = "; ".join(
+    yield f"{verification.folder}: {state}{running}"
+    for item in verification.items:
+        details = "; ".join(
             text for text in (item.remark, item.digest and f"SHA-256 {item.digest}") if text
         )
-        yield f"  {item.name}: {item.state}" + (f" ({said})" if said else "")
-    for part in found.shards:
+        yield f"  {item.name}: {item.state}" + (f" ({details})" if details else "")
+    for part in verification.shards:
         yield from _verified_lines(part)
 
 
@@ -450,44 +456,46 @@ def _salvage(args: argparse.Namespace) -> int:
         raise BadInputError(
             "--hours and --samples belong to --campaign, the file they were given with"
         )
-    spec = None if args.campaign is None else asked_campaign(args)
+    spec = None if args.campaign is None else requested_campaign(args)
     command = "" if spec is None else shlex.join(flying_command(args, args.folder))
     with ProgressView() as view:
         flying = Flying(
             ProcessExecutor(args.workers or usable_cores()),
-            tell_cost(args.yes, args.folder),
+            cost_checker(args.yes, args.folder),
             view.update,
         )
-        found = salvage(args.folder, flying, spec, command)
-    print(json.dumps(_salvaged_json(found)) if args.json else "\n".join(_salvaged_lines(found)))
-    return 1 if found.missing else 0
+        result = salvage(args.folder, flying, spec, command)
+    print(json.dumps(_salvaged_json(result)) if args.json else "\n".join(_salvaged_lines(result)))
+    return 1 if result.missing else 0
 
 
-def _salvaged_json(found: Salvaged) -> dict[str, Any]:
+def _salvaged_json(result: Salvaged) -> dict[str, Any]:
     document: dict[str, Any] = {
-        "folder": str(found.folder),
-        "kept": found.kept,
-        "flown": found.flown,
-        "missing": found.missing,
+        "folder": str(result.folder),
+        "kept": result.kept,
+        "flown": result.flown,
+        "missing": result.missing,
     }
     document |= {
-        "statuses": dict(found.statuses),
-        "rewritten": list(found.rewritten),
-        "aside": list(found.aside),
+        "statuses": dict(result.statuses),
+        "rewritten": list(result.rewritten),
+        "aside": list(result.aside),
     }
-    return document | {"shards": [_salvaged_json(part) for part in found.parts]}
+    return document | {"shards": [_salvaged_json(part) for part in result.parts]}
 
 
-def _salvaged_lines(found: Salvaged) -> Iterator[str]:
-    for part in found.parts:
+def _salvaged_lines(result: Salvaged) -> Iterator[str]:
+    for part in result.parts:
         yield from _salvaged_lines(part)
-    text = f"{found.folder}: {found.kept} flights kept, {found.flown} flown again"
-    text += f", {found.missing} are in no shard" if found.missing else ""
-    text += f"; written again: {', '.join(found.rewritten)}" if found.rewritten else ""
-    yield text + (f"; damaged, under another name: {', '.join(found.aside)}" if found.aside else "")
-    for name, command in _REMADE.items():
-        if any(item.startswith(f"{name}.damaged-") for item in found.aside):
+    text = f"{result.folder}: {result.kept} flights kept, {result.flown} flown again"
+    text += f", {result.missing} are in no shard" if result.missing else ""
+    text += f"; written again: {', '.join(result.rewritten)}" if result.rewritten else ""
+    yield text + (
+        f"; damaged, under another name: {', '.join(result.aside)}" if result.aside else ""
+    )
+    for name, command in _TABLE_COMMANDS.items():
+        if any(item.startswith(f"{name}.damaged-") for item in result.aside):
             yield (
                 f"  {name}.csv is written again by: uqharness {command}"
-                f" {shlex.quote(str(found.folder))}"
+                f" {shlex.quote(str(result.folder))}"
             )

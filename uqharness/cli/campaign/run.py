@@ -129,7 +129,7 @@ def add_yes(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def asked_campaign(args: argparse.Namespace) -> CampaignSpec:
+def requested_campaign(args: argparse.Namespace) -> CampaignSpec:
     """The campaign of ``args.campaign`` with ``--hours``, ``--samples`` and ``--engine`` in it.
 
     Raises BadInputError.
@@ -150,19 +150,19 @@ def flying_command(args: argparse.Namespace, out: Path) -> list[str]:
     return words if args.samples is None else [*words, "--samples", str(args.samples)]
 
 
-def tell_cost(agreed: bool, name: Path) -> Callable[[Cost], None]:
+def cost_checker(agreed: bool, name: Path) -> Callable[[Cost], None]:
     """What a campaign calls before it flies: refuses more than a day unless that was agreed to, and
     says what is ahead.
     """
 
-    def told(cost: Cost) -> None:
+    def check_cost(cost: Cost) -> None:
         refuse_if_long(cost, agreed, name)
         print(f"{name}: {cost.words}", file=sys.stderr)
 
-    return told
+    return check_cost
 
 
-def say_rewritten(folder: Path, names: Sequence[str]) -> None:
+def note_rewritten(folder: Path, names: Sequence[str]) -> None:
     """Say which files were not as they had been written."""
     for name in names:
         print(
@@ -184,40 +184,40 @@ def failures(statuses: Mapping[str, int]) -> str:
 
 
 def _check(args: argparse.Namespace) -> int:
-    spec = asked_campaign(args)
+    spec = requested_campaign(args)
     for note in noise_notes(spec):
         print(f"note: {note}", file=sys.stderr)
     with scratch_folder("check") as scratch:
         mission = campaign_run.find_mission(spec, scratch.path)
         if needs_copy(spec):
             make_copy(spec, mission, scratch.path)
-        settled, pace = campaign_run.check_campaign(spec, mission, scratch.path)
-    cost = Cost(size_of(spec), 0, pace, args.workers or usable_cores(), settled.engine)
-    described = describe_campaign(settled.spec, mission, cost.size.flights, "")
+        engine_choice, pace = campaign_run.check_campaign(spec, mission, scratch.path)
+    cost = Cost(size_of(spec), 0, pace, args.workers or usable_cores(), engine_choice.engine)
+    described = describe_campaign(engine_choice.spec, mission, cost.size.flights, "")
     joint = joint_words(described)
     remarks = corners_only_words(described["campaign"]["epistemic"])
-    asked = (
+    day_note = (
         "; more than a day of this machine: `campaign run` needs --yes or --hours"
         if cost.is_long
         else ""
     )
     if args.json:
-        found = {
-            "engine": settled.engine,
-            "engine_why": list(settled.why),
+        document = {
+            "engine": engine_choice.engine,
+            "engine_why": list(engine_choice.why),
             "joint_level": joint_level(described),
             "joint": joint,
             "bounds_hold_at": points_flown(described["campaign"]["epistemic"]),
         }
-        print(json.dumps(_cost_json(cost) | found))
+        print(json.dumps(_cost_json(cost) | document))
     else:
-        told = [f"{cost.words}{asked}", f"engine {settled.words}", *joint, *remarks]
+        messages = [f"{cost.words}{day_note}", f"engine {engine_choice.words}", *joint, *remarks]
         if cost.size.tried < cost.size.conditions:
-            told.append(
+            messages.append(
                 f"{cost.size.tried} of {cost.size.conditions} conditions were tried out: each"
                 " turbulence with its weakest and strongest wind and winds between them"
             )
-        print("\n".join(f"{args.campaign}: {line}" for line in told))
+        print("\n".join(f"{args.campaign}: {line}" for line in messages))
     return 0
 
 
@@ -240,7 +240,7 @@ def _cost_json(cost: Cost) -> dict[str, Any]:
 
 
 def _run(args: argparse.Namespace) -> int:
-    spec = asked_campaign(args)
+    spec = requested_campaign(args)
     for note in (*noise_notes(spec), *bounds_notes(spec)):
         print(f"note: {note}", file=sys.stderr)
     shard = parse_shard(args.shard) if args.shard is not None else None
@@ -271,7 +271,7 @@ def _run(args: argparse.Namespace) -> int:
                 on_progress=view.update,
                 command=shlex.join(command),
                 shard=shard,
-                before_flying=tell_cost(agreed, args.campaign),
+                before_flying=cost_checker(agreed, args.campaign),
             )
     except KeyboardInterrupt:
         print(
@@ -279,7 +279,7 @@ def _run(args: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         raise
-    say_rewritten(summary.folder, summary.rewritten)
+    note_rewritten(summary.folder, summary.rewritten)
     epistemic = spec.as_dict()["epistemic"]
     if args.json:
         print(json.dumps(_summary_json(summary) | {"bounds_hold_at": points_flown(epistemic)}))

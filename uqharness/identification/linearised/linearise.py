@@ -30,7 +30,7 @@ from sysid.effects import V_REFERENCE_MPS, Columns, Effect, MadeColumns
 from sysid.parallel import ALONE, Processes
 from sysid.units import FT_M, LBF_FT_NM, LBF_N
 from uqharness.identification.linearised.types import Flown, Point, Setup, late_by, unseen_share
-from uqharness.identification.replay_fit import jumping_in
+from uqharness.identification.replay_fit import jumping_flights
 from uqharness.replay import (
     CONTROLS,
     JUMPING_CHANNELS,
@@ -796,7 +796,7 @@ def servo_change(
 
 def with_jumps(setup: Setup, model: ReplayModel) -> Setup:
     """The setup with the flights in which some control of the model jumps: what accelerometers miss of that is estimated."""
-    return replace(setup, jumping=tuple(jumping_in(model, setup.segments, setup.late)))
+    return replace(setup, jumping=tuple(jumping_flights(model, setup.segments, setup.late)))
 
 
 def middles(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[FloatArray]:
