@@ -177,12 +177,15 @@ def _text(
     beyond_benign = " beyond what A varies by itself" if any(f.varied for f in flights) else ""
     if not differ:
         if not terms:
-            return f"The models do not differ{beyond_benign} ({flight_summary}; the XML says the same)."
+            return (
+                f"The models do not differ{beyond_benign} ({flight_summary}; the XML says the"
+                " same)."
+            )
         return "\n".join(
             [
                 (
-                    f"No output differs{beyond_benign} ({flight_summary}), but {len(terms)} elements of the XML do:"
-                    " these flights do not show them."
+                    f"No output differs{beyond_benign} ({flight_summary}), but {len(terms)}"
+                    " elements of the XML do: these flights do not show them."
                 ),
                 *(f"  {line}" for line in _terms(terms)),
             ]

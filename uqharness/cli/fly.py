@@ -192,9 +192,8 @@ def _run(args: argparse.Namespace) -> int:
 def _fly(
     args: argparse.Namespace, aircraft: Aircraft, flight_aircraft: Aircraft, path: Path
 ) -> int:
-    """Fly ``flight_aircraft``, which is ``aircraft`` or its copy with initial conditions, and write the
-    record.
-    """
+    """Fly ``flight_aircraft``, which is ``aircraft`` or its copy with initial conditions, and write
+    the record."""
     script = read_script(path)
     gains = gains_of(args.autopilot, flight_aircraft, path)
     record, recorded = recorded_flight(

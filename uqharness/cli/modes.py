@@ -254,7 +254,10 @@ def _measured(assessment: Assessment) -> str:
         return "stable"
     if math.isnan(assessment.value):
         return f"{assessment.criterion} undefined"
-    return f"{assessment.criterion} {assessment.value:.3g} {'' if assessment.unit == '1' else assessment.unit}".rstrip()
+    return (
+        f"{assessment.criterion} {assessment.value:.3g}"
+        f" {'' if assessment.unit == '1' else assessment.unit}".rstrip()
+    )
 
 
 def _trim_lines(name: str, trim: Trim) -> list[str]:

@@ -236,7 +236,8 @@ def integer(option: str, minimum: int, maximum: int | None = None) -> Callable[[
             value = minimum - 1
         if value < minimum or (maximum is not None and value > maximum):
             raise BadInputError(
-                f"{option} {text}: a whole number of {_limits(f'at least {minimum}', maximum)} is needed"
+                f"{option} {text}: a whole number of {_limits(f'at least {minimum}', maximum)} is"
+                " needed"
             )
         return value
 
@@ -251,8 +252,8 @@ def number(
     minimum: float | None = None,
     maximum: float | None = None,
 ) -> Callable[[str], float]:
-    """Reader of a finite number ``above`` or at ``minimum`` one limit and up to ``maximum``. It raises
-    BadInputError.
+    """Reader of a finite number ``above`` or at ``minimum`` one limit and up to ``maximum``. It
+    raises BadInputError.
 
     ``quantity`` names the quantity and its unit.
     """

@@ -590,8 +590,8 @@ def _assignment(option: str, text: str, coefficients: list[str]) -> tuple[str, l
     names = [n.strip() for n in names_text.split(",") if n.strip()]
     if not equals or not names or coefficient not in coefficients:
         raise BadInputError(
-            f"{option} {text}: C=name,name with C one of {', '.join(coefficients)} is needed, such as"
-            f" {option} CX=V,alpha"
+            f"{option} {text}: C=name,name with C one of {', '.join(coefficients)} is needed, such"
+            f" as {option} CX=V,alpha"
         )
     return coefficient, names
 

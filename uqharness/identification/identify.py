@@ -100,9 +100,9 @@ def unexplained(
 
 
 def withdraw_invalid(result: Identification) -> Identification:
-    """``result`` itself where it converged and explains its flights; else the same with no parameter
-    identified, each at its start, and why: neither values nor standard errors hold of a fit that
-    has not ended, or of a model that is not the aircraft's."""
+    """``result`` itself where it converged and explains its flights; else the same with no
+    parameter identified, each at its start, and why: neither values nor standard errors hold of a
+    fit that has not ended, or of a model that is not the aircraft's."""
     reason = _invalid_reason(result) if result.identified else ""
     if not reason:
         return result
@@ -355,7 +355,10 @@ def _output_error_message(observed: Observed, names: Sequence[str], method: str)
         "output-error": "requested by --method",
         "filter-error": "start of filter error, requested by --method",
     }[method]
-    return f"output error: {len(observed.segments)} segments, {seconds:.0f} s, {free} parameters ({reason})"
+    return (
+        f"output error: {len(observed.segments)} segments, {seconds:.0f} s, {free} parameters"
+        f" ({reason})"
+    )
 
 
 def _no_filter_message(method: str, gusty: bool) -> str:

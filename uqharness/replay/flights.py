@@ -1,5 +1,10 @@
 """Flights for replay: a log or record read, thinned, aligned in time and cut into segments with
 start states.
+
+`read_flights` is the entry point. It reads free flight only, makes a throttle from thrust or
+propeller speed if need be, reduces records to at most 60 rows a second while keeping every command,
+moves channels that the log's findings call late, and cuts pieces in which all needed channels are
+present. `segments` turns pieces into replay segments.
 """
 
 from __future__ import annotations
@@ -42,15 +47,19 @@ from uqharness.replay.replay import CHANNELS, STATES
 from uqharness.replay.segments import Commands, Segment
 from uqharness.simulator import TRIM_LATITUDE_DEG, Aircraft, engine, with_start_altitude
 
-# Commands of a record on its rows: logged more slowly than the aircraft was told, or on more
-# rows than a replay takes.
+# Commands on the rows of a replay: logged more slowly than they were issued, or on more rows than
+# are compared.
 
 _AXIS = {"elevator_deg": "q_radps", "aileron_deg": "p_radps", "rudder_deg": "r_radps"}
 
 
 def mean_ahead(command: FloatArray, step: int) -> FloatArray:
-    """(n,) mean of each row and the step - 1 after it: a command between two rows that are kept
-    acts as long as it did.
+    """Return the mean (n,) of each row and the ``step - 1`` rows after it.
+
+    A command issued between two retained rows thus acts for its own duration.
+
+    >>> mean_ahead(np.array([0.0, 1.0, 1.0, 1.0]), 2)
+    array([0.5, 1. , 1. , 1. ])
     """
     padded = np.append(command, np.repeat(command[-1], step - 1))
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, step).mean(axis=1))
@@ -59,9 +68,11 @@ def mean_ahead(command: FloatArray, step: int) -> FloatArray:
 def with_steps_placed(
     record: FlightRecord, columns: Sequence[str]
 ) -> tuple[FlightRecord, list[str], float]:
-    """Commands logged more slowly than the record's rows, their steps where the gyro saw them act,
-    and by how much the gyro is late [s]: the mean over the steps that are placed, 0 where there are
-    none."""
+    """Re-time the steps of slowly logged commands by the gyro.
+
+    Returns the record, notes, and the mean delay of the gyro over the placed steps [s], 0 without
+    steps.
+    """
     placed_commands: dict[str, FloatArray] = {}
     notes, late, steps = [], 0.0, 0
     for column, rate in _AXIS.items():
@@ -70,6 +81,7 @@ def with_steps_placed(
         if column not in columns or stride < 2:
             continue
         command = np.asarray(record[column], dtype=float)
+        # The gyro of the control's axis shows when the step acted.
         noise = white_noise([record[rate]])
         placed = place_steps(
             command, logged_rows(command, stride), record[rate], noise, record.dt_s
@@ -85,36 +97,30 @@ def with_steps_placed(
 
 
 def delayed_command(command: FloatArray, time_s: FloatArray, late_s: float) -> FloatArray:
-    """(n,) a command ``late_s`` after its time; before the first row its value is held."""
+    """Delay a command (n,) by ``late_s``; before the first row its value is held."""
     return np.interp(time_s - late_s, time_s, command)
 
 
-# Throttle of a record that has thrust or propeller speed in its place: the one at which the
-# model's own engines have the measured value at the measured airspeed, in their steady state.
-#
-# So the engines' torque and gyroscopic moments act as the model has them. How fast the engines
-# follow is the model's, too: a thrust that changes faster than they do comes late in a replay.
+# Throttle from measured thrust or propeller speed: the one at which the model's engines have the
+# measured value at the measured airspeed in steady state. Torque and gyroscopic moments then act as
+# modelled. The engines' response is the model's too, so faster changes of thrust come late.
 
 SOURCES = {"thrust_N": ("thrust", "N"), "rpm": ("propeller speed", "1/min")}
-"""Columns that can stand for the throttle, the better first."""
+"""Columns that can replace the throttle, the better one first."""
 THROTTLE = "throttle_pct"
 _THROTTLES, _SPEEDS = 21, 5
-"""Points of the engines' map: curves between 0 and 100 % and over the airspeeds of one flight are
-smooth.
-"""
+"""Points of the engine map over throttle and over airspeed; both dependences are smooth."""
 _NOISE_MARGIN, _MAX_OUTSIDE_SHARE = 0.02, 0.05
-"""Of the largest value: noise beyond the engines' range is cut off.
-
-Share of rows beyond it from which on it is not noise.
-"""
+"""Share of the largest value by which noise may exceed the engines' range; share of rows outside it
+above which the values are refused."""
 _CLEARANCE_M = 500.0
 
 
 def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[FlightRecord, str]:
-    """The record with throttle_pct [%] made of its thrust_N or rpm, and a sentence that says so;
-    the record itself and "" where it has a throttle, or none of them.
+    """Return the record with a throttle made from thrust_N or rpm, and a note.
 
-    Raises BadInputError where the model's engines cannot have the measured values at any throttle.
+    The record itself and "" where it has a throttle or neither column. Raises BadInputError where
+    the engines cannot produce the measured values at any throttle.
     """
     if _has(record, THROTTLE) or "throttle" not in aircraft.card.inputs:
         return record, ""
@@ -128,12 +134,13 @@ def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[
         float(np.nanmin(V)), max(float(np.nanmax(V)), float(np.nanmin(V)) + 1.0), _SPEEDS
     )
     throttles = np.linspace(0.0, 100.0, _THROTTLES)
+    # Tabulate the engines over the range of airspeeds of this flight, then invert row by row.
     curves = engine_map(aircraft, column, speeds, throttles, altitude)
     quantity, unit = SOURCES[column]
     if not np.ptp(curves) > 0.0:
         raise BadInputError(
-            f"{name}: the record has {column} and no {THROTTLE}, and {aircraft.name}'s {quantity} does"
-            f" not change with its throttle; give the record {THROTTLE}"
+            f"{name}: the record has {column} and no {THROTTLE}, and {aircraft.name}'s {quantity}"
+            f" does not change with its throttle; give the record {THROTTLE}"
         )
     throttle = throttle_at(V, measured, speeds, throttles, curves)
     low, high = float(curves.min()), float(curves.max())
@@ -142,10 +149,10 @@ def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[
     outside = (measured[finite] > high + margin) | (measured[finite] < low - margin)
     if outside.mean() > _MAX_OUTSIDE_SHARE:
         raise BadInputError(
-            f"{name}: {column} is {np.nanmin(measured):.0f} to {np.nanmax(measured):.0f} {unit}, and"
-            f" {aircraft.name}'s engines have {low:.0f} to {high:.0f} {unit} between no and full"
-            f" throttle at {speeds[0]:.0f} to {speeds[-1]:.0f} m/s; check its unit and that it is"
-            " of all engines together, or correct the engine in the aircraft's XML"
+            f"{name}: {column} is {np.nanmin(measured):.0f} to {np.nanmax(measured):.0f} {unit},"
+            f" and {aircraft.name}'s engines have {low:.0f} to {high:.0f} {unit} between no and"
+            f" full throttle at {speeds[0]:.0f} to {speeds[-1]:.0f} m/s; check its unit and that it"
+            " is of all engines together, or correct the engine in the aircraft's XML"
         )
     return (
         record.with_columns({THROTTLE: throttle}),
@@ -164,8 +171,12 @@ def throttle_at(
     throttles: FloatArray,
     curves: FloatArray,
 ) -> FloatArray:
-    """(n,) throttle at airspeeds V [m/s] and values wanted (n,), NaN where either is; curves
-    (speeds, throttles), cut off at the ends of the range."""
+    """Invert the engine map at airspeeds V (n,) [m/s] for measured values (n,); return the throttle
+    (n,) [%].
+
+    NaN where an input is NaN; clipped to the range of the throttle. ``curves`` is (speeds,
+    throttles).
+    """
     rising = np.maximum.accumulate(curves, axis=1)
     out = np.full(len(V), np.nan)
     for k in np.flatnonzero(np.isfinite(V) & np.isfinite(measured)):
@@ -181,9 +192,11 @@ def engine_map(
     throttles_pct: FloatArray,
     altitude_m: float,
 ) -> FloatArray:
-    """(speeds, throttles) what the model's engines have in level, straight flight in their steady
-    state: ``thrust_N``, the force along x that is not aerodynamic, or ``rpm``, of the first engine.
-    Raises BadInputError for an aircraft without propeller."""
+    """Evaluate the engines in level, straight flight in steady state, (speeds, throttles).
+
+    ``column`` is ``thrust_N``, the non-aerodynamic force along x [N], or ``rpm`` of the first
+    engine. Raises BadInputError for an aircraft without a propeller.
+    """
     out = np.empty((len(speeds_mps), len(throttles_pct)))
     with ReplayFolder(aircraft, ideal=CONTROLS) as model:
         fdm = model.open(aircraft.dt_s)
@@ -224,15 +237,14 @@ def engine_map(
 
 
 def _has(record: FlightRecord, column: str) -> bool:
+    """Check that a column exists and has finite values."""
     return column in record and bool(np.isfinite(record[column]).any())
 
 
 MAX_RATE_HZ = 60.0
-"""Most rows a second at which outputs are compared; controls act at the record's own."""
+"""Largest rate of compared outputs [1/s]; controls act at the record's own rate."""
 MIN_COMMAND_S = 0.005
-"""Shortest time that a command is held in a replay, MAX_STEP_S of a run: those of faster records
-are averaged over it.
-"""
+"""Shortest time for which a replay holds a command [s]; faster commands are averaged over it."""
 _NEEDED = (
     "V_mps",
     "phi_rad",
@@ -245,9 +257,8 @@ _NEEDED = (
     "az_mps2",
 )
 RUN_UP_S = 4.0
-"""Time before a segment whose commands say where its actuators stand: a hundred time constants of a
-servo, four of a slow one.
-"""
+"""Time before a segment whose commands determine the initial actuator positions [s]: a hundred time
+constants of a servo, four of a slow one."""
 _COLUMN = {
     "elevator": "elevator_deg",
     "aileron": "aileron_deg",
@@ -257,26 +268,43 @@ _COLUMN = {
 _POSITION = {name: f"{name}_pos_deg" for name in ("elevator", "aileron", "rudder")}
 _JUMPING = ("ax_mps2", "ay_mps2", "az_mps2")  # with a step of a control
 LATE_S = 0.03
-"""By how much a log's accelerometers may be late."""
+"""Largest delay of a log's accelerometers [s]."""
 _START_S, _MIN_LINE_ROWS = 0.4, 6
 _CURVED_BY_CHANCE = 0.01
-"""Probability by which noise about a straight line looks bent."""
+"""Probability that noise about a straight line passes for curvature."""
 MAX_GAP_SHARE = 0.5
 MIN_FLYING_MPS = 3.0
-"""Airspeed below which nothing flies: the smallest gliders need more."""
+"""Airspeed below which nothing flies [m/s]; the smallest gliders need more."""
 MAX_COMMAND_ERROR = 1e-3
-"""Of its command's range: a position that is never further off is no measurement beside it."""
+"""Share of a command's range within which a position is a copy of the command, not a
+measurement.
+"""
 
 
 @dataclass(frozen=True)
 class Flight:
-    """A record ready for replay: at most 60 Hz, channels moved to the time at which they were true.
-    ``notes`` say what was done.
+    """A record ready for replay: at most 60 Hz, late channels aligned.
 
-    gyro_late_s: by how much the rates turn after slowly logged commands stepped. commands: column
-    -> controls with ``per_row`` values from row to row, where the record had more rows; none where
-    it had not. In ``record`` they are means from row to row. half_way: whether a command stands
-    half-way at the row of its jump, which makes up for what sampling does to it."""
+    Attributes
+    ----------
+    name : str
+        For reports.
+    record : FlightRecord
+        The rows that are compared; its commands are means from row to row.
+    pieces : tuple of Piece
+        Stretches in which all needed channels are present.
+    notes : tuple of str
+        What was done to the record.
+    gyro_late_s : float
+        Delay of the rates after steps of slowly logged commands [s].
+    commands : Mapping
+        Column to controls with ``per_row`` values a row, where the record had more rows; else
+        empty.
+    per_row : int
+        Commands a row.
+    half_way : bool
+        Whether a command is half-way at the row of its jump, which compensates for sampling.
+    """
 
     name: str
     record: FlightRecord
@@ -288,13 +316,14 @@ class Flight:
     half_way: bool = False
 
     def smoothing_delay_s(self) -> float:
-        """By how much a jumping surface's command comes late for what compares it with smoothed
-        rates row by row: as late as the gyro, and half a row, since at the row of its jump it
-        stands half-way."""
+        """Return the delay of a jumping command for comparison with smoothed rates [s].
+
+        It is the gyro's delay plus half a row, for at the row of its jump a command is half-way.
+        """
         return self.gyro_late_s + 0.5 * self.record.dt_s
 
     def with_smoothing_delay(self) -> Flight:
-        """The flight with its commands `felt_late_s` later."""
+        """Return the flight with its commands delayed by `smoothing_delay_s`."""
         record, late_s = self.record, self.smoothing_delay_s()
         moved = {
             c: delayed_command(record[c], record["time_s"], late_s)
@@ -305,14 +334,16 @@ class Flight:
         return replace(self, record=record, commands={}, per_row=1, half_way=True)
 
     def with_delayed_commands(self, late_s: float) -> Flight:
-        """The flight with every command and position so much later [s]; before the first row its
-        value is held.
+        """Return the flight with every command and position delayed by ``late_s``; the first value
+        is held.
 
-        A command is held until the next one wherever it begins: one that then begins between two
-        rows stands between them in ``commands``. A straight line from row to row would be a servo
-        that is slower at first and faster then."""
+        A command is held until the next one. If the delayed commands fall between two rows,
+        ``commands`` gets a finer grid that holds them there; linear interpolation from row to row
+        would act like a servo that is slower at first and faster later.
+        """
         spacing_s = float(self.record.dt_s) / self.per_row
         on_grid = math.isclose(late_s / spacing_s, round(late_s / spacing_s), abs_tol=1e-6)
+        # Refine the grid unless the delay is a multiple of its spacing.
         finer = 1 if on_grid else max(1, int(spacing_s / MIN_COMMAND_S + 1e-6))
         per_row, step_s = self.per_row * finer, spacing_s / finer
         between, moved = {}, {}
@@ -335,8 +366,8 @@ class Flight:
         )
 
     def commands_in(self, rows: slice, columns: Sequence[str]) -> FloatArray | None:
-        """(N, c) controls at some rows and between them, NaN of columns that it has not; None where
-        the record had no more rows.
+        """Return the controls (N, c) at some rows and between them, NaN of missing columns; None
+        where there are no more than rows.
         """
         if self.per_row == 1:
             return None
@@ -354,11 +385,25 @@ def read_flight(
     map_path: Path | None = None,
     flight_number: int | None = None,
 ) -> FlightRecord:
-    """The record of a log or record file, free flight alone, manoeuvres labelled if a table is
-    given. Raises BadInputError.
+    """Read the free flight of a log or record file, with manoeuvres labelled by a table if one is
+    given.
 
-    flight_number: which boot of a log that holds several, from 1; the one with the longest flight
-    by default."""
+    Parameters
+    ----------
+    path : Path
+        Log or record.
+    aircraft : Aircraft
+        Whose card converts servo outputs to angles.
+    manoeuvres, map_path : Path, optional
+        Table of manoeuvres, and signal map.
+    flight_number : int, optional
+        Which boot of a log that holds several, from 1; by default the one with the longest flight.
+
+    Raises
+    ------
+    BadInputError
+        For what is not the log of an aeroplane, never flew, or belongs to another aircraft.
+    """
     try:
         card = aircraft.folder if (aircraft.folder / "airframe.toml").is_file() else None
         record = import_log(
@@ -374,8 +419,9 @@ def read_flight(
 
 
 def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> FlightRecord:
-    """A record's free flight. Raises BadInputError, naming ``where``, where it is in degrees or
-    another aircraft's.
+    """Return the free flight of a record.
+
+    Raises BadInputError, naming ``where``, for angles in degrees and for another aircraft's record.
     """
     if record.metadata.dialect != "record":
         if record.metadata.free_flight_s:
@@ -389,7 +435,8 @@ def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> F
     degrees_finding = next((f for f in record.metadata.findings if in_degrees(f)), None)
     if degrees_finding is not None and record.metadata.dialect == "record":
         raise BadInputError(
-            f"{where}: {degrees_finding.message}; angles and rates of a flight record are in rad and rad/s"
+            f"{where}: {degrees_finding.message}; angles and rates of a flight record are in rad"
+            " and rad/s"
         )
     aircraft_name = record.metadata.aircraft
     if aircraft_name and aircraft_name not in (aircraft.card.aircraft.name, aircraft.name):
@@ -402,14 +449,14 @@ def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> F
 
 
 def _is_on_ground(record: FlightRecord) -> bool:
-    """Whether a record's airspeed is that of an aircraft on the ground."""
+    """Check whether the airspeed is that of an aircraft on the ground."""
     speed = record["V_mps"] if "V_mps" in record else np.empty(0)
     speed = speed[np.isfinite(speed)]
     return bool(len(speed)) and float(np.quantile(speed, 0.9)) < MIN_FLYING_MPS
 
 
 def measured_surfaces(records: Sequence[FlightRecord]) -> tuple[str, ...]:
-    """Surfaces whose position every record carries, but for those that are their commands."""
+    """Return the surfaces whose positions every record carries, unless these copy the commands."""
     return tuple(
         name
         for name, column in _POSITION.items()
@@ -419,8 +466,9 @@ def measured_surfaces(records: Sequence[FlightRecord]) -> tuple[str, ...]:
 
 
 def _equals_command(record: FlightRecord, position: str, command: str) -> bool:
-    """Whether a position is its command at every row: such a surface jumps, and does not go from
-    row to row in a straight line.
+    """Check whether a position equals its command at every row.
+
+    Such a surface jumps, it does not move linearly from row to row.
     """
     if command not in record:
         return False
@@ -432,7 +480,7 @@ def _equals_command(record: FlightRecord, position: str, command: str) -> bool:
 
 
 def control_columns(measured: Sequence[str]) -> tuple[str, ...]:
-    """The record's column of each of CONTROLS."""
+    """Return the record's column of each of CONTROLS."""
     return tuple(_POSITION[name] if name in measured else _COLUMN[name] for name in CONTROLS)
 
 
@@ -444,12 +492,29 @@ def prepare(
     max_s: float = MAX_S,
     align: bool = True,
 ) -> Flight:
-    """Check, thin, align and cut a record. Raises BadInputError naming the channel that is missing
-    and what needs it.
+    """Check, thin, align and cut a record.
 
-    align: whether channels are moved that are surely late by the record's findings; False where a
-    table is to show what sensors do or who asks estimates it. The channels of an autopilot's log
-    are aligned in any case."""
+    Parameters
+    ----------
+    name : str
+        For reports.
+    record : FlightRecord
+        Free flight.
+    measured : sequence of str
+        Surfaces whose positions are used.
+    min_s, max_s : float
+        Length of pieces [s].
+    align : bool
+        Whether channels are moved that the record's findings call late for sure. False where a
+        table shows what sensors do, or delays are estimated. Channels of an autopilot's log are
+        always aligned.
+
+    Raises
+    ------
+    BadInputError
+        Naming a missing channel and what needs it, for fewer than 10 rows a second, and where no
+        piece is long enough.
+    """
     columns = control_columns(measured)
     missing = [
         c for c in (*_NEEDED, *columns) if c not in record or not np.isfinite(record[c]).any()
@@ -469,6 +534,8 @@ def prepare(
     record, gap_notes = bridge(record, (*_NEEDED, "alpha_rad", "beta_rad", *columns), commands)
     record, step_notes, gyro_late_s = with_steps_placed(record, columns)
     notes = [f"{name}: {text}" for text in (*gap_notes, *step_notes)]
+    # Two reductions: commands faster than MIN_COMMAND_S are averaged, rows beyond MAX_RATE_HZ
+    # dropped.
     averaged_rows = max(1, int(MIN_COMMAND_S / record.dt_s + 1e-6))
     per_row = max(1, math.ceil(1.0 / (record.dt_s * averaged_rows * MAX_RATE_HZ) - 1e-6))
     between: dict[str, FloatArray] = {}
@@ -492,7 +559,8 @@ def prepare(
             f" without a gap{_describe_gaps(record, columns)}; nothing can be replayed"
         )
     notes.append(
-        f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s; {cut_note}"
+        f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s;"
+        f" {cut_note}"
     )
     return Flight(name, record, tuple(pieces), tuple(notes), gyro_late_s, between, per_row)
 
@@ -500,8 +568,10 @@ def prepare(
 def _thinned(
     record: FlightRecord, averaged_rows: int, per_row: int
 ) -> tuple[FlightRecord, dict[str, FloatArray]]:
-    """Rows at which outputs are compared, and the controls with ``per_row`` values from one to the
-    next, each the mean of ``averaged_rows`` of the record's own (a position: its value)."""
+    """Return the compared rows, and the controls with ``per_row`` values between them.
+
+    Commands are means over ``averaged_rows`` of the record, positions its values.
+    """
     mask = np.zeros(len(record), dtype=bool)
     mask[:: averaged_rows * per_row] = True
     commands = [c for c in _COLUMN.values() if c in record]
@@ -512,14 +582,14 @@ def _thinned(
 
 
 def _filled(values: FloatArray) -> FloatArray:
-    """(n,) values, gaps held from before: a piece has none at its rows."""
+    """Fill gaps (n,) with the value before; a piece has none at its rows."""
     last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))
     return np.asarray(values[last], dtype=np.float64)
 
 
 def _describe_gaps(record: FlightRecord, columns: Sequence[str]) -> str:
-    """What breaks a record up, in words: the channel that lacks most samples, and how many rows
-    come late.
+    """Describe what interrupts a record: the channel that lacks most samples, the share of late
+    rows.
     """
     share = {c: float(np.mean(~np.isfinite(record[c]))) for c in (*_NEEDED, *columns)}
     worst = max(share, key=lambda c: share[c])
@@ -534,8 +604,8 @@ def _describe_gaps(record: FlightRecord, columns: Sequence[str]) -> str:
 
 
 def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]]:
-    """Channels that the record's own findings call late for sure, moved to when they were true, or
-    told of where not.
+    """Move channels that the record's findings call late for sure, or note them where ``align`` is
+    False.
     """
     columns: dict[str, FloatArray] = {}
     notes = []
@@ -566,9 +636,7 @@ def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]
 def segments(
     flight: Flight, measured: Sequence[str], arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> list[Segment]:
-    """Replay segments of a flight's pieces, each from the state that its first rows show
-    (`_start`).
-    """
+    """Make replay segments of a flight's pieces, each from the state that its first rows show."""
     record = flight.record
     out = []
     for piece in flight.pieces:
@@ -601,8 +669,8 @@ def segments(
 
 
 def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> FloatArray | None:
-    """(k, c) controls at the commands of RUN_UP_S before a row, from the last gap on; None where
-    there are none.
+    """Return the controls (k, c) of RUN_UP_S before a row, from the last gap on; None where there
+    are none.
     """
     record = flight.record
     begin = max(0, first - round(RUN_UP_S / record.dt_s))
@@ -620,15 +688,14 @@ def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> Floa
 
 
 def _command_column(record: FlightRecord, control: str, rows: slice) -> FloatArray:
+    """Return the commands of a control, NaN where none were logged."""
     column = _COLUMN[control]
     values = record[column][rows] if column in record else np.full(rows.stop - rows.start, np.nan)
     return np.asarray(values, dtype=np.float64)
 
 
 def _unwrapped(name: str, values: FloatArray) -> FloatArray:
-    """A heading [rad] without its jumps at north: between its two ends nothing can be put, neither
-    a line nor a mean.
-    """
+    """Unwrap a heading [rad]: at north neither lines nor means make sense."""
     out = np.array(values, dtype=np.float64)
     if name == "psi_rad":
         finite = np.isfinite(out)
@@ -638,7 +705,7 @@ def _unwrapped(name: str, values: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Start:
-    """Estimate of a channel at a segment's first row, and how far from it the channel is within the
+    """Estimate of a channel at a segment's first row, and its distance from the channel within the
     first rows.
     """
 
@@ -647,12 +714,13 @@ class _Start:
 
 
 def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
-    """Estimate a channel at a piece's first row.
+    """Estimate a channel at the first row of a piece.
 
     A straight line through the first 0.4 s averages the noise, but a segment may begin with a fast
-    mode, which bends within a few rows. So the line is fitted to the longest beginning in which a
-    cubic explains no more than chance would let it (likelihood ratio of the two, Lepski's choice of
-    a window), and without one the first value is taken."""
+    mode that curves within a few rows. The line is therefore fitted to the longest beginning in
+    which a cubic explains no more than chance (likelihood ratio; Lepski's choice of a window).
+    Without one the first value is taken.
+    """
     if name not in record:
         return _Start(0.0, 0.0)
     values = _unwrapped(name, record[name][rows][: max(3, round(_START_S / record.dt_s))])
@@ -664,7 +732,7 @@ def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
     while n >= _MIN_LINE_ROWS:
         line, line_sse = _polynomial_at_zero(at[:n], first[:n], 1)
         _, cubic_sse = _polynomial_at_zero(at[:n], first[:n], 3)
-        # Of F's distribution with 2 degrees of freedom above, n - 4 below.
+        # Quantile of the F distribution with 2 and n - 4 degrees of freedom, in closed form.
         if cubic_sse >= line_sse * _CURVED_BY_CHANCE ** (2.0 / (n - 4)):
             value = line
             break
@@ -675,7 +743,7 @@ def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
 def _polynomial_at_zero(
     at: NDArray[np.intp], values: FloatArray, degree: int
 ) -> tuple[float, float]:
-    """Fit a polynomial; its value at row 0, and the sum of squares that it leaves."""
+    """Fit a polynomial; return its value at row 0 and the residual sum of squares."""
     basis = (at / at[-1])[:, None] ** np.arange(degree + 1)
     coefficients = np.linalg.lstsq(basis, values, rcond=None)[0]
     residual = values - basis @ coefficients
@@ -683,21 +751,25 @@ def _polynomial_at_zero(
 
 
 def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
-    """Altitude above sea level at which the standard atmosphere has the record's density; else
-    start's altitude plus height.
+    """Return the altitude above sea level [m] at which the standard atmosphere has the recorded
+    density.
+
+    Without a density it is the start's altitude plus the height ``h``.
     """
     if "rho_kgpm3" in record and np.isfinite(record["rho_kgpm3"][rows]).any():
         rho = float(np.nanmedian(record["rho_kgpm3"][rows]))
+        # ISA below 11 km: rho = 1.225 (1 - 2.25577e-5 h)^4.25588.
         return float((1.0 - (rho / 1.225) ** (1.0 / 4.25588)) / 2.25577e-5)
     return float(record.metadata.start.get("alt_m", 0.0)) + h
 
 
 def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[FloatArray]:
-    """[(n, m)] the record's channels as logged (NaN between logged values), one array a piece;
-    headings unwrapped.
+    """Return the recorded channels (n, m) of every piece, NaN between logged values; headings
+    unwrapped.
 
-    A log's accelerometers are late, and a piece may begin with a step: what they show of the time
-    before it is NaN, too."""
+    The accelerometers of a log are late, so their first samples, which belong to the time before
+    the piece, are NaN as well.
+    """
     out = []
     before = math.ceil(LATE_S / flight.record.dt_s) if flight.record.metadata.native_hz else 0
     for piece in flight.pieces:
@@ -708,8 +780,8 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[FloatArray
             values = as_logged(flight.record, name, piece.rows)
             if name == "psi_rad":
                 values = _unwrapped(name, values)
-                # Counted from the same turn as the start: the first logged value may lie on the
-                # other side of north.
+                # Count from the turn of the start: the first logged value may lie on the other side
+                # of north.
                 first = values[np.isfinite(values)][:1]
                 values -= (
                     2.0
@@ -726,8 +798,9 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[FloatArray
 
 
 def states(flight: Flight, piece: Piece) -> Mapping[str, FloatArray]:
-    """Channels of a piece with every gap in alpha and beta filled by straight lines (0 where never
-    measured), heights as `ground.heights` has them."""
+    """Return the channels of a piece with gaps filled linearly, 0 where never measured, and
+    smoothed heights.
+    """
     out = {}
     for name in CHANNELS:
         values = (
@@ -746,7 +819,11 @@ def states(flight: Flight, piece: Piece) -> Mapping[str, FloatArray]:
 
 
 def unique_names(names: Sequence[str]) -> list[str]:
-    """File stems made unique, so that reports distinguish every flight."""
+    """Append numbers to repeated file stems, so that reports distinguish all flights.
+
+    >>> unique_names(["a", "b", "a"])
+    ['a', 'b', 'a-2']
+    """
     out: list[str] = []
     for name in names:
         stem, number = name, 2
@@ -766,11 +843,34 @@ def read_flights(
     align: bool = True,
     flight_numbers: Sequence[int] = (),
 ) -> tuple[list[Flight], tuple[str, ...]]:
-    """Flights ready for replay, and the surfaces whose measured positions are used; align: as
-    `prepare` has it. Raises BadInputError.
+    """Read flights ready for replay.
 
-    flight_numbers: which boot of each file is read, one number for all files or one a file; the
-    longest flight by default."""
+    Parameters
+    ----------
+    paths : sequence of Path
+        Logs or records.
+    aircraft : Aircraft
+        The model that will replay them.
+    manoeuvres, map_path : Path, optional
+        Table of manoeuvres, and signal map.
+    min_s, max_s, align
+        As for `prepare`.
+    flight_numbers : sequence of int
+        Which boot of each file, one number for all files or one a file; by default the longest
+        flight.
+
+    Returns
+    -------
+    flights : list of Flight
+        One a file.
+    measured : tuple of str
+        Surfaces whose measured positions are used.
+
+    Raises
+    ------
+    BadInputError
+        As `read_flight` and `prepare`, and for a file given twice.
+    """
     numbers = numbers_of_files(flight_numbers, len(paths))
     refuse_duplicates(paths, [file_sha256(path) if path.is_file() else str(path) for path in paths])
     records = [
@@ -781,9 +881,12 @@ def read_flights(
 
 
 def numbers_of_files(flight_numbers: Sequence[int], files: int) -> list[int | None]:
-    """``--flight-number`` of each file.
+    """Return ``--flight-number`` of each file.
 
-    Raises BadInputError where there are neither one nor as many numbers as files.
+    Raises BadInputError unless there is one number, or one a file.
+
+    >>> numbers_of_files([2], 3)
+    [2, 2, 2]
     """
     if not flight_numbers:
         return [None] * files
@@ -796,16 +899,16 @@ def numbers_of_files(flight_numbers: Sequence[int], files: int) -> list[int | No
 
 
 def refuse_duplicates(names: Sequence[object], hashes: Sequence[str]) -> None:
-    """BadInputError for a flight that is given twice; ``names`` say which, ``hashes`` are of their
-    content.
+    """Raise BadInputError for a flight given twice; ``names`` are for the message, ``hashes`` of
+    the contents.
     """
     duplicate = next(
         (name for name, digest in zip(names, hashes, strict=True) if hashes.count(digest) > 1), None
     )
     if duplicate is not None:
         raise BadInputError(
-            f"flight {duplicate} is given more than once: its noise would count as if it were measured"
-            " anew"
+            f"flight {duplicate} is given more than once: its noise would count as if it were"
+            " measured anew"
         )
 
 
@@ -817,7 +920,8 @@ def prepare_together(
     max_s: float = MAX_S,
     align: bool = True,
 ) -> tuple[list[Flight], tuple[str, ...]]:
-    """Records used together, ready for replay, and the surfaces whose measured positions are used.
+    """Prepare records that are used together; return flights and the surfaces with measured
+    positions.
 
     Raises BadInputError.
     """

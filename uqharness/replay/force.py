@@ -1,5 +1,8 @@
-"""The model's own forces and moments at measured states: each state forced upon it, each answer
-read.
+"""The model's forces and moments at measured states.
+
+Each state is imposed on JSBSim and the forces are read, by JSBSim itself or, for many states at
+once, by a compiled program of the batch engine. Residual coefficients, equation error and start
+values are made from them.
 """
 
 from __future__ import annotations
@@ -25,29 +28,34 @@ from uqharness.replay.model import ReplayModel, control_setters, terrain_m
 from uqharness.replay.segments import Segment
 from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS, TRIM_LATITUDE_DEG, body_velocity, engine
 
-# Forces at measured states by the batch engine, where it understands the aircraft and enough
-# states are asked for at once.
-#
-# A model's first states are answered by both engines, and JSBSim answers all others too where
-# they differ. What was asked before does not decide who answers: a run that goes on after an
-# interruption gets the same digits.
+# Forces at measured states by the batch engine, for many states of an aircraft that it understands.
+# Some states of each program are evaluated by JSBSim as well, and JSBSim evaluates all if the two
+# differ. Earlier requests do not decide which engine is used, so a resumed run is bit-identical.
 
 _LOG = logging.getLogger("uqharness")
 MIN_BATCH_STATES = 2_000
-"""States asked for at once from which on the aircraft is translated and compiled, for which JSBSim
-answers some 12,000. Who asks for the states of a whole flight asks several times; tests, trims and
-start states ask for fewer."""
+"""Number of states from which the aircraft is compiled. Compiling takes as long as 12,000 states by
+JSBSim, but callers that evaluate a whole flight do so several times; trims and start states are
+fewer."""
 TOLERANCE = 1e-6
-"""Largest difference of a force or moment between the engines, in units of its largest size among
-the states compared.
-"""
+"""Largest difference of a force or moment between the engines, relative to its largest size among
+the states compared."""
 _COMPARED_STATES, _MAX_PROGRAMS, _LEVEL_M = 9, 8, 1000.0
 
 
 @dataclass(frozen=True)
 class States:
-    """n states: motion by names of `replay.STATES` without the heading, each (n,); controls (n, c)
-    in their properties' units; altitude_m (n,) above sea level; terrain_m (n,) of the ground."""
+    """Flight states of n samples, ready to be imposed.
+
+    Attributes
+    ----------
+    motion : Mapping
+        Names of `replay.STATES` without the heading to (n,) values.
+    controls : ndarray
+        (n, c) in the units of their properties.
+    altitude_m, terrain_m : ndarray
+        (n,) altitude of the aircraft and of the ground, above sea level [m].
+    """
 
     motion: Mapping[str, FloatArray]
     controls: FloatArray
@@ -55,13 +63,13 @@ class States:
     terrain_m: FloatArray
 
     def subset(self, rows: FloatArray) -> States:
-        """Those of some rows."""
+        """Select rows."""
         motion = {name: np.asarray(value)[rows] for name, value in self.motion.items()}
         return States(motion, self.controls[rows], self.altitude_m[rows], self.terrain_m[rows])
 
     @staticmethod
     def of(parts: Sequence[States]) -> States:
-        """Several sets of states as one."""
+        """Concatenate several sets of states."""
         if len(parts) == 1:
             return parts[0]
         motion = {
@@ -78,7 +86,9 @@ class States:
 
 @dataclass
 class _CachedProgram:
-    """program: None until it is worth one, and where JSBSim is to answer (``refused``)."""
+    """A compiled program: None before the first large request, and ``refused`` where JSBSim has to
+    answer.
+    """
 
     program: StateProgram | None = None
     refused: bool = False
@@ -95,10 +105,16 @@ def by_batch(
     records: Sequence[str],
     by_jsbsim: Callable[[States], FloatArray],
 ) -> FloatArray | None:
-    """(n, records) at the states, None where JSBSim is to answer. ``by_jsbsim`` answers for it."""
+    """Return the recorded properties at the states, (n, len(records)); None where JSBSim has to
+    answer.
+
+    ``by_jsbsim`` evaluates some of the states for comparison.
+    """
     entry = _cached_programs.setdefault(model.identity, _CachedProgram())
     if entry.refused or len(states.controls) < MIN_BATCH_STATES:
         return None
+    # Recompile with the union of the properties, so that alternating sets do not recompile each
+    # time.
     names = {*properties, *(entry.program.given if entry.program is not None else ())}
     if entry.program is None or not names <= set(entry.program.given):
         entry.program = _verified(
@@ -113,6 +129,7 @@ def by_batch(
 def _compile(
     model: ReplayModel, dt_s: float, names: set[str], records: Sequence[str]
 ) -> StateProgram | None:
+    """Translate and compile the aircraft; None where the engine cannot."""
     if batch.available() is not None:
         return None
     controls = [model.card.inputs[name].property for name in model.controls]
@@ -140,7 +157,7 @@ def _verified(
     by_jsbsim: Callable[[States], FloatArray],
     program: StateProgram | None,
 ) -> StateProgram | None:
-    """The program, if it answers as JSBSim does."""
+    """Return the program if it agrees with JSBSim at some of the states, None otherwise."""
     if program is None:
         return None
     subset = states.subset(
@@ -166,12 +183,12 @@ def _evaluate(
     dt_s: float,
     properties: Mapping[str, float],
 ) -> FloatArray:
+    """Evaluate a compiled program at the states."""
     V, alpha, beta = (
         np.asarray(states.motion[name], dtype=float) for name in ("V_mps", "alpha_rad", "beta_rad")
     )
     n = len(V)
-    # At one latitude geodetic height goes with height above sea level in a straight line, to 1e-9
-    # of it below 3 km.
+    # At one latitude geodetic height is linear in height above sea level, to 1e-9 below 3 km.
     (latitude, at_sea), (_, at_top) = (level_of(model, level) for level in (0.0, _LEVEL_M))
     height = at_sea + (at_top - at_sea) / _LEVEL_M * states.altitude_m
     conditions = {
@@ -201,11 +218,19 @@ _MAX_MASSES = 8
 
 @dataclass(frozen=True)
 class ForcedModel:
-    """What the model says at n states: aerodynamic and other forces [N], moments about the CG [N
-    m], (n, 3) each; qbar (n,) [Pa].
+    """Forces and moments of the model at n states, body axes at the centre of gravity.
 
-    ``other`` is everything but aerodynamics and gravity, thrust above all. ``coefficients`` (n, 6)
-    CX CY CZ Cl Cm Cn."""
+    Attributes
+    ----------
+    aero_force, aero_moment : ndarray
+        (n, 3) aerodynamic force [N] and moment about the CG [N m].
+    other_force, other_moment : ndarray
+        (n, 3) everything but aerodynamics and gravity, thrust above all.
+    qbar : ndarray
+        (n,) dynamic pressure [Pa].
+    mass : MassProperties
+        Mass, inertia and reference lengths.
+    """
 
     aero_force: FloatArray
     other_force: FloatArray
@@ -216,9 +241,7 @@ class ForcedModel:
 
     @property
     def coefficients(self) -> FloatArray:
-        """CX CY CZ Cl Cm Cn of the model at each sample, (n, 6), body axes at the centre of
-        gravity.
-        """
+        """Return CX CY CZ Cl Cm Cn of the model (n, 6), body axes at the centre of gravity."""
         pressure = self.qbar[:, None] * self.mass.S
         return np.hstack(
             [self.aero_force / pressure, self.aero_moment / (pressure * self.mass.lengths)]
@@ -227,8 +250,19 @@ class ForcedModel:
 
 @dataclass(frozen=True)
 class SegmentStates:
-    """States of one segment to be forced: V, alpha, beta, phi, theta, p, q, r (n,) each; controls
-    (n, c) [record units]; altitude_m (n,) above sea level, default the segment's throughout."""
+    """States of one segment to be imposed.
+
+    Attributes
+    ----------
+    segment : Segment
+        Where they belong.
+    states : Mapping
+        V, alpha, beta, phi, theta, p, q, r by channel name, (n,) each.
+    controls : ndarray
+        (n, c) in the record's units.
+    altitude_m : ndarray, optional
+        (n,) above sea level [m]; by default the segment's throughout.
+    """
 
     segment: Segment
     states: Mapping[str, FloatArray]
@@ -236,9 +270,7 @@ class SegmentStates:
     altitude_m: FloatArray | None = None
 
     def to_states(self, model: ReplayModel) -> States:
-        """With controls in their properties' units, over ground that none of the states is
-        below.
-        """
+        """Convert controls to their properties' units, over ground that lies below all states."""
         n = len(self.controls)
         height = np.full(n, self.segment.altitude_m) if self.altitude_m is None else self.altitude_m
         terrain = min(terrain_m(model, self.segment), float(height.min()))
@@ -253,7 +285,7 @@ def force_states(
     properties: Mapping[str, float],
     altitude_m: FloatArray | None = None,
 ) -> ForcedModel:
-    """`force_all` of one segment's states."""
+    """Evaluate the states of one segment; see `force_all`."""
     return force_all(model, [SegmentStates(segment, states, controls, altitude_m)], properties)[0]
 
 
@@ -263,13 +295,32 @@ def force_all(
     properties: Mapping[str, float],
     pool: Processes = ALONE,
 ) -> list[ForcedModel]:
-    """What the model says of several sets of states, those of one time step asked for at once.
-    Where JSBSim answers, ``pool`` spreads the sets.
+    """Evaluate several sets of states; those of one time step are evaluated together.
 
-    ``model`` must pass its controls straight through (`ReplayFolder` with every control ideal): a
-    lag would remember the state before. Raises BadInputError."""
+    Parameters
+    ----------
+    model : ReplayModel
+        Must pass its controls through (`ReplayFolder` with every control ideal): a lag would depend
+        on the state before.
+    parts : sequence of SegmentStates
+        Sets of states.
+    properties : Mapping
+        JSBSim properties in force.
+    pool : callable
+        A `map` that distributes the sets where JSBSim evaluates them.
+
+    Returns
+    -------
+    list of ForcedModel
+        One a set.
+
+    Raises
+    ------
+    BadInputError
+        For a property that the model does not have.
+    """
     out: dict[int, ForcedModel] = {}
-    # Steps of segments of one record differ by rounding.
+    # Time steps of segments of one record differ by rounding only.
     steps = [round(part.segment.dt_s, 9) for part in parts]
     for dt_s in dict.fromkeys(steps):
         places = [k for k, step in enumerate(steps) if step == dt_s]
@@ -288,6 +339,8 @@ def _force_step(
     properties: Mapping[str, float],
     pool: Processes,
 ) -> list[ForcedModel]:
+    """Evaluate sets of states of one time step together, and split the result."""
+
     def by_jsbsim(subset: States) -> FloatArray:
         return _by_jsbsim((model, dt_s, properties, subset))
 
@@ -302,11 +355,13 @@ def _force_step(
 
 
 def _by_jsbsim(job: tuple[ReplayModel, float, Mapping[str, float], States]) -> FloatArray:
+    """Evaluate one job in JSBSim; a function of one argument, for pools."""
     model, dt_s, properties, states = job
     return _force_in_jsbsim(_open(model, dt_s, properties), model, states)
 
 
 def _forced_model(raw: FloatArray, mass: MassProperties) -> ForcedModel:
+    """Convert recorded properties to SI units; other forces are total minus aerodynamic ones."""
     total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
     total_moment, aero_moment = raw[:, 6:9] * LBF_FT_NM, raw[:, 9:12] * LBF_FT_NM
     return ForcedModel(
@@ -315,6 +370,7 @@ def _forced_model(raw: FloatArray, mass: MassProperties) -> ForcedModel:
 
 
 def _open(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> Any:
+    """Open an instance of the model with properties set."""
     fdm = model.open(dt_s)
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
@@ -326,14 +382,14 @@ def _open(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> A
     key=lambda model, dt_s, properties: (model.identity, *sorted(properties.items())),
 )
 def _mass_of(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> MassProperties:
-    """Mass properties of a model."""
+    """Return the mass properties of a model."""
     fdm = _open(model, dt_s, properties)
     engine.run_ic(fdm)
     return mass_properties(fdm, model)
 
 
 def _force_in_jsbsim(fdm: Any, model: ReplayModel, states: States) -> FloatArray:
-    """(n, records) at n states, one after the other."""
+    """Impose n states one after the other; return the recorded properties (n, len(_RECORDS))."""
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
         engine.start_engines(fdm)
@@ -377,6 +433,7 @@ def _force_in_jsbsim(fdm: Any, model: ReplayModel, states: States) -> FloatArray
             motion["q_radps"][k],
             motion["r_radps"][k],
         )
+        # Order matters: the ground first, then the state, then one initialisation.
         terrain(float(states.terrain_m[k]) / FT_M)
         for setter, value in zip(state_setters, state, strict=True):
             setter(float(value))
@@ -391,22 +448,25 @@ def _force_in_jsbsim(fdm: Any, model: ReplayModel, states: States) -> FloatArray
 
 
 def _settle_rates(fdm: Any, alphadot: Callable[[], float], betadot: Callable[[], float]) -> None:
-    # JSBSim takes alphadot and betadot from the accelerations of the frame before: of another
-    # state, when states are forced.
+    # JSBSim takes alphadot and betadot from the accelerations of the frame before, which belong to
+    # another state when states are imposed.
+    """Repeat the evaluation until the rates of alpha and beta belong to the imposed state."""
     previous, change = (alphadot(), betadot()), float("inf")
     for _ in range(MOST_FRAMES):
         engine.renew_forces(fdm)
         current, last_change = (alphadot(), betadot()), change
         change = abs(current[0] - previous[0]) + abs(current[1] - previous[1])
-        # A force that outgrows the acceleration that it is a part of settles nowhere, and no frame
-        # of it is better than another.
+        # The iteration diverges where a force exceeds the acceleration that it contributes to; then
+        # no frame is better than another.
         if change < SETTLED_RADPS or not change < last_change:
             return
         previous = current
 
 
 def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
-    """Mass, inertia and reference lengths of an initialised instance; the card's lengths win."""
+    """Read mass, inertia and reference lengths of an initialised instance; lengths of the card take
+    precedence.
+    """
     get = fdm.__getitem__
     unit = SLUG_KG * FT_M**2
     # JSBSim publishes the elements of its inertia matrix: inertia/ixz is minus the product of

@@ -1,9 +1,10 @@
-"""The aircraft made ready for replay: a copy without idle systems and, where surfaces are given,
-without actuators.
+"""The aircraft prepared for replay: a copy without idle systems and, for measured surfaces, without
+actuator dynamics.
 
-A copy, because JSBSim offers no property that takes a servo's lag away: a measured surface position
-must not go through the lag a second time. Only the copy differs; every number of the aerodynamics
-is the original's."""
+JSBSim has no property that switches a servo's lag off, and a measured surface position must not
+pass the lag a second time. `ReplayFolder` therefore edits a copy of the XML; all aerodynamic
+numbers stay those of the original. The module also sets the height of the ground below a replay.
+"""
 
 from __future__ import annotations
 
@@ -63,16 +64,36 @@ _ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis_width", "deadband_width",
 class ReplayModel:
     """What a process needs to open the copy; picklable, valid while its `ReplayFolder` is open.
 
-    ``measured`` controls whose values are positions, continuous between samples; the others are
-    commands, held. ``lagging`` controls whose commands go through an actuator with a lag; ``lags``
-    its lag and rate limit, as the XML has them. ``factor`` record unit -> property unit of each
-    control, in the order of ``controls``. ``throws`` positions and the commands at which the
-    aircraft's own linkage puts them, of normalised controls whose values are positions: both ends
-    of a travel seldom have one factor. ``identity`` of what flies: two copies of one aircraft,
-    opened alike, have the same. ``near_ground`` whether its XML reads the height above the ground,
-    ``by_rates`` whether it reads the rates of alpha or beta. ``varied`` coefficients and effects
-    that its XML declares: programs compiled from it take each of them at any value. ``engines``
-    number of them in its <propulsion>; ``servos`` properties that the numbers of its actuators are.
+    Attributes
+    ----------
+    staging, card
+        Folder layout of the copy, and the aircraft's card.
+    controls : tuple of str
+        Controls in the order of the columns of a segment.
+    measured : tuple of str
+        Controls given as positions, interpolated between samples; the others are commands, held.
+    factor : tuple of float
+        Record unit to property unit, one a control.
+    lagging : tuple of str
+        Controls whose commands pass an actuator with a lag.
+    lags : Mapping
+        Control to its lag and rate limit as text of the XML.
+    settings : Mapping
+        Properties set on every instance.
+    throws : tuple
+        One a control: (positions [deg], commands) of the aircraft's linkage over its travel, for
+        normalised controls given as positions, whose two directions seldom share one factor; None
+        where ``factor`` is enough.
+    near_ground, by_rates : bool
+        Whether the XML reads the height above the ground, or the rates of alpha or beta.
+    identity : str
+        Equal for copies that fly alike; the key of caches.
+    varied : tuple of str
+        Coefficients and effects that the XML declares; compiled programs accept any value of each.
+    engines : int
+        Number of engines in ``<propulsion>``.
+    servos : tuple of str
+        Properties that the numbers of actuators refer to.
     """
 
     staging: Staging
@@ -93,11 +114,11 @@ class ReplayModel:
 
     @property
     def jumping(self) -> tuple[str, ...]:
-        """Controls that jump with their commands."""
+        """Return the controls whose surfaces follow a command step at once."""
         return tuple(c for c in self.controls if c not in self.measured and c not in self.lagging)
 
     def to_property(self, controls: FloatArray) -> FloatArray:
-        """(..., c) values of the controls in the record's units, in those of their properties."""
+        """Convert controls (..., c) from the record's units to those of their properties."""
         out = controls * np.array(self.factor)
         for column, throw in enumerate(self.throws):
             if throw is not None:
@@ -105,8 +126,10 @@ class ReplayModel:
         return out
 
     def control_properties(self) -> tuple[tuple[str, ...], tuple[int, ...]]:
-        """Properties that the controls set, and the place in ``controls`` of the one that sets
-        each: JSBSim's throttle is that of every engine."""
+        """Return the properties that the controls set, and the index in ``controls`` of each.
+
+        JSBSim's throttle sets every engine, so it may have several properties.
+        """
         names, places = [], []
         for place, control in enumerate(self.controls):
             prop = self.card.inputs[control].property
@@ -116,8 +139,9 @@ class ReplayModel:
         return tuple(names), tuple(places)
 
     def open(self, dt_s: float) -> Any:
-        """A fresh ``FGFDMExec`` in the card's open-loop mode with the replay's integrators, nothing
-        run. Raises BadInputError.
+        """Open a new ``FGFDMExec`` in the card's open-loop mode with the integrators of a replay.
+
+        Raises BadInputError where a property does not exist.
         """
         fdm = engine.open_fdm(self.staging, dt_s)
         for name, value in {**self.card.modes.get("open_loop", {}), **self.settings}.items():
@@ -127,25 +151,42 @@ class ReplayModel:
         return fdm
 
     def position_unit(self, control: str) -> float:
-        """Unit of a control's position in the record's: a surface's may be in another unit than its
-        command, a throttle's is in the command's."""
+        """Return the factor from a control's position property to the record's unit.
+
+        A surface's position may be in another unit than its command; a throttle's is in the
+        command's.
+        """
         if control == "throttle":
             return 1.0 / self.factor[self.controls.index(control)]
         return position_factor(self.card.inputs[control])
 
     def positions(self) -> dict[str, str]:
-        """Control -> property of its position, of those controls whose card names one."""
+        """Return control to position property, for the controls whose card names one."""
         return {c: p for c in self.controls if (p := self.card.inputs[c].position) is not None}
 
 
 class ReplayFolder:
-    """Context that holds the copy of an aircraft for replay.
+    """Context that holds the copy of an aircraft for replay, and yields its `ReplayModel`.
 
-    measured  controls whose record columns are surface positions: their actuators pass everything
-    through (stops remain)
-    ideal     further controls whose actuators pass everything through, though their columns are
-    commands settings  properties set on every instance Raises BadInputError when the card lacks a
-    control asked for."""
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The model.
+    controls : sequence of str
+        Controls that are replayed, in the order of a segment's columns.
+    measured : sequence of str
+        Controls whose record columns are surface positions: their actuators pass values through;
+        stops remain.
+    ideal : sequence of str
+        Further controls whose actuators pass values through, though their columns are commands.
+    settings : Mapping, optional
+        Properties set on every instance.
+
+    Raises
+    ------
+    BadInputError
+        When the card lacks one of the controls.
+    """
 
     def __init__(
         self,
@@ -208,7 +249,7 @@ class ReplayFolder:
 
 
 def _xml_mentions(names: re.Pattern[str], folder: Path) -> bool:
-    """Whether any XML of an aircraft's folder has one of such property names."""
+    """Check whether any XML file of a folder contains a property name of a pattern."""
     texts = (
         p.read_bytes().decode("utf-8", errors="replace") for p in sorted(folder.rglob("*.xml"))
     )
@@ -216,7 +257,7 @@ def _xml_mentions(names: re.Pattern[str], folder: Path) -> bool:
 
 
 def _factor(card: Card, control: str) -> float:
-    """Record unit (deg, percent) to the property's unit."""
+    """Return the factor from a control's record unit [deg, %] to its property unit."""
     unit, limits = card.inputs[control].unit, card.inputs[control].limits
     if unit == "rad":
         return DEG_RAD
@@ -235,8 +276,8 @@ def _factor(card: Card, control: str) -> float:
 def _throws(
     model: ReplayModel, direct: Sequence[str], dt_s: float
 ) -> tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...]:
-    """For every control its positions [deg] and commands over the travel, None where a factor
-    serves.
+    """Tabulate each control's positions [deg] and commands over its travel; None where a factor is
+    enough.
     """
     throws: list[tuple[tuple[float, ...], tuple[float, ...]] | None] = []
     for control in model.controls:
@@ -249,6 +290,7 @@ def _throws(
         ):
             throws.append(None)
             continue
+        # Measure the linkage: command steps over the travel, the position read back from JSBSim.
         commands = np.linspace(*card.limits, 41)
         fdm = model.open(dt_s)
         (set_command,) = control_setters(fdm, replace(model, controls=(control,)))[0]
@@ -263,6 +305,8 @@ def _throws(
         step = np.diff(positions)
         rising = bool((step >= 0.0).all()) and positions[-1] > positions[0]
         if rising or ((step <= 0.0).all() and positions[-1] < positions[0]):
+            # Keep strictly increasing positions only, as interpolation needs; stops repeat a
+            # position.
             order = np.argsort(positions, kind="stable")
             increasing = order[np.append(True, np.diff(positions[order]) > 0.0)]
             throws.append(
@@ -276,12 +320,13 @@ def _throws(
 def _strip_dynamics(
     folder: Path, main: str, card: Card, direct: Sequence[str]
 ) -> tuple[dict[str | None, tuple[str, str]], tuple[str, ...]]:
-    """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every
-    file.
+    """Remove idle systems from the main file, and the dynamics from the actuators of ``direct``
+    controls.
 
-    An actuator moves a control if its name or an output is the card's position, be it in another
-    unit. Returns the positions whose actuators keep a lag, with that lag and rate limit, and the
-    properties that actuators' numbers are."""
+    An actuator moves a control if its name or one of its outputs is the card's position, in
+    whatever unit. Returns position to (lag, rate limit) of actuators that keep a lag, and the
+    properties that the actuators' numbers refer to.
+    """
     lagging: dict[str | None, tuple[str, str]] = {}
     number_properties: set[str] = set()
     surfaces = {
@@ -309,6 +354,7 @@ def _strip_dynamics(
                 for name in output_names
                 if _without_unit(name) in surfaces
             }
+            # A measured or ideal surface follows its column without delay; stops are left in place.
             if moved_positions & positions:
                 for kind in _ACTUATOR_DYNAMICS:
                     for element in actuator.findall(kind):
@@ -333,14 +379,15 @@ def _strip_dynamics(
 
 
 def _without_unit(name: str) -> str:
-    """A position property without its unit: one surface has several."""
+    """Strip the unit from a position property, so that the variants of one surface compare
+    equal.
+    """
     return re.sub(r"-(deg|rad|norm)$", "", name if "/" in name else f"fcs/{name}")
 
 
 def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
-    """Declare, at zero, the properties that only the systems left out used to make.
-
-    The number of engines.
+    """Declare, at zero, the properties that only removed systems created; return the number of
+    engines.
     """
     fdm = engine.open_fdm(model.staging, dt_s)
     engines = int(fdm.get_propulsion().get_num_engines())
@@ -368,9 +415,7 @@ def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
 
 
 def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
-    """For every control of the model the setters of its properties: one, or JSBSim's throttle of
-    every engine.
-    """
+    """Return the property setters of each control: one, or JSBSim's throttle of every engine."""
     setters = []
     for name in model.controls:
         prop = model.card.inputs[name].property
@@ -384,24 +429,19 @@ def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
     return setters
 
 
-# How far the ground is in a replay: as recorded where the aircraft's aerodynamics ask for it,
-# out of reach elsewhere.
-#
-# A record's height counts from where it was started. One that starts in the air at its own zero
-# does not say how high that was, and neither does one without a height.
+# Height of the ground below a replay. It is the recorded height where the aerodynamics read it,
+# and out of reach elsewhere: a record that starts in the air at its own zero, or has no height,
+# does not determine the distance to the ground.
 
 OUT_OF_REACH_M = 2000.0
 _BEGINNING_S, _ZERO_M, _AT_REST_MPS = 0.5, 0.5, 5.0
 _HALF_WINDOW_S = 4.0
-"""Heights within this time of a row say how high it is: of a barometer's noise of 1.5 m at 50 Hz .1
-m is left, at an end .2 m.
-"""
+"""Half width of the window that smooths recorded heights [s]. It reduces a barometer's noise of 1.5
+m at 50 Hz to 0.1 m, and to 0.2 m at the ends."""
 
 
 def has_ground_heights(record: FlightRecord) -> bool:
-    """Whether a record's heights are above the ground: it starts elsewhere than at its zero, or at
-    rest.
-    """
+    """Check whether a record's heights are above the ground: it starts off its zero, or at rest."""
     if (
         "h_m" not in record
         or not np.isfinite(record["h_m"]).any()
@@ -415,12 +455,17 @@ def has_ground_heights(record: FlightRecord) -> bool:
 
 
 def heights(channels: Mapping[str, FloatArray], dt_s: float) -> FloatArray:
-    """(n,) heights [m] along a stretch: the climb that airspeed, wind angles and attitude make
-    (Stevens and Lewis, rate of climb), and what the recorded heights are above it, by a straight
-    line through those about each row. channels: of the stretch, without gaps."""
+    """Return smoothed heights (n,) [m] along a stretch.
+
+    The climb follows from airspeed, wind angles and attitude (Stevens and Lewis, rate of climb);
+    the offset from the recorded heights is a straight line through those near each row.
+    ``channels`` belong to the stretch and have no gaps.
+    """
     V, a, b, phi, theta, h = (
         channels[n] for n in ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "h_m")
     )
+    # Rate of climb of the body-axis velocity, Stevens and Lewis: V times the vertical direction
+    # cosine.
     across = np.sin(b) * np.sin(phi) + np.sin(a) * np.cos(b) * np.cos(phi)
     climb = V * (np.cos(a) * np.cos(b) * np.sin(theta) - across * np.cos(theta))
     path = dt_s * np.concatenate([[0.0], np.cumsum(0.5 * (climb[1:] + climb[:-1]))])
@@ -428,12 +473,13 @@ def heights(channels: Mapping[str, FloatArray], dt_s: float) -> FloatArray:
 
 
 def _local_lines(values: FloatArray, half: int) -> FloatArray:
-    """(n,) where the straight line through the values at most ``half`` samples away is, at each of
-    them.
+    """Fit a straight line to the values within ``half`` samples of each row; return its value
+    there, (n,).
     """
     n = len(values)
     at = np.arange(n)
     first, last = np.maximum(at - half, 0), np.minimum(at + half + 1, n)
+    # Running sums give all windows' normal equations at once.
     sums = np.cumsum(
         np.pad(np.stack([np.ones(n), at, at**2, values, at * values]), ((0, 0), (1, 0))), axis=1
     )
@@ -444,13 +490,14 @@ def _local_lines(values: FloatArray, half: int) -> FloatArray:
 
 
 def terrain_m(model: ReplayModel, segment: Segment) -> float:
-    """Elevation [m] of the ground under a replay, above sea level."""
+    """Return the elevation of the ground under a replay, above sea level [m]."""
     return segment.altitude_m - (segment.h_m if _ground_counts(model, segment) else OUT_OF_REACH_M)
 
 
 def altitudes(model: ReplayModel, segment: Segment, h_m: FloatArray) -> FloatArray:
-    """Altitude [m] above sea level at recorded heights: the segment's throughout where the ground
-    does not count.
+    """Return altitudes above sea level (n,) [m] at recorded heights.
+
+    They equal the segment's throughout where the ground does not matter.
     """
     return segment.altitude_m + (
         h_m - segment.h_m if _ground_counts(model, segment) else np.zeros(len(h_m))
@@ -458,4 +505,5 @@ def altitudes(model: ReplayModel, segment: Segment, h_m: FloatArray) -> FloatArr
 
 
 def _ground_counts(model: ReplayModel, segment: Segment) -> bool:
+    """Check whether the model reads the height above ground and the record has one."""
     return model.near_ground and segment.above_ground

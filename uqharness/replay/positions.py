@@ -1,9 +1,10 @@
-"""Where the surfaces stood: measured, or what the model's actuators make of the commands.
+"""Surface positions of a segment: measured, or computed from the commands by the model's actuators.
 
-Where everything between commands and positions is known and reads nothing of the aircraft's motion,
-an aircraft of these components alone is flown (chains.py), and what it finds serves every aircraft
-that has the same ones, wherever it flies: effects in the aerodynamics move no servo. Elsewhere the
-whole aircraft is flown, from the start state of each stretch."""
+Where the chain from commands to positions reads nothing of the aircraft's motion, an aircraft made
+of these components alone is flown (`uqharness.xml.control_chain`). Its result is shared by all
+aircraft with the same chain, for effects in the aerodynamics move no servo. Elsewhere the whole
+aircraft is flown from the start state of the segment.
+"""
 
 from __future__ import annotations
 
@@ -31,19 +32,19 @@ if TYPE_CHECKING:
     from uqharness.batch import ReplayProgram
 
 
-# Positions by the components alone between commands and surfaces: by the batch engine where
-# much is flown, else by JSBSim.
-#
-# The batch engine's first stretch is flown by JSBSim, too; where they differ, JSBSim flies all.
+# Positions from the chain of components alone, by the batch engine for long flights and by JSBSim
+# for short ones. The first segment of a program is flown by both, and JSBSim flies all if they
+# differ.
 
 _LOG = logging.getLogger("uqharness")
 MIN_CHAIN_BATCH_S = 120.0
-"""Seconds of flight from which on a chain is compiled: for as much JSBSim takes as long as the
+"""Seconds of flight above which a chain is compiled: JSBSim needs as long for them as the
 compiler.
 """
 _MAX_CHAINS_STAGED = 8
 _TOLERANCE = 1e-9
-"""Largest difference of a position between the engines, in units of the largest."""
+"""Largest difference of a position, between engines and between chain and aircraft, relative to the
+largest position."""
 _FROZEN_INTEGRATORS = tuple(
     f"simulation/integrator/{quantity}/{kind}"
     for quantity in ("rate", "position")
@@ -55,8 +56,8 @@ _programs: LRUCache[tuple[object, ...], _Program | None] = LRUCache(_MAX_CHAINS_
 
 @dataclass(frozen=True)
 class PositionRequest:
-    """What is asked of a model: properties of positions, and the values in force that its servos
-    have.
+    """Requested positions: the model, its position properties by control, and the values of its
+    servos.
     """
 
     model: ReplayModel
@@ -67,8 +68,8 @@ class PositionRequest:
 
 @dataclass(frozen=True)
 class _Program:
-    """A compiled chain: places of the controls that enter it, servos' numbers that it reads,
-    columns of the positions asked for.
+    """A compiled chain: indices of its input controls, its servo properties, columns of the
+    positions.
     """
 
     replay: ReplayProgram
@@ -78,15 +79,16 @@ class _Program:
 
 
 def instance_values(model: ReplayModel) -> dict[str, float]:
-    """What is set on every instance of a model."""
+    """Return the properties that are set on every instance of a model."""
     return {**model.card.modes.get("open_loop", {}), **model.settings}
 
 
 def fly_chain(
     request: PositionRequest, chain: ControlChain, segments: Sequence[Segment]
 ) -> list[FloatArray]:
-    """Of each segment (n, k) positions in their own units, by the chain alone; NaN behind a
-    failure. Raises BadInputError.
+    """Fly segments by the chain alone; return (n, k) positions of each in their own units.
+
+    Rows after a failure are NaN. Raises BadInputError.
     """
     out: list[FloatArray] = [np.empty(0)] * len(segments)
     by_stride: dict[int, list[int]] = {}
@@ -108,7 +110,7 @@ def fly_chain(
 def _program(
     request: PositionRequest, chain: ControlChain, segments: Sequence[Segment]
 ) -> _Program | None:
-    """The compiled chain for segments that are flown alike; None where JSBSim is to fly."""
+    """Return the compiled chain for segments of one stride; None where JSBSim has to fly."""
     model, shape = request.model, shape_of(request.model, segments[0])
     key = (
         chain.xml,
@@ -136,6 +138,7 @@ def _program(
 def _compile(
     request: PositionRequest, chain: ControlChain, dt_s: float, stride: int
 ) -> _Program | None:
+    """Translate and compile a chain; None where the engine cannot."""
     staging, model = _staging(chain), request.model
     exists = engine.open_fdm(staging, dt_s).get_property_manager().hasNode
     inputs = [
@@ -168,7 +171,7 @@ def _compile(
 def _verified(
     request: PositionRequest, chain: ControlChain, segment: Segment, program: _Program | None
 ) -> _Program | None:
-    """The program, if it flies a segment as JSBSim does."""
+    """Return the program if it flies a segment as JSBSim does, None otherwise."""
     if program is None:
         return None
     (from_batch,), from_jsbsim = (
@@ -190,7 +193,7 @@ def _verified(
 def _fly_batch(
     program: _Program, request: PositionRequest, segments: Sequence[Segment]
 ) -> list[FloatArray]:
-    """Of each segment (n, k) positions by the batch engine."""
+    """Fly segments by the batch engine; return (n, k) positions of each."""
     servo_values = {name: request.servos[name] for name in program.servos if name in request.servos}
     conditions = dict.fromkeys(batch.CONDITIONS, 0.0)
     lanes = []
@@ -203,7 +206,7 @@ def _fly_batch(
 
 
 def _open_chain(staging: Staging, model: ReplayModel, dt_s: float) -> Any:
-    """JSBSim with the chain's aircraft and what is set on every instance of a model."""
+    """Open JSBSim with the chain's aircraft and the model's settings."""
     fdm = engine.open_fdm(staging, dt_s)
     exists = fdm.get_property_manager().hasNode
     for name, value in instance_values(model).items():
@@ -213,12 +216,12 @@ def _open_chain(staging: Staging, model: ReplayModel, dt_s: float) -> Any:
 
 
 def _by_jsbsim(request: PositionRequest, chain: ControlChain, segment: Segment) -> FloatArray:
-    """(n, k) positions of a segment by JSBSim."""
+    """Fly one segment by JSBSim; return (n, k) positions."""
     model = request.model
     shape = shape_of(model, segment)
     fdm = _open_chain(_staging(chain), model, shape.dt_s)
     exists = fdm.get_property_manager().hasNode
-    # Nothing moves but the controls.
+    # Freeze the integrators of motion: only the controls move.
     for name, value in {**request.servos, **dict.fromkeys(_FROZEN_INTEGRATORS, 0.0)}.items():
         if exists(name):
             engine.set_property(fdm, name, value)
@@ -254,7 +257,7 @@ def _by_jsbsim(request: PositionRequest, chain: ControlChain, segment: Segment) 
 
 
 def _staging(chain: ControlChain) -> Staging:
-    """The chain's own aircraft, as JSBSim wants it laid out; those used last are kept."""
+    """Lay the chain's aircraft out as JSBSim expects; the most recent ones are retained."""
     if chain.xml not in _staged:
         scratch = scratch_folder("controls")
         staging = Staging(scratch.path, "controls")
@@ -269,14 +272,12 @@ def _staging(chain: ControlChain) -> Staging:
 
 
 MIN_REPEATED_BATCH_S = 60.0
-"""Seconds of flight from which on whole aircraft are flown by the batch engine where positions are
-asked for several times, each time with other servos."""
+"""Seconds of flight above which the batch engine flies whole aircraft, where positions are
+requested repeatedly with different servos."""
 MIN_SINGLE_BATCH_S = 300.0
-"""The same where they are asked for once: for as much JSBSim takes as long as a compiler."""
+"""The same for a single request: JSBSim needs as long for them as the compiler."""
 _MAX_CACHE_BYTES, _MAX_CHAINS = 50_000_000, 64
-"""Largest difference between the positions that a whole aircraft and its components alone come to,
-in units of the largest.
-"""
+"""Limits of the caches: bytes of positions, number of chains."""
 _TRIAL_ROWS, _MIN_TRIAL_ROWS = 100, 10
 _position_cache: OrderedDict[tuple[object, ...], FloatArray] = OrderedDict()
 _chains: LRUCache[tuple[object, ...], ControlChain | None] = LRUCache(_MAX_CHAINS)
@@ -289,12 +290,26 @@ def surface_positions(
     properties: Mapping[str, float] | None = None,
     min_batch_s: float = MIN_REPEATED_BATCH_S,
 ) -> list[FloatArray]:
-    """Of each segment (n, c) where the controls stood: the record's own values where measured, else
-    what the model's actuators make of them.
+    """Return the controls of each segment, (n, c), as positions in the record's units.
 
-    properties: values in force, of which the actuators' own count. What was asked before is
-    remembered: residuals ask for the same stretch under many states. worth_s: seconds of flight
-    from which on the batch engine flies whole aircraft."""
+    Parameters
+    ----------
+    model : ReplayModel
+        The aircraft; its measured controls are returned as recorded.
+    segments : sequence of Segment
+        The segments.
+    names : sequence of str
+        Controls whose positions are computed; the others are returned as commanded.
+    properties : Mapping, optional
+        Values in force, of which those of the servos matter.
+    min_batch_s : float
+        Seconds of flight above which the batch engine flies whole aircraft.
+
+    Returns
+    -------
+    list of ndarray
+        Copies; results are cached, because residuals ask for the same segment under many states.
+    """
     servos = {name: value for name, value in (properties or {}).items() if name in model.servos}
     position_properties = {
         c: p for c, p in model.positions().items() if c in names and c not in model.measured
@@ -327,9 +342,7 @@ def surface_positions(
 def _key(
     request: PositionRequest, chain: ControlChain | None, segment: Segment
 ) -> tuple[object, ...]:
-    """What positions depend on: of a whole aircraft its identity and where it begins, of a chain
-    that chain.
-    """
+    """Return what positions depend on: the chain, or else the aircraft and its start."""
     controls = segment.at_commands().controlled
     if chain is None:
         start = (segment.time_s.tobytes(), segment.start.tobytes(), segment.altitude_m, segment.h_m)
@@ -367,7 +380,7 @@ def _key(
 def _fly_aircraft(
     request: PositionRequest, segments: Sequence[Segment], min_batch_s: float
 ) -> list[FloatArray]:
-    """Of each segment (n, k) what the whole aircraft's positions are, in their own units."""
+    """Fly the whole aircraft; return (n, k) positions of each segment in their own units."""
     if not request.properties or not segments:
         return [np.empty((len(segment.time_s), 0)) for segment in segments]
     jobs = [
@@ -385,7 +398,7 @@ def _fly_aircraft(
 
 
 def _with_positions(request: PositionRequest, segment: Segment, rows: FloatArray) -> FloatArray:
-    """(n, c) controls of a segment, those whose positions were flown at these."""
+    """Return the controls (n, c) of a segment with simulated positions in place of commands."""
     model = request.model
     positions = segment.at_commands().controls[:: segment.per_row].copy()
     for k, control in enumerate(request.properties):
@@ -396,8 +409,11 @@ def _with_positions(request: PositionRequest, segment: Segment, rows: FloatArray
 
 
 def _chain_of(request: PositionRequest, segments: Sequence[Segment]) -> ControlChain | None:
-    """What moves the positions asked for, if that reads commands, servos' numbers and constants
-    alone and comes to the positions of the whole aircraft, with which it is compared once."""
+    """Return the chain that moves the requested positions, None where there is no usable one.
+
+    It may read commands, servo numbers and constants only, and must reproduce the positions of the
+    whole aircraft, which is checked once.
+    """
     model = request.model
     key = (model.identity, tuple(request.properties.values()))
     if key not in _chains:
@@ -412,6 +428,7 @@ def _chain_of(request: PositionRequest, segments: Sequence[Segment]) -> ControlC
 
 
 def _extract_chain(request: PositionRequest) -> ControlChain | None:
+    """Extract the chain from the aircraft's XML; None where it depends on the motion."""
     model = request.model
     try:
         sources = sources_of(model)
@@ -445,8 +462,9 @@ def _extract_chain(request: PositionRequest) -> ControlChain | None:
     key=lambda request, chain, _: (chain.xml, repr(instance_values(request.model))),
 )
 def _chain_agrees(request: PositionRequest, chain: ControlChain, segment: Segment) -> bool:
-    """Whether the beginning of a segment comes out alike; compared once for aircraft that share a
-    chain.
+    """Check that the beginning of a segment has the same positions from chain and aircraft.
+
+    Aircraft that share a chain are compared once.
     """
     beginning = _beginning(segment)
     extra = tuple(request.properties.values())
@@ -460,14 +478,14 @@ def _chain_agrees(request: PositionRequest, chain: ControlChain, segment: Segmen
     except BadInputError as error:
         _LOG.info("positions are flown by whole aircraft: %s", error)
         difference = np.full((1, 1), np.nan)
-    # An aircraft that falls from the sky at once shows nothing.
+    # An aircraft that diverges at once leaves too few rows to compare.
     return bool(
         valid.sum() >= min(len(from_jsbsim), _MIN_TRIAL_ROWS) and (difference <= _TOLERANCE).all()
     )
 
 
 def _beginning(segment: Segment) -> Segment:
-    """At most so many rows of a segment."""
+    """Return the first rows of a segment, one a command."""
     at_commands = segment.at_commands()
     rows = slice(0, _TRIAL_ROWS)
     return replace(

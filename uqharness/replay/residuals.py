@@ -1,5 +1,8 @@
-"""JSBSim's side of the residual coefficients: the aircraft's own prediction at a flight's measured
-states.
+"""The model's predicted coefficients at the measured states of a flight, for residual coefficients.
+
+`prediction_of` opens an aircraft twice: with its actuators, to compute surface positions, and with
+controls passed through, to evaluate forces. Predictions are cached, because noise probes and
+filters ask for the same states repeatedly. `sampling_errors` corrects for the finite sample rate.
 """
 
 from __future__ import annotations
@@ -39,28 +42,36 @@ from uqharness.replay.replay import CHANNELS, STATES
 from uqharness.replay.segments import Segment
 from uqharness.simulator import Aircraft
 
-# What sampling alone leaves between the coefficients that a flight demanded and those of a
-# perfect model.
+# Errors of residual coefficients that come from sampling alone.
 #
-# Demanded and predicted coefficients pass one filter, which equals the model's mean over the
-# time between two rows by the mean of its values at these rows (`sysid.aerodynamics.smooth`).
-# That holds where coefficients go from row to row in straight lines. A surface that jumps with
-# its command jumps behind its row, and a fast mode answers within a row or two: half a row of
-# the jump is left, and what the mode bends. Both are the same in a flight of the model under
-# the same commands, where nothing else is left. So pieces around the jumps are flown by the
-# model, and what the formulas leave of these flights is the error of sampling.
+# Demanded and predicted coefficients pass the same filter, which replaces the model's mean between
+# two rows by the mean of its values at the rows (`sysid.aerodynamics.smooth`). That is exact for
+# coefficients that are linear between rows. It fails where a surface jumps just after its row and a
+# fast mode responds within a row or two. A flight of the model itself under the same commands has
+# the same error and no other, so pieces around jumps are simulated and their residuals subtracted.
 
 _PIECE_S = 2.0
-"""Seconds flown from one measured state: gusts, or a model that is wrong or unstable, must not lead
-far away meanwhile.
-"""
+"""Length of such a simulation [s], from one measured state: short, so that gusts or a wrong model
+do not lead far from the flight."""
 
 
 @dataclass(frozen=True)
 class MeasuredSegment:
-    """A segment with its measured channels by name, (n,) each without gaps, positions (n, c) of the
-    controls in the record's units, altitude_m (n,) above sea level, and by how much the controls
-    act late, ``late_s``."""
+    """A segment with its measured channels.
+
+    Attributes
+    ----------
+    segment : Segment
+        Times, commands and start.
+    channels : Mapping
+        Channels by name, (n,) each, without gaps.
+    positions : ndarray
+        (n, c) controls as positions, in the record's units.
+    altitude_m : ndarray
+        (n,) above sea level [m].
+    late_s : float
+        Delay of the controls [s].
+    """
 
     segment: Segment
     channels: Mapping[str, FloatArray]
@@ -71,7 +82,9 @@ class MeasuredSegment:
 
 @dataclass(frozen=True)
 class _JumpFlight:
-    """Rows of segment ``number`` that are flown, of which ``rows`` are wanted."""
+    """A simulation around a jump: ``flown_rows`` of segment ``number``, of which ``rows``
+    are used.
+    """
 
     number: int
     rows: slice
@@ -117,6 +130,7 @@ def sampling_errors(
     jobs = [flight.job for flight in flights]
     seconds = sum(float(np.ptp(job.segment.time_s)) for job in jobs)
     outputs = list(fly_all(jobs) if seconds > MIN_SINGLE_BATCH_S else map(by_jsbsim, jobs))
+    # Skip simulations that left the flight: they say nothing about sampling.
     completed = [
         (f, dict(zip(CHANNELS, y.T, strict=True)))
         for f, y in zip(flights, outputs, strict=True)
@@ -146,8 +160,8 @@ def _jump_flights(
     properties: Mapping[str, float],
     cutoff_hz: float,
 ) -> Iterator[_JumpFlight]:
-    """Flights of the model around the jumps of a segment, each wider than the rows wanted of it by
-    the filter's half width.
+    """Yield the simulations around the jumps of a segment, each wider than its rows by half the
+    filter's width.
     """
     segment = part.segment
     surfaces = [model.controls.index(c) for c in model.jumping if c != "throttle"]
@@ -161,6 +175,7 @@ def _jump_flights(
         flown_rows = slice(max(rows.start - width, 0), min(rows.stop + width, n))
         if flown_rows.stop - flown_rows.start > 2 and jumps[flown_rows].any():
             piece = segment.part(flown_rows)
+            # Later pieces start from the measured state of their first row.
             if flown_rows.start > 0:
                 state = np.array([part.channels[c][flown_rows.start] for c in STATES])
                 altitude = float(part.altitude_m[flown_rows.start])
@@ -173,7 +188,7 @@ def _jump_flights(
 def _sampling_error(
     channels: Mapping[str, FloatArray], forced: ForcedModel, segment: Segment, cutoff_hz: float
 ) -> FloatArray:
-    """(n, 6) demanded minus predicted coefficients of a flight that the model has made."""
+    """Return demanded minus predicted coefficients (n, 6) of a flight of the model itself."""
     demanded_coefficients = demanded(
         np.column_stack([channels[f"a{a}_mps2"] for a in "xyz"]),
         np.column_stack([channels[f"{a}_radps"] for a in "pqr"]),
@@ -201,21 +216,20 @@ NEEDED = (
     "ay_mps2",
     "az_mps2",
 )
-"""Channels without which there is no residual; none of them is bridged across a gap."""
+"""Channels that residual coefficients need; none of them is bridged across a gap."""
 PREDICTED_FIELDS = ("coefficients", "other_force", "other_moment", "qbar")
-"""What a model says of each row."""
+"""Fields of a prediction that have one value a row."""
 _PRE_ROLL_S = 2.0
 _ROW_STRIDE = 4
-"""Changes of what the model says are asked for at every fourth row: they move with the state, which
-takes longer than that.
+"""Row stride at which changes of a prediction are evaluated: they follow the state, which is
+slower.
 """
 
 
 @dataclass(frozen=True)
 class JsbsimPrediction:
-    """coefficients(record, piece) of a flight's model.
-
-    ``straight`` passes its controls through, ``model`` has its actuators.
+    """Predictions of one flight; ``model`` has its actuators, ``direct_model`` passes controls
+    through.
     """
 
     model: ReplayModel
@@ -227,8 +241,10 @@ class JsbsimPrediction:
     positions: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
     def predict(self, requests: Sequence[tuple[FlightRecord, Piece, int]]) -> list[Prediction]:
-        """Force states upon the model, all at once, and read what it says: of each record and piece
-        those of every so many rows and of the last. Raises BadInputError."""
+        """Evaluate (record, piece, row stride) requests together; every stride-th row and the last.
+
+        Raises BadInputError.
+        """
         self._prepare([piece for _, piece, _ in requests])
         parts = [self._states(*one) for one in requests]
         names = [f"{c}_pos_deg" if c != "throttle" else "throttle_pct" for c in CONTROLS]
@@ -251,6 +267,7 @@ class JsbsimPrediction:
         return out
 
     def _states(self, record: FlightRecord, piece: Piece, every: int) -> SegmentStates:
+        """Collect the states of one request."""
         rows = piece.rows
         segment, controls = (
             self.segments[rows.start, rows.stop],
@@ -258,7 +275,8 @@ class JsbsimPrediction:
         )
         altitude = np.full(rows.stop - rows.start, segment.altitude_m)
         if "h_m" in record and np.isfinite(record["h_m"][rows]).all():
-            # Below the ground's reach its height must be what the terrain was laid for.
+            # Near the ground the height must match the terrain of the replay; elsewhere only its
+            # variation matters.
             height = heights(
                 {c: np.array(record[c][rows], dtype=float) for c in (*NEEDED, "h_m")}, record.dt_s
             )
@@ -272,7 +290,7 @@ class JsbsimPrediction:
         )
 
     def sampling_errors(self, arm_m: Sequence[float], cutoff_hz: float) -> list[FloatArray]:
-        """(n, 6) errors of sampling in the coefficients of each piece of the flight
+        """Return the sampling errors (n, 6) in the coefficients of each piece of the flight
         (`sampling_errors`).
         """
         pieces = self.flight.pieces
@@ -293,8 +311,11 @@ class JsbsimPrediction:
         return sampling_errors(self.model, self.direct_model, parts, self.values, cutoff_hz)
 
     def _prepare(self, pieces: Sequence[Piece]) -> None:
-        """Segments, and where the controls stood. Actuators run up before the piece: where one
-        stands at its start follows from before."""
+        """Compute segments and control positions of pieces that are new.
+
+        Actuators are simulated from `_PRE_ROLL_S` before the piece, because their position at its
+        start depends on earlier commands.
+        """
         missing = {
             (p.rows.start, p.rows.stop): p
             for p in pieces
@@ -325,13 +346,19 @@ class JsbsimPrediction:
 
 
 def sampled_rows(n: int, every: int) -> NDArray[np.intp]:
-    """Every so many of n rows, and the last."""
+    """Return every ``every``-th of n rows, and the last.
+
+    >>> sampled_rows(6, 4)
+    array([0, 4, 5])
+    """
     return np.unique(np.append(np.arange(0, n, every), n - 1))
 
 
 def with_sampled_change(reference: Prediction, prediction: Prediction, every: int) -> Prediction:
-    """What a model says at states near those of ``reference``: asked at every so many rows, its change
-    drawn straight between them.
+    """Return the prediction at states near those of ``reference``.
+
+    ``prediction`` is evaluated at every ``every``-th row; its change from the reference is
+    interpolated linearly.
     """
     n = len(reference.qbar)
     sampled, full = sampled_rows(n, every), np.arange(n)
@@ -356,8 +383,24 @@ def prediction_of(
     ideal_servos: bool = False,
     values: Mapping[str, float] | None = None,
 ) -> Iterator[ReplayPair]:
-    """The aircraft opened twice: with its actuators, and with controls passed straight through.
-    values: of properties that are not to be as in its XML."""
+    """Open the aircraft twice, with its actuators and with controls passed through.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The model.
+    measured : sequence of str
+        Surfaces whose columns are positions.
+    ideal_servos : bool
+        Whether commands bypass the actuators.
+    values : Mapping, optional
+        Properties that differ from the aircraft's XML.
+
+    Yields
+    ------
+    ReplayPair
+        Valid inside the context.
+    """
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with (
         ReplayFolder(aircraft, measured=measured, ideal=ideal) as model,
@@ -368,7 +411,9 @@ def prediction_of(
 
 @dataclass(frozen=True)
 class ReplayPair:
-    """The aircraft, and what it has said already: another filter asks for the same states again."""
+    """An aircraft opened twice, with cached predictions: other filters ask for the same states
+    again.
+    """
 
     model: ReplayModel
     direct_model: ReplayModel
@@ -378,12 +423,12 @@ class ReplayPair:
     models: dict[int, JsbsimPrediction] = field(default_factory=dict)
 
     def of(self, flight: Flight) -> Model:
-        """The callable that `residual_coefficients` takes."""
+        """Return the callable that `residual_coefficients` takes."""
         return lambda record, piece: self._every_row(flight, record, piece)
 
     def model_near(self, flight: Flight) -> Model:
-        """The same for one who asks for a piece's own states first and then for states near
-        them.
+        """Return such a callable for states near those of the first request of each piece, at a
+        coarser row stride.
         """
         references = dict[tuple[int, int], Prediction]()
 
@@ -407,8 +452,8 @@ class ReplayPair:
         pieces: Sequence[Piece],
         every: int = 1,
     ) -> None:
-        """Ask for all states of some records at once, at every so many rows: piece by piece an
-        answer takes many times as long.
+        """Evaluate all states of some records at once; one piece at a time takes many times as
+        long.
         """
         requests = {self._key(flight, r, p, every): (r, p, every) for r in records for p in pieces}
         missing = {key: one for key, one in requests.items() if key not in self.predictions}
@@ -420,22 +465,24 @@ class ReplayPair:
     def prefetch_near(
         self, flight: Flight, records: Sequence[FlightRecord], pieces: Sequence[Piece]
     ) -> None:
-        """The same for states near a piece's own, which `around` is asked for."""
+        """Evaluate states near a piece's own, for `model_near`."""
         self.prefetch(flight, records, pieces, _ROW_STRIDE)
 
     def sampling_errors(
         self, flight: Flight, arm_m: Sequence[float], cutoff_hz: float
     ) -> list[FloatArray]:
-        """(n, 6) errors of sampling in the coefficients of each piece of a flight."""
+        """Return the sampling errors (n, 6) in the coefficients of each piece of a flight."""
         return self._model(flight).sampling_errors(arm_m, cutoff_hz)
 
     def _every_row(self, flight: Flight, record: FlightRecord, piece: Piece) -> Prediction:
+        """Return the prediction at every row, from the cache if possible."""
         key = self._key(flight, record, piece, 1)
         if key not in self.predictions:
             self.prefetch(flight, [record], [piece])
         return self.predictions[key]
 
     def _model(self, flight: Flight) -> JsbsimPrediction:
+        """Return the prediction object of a flight."""
         prediction = self.models.get(id(flight))
         if prediction is None or prediction.flight is not flight:
             prediction = self.models[id(flight)] = JsbsimPrediction(
@@ -445,6 +492,7 @@ class ReplayPair:
 
     @staticmethod
     def _key(flight: Flight, record: FlightRecord, piece: Piece, every: int) -> tuple[object, ...]:
+        """Return the cache key of a request: flight, rows, stride and the states themselves."""
         states = hash(tuple(record[c][piece.rows].tobytes() for c in NEEDED))
         return (flight.name, piece.rows.start, piece.rows.stop, every, states)
 
@@ -456,7 +504,8 @@ def read_bounds_flights(
     map_path: Path | None = None,
     flight_numbers: Sequence[int] = (),
 ) -> tuple[list[Flight], tuple[str, ...]]:
-    """Flights cut where every channel of NEEDED is there, and the surfaces with measured positions.
+    """Read flights, cut where every channel of NEEDED is present; return them and the measured
+    surfaces.
 
     Raises BadInputError.
     """
@@ -467,7 +516,7 @@ def read_bounds_flights(
 
 
 def recut(flight: Flight, measured: Sequence[str]) -> Flight:
-    """The flight cut where every channel of NEEDED is there. Raises BadInputError."""
+    """Cut a flight where every channel of NEEDED is present. Raises BadInputError."""
     missing = [
         c for c in NEEDED if c not in flight.record or not np.isfinite(flight.record[c]).any()
     ]
@@ -496,7 +545,9 @@ def recut(flight: Flight, measured: Sequence[str]) -> Flight:
 def flight_residuals(
     pair: ReplayPair, flight: Flight, arm_m: Sequence[float], cutoffs: Cutoffs
 ) -> Residuals:
-    """A flight's residual coefficients. Raises BadInputError."""
+    """Compute a flight's residual coefficients, corrected for sampling errors. Raises
+    BadInputError.
+    """
     try:
         pair.prefetch(flight, [steady_airspeed(flight.record, cutoffs.airspeed_hz)], flight.pieces)
         residuals = residual_coefficients(
@@ -506,8 +557,8 @@ def flight_residuals(
         raise BadInputError(f"{flight.name}: {error}") from None
     errors = pair.sampling_errors(flight, arm_m, cutoffs.all_hz)
     dt_s = residuals.dt_s
-    # Rows nearer to an end than the filter is wide are no part of a residual piece, and shorter
-    # pieces have none.
+    # Residual pieces leave out the rows within the filter's half width of an end; pieces that are
+    # too short have none.
     m = half_width(dt_s, cutoffs.all_hz)
     interior_errors = [error[m : len(error) - m] for error in errors if len(error) >= 2 * m + 3]
     pieces = tuple(

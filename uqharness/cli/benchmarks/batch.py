@@ -141,7 +141,10 @@ def replay_lines(figures: Mapping[str, float]) -> list[str]:
             f" take {400.0 / rate:.2f} s"
         ),
         f"  g  replays translated, compiled, checked   {figures['g_compile_s']:8.2f} s of one core",
-        f"  h  identify, all parameters, with g        {figures['h_identify_s']:8.2f} s of one core",
+        (
+            f"  h  identify, all parameters, with g        {figures['h_identify_s']:8.2f} s of one"
+            " core"
+        ),
     ]
 
 

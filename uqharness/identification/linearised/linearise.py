@@ -168,7 +168,7 @@ def _scale(qbar: FloatArray, mass: MassProperties) -> FloatArray:
 class ProbeJob:
     """One segment to probe: x (n, 8) reference states, controls (n, c) positions, properties in force."""
 
-    straight: ReplayModel
+    direct_model: ReplayModel
     segment: Segment
     x: FloatArray
     controls: FloatArray
