@@ -1,5 +1,9 @@
-"""What a flight's residual coefficients hold beside the model's error: noise of its sensors, and
-the air's own rotation.
+"""Model-form bounds of a JSBSim aircraft from flights, and their validation on other flights.
+
+Residual coefficients (demanded minus predicted) are corrected for sensor noise and for the rotation
+of the air, then bounded as functions of the flight state (`sysid.model_form`). `make_bounds` fits
+the bounds with their evidence, `validate` counts how much of a new flight lies inside, and
+`parse_designs` reads the polynomials of the command line. Nothing is written.
 """
 
 from __future__ import annotations
@@ -68,10 +72,9 @@ VANES = ("alpha_rad", "beta_rad")
 def noise_sizes(
     flight: Flight, stated: Mapping[str, float], cutoffs: Cutoffs
 ) -> dict[str, NoiseSize]:
-    """White noise of each channel: what the flight's samples show above the filter's cut-off, the
-    card's figure as prior.
+    """Estimate the white noise of each channel from samples above the filter's cut-off.
 
-    stated: channel -> standard deviation that the card gives.
+    ``stated`` are the card's standard deviations by channel, used as priors.
     """
     record = flight.record
     out = {}
@@ -92,11 +95,20 @@ def noise_sizes(
 
 @dataclass(frozen=True)
 class NoisyFlight:
-    """A flight's residuals with the noise that its own sensors have put in, and what tells of the
-    air's rotation.
+    """A flight's residuals with the noise of its sensors.
 
-    std   channel -> of its noise        air   none where alpha or beta come from an estimator,
-    which feels no gusts"""
+    Attributes
+    ----------
+    residuals : Residuals
+        Residual coefficients with their noise.
+    std : Mapping
+        Standard deviation of the noise by channel.
+    air : sequence of AirPiece, optional
+        Data on the air's rotation; None where alpha or beta come from an estimator, which does not
+        sense gusts.
+    arm_m : tuple
+        Position of the accelerometers from the CG [m].
+    """
 
     residuals: Residuals
     std: Mapping[str, float]
@@ -107,10 +119,10 @@ class NoisyFlight:
     def of(
         pair: ReplayPair, flight: Flight, residuals: Residuals, aircraft: Aircraft
     ) -> NoisyFlight:
-        """Asks the model for what noise and rotation would change."""
+        """Evaluate the model for the effect of sensor noise and of the air's rotation."""
         sizes = noise_sizes(flight, aircraft.card.sensors.noise_std, residuals.cutoffs)
         std = {c: size.std for c, size in sizes.items()}
-        # Rates moved by noise's probe and by rotation's are the same states: asked once.
+        # The probes of noise and of rotation perturb the same states, which are evaluated once.
         model, arm = pair.model_near(flight), tuple(aircraft.accelerometer_m)
         pair.prefetch_near(flight, offset_records(flight.record, residuals.cutoffs), flight.pieces)
         noisy = with_sensor_noise(
@@ -131,8 +143,8 @@ class NoisyFlight:
         return NoisyFlight(noisy, std, air, arm)
 
     def in_still_air(self, residuals: Residuals) -> tuple[Residuals, AirFound | None]:
-        """Residuals of the flight behind any filter, with noise, without the rotation of
-        the air.
+        """Return residuals of any filter with noise and without the air's rotation, and the
+        rotation found.
         """
         return (
             (residuals, None)
@@ -144,31 +156,48 @@ class NoisyFlight:
 def noisy_residuals(
     pair: ReplayPair, flight: Flight, residuals: Residuals, aircraft: Aircraft
 ) -> Residuals:
-    """A flight's residuals with the noise of its sensors and of the air's rolling, without the
-    air's rotation.
+    """Return residuals with the noise of sensors and of the air's rolling, without the air's
+    rotation.
     """
     noisy = NoisyFlight.of(pair, flight, residuals, aircraft)
     return noisy.in_still_air(noisy.residuals)[0]
 
 
 def air_note(flight: Flight, air: AirFound) -> str:
-    """What was taken for the air's."""
+    """Describe the rotation of the air that was removed."""
     return (
-        f"{flight.name}: {100.0 * air.share:.0f} ± {100.0 * air.std:.0f} % of the rotation that"
-        " frozen gusts have is in the residuals; it is the air's, not the model's, and was"
-        " taken out"
+        f"{flight.name}: the residuals contain {100.0 * air.share:.0f} ± {100.0 * air.std:.0f} %"
+        " of the rotation of frozen gusts; it is an effect of the air, not a model error, and is"
+        " removed"
     )
 
 
-# Model-form bounds of a JSBSim aircraft: flights in, a ModelForm and all that is needed to
-# judge it out. Writes nothing.
+# Fitting of bounds.
 
 
 @dataclass(frozen=True)
 class BoundsOptions:
-    """How bounds are made. outside: what the intervals do beyond the data; checks: noise floor,
-    leave-one-out, other cut-offs. values: of properties that are not to be as in the aircraft's
-    XML."""
+    """Options of `make_bounds`.
+
+    Attributes
+    ----------
+    designs : Mapping
+        Polynomial of each coefficient.
+    fit : FitOptions
+        Confidence, sample size, selection and treatment of noise.
+    cutoffs : Cutoffs
+        Filters of the residual coefficients [Hz].
+    walk_cutoff_hz : float
+        Low-pass for the rate of variation [Hz].
+    outside : {"grow", "clamp"}
+        What the bounds do beyond the data.
+    ideal_servos : bool
+        Whether surfaces follow their commands at once.
+    checks : bool
+        Whether leave-one-out and other filters are computed.
+    values : Mapping
+        Properties that differ from the aircraft's XML.
+    """
 
     designs: Mapping[str, Design] = field(default_factory=default_designs)
     fit: FitOptions = field(default_factory=FitOptions)
@@ -182,7 +211,7 @@ class BoundsOptions:
 
 @dataclass(frozen=True)
 class CutoffRow:
-    """One other filter: its cut-offs, and per coefficient the mean width."""
+    """Mean widths by coefficient with another filter."""
 
     cutoffs: Cutoffs
     width: Mapping[str, float]
@@ -192,11 +221,29 @@ class CutoffRow:
 class MadeBounds(Tabled):
     """A model form with its evidence.
 
-    widths       coefficient -> mean width of the bounds over the data         noise  -> rms of the
-    sensors' noise in a sample
-    baseline     the default states' bounds where other states were asked for, for comparison
-    left_out     manoeuvre -> coefficient -> share inside the bounds of the others        cutoffs
-    other filters"""
+    Attributes
+    ----------
+    form : ModelForm
+        The bounds.
+    residuals : Residuals
+        What they were fitted to.
+    fitted : Mapping
+        Fit of each coefficient.
+    baseline : Mapping
+        Bounds with the default states, where other states were requested.
+    variations : Mapping
+        Rate of variation by coefficient.
+    widths : Mapping
+        Mean width of the bounds over the data [-].
+    noise : Mapping
+        Rms of the sensors' noise in a sample [-].
+    left_out : Mapping
+        Manoeuvre to coefficient to the share inside the bounds of the other manoeuvres.
+    cutoffs : tuple of CutoffRow
+        Widths with other filters.
+    notes, warnings : tuple of str
+        Sentences for the user.
+    """
 
     form: ModelForm
     residuals: Residuals
@@ -214,8 +261,8 @@ class MadeBounds(Tabled):
         return f"MadeBounds({self.form!r}, {len(self.warnings)} warnings)"
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table of coefficients: samples, effective ones, standard deviation, mean width,
-        noise, walk rate, parts.
+        """Return the table of coefficients: samples, standard deviation, mean width, noise, walk
+        rate, parts.
         """
         import pandas as pd
 
@@ -235,7 +282,9 @@ class MadeBounds(Tabled):
 
 
 def _parts_of(bounds: CoefficientBounds) -> dict[str, float]:
-    """Sizes of the parts [-]; none where noise and model error were kept together."""
+    """Return the parts of the model error [-]; empty where noise and model error were kept
+    together.
+    """
     p = bounds.parts
     if p is None:
         return {}
@@ -256,9 +305,32 @@ def make_bounds(
     options: BoundsOptions,
     callback: Callable[[str], object] = lambda stage: None,
 ) -> MadeBounds:
-    """Fit the intervals. hashes: SHA-256 of each flight's file; ``callback`` is told each stage.
+    """Fit model-form bounds to flights.
 
-    Raises BadInputError when the flights are too short for any fit.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The model.
+    flights : sequence of Flight
+        Flights that the model was not identified from.
+    measured : sequence of str
+        Surfaces whose columns are positions.
+    hashes : sequence of str
+        SHA-256 of each flight's file.
+    options : BoundsOptions
+        What is fitted.
+    callback : callable
+        Called with the name of each stage.
+
+    Returns
+    -------
+    MadeBounds
+        The model form and its evidence.
+
+    Raises
+    ------
+    BadInputError
+        When the flights are too short for any fit.
     """
     arm = aircraft.accelerometer_m
     flights = [f.with_smoothing_delay() for f in flights] if options.ideal_servos else flights
@@ -282,6 +354,7 @@ def make_bounds(
                 _with_cutoffs(pair, flights, noisy, arm, c, options)
                 for c in _other_cutoffs(options.cutoffs)
             ]
+    # Rates of variation of the residuals within their bounds, for walks between levels.
     walks = {
         c: variation(residuals, c, f.bounds, options.walk_cutoff_hz, options.outside)
         for c, f in fitted.items()
@@ -332,7 +405,7 @@ def make_bounds(
 
 
 def _notes_of(fitted: Mapping[str, FittedBounds]) -> list[str]:
-    """Return the notes of all coefficients; one that several share names them and stands once."""
+    """Return the notes of all coefficients; one that several share names all of them."""
     coefficients: dict[str, list[str]] = {}
     for c, f in fitted.items():
         for note in f.notes:
@@ -343,6 +416,7 @@ def _notes_of(fitted: Mapping[str, FittedBounds]) -> list[str]:
 def _fit(
     residuals: Residuals, designs: Mapping[str, Design], options: FitOptions
 ) -> dict[str, FittedBounds]:
+    """Fit the intervals. Raises BadInputError for too little data."""
     try:
         return fit_bounds(residuals, designs, options)
     except ValueError as error:
@@ -350,8 +424,8 @@ def _fit(
 
 
 def _baseline(residuals: Residuals, options: BoundsOptions) -> dict[str, CoefficientBounds]:
-    """Default bounds of the coefficients whose states or terms were chosen by the user (Fig 2.10's
-    blue lines).
+    """Return default bounds of the coefficients whose states or terms the user chose (Hale, Fig
+    2.10).
     """
     usual = default_designs()
     changed = {c: usual[c] for c, d in options.designs.items() if d != usual[c]}
@@ -366,14 +440,14 @@ def _baseline(residuals: Residuals, options: BoundsOptions) -> dict[str, Coeffic
 
 
 def mean_widths(form: ModelForm, residuals: Residuals) -> dict[str, float]:
-    """Mean width of the bounds over a flight's own states."""
+    """Return the mean width of the bounds over a flight's states [-]."""
     return {
         c: float(np.mean(high - low)) for c, (low, high) in form.bounds(residuals.states).items()
     }
 
 
 def _noise_rms(residuals: Residuals) -> dict[str, float]:
-    """Root mean square of the sensors' noise in each coefficient's samples [-]."""
+    """Return the rms of the sensors' noise in each coefficient's samples [-]."""
     variance = np.concatenate(
         [noise_variance(p.noise) for p in residuals.pieces if p.noise is not None]
     )
@@ -381,7 +455,7 @@ def _noise_rms(residuals: Residuals) -> dict[str, float]:
 
 
 def _other_cutoffs(used: Cutoffs) -> list[Cutoffs]:
-    """Half and twice the filter, and the airspeed at half, twice and without its low-pass."""
+    """Return half and twice the filter, and half, twice and no low-pass of the airspeed."""
     return [
         Cutoffs(0.5 * used.all_hz, used.airspeed_hz),
         Cutoffs(2.0 * used.all_hz, used.airspeed_hz),
@@ -398,6 +472,7 @@ def _with_cutoffs(
     cutoffs: Cutoffs,
     options: BoundsOptions,
 ) -> CutoffRow:
+    """Fit the bounds with another filter; NaN widths where that fails."""
     try:
         parts = [
             with_noise_of(flight_residuals(pair, f, arm, cutoffs), u.residuals)
@@ -413,6 +488,7 @@ def _with_cutoffs(
 
 
 def _mean_width(bounds: CoefficientBounds, residuals: Residuals) -> float:
+    """Return the mean width of one coefficient's bounds over the residuals' states [-]."""
     low, high = bounds.bounds(residuals.states)
     return float(np.mean(high - low))
 
@@ -420,7 +496,7 @@ def _mean_width(bounds: CoefficientBounds, residuals: Residuals) -> float:
 def mean_left_out(
     residuals: Residuals, left_out: Mapping[str, Mapping[str, float]]
 ) -> dict[str, float]:
-    """Share inside when manoeuvres are left out, over all samples; NaN without a second
+    """Return the leave-one-manoeuvre-out coverage over all samples; NaN without a second
     manoeuvre.
     """
     if not left_out:
@@ -435,6 +511,7 @@ def mean_left_out(
 
 
 def _flight_used(flight: Flight, residuals: Residuals, sha256: str) -> FlightUsed:
+    """Describe a flight for the model form."""
     seconds = sum(p.time_s[-1] - p.time_s[0] for p in residuals.pieces)
     estimates = tuple(c for c in flight.record.metadata.estimates if c in NOISY)
     return FlightUsed(
@@ -450,6 +527,7 @@ def _warnings(
     walks: Mapping[str, Variation],
     cutoffs: Cutoffs,
 ) -> list[str]:
+    """Collect warnings about flights and bounds."""
     out = [*flight_warnings(flights, form, cutoffs), *_identified_from(aircraft, flights, hashes)]
     short = [c for c, w in walks.items() if not np.isfinite(w.rate)]
     if short:
@@ -461,8 +539,8 @@ def _warnings(
 
 
 def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs) -> list[str]:
-    """What weakens these flights' residuals: estimated angles, channels slower than the filter,
-    other rates than the form's.
+    """Return what weakens the residuals of flights: estimated angles, slow channels, another sample
+    rate.
     """
     out = []
     for flight in flights:
@@ -470,8 +548,8 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
         estimated = [c for c in record.metadata.estimates if c in NOISY]
         if estimated:
             out.append(
-                f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor: its"
-                " errors are in the intervals"
+                f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor; the"
+                " intervals include its errors"
             )
         slow = [
             c
@@ -495,8 +573,8 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
 def _identified_from(
     aircraft: Aircraft, flights: Sequence[Flight], hashes: Sequence[str]
 ) -> list[str]:
-    """Flights that the aircraft's parameters were estimated from, by the fit.json beside an
-    identified aircraft.
+    """Warn of flights from which the model was identified, by the fit.json of an identified
+    aircraft.
     """
     path = aircraft.folder.parent / "fit.json"
     try:
@@ -511,14 +589,13 @@ def _identified_from(
     for flight, sha256 in zip(flights, hashes, strict=True):
         if sha256 in digests or (not digests and any(Path(n).stem == flight.name for n in names)):
             out.append(
-                f"{flight.name}: {path} says that the model was identified from this flight; its"
-                " residuals are too small for bounds. Use another flight"
+                f"{flight.name}: the model was identified from this flight ({path}); its residuals"
+                " are too small for bounds. Use another flight"
             )
     return out
 
 
-# How the polynomials of bounds are written on the command line: --states, --terms, --order,
-# --roll-terms.
+# Polynomials on the command line: --states, --terms, --order, --roll-terms.
 
 _SHORT = {
     "V": "V_mps",
@@ -539,7 +616,11 @@ _SHORT = {
 def parse_designs(
     states: Sequence[str], terms: Sequence[str], order: int, roll_terms: bool
 ) -> dict[str, Design]:
-    """Designs from --states, --terms, --order and --roll-terms. Raises BadInputError."""
+    """Parse --states, --terms, --order and --roll-terms to designs. Raises BadInputError.
+
+    >>> parse_designs(["CX=V,alpha"], [], 1, False)["CX"].states
+    ('V_mps', 'alpha_rad')
+    """
     from sysid.aerodynamics import parse_term
     from sysid.aerodynamics.coefficients import STATES
     from sysid.model_form import Design, default_designs
@@ -581,11 +662,13 @@ def parse_designs(
 
 
 def _long_name(factor: str) -> str:
+    """Expand the short state of a factor such as ``alpha^2``."""
     state, caret, power = factor.strip().partition("^")
     return f"{_SHORT.get(state, state)}{caret}{power}"
 
 
 def _assignment(option: str, text: str, coefficients: list[str]) -> tuple[str, list[str]]:
+    """Parse ``C=name,name``. Raises BadInputError."""
     coefficient, equals, names_text = text.partition("=")
     names = [n.strip() for n in names_text.split(",") if n.strip()]
     if not equals or not names or coefficient not in coefficients:
@@ -596,16 +679,25 @@ def _assignment(option: str, text: str, coefficients: list[str]) -> tuple[str, l
     return coefficient, names
 
 
-# Bounds held against flights that they have not seen.
+# Validation on other flights.
 
 
 @dataclass(frozen=True)
 class Validation:
-    """Coverage of a form on flights it has not seen. warnings: why it may mean less than it seems
-    to.
+    """Coverage of a model form on flights that it was not made from.
 
-    flight_std: coefficient -> standard deviation of model error from flight to flight [-], NaN: not
-    estimable from the flights behind the form."""
+    Attributes
+    ----------
+    coverage : Mapping
+        Coverage of each coefficient's intervals.
+    residuals : Residuals
+        Residual coefficients of the flights.
+    notes, warnings : tuple of str
+        Sentences for the user; warnings weaken the coverage.
+    flight_std : Mapping
+        Standard deviation of the model error from flight to flight [-], NaN where it cannot be
+        estimated.
+    """
 
     coverage: Mapping[str, Coverage]
     residuals: Residuals
@@ -631,10 +723,30 @@ def validate(
     ideal_servos: bool = False,
     values: Mapping[str, float] | None = None,
 ) -> Validation:
-    """Filter the flights as the form's own were, and count. Raises BadInputError for another
-    aircraft's form and missing states.
+    """Count the residuals of flights that lie inside a form's bounds.
 
-    values: of properties that are not to be as in the aircraft's XML.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The model of the bounds.
+    form : ModelForm
+        The bounds; the flights are filtered as its own were.
+    flights, measured, hashes
+        As for `make_bounds`.
+    ideal_servos : bool
+        Whether surfaces follow their commands at once.
+    values : Mapping, optional
+        Properties that differ from the aircraft's XML.
+
+    Returns
+    -------
+    Validation
+        Coverage, residuals and warnings.
+
+    Raises
+    ------
+    BadInputError
+        For bounds of another aircraft, and for flights without the states of the bounds.
     """
     if form.aircraft.name != aircraft.name:
         raise BadInputError(
@@ -658,8 +770,8 @@ def validate(
     warnings = flight_warnings(flights, form, cutoffs)
     if form.aircraft.sha256 != content_hash(aircraft):
         warnings.append(
-            f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the"
-            " model as it was"
+            f"aircraft '{aircraft.name}' has changed since the bounds were made; they belong to the"
+            " earlier model"
         )
     for flight, sha256 in zip(flights, hashes, strict=True):
         if sha256 in {f.sha256 for f in form.flights}:
@@ -681,12 +793,12 @@ def validate(
 
 
 def verdicts(validation: Validation) -> dict[str, Verdict]:
-    """Coefficient -> whether its 95 % bounds hold on these flights."""
+    """Return, by coefficient, whether its 95 % bounds hold on these flights."""
     return {
         c: verdict(row.share[0.95], row.error[0.95], 0.95) for c, row in validation.coverage.items()
     }
 
 
 def failed(validation: Validation) -> tuple[str, ...]:
-    """Coefficients whose 95 % bounds do not hold."""
+    """Return the coefficients whose 95 % bounds do not hold."""
     return tuple(c for c, outcome in verdicts(validation).items() if outcome == "fails")

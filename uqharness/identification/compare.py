@@ -1,9 +1,10 @@
-"""A flight beside the model: replay by segment, gap per channel, coefficient and manoeuvre, and
-what the gap looks like.
+"""Comparison of a flight with the model: gap by channel, coefficient and manoeuvre.
 
-The aerodynamics stay as they are. Start states of the segments and constant sensor biases are
-estimated, because a replay from a start wrong by the sensors' noise misses the flight whatever the
-model."""
+The flight is replayed by segment with the aerodynamics unchanged. Start states of the segments,
+constant sensor biases and delays are estimated, because a replay from a start that is wrong by the
+sensors' noise misses the flight with any model. Each channel's residual is set against its noise,
+and sign, scale and delay are stated where the flight determines them.
+"""
 
 from __future__ import annotations
 
@@ -55,22 +56,22 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-# How a measured channel answers the model's: sign, scale and delay, each stated only where the
-# flight determines it. Pure.
+# Relation of a measured channel to the modelled one: sign, scale and delay, each only where the
+# flight determines it.
 
 MOTION_SIGMA = 1.0
-"""Standard deviations of the sensor's noise that the model's motion must have, rms about a straight
-line, before sign, scale or delay are looked for: below, what noise and start states have in common
-passes for a scale of hundreds."""
+"""Smallest modelled motion, rms about a straight line in units of the noise, for which sign, scale
+and delay are determined. Below, the correlation of noise and start states passes for a huge scale.
+"""
 MAX_DELAY_S = 0.2
-"""Delays are looked for up to this, either way."""
+"""Largest delay that is searched for, either way [s]."""
 DELAY_STD_S = 0.25 * MAX_DELAY_S
-"""Standard error above which a delay is undefined: two of them on either side are the whole range
-that is looked through.
+"""Standard error above which a delay is undefined [s]: its 95 % interval would span the search
+range.
 """
 SCALE_MARGIN = 0.33
-"""By how much a channel may be larger or smaller than the model's before its unit is doubted:
-derivatives are that wrong.
+"""Deviation of the scale from 1 that errors of derivatives can explain; more suggests a
+wrong unit.
 """
 _ANSWER_HZ = (0.1, 2.5)
 _NO_RELATION = Relation(math.nan, math.nan, math.nan, math.inf, 0.0, 0)
@@ -78,10 +79,15 @@ _NO_RELATION = Relation(math.nan, math.nan, math.nan, math.inf, 0.0, 0)
 
 @dataclass(frozen=True)
 class Answer:
-    """relation: the measured channel as a multiple of the model's, without evidence where the model
-    hardly moves.
+    """How a measured channel follows the modelled one.
 
-    shift: delay of the measured channel, NaN where ``undefined`` says why there is none.
+    Attributes
+    ----------
+    relation : Relation
+        The measured channel as a multiple of the modelled one; without evidence where the model
+        hardly moves.
+    shift : Shift
+        Delay of the measured channel, NaN where ``undefined`` gives a reason.
     """
 
     relation: Relation
@@ -90,7 +96,7 @@ class Answer:
 
 
 def slip_of(answer: Relation) -> str:
-    """Sign or scale that is wrong for sure, in words; "" when it cannot be told or is right."""
+    """Describe a sign or scale that is certainly wrong; "" where it is right or undetermined."""
     if not answer.evident or answer.allows(1.0, SCALE_MARGIN):
         return ""
     size = f"{answer.scale:.2f} times the model's (between {answer.low:.2f} and {answer.high:.2f})"
@@ -98,8 +104,9 @@ def slip_of(answer: Relation) -> str:
 
 
 def motion(modelled: Sequence[FloatArray]) -> float:
-    """Rms of the model's channel about a straight line in each segment (n,); NaN without a segment
-    that was flown through.
+    """Return the rms of a modelled channel about a straight line in each segment (n,).
+
+    NaN where no segment was flown to its end.
     """
     squares = []
     for y in modelled:
@@ -112,10 +119,21 @@ def motion(modelled: Sequence[FloatArray]) -> float:
 def answer_of(
     measured: Sequence[FloatArray], modelled: Sequence[FloatArray], noise: float, dt_s: float
 ) -> Answer:
-    """What a channel's segments [(n,)], measured (NaN between logged samples) and modelled, say of
-    sign, scale and delay.
+    """Determine sign, scale and delay of a channel.
 
-    noise: standard deviation of the measured channel, its own unit
+    Parameters
+    ----------
+    measured, modelled : sequence of ndarray
+        (n,) by segment; measured is NaN between logged samples.
+    noise : float
+        Standard deviation of the measured channel, in its unit.
+    dt_s : float
+        Sample time [s].
+
+    Returns
+    -------
+    Answer
+        Without evidence or delay where they are undetermined.
     """
     rms_motion = motion(modelled)
     if not rms_motion >= MOTION_SIGMA * noise:
@@ -134,6 +152,7 @@ def answer_of(
 
 
 def _motion_note(sigma: float) -> str:
+    """Describe a motion that is too small."""
     return (
         f"the model moves {sigma:.1f} sigma" if math.isfinite(sigma) else "the model does not move"
     )
@@ -146,7 +165,7 @@ def _no_shift() -> Shift:
 def _relation(
     measured: Sequence[FloatArray], modelled: Sequence[FloatArray], dt_s: float
 ) -> Relation:
-    """Where the channel was logged, straight lines between samples."""
+    """Relate measured to modelled values; logged samples are connected linearly."""
     x, y = [], []
     for z, m in zip(measured, modelled, strict=True):
         at, logged = np.arange(len(z)), np.isfinite(z)
@@ -157,10 +176,10 @@ def _relation(
 
 
 LIMIT = NOISE_FLOOR
-"""The noise floor is reached when no judged channel's rms is above this many times its noise."""
+"""Ratio of rms to noise up to which a judged channel counts as at the noise floor."""
 _DELAY_SIGMA = 2.0
-"""Standard errors by which the controls' delay must pass its limit before the record counts as not
-aligned.
+"""Standard errors by which the controls' delay must exceed its limit for a record to count as
+shifted.
 """
 _MAX_MOMENTS = 20
 _RESPONSES = {
@@ -168,21 +187,31 @@ _RESPONSES = {
     "aileron": {"p_radps", "phi_rad"},
     "rudder": {"r_radps", "beta_rad", "ay_mps2"},
 }
-"""Channels that show a control's effect first."""
+"""Channels that show the effect of a control first."""
 
 
 @dataclass(frozen=True)
 class ChannelGap:
-    """One channel over all segments: rms of measured minus model, noise, delay of the measured
-    channel, Theil's coefficient.
+    """Gap of one channel over all segments.
 
-    rms is what is left after the delay that was allowed for (``allowed_s``, 0 where none was
-    estimated); shift is on top of it.
-
-    answer is the measured channel as a multiple of the model's, without evidence where the model
-    hardly moves; the delay is NaN where the flight does not determine it, and ``undefined`` says
-    why. ``judged`` channels decide the verdict; height and heading do not (integrals of others,
-    drifting sensors)."""
+    Attributes
+    ----------
+    rms, noise : float
+        Rms of measured minus modelled, after the estimated delay, and noise, in the channel's unit.
+    judged : bool
+        Whether it decides the verdict. Height and heading do not: they are integrals of others and
+        drift.
+    allowed_s : float
+        Estimated delay that was allowed for [s], 0 where none was estimated.
+    shift : Shift
+        Remaining delay [s]; NaN where the flight does not determine it.
+    theil : Theil
+        Inequality coefficient with its shares.
+    answer : Relation
+        The measured channel as a multiple of the modelled one.
+    undefined : str
+        Why the delay is NaN.
+    """
 
     rms: float
     noise: float
@@ -195,22 +224,18 @@ class ChannelGap:
 
     @property
     def slip(self) -> str:
-        """What is wrong with sign or scale of the measured channel against the model's, "" when
-        nothing is for sure.
-        """
+        """Describe a wrong sign or scale of the measured channel; "" where nothing is certain."""
         return slip_of(self.answer)
 
     @property
     def ratio(self) -> float:
-        """Rms of measured minus model over the channel's noise; 1 is the noise floor."""
+        """Return the rms over the channel's noise; 1 is the noise floor."""
         return self.rms / self.noise
 
 
 @dataclass(frozen=True)
 class CoefficientGap:
-    """One coefficient: rms of demanded minus model, rms that sensor noise alone would give, mean
-    difference.
-    """
+    """Gap of one coefficient: rms of demanded minus predicted, rms by sensor noise alone, mean."""
 
     rms: float
     noise: float
@@ -219,7 +244,7 @@ class CoefficientGap:
 
 @dataclass(frozen=True)
 class Moment:
-    """One of the worst moments: where, how large, in units of noise."""
+    """One of the largest residuals: time [s], channel, manoeuvre, size, and size over noise."""
 
     time_s: float
     channel: str
@@ -232,10 +257,30 @@ class Moment:
 class Comparison(Tabled):
     """All gaps of one flight.
 
-    manoeuvres  label -> channel -> rms over noise        demanded, predicted  coefficients (n, 6),
-    one array a segment controls_late_s  how late the controls act, estimated, and its standard
-    error, NaN where the flight does not determine it; late_limit_s  what a record allows, infinite
-    for a log, whose channels are stamped when they are written"""
+    Attributes
+    ----------
+    aircraft, flight : str
+        What was compared.
+    channels, coefficients : Mapping
+        Gaps by name.
+    manoeuvres, manoeuvre_coefficients : Mapping
+        Label to name to rms over noise.
+    moments : tuple of Moment
+        The largest residuals.
+    segments, outputs, measured, modelled
+        Segments, channels and their (n, m) arrays, one a segment.
+    demanded, predicted : list of ndarray
+        Coefficients (n, 6), one array a segment.
+    nuisance : Mapping
+        Estimated start states, biases and delays.
+    notes : tuple of str
+        Sentences for the user.
+    controls_late_s, controls_late_std_s : float
+        Delay of the controls and its standard error [s], NaN where the flight does not determine
+        it.
+    late_limit_s : float
+        Delay that a record allows [s]; infinite for a log, whose channels are stamped when written.
+    """
 
     aircraft: str
     flight: str
@@ -270,9 +315,9 @@ class Comparison(Tabled):
 
     @property
     def aligned(self) -> bool:
-        """The record's commands act when it says they do.
+        """Check that the commands of the record act when it says.
 
-        A row of difference would otherwise pass for a lag in every servo.
+        A shift of one row would otherwise pass for a lag of every servo.
         """
         return (
             not abs(self.controls_late_s) - _DELAY_SIGMA * self.controls_late_std_s
@@ -281,9 +326,7 @@ class Comparison(Tabled):
 
     @property
     def slips(self) -> tuple[str, ...]:
-        """Judged channels whose sign or scale is not the model's, in words, and the control that
-        explains it where one does.
-        """
+        """Describe judged channels of wrong sign or scale, and the control that explains them."""
         slips = {c: g.slip for c, g in self.channels.items() if g.judged and g.slip}
         reversed_ = {c for c, text in slips.items() if text.startswith("reversed")}
         reversed_controls = [
@@ -296,8 +339,8 @@ class Comparison(Tabled):
 
     @property
     def reached(self) -> bool:
-        """Every judged channel's rms is within LIMIT times its noise, and the controls are where
-        the record puts them.
+        """Check that the controls are aligned and every judged channel is within LIMIT of its
+        noise.
         """
         return self.aligned and all(
             gap.ratio <= LIMIT for gap in self.channels.values() if gap.judged
@@ -305,16 +348,14 @@ class Comparison(Tabled):
 
     @property
     def above(self) -> tuple[str, ...]:
-        """Judged channels above the limit, the worst first."""
+        """Return the judged channels above the limit, the worst first."""
         ratios = [
             (g.ratio, c) for c, g in self.channels.items() if g.judged and not g.ratio <= LIMIT
         ]
         return tuple(c for _, c in sorted(ratios, reverse=True))
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table of channels: rms of measured minus model, noise, their ratio, whether it is
-        judged, and the delay [s].
-        """
+        """Return the table of channels: rms, noise, ratio, whether judged, and delay [s]."""
         import pandas as pd
 
         rows = {
@@ -330,8 +371,8 @@ class Comparison(Tabled):
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
 
     def histories(self) -> list[History]:
-        """Each segment's channels as measured and, ending in ``_model``, as replayed: what
-        ``plot_overlay`` draws.
+        """Return the channels of each segment as measured and, ending in ``_model``, as
+        replayed.
         """
         return [
             History(
@@ -361,9 +402,36 @@ def compare(
     workers: int | None = None,
     callback: Callable[[str], None] = lambda stage: None,
 ) -> Comparison:
-    """Replay a flight and measure the gap; ``callback`` is told what is being done.
+    """Replay a flight and measure its gap to the model.
 
-    Raises BadInputError when the model cannot fly any segment.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The model.
+    flight : Flight
+        Ready for replay.
+    measured : sequence of str
+        Surfaces whose columns are positions.
+    biases : sequence of str
+        Channels with a constant sensor bias.
+    delays : sequence of str, optional
+        Channels whose delay is estimated; by default as in `identify`.
+    ideal_servos : bool
+        Whether surfaces and throttle follow their commands at once.
+    workers : int, optional
+        Processes.
+    callback : callable
+        Called with the name of each stage.
+
+    Returns
+    -------
+    Comparison
+        All gaps.
+
+    Raises
+    ------
+    BadInputError
+        When the model cannot fly any segment.
     """
     arm = aircraft.accelerometer_m
     cut_segments = segments(flight, measured, arm)
@@ -394,6 +462,7 @@ def compare(
                 noise,
                 _control_delay_s(layout_names, theta),
             )
+    # Drop the segments that the model cannot fly.
     data = [d for d, ok in zip(data, flyable, strict=True) if ok]
     modelled = [y for y, ok in zip(modelled, flyable, strict=True) if ok]
     cut_segments = [s for s, ok in zip(cut_segments, flyable, strict=True) if ok]
@@ -402,7 +471,7 @@ def compare(
     gaps = [z - y for z, y in zip(data, modelled, strict=True)]
     estimates = [c for c in judged_channels if c in flight.record.metadata.estimates]
     if estimates:
-        # A vane's noise says nothing of an angle that a filter computed from other sensors.
+        # A vane's noise does not apply to an angle that a filter computed from other sensors.
         notes = [*notes, f"estimates of the log, listed and not judged: {', '.join(estimates)}"]
         judged_channels = tuple(c for c in judged_channels if c not in estimates)
     missing = [c for c in OUTPUTS if c not in present]
@@ -460,9 +529,11 @@ def _fit_starts(
     late: Mapping[str, Sequence[str]],
     pool: Any,
 ) -> tuple[FloatArray, tuple[str, ...], list[bool], list[str], float]:
-    """Start states and biases (and their names) that bring the replay nearest; which segments the
-    model can fly; notes; standard error of the controls' delay [s], NaN where the flight does not
-    determine it."""
+    """Estimate start states, biases and delays.
+
+    Returns theta and its names, flags of the segments that the model can fly, notes, and the
+    standard error of the controls' delay [s], NaN where the flight does not determine it.
+    """
     columns = [list(present).index(c) for c in judged_channels]
     layout = nuisance_layout(
         (), (), segments, biases, judged_channels, late, jumping_flights(model, segments, late)
@@ -476,8 +547,7 @@ def _fit_starts(
             " its XML and the controls' signs"
         )
     notes = [
-        f"{s.label} at {s.time_s[0]:.1f} s was left out: the model's state is no longer finite"
-        " there"
+        f"{s.label} at {s.time_s[0]:.1f} s is left out: the model's state diverges there"
         for s, ok in zip(segments, flyable, strict=True)
         if not ok
     ]
@@ -494,7 +564,7 @@ def _fit_starts(
     fit, inner = fitted.fit, fitted.layout
     if not fit.converged:
         notes.append("start states and biases did not converge: the gaps may be too large")
-    # Numbers of the segments flown back to numbers of all segments.
+    # Renumber the start states: the fit counts flyable segments only.
     number = [i for i, ok in enumerate(flyable) if ok]
     theta = np.zeros(len(layout.names))
     for name, value in zip(inner.names, fit.theta, strict=True):
@@ -516,11 +586,11 @@ def _coefficients(
     noise: Mapping[str, float],
     late_s: float,
 ) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
-    """Demanded and predicted coefficients (n, 6) by segment, and the rms (6,) that the sensors'
-    noise alone gives.
+    """Return demanded and predicted coefficients (n, 6) by segment, and the rms (6,) by noise
+    alone.
 
-    The latter by experiment: noise is added once more, to what the flight demanded and to the
-    states the model was asked at."""
+    The latter is an experiment: noise is added once more to the measured channels and states.
+    """
     rng = np.random.default_rng(1)
     channels = [states(flight, piece) for piece in flight.pieces]
     gaps = coefficient_gaps(model, direct_model, segments, channels, noise, rng, late_s=late_s)
@@ -529,13 +599,13 @@ def _coefficients(
 
 
 def _control_delay_s(names: Sequence[str], theta: FloatArray) -> float:
-    """Read the estimate of how late the controls of the flight act; 0 where none was estimated."""
+    """Return the estimated delay of the controls [s]; 0 where none was estimated."""
     ends = zip(names, theta.tolist(), strict=True)
     return float(sum(v for n, v in ends if n.endswith(f"/{CONTROL_DELAY}")))
 
 
 def _allowed_delay_s(names: Sequence[str], theta: FloatArray, channel: str) -> float:
-    """How late, s, the channel was let come after the commands: the controls' delay and its own
+    """Return the estimated delay of a channel after the commands [s]: the controls' and its
     sensor's.
     """
     ends = (f"/{CONTROL_DELAY}", f"/{SENSOR_OF.get(channel, channel)}")
@@ -559,6 +629,7 @@ def _channel_gap(
     judged: bool,
     allowed_s: float,
 ) -> ChannelGap:
+    """Compute the gap of one channel."""
     z, y = [d[:, k] for d in data], [m[:, k] for m in modelled]
     answer = answer_of(z, y, noise[name], segments[0].dt_s)
     return ChannelGap(
@@ -576,6 +647,7 @@ def _channel_gap(
 def _coefficient_gap(
     k: int, demand: list[FloatArray], predicted: list[FloatArray], floor: FloatArray
 ) -> CoefficientGap:
+    """Compute the gap of one coefficient."""
     gap = np.concatenate([d[:, k] - s[:, k] for d, s in zip(demand, predicted, strict=True)])
     return CoefficientGap(rms(gap), float(floor[k]), float(np.nanmean(gap)))
 
@@ -586,6 +658,7 @@ def _by_manoeuvre(
     names: Sequence[str],
     noise: Mapping[str, float],
 ) -> dict[str, dict[str, float]]:
+    """Return rms over noise by manoeuvre and name."""
     out = {}
     for label in dict.fromkeys(s.label for s in segments):
         pooled = np.concatenate(
@@ -602,6 +675,7 @@ def _moments(
     present: Sequence[str],
     noise: Mapping[str, float],
 ) -> tuple[Moment, ...]:
+    """Return the largest residuals of the judged channels."""
     moments = []
     for segment, gap in zip(segments, gaps, strict=True):
         for channel in judged_channels:

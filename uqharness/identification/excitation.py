@@ -1,5 +1,11 @@
-"""Constants of side force, roll and yaw that an aircraft's XML can have: read from its bias
-properties.
+"""Which parameters flights can determine, and which channels those act on, before anything is
+estimated.
+
+The information matrix at the start values (Maine and Iliff, NASA RP-1138, 1985, section 5) bounds
+the standard error of each parameter, with start states and biases estimated at the same time. It
+follows from the model's motion under the recorded controls. Parameters that could not reach a
+useful standard error stay at their values, and channels on which no remaining parameter acts are
+not fitted.
 """
 
 from __future__ import annotations
@@ -24,11 +30,12 @@ _LATERAL = tuple(SLOT[axis] for axis in ("SIDE", "ROLL", "YAW"))
 
 
 def lateral_constants(model: ReplayModel) -> tuple[str, ...]:
-    """One bias property for each of side force, roll and yaw, of an aircraft whose functions have
-    scales and biases.
+    """Return one bias property for each of side force, roll and yaw that the aircraft's functions
+    have.
 
-    Every aircraft is a little asymmetric and no symmetric model is: a constant moment is no
-    evidence of a control's effect."""
+    Every aircraft is slightly asymmetric and no symmetric model is, so a constant moment is no
+    evidence of a control's effect: these constants are estimated with the parameters.
+    """
     axes = read_section(model.staging.folder, model.staging.xml.name).axes
     out = []
     for slot in _LATERAL:
@@ -42,36 +49,23 @@ def lateral_constants(model: ReplayModel) -> tuple[str, ...]:
     return tuple(out)
 
 
-# Which parameters flights can determine, and which channels they act on, before anything is
-# estimated.
-#
-# The information matrix at the start values (Maine and Iliff, NASA RP-1138, 1985, section 5)
-# gives the smallest standard error that each parameter could have, start states and biases
-# estimated beside it. It comes from the model's motion under the flights' own controls, so it
-# says what the manoeuvres excite.
-
 MIN_T = 4.0
-"""Size over smallest standard error that a parameter must have: below, its 95 % interval would be
-as wide as it is large.
-"""
+"""Smallest ratio of a parameter's size to its standard error: below, the 95 % interval would be as
+wide as the parameter is large."""
 WIDTH_SHARE = 0.1
-"""A parameter's size is its value, or this share of its bounds' width: one of about 0 is known no
-better by being small.
-"""
+"""A parameter's size is its value, at least this share of the width of its bounds: values near 0
+are not determined better for being small."""
 MIN_CHANNEL_SHARE = 0.01
-"""Share of the information on some parameter that a channel must hold; without it, it says nothing
-of any.
-"""
+"""Smallest share of the information on some parameter that a fitted channel must contribute."""
 _STEP = 1e-4
-"""Of a parameter's value, of its bounds' width or of one: replays are smooth, and a double resolves
-1e-8 of their change.
-"""
+"""Difference step relative to a parameter's value, its bounds' width or one: replays are smooth,
+and a double resolves 1e-8 of their change."""
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """held: parameter -> why it stays at its value. left_out: channels that say nothing of the
-    others.
+    """Result of the assessment: fixed parameters with reasons, and channels on which no free one
+    acts.
     """
 
     fixed: Mapping[str, str]
@@ -90,11 +84,26 @@ def find_excited(
     noise: Mapping[str, float],
     pool: Callable[..., Any],
 ) -> Excitation:
-    """Judge parameters ``names`` (k,) of a replay whose theta begins with them, at ``initial``
-    (k,).
+    """Assess the parameters of a replay at their start values.
 
-    noise: standard deviation by channel; map_: as `replay_pool` gives it. NOTHING where the model
-    cannot fly from there."""
+    Parameters
+    ----------
+    replay : Replay
+        Its theta begins with the parameters.
+    observed : Observed
+        Segments and channels.
+    names, initial, limits
+        (k,) parameters, start values and bounds.
+    noise : Mapping
+        Standard deviation by channel.
+    pool : callable
+        A `map` as `replay_pool` yields it.
+
+    Returns
+    -------
+    Excitation
+        NONE_FIXED where the model cannot fly from the start values.
+    """
     count = len(replay.names)
     theta = np.zeros(count)
     theta[: len(names)] = initial
@@ -112,6 +121,7 @@ def find_excited(
     if sensitivities is None:
         return NONE_FIXED
     with np.errstate(divide="ignore", invalid="ignore"):
+        # Sensitivities in units of the noise; samples that were not logged carry no information.
         slopes = sensitivities.each(
             lambda part, _, rows: np.where(logged[rows, :, None], part / sigma[:, None], 0.0)
         )
@@ -130,9 +140,11 @@ def find_excited(
 def assess_excitation(
     slopes: Blocks, labels: Sequence[str], size: FloatArray, outputs: Sequence[str]
 ) -> Excitation:
-    """The same from slopes (N, m, K) of the outputs in sigma; the first of the K ``labels`` are
-    parameters, of ``size`` (k,), the others are estimated beside them. A parameter of size 0 is not
-    held."""
+    """Assess parameters by the sensitivities (N, m, K) of the outputs in units of the noise.
+
+    The first of the K ``labels`` are parameters of ``size`` (k,); the others are nuisance
+    parameters. A parameter of size 0 is never fixed.
+    """
     count = len(size)
     information = total_information(slopes)
     fixed: dict[str, str] = {}
@@ -146,14 +158,14 @@ def assess_excitation(
             np.where(gate.identified, np.maximum(np.diagonal(gate.inverse), 0.0), np.inf)
         )
         t = size / smallest[:count]
-        # One at a time: what is held leaves the others its share of the information.
+        # Fix one at a time: the others gain the information that it took.
         weak = [k for k in free_columns if k < count and size[k] > 0.0 and t[k] < MIN_T]
         if not weak:
             break
         worst = min(weak, key=lambda k: (t[k], information[k, k]))
         reason = gate.reason[free_columns.index(worst)] or (
-            f"not excited: its standard error would be {smallest[worst]:.2g} at least, "
-            f"{size[worst] / MIN_T:.2g} at most is needed"
+            f"not excited: its standard error would be at least {smallest[worst]:.2g}, "
+            f"at most {size[worst] / MIN_T:.2g} is needed"
         )
         fixed[labels[worst]] = reason
     free = [
@@ -161,8 +173,8 @@ def assess_excitation(
     ]
     if not free:
         return Excitation(fixed, ())
-    # (free, m): information of each channel alone on each parameter, in units of what is left of
-    # all when the rest is estimated.
+    # (free, m): information of each channel alone on each parameter, relative to that of all
+    # channels after the other parameters are estimated.
     squares = np.zeros((len(outputs), len(labels)))
     for part, columns in slopes:
         squares[:, columns] += np.sum(part**2, axis=0)
@@ -178,7 +190,7 @@ def assess_excitation(
 
 
 def without_channels(observed: Observed, left_out: Sequence[str]) -> Observed:
-    """The same without some channels."""
+    """Return the observations without some channels."""
     retained = [k for k, c in enumerate(observed.outputs) if c not in left_out]
     outputs = tuple(observed.outputs[k] for k in retained)
     return replace(
@@ -199,8 +211,9 @@ def restrict_to_excited(
     pool: Callable[..., Any],
     choose: bool,
 ) -> tuple[Observed, list[str]]:
-    """What is fitted of what was observed, parameters that it does not excite held; notes. choose:
-    channels may be left out.
+    """Fix the parameters that the flights do not excite, and leave out channels on which none acts.
+
+    Returns the reduced observations and notes; ``choose`` allows channels to be left out.
     """
     constants = [n for n in lateral_constants(model) if n not in names]
     layout = nuisance_layout(
@@ -216,7 +229,7 @@ def restrict_to_excited(
     replay.forget()
     left_out = excitation.left_out if choose else ()
     notes = (
-        [f"not fitted, because no parameter that is estimated acts on them: {', '.join(left_out)}"]
+        [f"channels left out, because no estimated parameter acts on them: {', '.join(left_out)}"]
         if left_out
         else []
     )

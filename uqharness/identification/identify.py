@@ -1,9 +1,10 @@
-"""Identification of a JSBSim aircraft's parameters from flights: equation error to come near,
-output error by replay to settle.
+"""Identification of a JSBSim aircraft's parameters from flights.
 
-Output error takes a replay of every segment for its simulation; start states of the segments and
-sensor biases are estimated beside the parameters. Where the residuals show process noise
-(turbulence), filter error on one-step predictions takes over, and the result says so."""
+Equation error gives start values, output error on replays of every segment gives the estimates;
+start states of the segments and sensor biases are estimated with them. Where the residuals show
+process noise (turbulence), filter error on one-step predictions follows, and the result says so. A
+fit that has not converged or does not explain its flights identifies no parameter.
+"""
 
 from __future__ import annotations
 
@@ -56,15 +57,13 @@ from uqharness.replay import (
 from uqharness.replay.flights import segments
 from uqharness.simulator import MEMS_NOISE_STD, Aircraft
 
-# Whether a fit explains its flights at all. One that does not gives the nearest values of a
-# wrong model, and identifies none.
+# Fits that do not explain their flights: their estimates are the best values of a wrong model.
 
 UNEXPLAINED_SIGMA = 10.0
-"""Residual in sigma above which a channel may count as unexplained: small missing terms, which
-`refine` names, leave some 4.
-"""
+"""Residual in units of the noise above which a channel may count as unexplained. Small missing
+terms, which `refine` finds, leave about 4."""
 UNEXPLAINED_SHARE = 0.1
-"""Share of a channel's variance left over above which it does: a third of the motion's size."""
+"""Residual share of a channel's variance above which it does: a third of the motion's amplitude."""
 
 
 def unexplained(
@@ -73,13 +72,23 @@ def unexplained(
     outputs: Sequence[str],
     noise: Mapping[str, float],
 ) -> dict[str, tuple[float, float]]:
-    """Channels that a fit does not explain: rms of the residual in sigma, and its share of the
-    channel's variance.
+    """Find the channels that a fit does not explain.
 
-    residual, measured  [(n, m)] by segment, NaN where nothing was logged; the variance is about
-    each segment's mean
-    noise               by channel, its own unit; a record cleaner than a small MEMS unit is judged
-    by that unit's noise"""
+    Parameters
+    ----------
+    residual, measured : sequence of ndarray
+        (n, m) by segment, NaN where nothing was logged; variances are about each segment's mean.
+    outputs : sequence of str
+        Their channels.
+    noise : Mapping
+        Standard deviation by channel, in the channel's unit; a record cleaner than a small MEMS
+        unit is judged by that unit's noise.
+
+    Returns
+    -------
+    dict
+        Channel to the residual's rms in units of the noise, and to its share of the variance.
+    """
     out = {}
     for k, channel in enumerate(outputs):
         residual_square, motion_square, samples = 0.0, 0.0, 0
@@ -100,9 +109,11 @@ def unexplained(
 
 
 def withdraw_invalid(result: Identification) -> Identification:
-    """``result`` itself where it converged and explains its flights; else the same with no
-    parameter identified, each at its start, and why: neither values nor standard errors hold of a
-    fit that has not ended, or of a model that is not the aircraft's."""
+    """Return the result unchanged, or without any identified parameter if it is not valid.
+
+    A fit that has not ended, or whose model is not the aircraft's, has neither meaningful values
+    nor standard errors: each parameter returns to its start value with the reason.
+    """
     reason = _invalid_reason(result) if result.identified else ""
     if not reason:
         return result
@@ -126,7 +137,7 @@ def withdraw_invalid(result: Identification) -> Identification:
 
 
 def _invalid_reason(result: Identification) -> str:
-    """Empty where the estimates stand."""
+    """Return why no parameter is identified; empty where the estimates are valid."""
     unexplained_channels = unexplained(
         result.residual, result.measured, result.outputs, result.noise
     )
@@ -145,17 +156,30 @@ def _invalid_reason(result: Identification) -> str:
     return "" if result.converged else "not converged; values unchanged"
 
 
-# What is said of an estimation's course: its iteration, how far it has to go, and about how
-# long that takes.
+# Progress of an estimation: its iteration, the length of the step, and the remaining time.
 
 
 @dataclass
 class DescentProgress:
-    """Told each iteration (`sysid.estimation.gauss_newton.Told`), tells ``on_stage`` a sentence.
+    """Callback of an estimator that reports each iteration and the remaining time.
 
-    Steps become shorter by about a constant factor from one iteration to the next: the time left is
-    that of the iterations until they are ``tolerance`` standard errors long, at most of all that
-    are allowed (``most``). Descents that follow one another count anew."""
+    Steps shorten by about a constant factor, so the remaining time is that of the iterations until
+    they are ``tolerance`` standard errors long, at most ``max_iterations``. A second descent starts
+    anew.
+
+    Attributes
+    ----------
+    method : str
+        Name of the estimator.
+    callback : callable
+        Receives one sentence an iteration.
+    tolerance : float
+        Step in standard errors below which the search ends.
+    max_iterations : int
+        Largest number of iterations.
+    clock : callable
+        Time [s].
+    """
 
     method: str
     callback: Callable[[str], None]
@@ -166,25 +190,26 @@ class DescentProgress:
     _lengths: list[float] = field(default_factory=list)
 
     def __call__(self, iteration: int, length: float) -> None:
-        """An iteration begins from which the next step would be ``length`` standard errors long."""
+        """Report that an iteration begins, whose step would be ``length`` standard errors long."""
         if iteration == 1 or not self._lengths:
             self._start_s, self._lengths = self.clock(), []
         self._lengths.append(length)
         text = f"{self.method}: iteration {iteration}"
         if math.isfinite(length):
-            text += f", {length:.2g} standard errors to go"
+            text += f", next step {length:.2g} standard errors (stops below {self.tolerance:g})"
         remaining_s = self.seconds_left(iteration)
         self.callback(
             text if remaining_s is None else f"{text}, about {max(1, round(remaining_s))} s left"
         )
 
     def seconds_left(self, iteration: int) -> float | None:
-        """None in the first iterations of a descent."""
+        """Estimate the remaining time [s]; None in the first iterations of a descent."""
         done = len(self._lengths) - 1
         if done < 2:
             return None
         iterations_left = max(float(self.max_iterations - iteration), 1.0)
         first, last = self._lengths[0], self._lengths[-1]
+        # Geometric extrapolation of the step length down to the tolerance.
         if 0.0 < last < first and last > self.tolerance:
             iterations_left = min(
                 iterations_left, math.log(last / self.tolerance) * done / math.log(first / last)
@@ -212,22 +237,47 @@ def identify(
 ) -> Identification:
     """Estimate JSBSim properties from flights.
 
-    measured    surfaces whose columns are positions (`read_flights` says which) parameters
-    properties; default: those of the card's [parameters] that the flights excite (see excited.py)
-    start       "initial": the card's first guesses; "current": the values in the XML
-    biases      channels with a constant sensor bias, one a flight
-    delays      channels whose delay after the commands is estimated, one a flight; None: all, of
-    flights that come from a log
-    outputs     channels that are fitted; default: all of OUTPUTS that are recorded; where
-    parameters follow from the flights,
-                without those that say nothing of any
-    ideal_servos  surfaces and throttle follow their commands at once, whatever actuators the XML
-    has
-    method      "auto" | "output-error" | "filter-error"
-    on_stage    told what is being done
-    tell        called with a sentence for each route that is taken, output error or filter error:
-    why, and how much there is to do Raises BadInputError for unknown parameters and for a model
-    that cannot fly the segments."""
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The model.
+    flights : sequence of Flight
+        Flights ready for replay.
+    measured : sequence of str
+        Surfaces whose columns are positions, as `read_flights` returns them.
+    parameters : sequence of str, optional
+        Properties to estimate; by default those of the card's [parameters] that the flights excite.
+    start : {"current", "initial"}
+        Start from the values in the XML, or from the card's first guesses.
+    biases : sequence of str
+        Channels with a constant sensor bias in each flight.
+    delays : sequence of str, optional
+        Channels whose delay after the commands is estimated for each flight; by default the
+        controls, and all channels of a log.
+    outputs : sequence of str, optional
+        Fitted channels; by default all recorded ones of OUTPUTS, without ``parameters`` those on
+        which a parameter acts.
+    ideal_servos : bool
+        Whether surfaces and throttle follow their commands at once.
+    method : {"auto", "output-error", "filter-error"}
+        ``auto`` uses filter error where the residuals of output error show turbulence.
+    workers : int, optional
+        Processes.
+    callback : callable
+        Called with the name of each stage.
+    message_callback : callable, optional
+        Called with a sentence for each choice of a method: the reason, and the amount of work.
+
+    Returns
+    -------
+    Identification
+        Estimates, standard errors, residuals and notes.
+
+    Raises
+    ------
+    BadInputError
+        For unknown parameters, and for a model that cannot fly the segments.
+    """
     names = _parameter_names(aircraft, parameters)
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
@@ -241,6 +291,7 @@ def identify(
             equation_error_theta, notes = equation_error_start(
                 model, direct_model, flights, cut_segments, names, initial, limits
             )
+        # Observations: fitted channels of every segment, with biases and delays to estimate.
         channels = _outputs(flights, outputs)
         data = [block for f in flights for block in measured_outputs(f, channels)]
         observed = Observed(
@@ -258,7 +309,7 @@ def identify(
         )
         with replay_pool(workers) as pool:
             if parameters is None:
-                callback("what the flights excite")
+                callback("parameters that the flights excite")
                 observed, channel_notes = restrict_to_excited(
                     model, observed, names, initial, limits, noise, pool, outputs is None
                 )
@@ -267,6 +318,8 @@ def identify(
             if message_callback is not None:
                 message_callback(_output_error_message(observed, names, method))
             descent = DescentProgress("output error", callback, OUTPUT_TOLERANCE, OUTPUT_ITERATIONS)
+            # Start from equation error, and from the initial values if the model cannot fly with
+            # those.
             fitted = fit_replays(
                 model,
                 observed,
@@ -283,6 +336,7 @@ def identify(
         speed = Speed(
             fit.n_simulations / fit_s, flown_s / fit_s, process_count(workers), bare_flight_s_per_s
         )
+        # Assemble the result of output error, then choose the method by its residuals.
         result = _assemble(aircraft, names, initial, fitted, observed, noise, notes, seconds, speed)
         result = replace(
             result, warnings=(*misplaced(flights, cut_segments, result.nuisance), *result.warnings)
@@ -294,6 +348,7 @@ def identify(
             return withdraw_invalid(result if gusty else _in_calm_air(result))
         if message_callback is not None:
             message_callback(_filter_error_message(result, method))
+        # Imported here: most flights need no filter.
         from uqharness.identification.linearised.gusts import TOLERANCE as FILTER_TOLERANCE
         from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
         from uqharness.identification.turbulence import FilterRequest, filter_error, filter_setup
@@ -323,7 +378,7 @@ def identify(
 
 
 def _in_calm_air(result: Identification) -> Identification:
-    """Return the result with warnings of coloured residuals that no longer suspect turbulence."""
+    """Reword the warnings of coloured residuals of a flight that shows no turbulence."""
     coloured = [w for w in result.warnings if w.startswith("coloured residuals")]
     if not coloured:
         return result
@@ -334,20 +389,24 @@ def _in_calm_air(result: Identification) -> Identification:
 
 
 def _outputs(flights: Sequence[Flight], requested: Sequence[str] | None) -> tuple[str, ...]:
-    """Channels that some flight has. Raises BadInputError for one asked for that none has."""
+    """Return the fitted channels that some flight has.
+
+    Raises BadInputError for a requested channel that none has.
+    """
     available = tuple(
         c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights)
     )
     missing = [] if requested is None else [c for c in requested if c not in available]
     if missing or requested == ():
         raise BadInputError(
-            f"no flight has {', '.join(missing) or 'the outputs asked for: none'}; there are"
-            f" {', '.join(available)}"
+            f"no flight has {', '.join(missing) or 'any output, for none is named'}; the flights"
+            f" have {', '.join(available)}"
         )
     return available if requested is None else tuple(c for c in available if c in requested)
 
 
 def _output_error_message(observed: Observed, names: Sequence[str], method: str) -> str:
+    """Describe the output error estimation: its size and the reason for it."""
     seconds = sum(float(s.time_s[-1] - s.time_s[0]) for s in observed.segments)
     free = len(names) - len(observed.fixed)
     reason = {
@@ -362,14 +421,17 @@ def _output_error_message(observed: Observed, names: Sequence[str], method: str)
 
 
 def _no_filter_message(method: str, gusty: bool) -> str:
+    """Explain why the result of output error is kept."""
     sign = "show turbulence; estimates may be biased" if gusty else "show no sign of turbulence"
     requested = " (requested by --method)" if method == "output-error" else ""
     return f"keeping output error{requested}: the rate and acceleration residuals {sign}"
 
 
 def _filter_error_message(result: Identification, method: str) -> str:
+    """Explain why filter error follows, and how large the problem is."""
     residual, _, noise = _inertial_channels(result)
     channels = [c for c in result.outputs if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
+    # Only channels above their noise are named.
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = {c: rms(np.concatenate(residual)[:, k]) / noise[k] for k, c in enumerate(channels)}
     ratios_text = ", ".join(
@@ -391,10 +453,11 @@ def _filter_error_message(result: Identification, method: str) -> str:
 def _inertial_channels(
     result: Identification,
 ) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
-    """Residual, motion and noise of the channels that sensors measure directly.
+    """Return residuals, modelled motion and noise of the channels that sensors measure directly.
 
-    An estimator's attitude or wind angles have coloured errors of their own, which say nothing of
-    the air."""
+    Attitudes and wind angles from an estimator have coloured errors of their own, which say nothing
+    of the air.
+    """
     columns = [
         k for k, c in enumerate(result.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
     ]
@@ -406,11 +469,15 @@ def _inertial_channels(
 
 
 def _parameter_names(aircraft: Aircraft, requested: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the properties to estimate, those of the card by default.
+
+    Raises BadInputError where there are none, and for a name given twice.
+    """
     declared = list(aircraft.card.parameters)
     if requested is None:
         if not declared:
             raise BadInputError(
-                f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters]; name some"
+                f"aircraft '{aircraft.name}': airframe.toml has no [parameters]; name parameters"
                 " with --params aero/Cm_q,..."
             )
         return tuple(declared)
@@ -423,6 +490,7 @@ def _parameter_names(aircraft: Aircraft, requested: Sequence[str] | None) -> tup
 def _initial(
     aircraft: Aircraft, model: ReplayModel, names: Sequence[str], start: str
 ) -> FloatArray:
+    """Return the start values (k,), from the XML or from the card's guesses where it has any."""
     from uqharness.simulator import engine
 
     fdm = model.open(aircraft.dt_s)
@@ -438,6 +506,10 @@ def _initial(
 def _limits(
     aircraft: Aircraft, names: Sequence[str], initial: FloatArray
 ) -> list[tuple[float, float]]:
+    """Return the card's bounds of each parameter, infinite by default.
+
+    Raises BadInputError for a start value outside its bounds.
+    """
     out = []
     for name, value in zip(names, initial, strict=True):
         card = aircraft.card.parameters.get(name)
@@ -455,20 +527,18 @@ def _limits(
 def _noise_warning(
     residual: Sequence[FloatArray], outputs: Sequence[str], noise: Mapping[str, float]
 ) -> list[str]:
-    """A sentence when a channel is left further off than its noise explains although nothing looks
-    coloured.
-    """
+    """Return a warning where residuals exceed the noise although nothing looks coloured."""
     pooled = np.concatenate(residual)
     ratio = {c: rms(pooled[:, k]) / noise[c] for k, c in enumerate(outputs) if noise[c] > 0.0}
     above = {c: r for c, r in ratio.items() if r > NOISE_FLOOR}
     if not above:
         return []
     return [
-        "residuals above the noise: "
+        "residuals exceed the sensor noise: "
         + ", ".join(f"{c} {r:.2f} times" for c, r in above.items())
-        + "; something acted that the replay does not have (commands between rows while an"
-        " autopilot flew, gusts, a missing term), and estimates may be off by more than std:"
-        " label the manoeuvres, record surface positions or log faster"
+        + ". The replay lacks something (autopilot commands between rows, gusts or a model"
+        " term), and errors of the estimates may exceed std. Label the manoeuvres, log surface"
+        " positions, or log faster"
     ]
 
 
@@ -483,6 +553,7 @@ def _assemble(
     seconds: float,
     speed: Speed,
 ) -> Identification:
+    """Collect the result of output error."""
     k, fit, outputs = len(names), fitted.fit, observed.outputs
     identified = [i for i in range(k) if fit.status[names[i]] == "identified"]
     nuisance = {
@@ -490,7 +561,7 @@ def _assemble(
         for i, n in enumerate(fitted.layout.names)
         if i >= k
     }
-    # A start state that two channels cannot tell apart is nobody's concern; a parameter is.
+    # Warnings of nuisance parameters do not concern the user.
     parameter_warnings = [
         w for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/", f"{UNSEEN}/"))
     ]

@@ -1,8 +1,9 @@
-"""The one fit of a model to flights: output error on replays, by which models are identified,
-compared and refined.
+"""Output error on replays: the one fit by which models are identified, compared and refined.
 
-Beside the parameters it estimates what no model knows: start states of the segments, biases of the
-gyros, delays, of the controls above all. The noise of the channels is what the fit leaves of them.
+With the parameters it estimates the nuisance parameters of the flights: start states of the
+segments, biases of the gyros, and delays, above all those of the controls. The noise of each
+channel is its residual. The module also computes equation-error start values and residual
+coefficients at measured states.
 """
 
 from __future__ import annotations
@@ -48,20 +49,34 @@ if TYPE_CHECKING:
 
 MAX_ITERATIONS = 40
 TOLERANCE = 0.05
-"""Standard errors: a shorter step ends the search."""
+"""Length of a step in standard errors below which the search ends."""
 
 
 @dataclass(frozen=True)
 class Observed:
-    """What replays are compared with: segments, and data [(n, m)] of the channels ``outputs`` in
-    them.
+    """What replays are compared with.
 
-    biases  channels with a constant bias, one a flight       late  flight -> sensors, or
-    CONTROL_DELAY, whose delay is estimated late_s  channel -> time by which it is known to come
-    late besides
-    properties  values of properties in all replays      held  parameters that are not estimated,
-    and why begin   values of biases, delays and shares, by their names in the layout, from which
-    they are sought; 0 for the others"""
+    Attributes
+    ----------
+    segments : sequence of Segment
+        The segments.
+    outputs : tuple of str
+        Fitted channels.
+    data : sequence of ndarray
+        (n, m) of the outputs, one a segment; NaN where nothing was logged.
+    biases : sequence of str
+        Channels with a constant bias in each flight.
+    late : Mapping
+        Flight to the sensors, or CONTROL_DELAY, whose delay is estimated.
+    late_s : Mapping
+        Channel to a known further delay [s].
+    properties : Mapping
+        Properties set in all replays.
+    fixed : Mapping
+        Parameters that are not estimated, with reasons.
+    begin : Mapping
+        Start values of biases, delays and shares by their names in the layout; 0 by default.
+    """
 
     segments: Sequence[Segment]
     outputs: tuple[str, ...]
@@ -76,8 +91,18 @@ class Observed:
 
 @dataclass(frozen=True)
 class ReplayFit:
-    """Where output error ended; theta of ``found`` is the layout's. lost: parameters that the
-    flights do not determine, held.
+    """Result of output error.
+
+    Attributes
+    ----------
+    fit : OutputErrorFit
+        Its theta follows the layout.
+    layout : Layout
+        Names and bounds of theta.
+    replay : Replay
+        The simulation.
+    undetermined : tuple of str
+        Parameters that the flights do not determine, fixed at their start values.
     """
 
     fit: OutputErrorFit
@@ -86,11 +111,11 @@ class ReplayFit:
     undetermined: tuple[str, ...]
 
     def values(self) -> dict[str, float]:
-        """Estimates of everything by name."""
+        """Return all estimates by name."""
         return dict(zip(self.layout.names, self.fit.theta.tolist(), strict=True))
 
     def starts(self) -> list[FloatArray]:
-        """(9,) start state of every segment."""
+        """Return the start state (9,) of every segment."""
         return [start for start, *_ in self.replay.starts_at(self.fit.theta)]
 
 
@@ -104,15 +129,37 @@ def fit_replays(
     errors: bool = True,
     callback: Callable[[int, float], None] | None = None,
 ) -> ReplayFit:
-    """Fit properties ``names`` of a model, and everything that is estimated beside them.
+    """Fit properties of a model and all nuisance parameters.
 
-    tries   values to begin from, the first that can be flown counts; what the flights do not
-    determine stays at the last
-    map_    as `replay_pool` or `spread_over` gives it      errors  False for estimates alone,
-    without standard errors
-    told    is told each iteration's number and the length of the next step in standard errors
-    What ``observed`` holds stays at the last of ``tries``.
-    Raises BadInputError when the model cannot fly the segments.
+    Parameters
+    ----------
+    model : ReplayModel
+        The aircraft.
+    observed : Observed
+        What is fitted.
+    names : sequence of str
+        Properties to estimate.
+    tries : sequence of ndarray
+        (k,) start values; the first that can be flown is used. Fixed and undetermined parameters
+        keep the last.
+    limits : sequence
+        Bounds of the parameters.
+    pool : callable
+        A `map` as `replay_pool` or `batched_pool` returns it.
+    errors : bool
+        False for estimates without standard errors.
+    callback : callable, optional
+        Called with the number of each iteration and the length of its step in standard errors.
+
+    Returns
+    -------
+    ReplayFit
+        The estimates.
+
+    Raises
+    ------
+    BadInputError
+        When the model cannot fly the segments.
     """
     jumping = jumping_flights(model, observed.segments, observed.late)
     layout = nuisance_layout(
@@ -149,9 +196,8 @@ def fit_replays(
     def fit_from(theta: FloatArray, free: Sequence[str]) -> OutputErrorFit:
         fit = fit_within(layout.bounds, theta, free)
         kinked = _kinked_delays(model, layout, fit)
-        # At a row where a surface jumps the rates have a kink: as functions of the delay they have
-        # it at zero. A descent that crosses it to and fro settles on neither side, so each side is
-        # searched by itself, from and up to zero.
+        # Where a surface jumps, the rates as functions of the delay have a kink at zero. A descent
+        # that crosses it repeatedly does not converge, so each side is searched separately.
         for side in (0.0, -np.inf) if kinked else ():
             places = [k for k in kinked if side == 0.0 or fit.theta[k] == 0.0]
             if not places:
@@ -180,9 +226,9 @@ def fit_replays(
     )
     undetermined = tuple(n for n in names if fit.status[n] == "not-identified" and n not in fixed)
     if undetermined:
-        # What the data do not determine goes back to where it was, so that the rest is estimated
-        # beside values that will be flown. What was estimated beside a value far from there, at a
-        # bound, may fit worse than what the estimate began with.
+        # Undetermined parameters return to their start values, with which the model will be flown,
+        # and the others are estimated again. Estimates that belong to a value at a bound may fit
+        # worse than the start values, so the best of all candidates is the new start.
         places = [layout.names.index(n) for n in undetermined]
         options = [_with_values(theta, starts[-1], places) for theta in (fit.theta, *starts)]
         nearest = min(options, key=lambda theta: _neg2_log_likelihood(observed.data, replay(theta)))
@@ -205,9 +251,7 @@ def fit_replays(
 
 
 def _kinked_delays(model: ReplayModel, layout: Layout, fit: OutputErrorFit) -> list[int]:
-    """Find the controls' delays that a descent may have crossed zero by to and fro: of surfaces
-    that jump, shorter than a run.
-    """
+    """Find control delays near zero of a fit that did not converge, where surfaces jump."""
     if fit.converged or not model.jumping:
         return []
     return [
@@ -220,8 +264,10 @@ def _kinked_delays(model: ReplayModel, layout: Layout, fit: OutputErrorFit) -> l
 
 
 def _neg2_log_likelihood(data: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> float:
-    """Minus twice the log likelihood of data [(n, m)], but for a constant, each channel's noise
-    what is left of it; infinite where replays fail."""
+    """Return -2 log L of data (n, m) up to a constant, each channel's noise its own residual.
+
+    Infinite where replays fail.
+    """
     residual = np.concatenate(data) - np.concatenate(outputs)
     measured = np.isfinite(np.concatenate(data))
     if not np.isfinite(residual[measured]).all():
@@ -235,7 +281,7 @@ def _neg2_log_likelihood(data: Sequence[FloatArray], outputs: Sequence[FloatArra
 
 
 def _with_values(values: FloatArray, fixed: FloatArray, places: Sequence[int]) -> FloatArray:
-    """(k,) values, those of some places as in ``fixed``."""
+    """Return values (k,) with those at some places replaced."""
     out = np.array(values, dtype=float)
     out[list(places)] = np.asarray(fixed)[list(places)]
     return out
@@ -244,8 +290,9 @@ def _with_values(values: FloatArray, fixed: FloatArray, places: Sequence[int]) -
 def jumping_flights(
     model: ReplayModel, segments: Sequence[Segment], late: Mapping[str, Sequence[str]]
 ) -> list[str]:
-    """Flights in which some control jumps with its command and no sensor is late: in them a row
-    says what it has seen of that.
+    """Return the flights in which a control jumps with its command and no sensor is late.
+
+    Only in these does a row determine which share of a jump its accelerometers have seen.
     """
     flights = dict.fromkeys(s.flight for s in segments) if model.jumping else {}
     return [f for f in flights if not set(late.get(f, ())) - {CONTROL_DELAY}]
@@ -254,7 +301,10 @@ def jumping_flights(
 def _fit_first_flyable(
     fit_from: Callable[[FloatArray], OutputErrorFit], tries: Sequence[FloatArray]
 ) -> OutputErrorFit:
-    """The fit from the first of some values at which the segments can be flown."""
+    """Fit from the first start values with which the segments can be flown.
+
+    Raises BadInputError where there are none.
+    """
     failure: ValueError | None = None
     for theta in tries:
         try:
@@ -264,12 +314,11 @@ def _fit_first_flyable(
             if "fails at theta0" not in str(error):
                 raise BadInputError(str(error)) from None
     raise BadInputError(
-        f"the model cannot fly these segments: {failure}; give other start values (--start)"
+        f"the model cannot fly these segments: {failure}; use other start values (--start)"
     )
 
 
-# Where output error starts: equation error at the measured states, with the model forced to
-# them.
+# Start values by equation error: the model evaluated at the measured states.
 
 
 def equation_error_start(
@@ -281,19 +330,24 @@ def equation_error_start(
     initial: FloatArray,
     limits: Sequence[tuple[float, float]],
 ) -> tuple[FloatArray, list[str]]:
-    """Parameters (k,) at which the model's forces at the measured states come nearest to those the
-    flight demanded.
+    """Find the parameters (k,) at which the model's coefficients at the measured states fit the
+    flights.
 
-    Only parameters that are coefficient terms by name move; the others, and those that the flights
-    do not tell apart, stay."""
+    Only parameters that are named as coefficient terms move; those, and parameters that the flights
+    cannot separate, keep their values. Returns them with notes.
+    """
     theta = initial.copy()
     groups: dict[str, list[int]] = {}
+    terms: dict[int, str] = {}
     for i, name in enumerate(names):
         parsed = split_name(name)
         if parsed is not None:
-            groups.setdefault(parsed[0], []).append(i)
+            coefficient, terms[i] = parsed
+            groups.setdefault(coefficient, []).append(i)
     if not groups:
-        return theta, ["equation error was left out: no parameter is a coefficient term by name"]
+        return theta, [
+            "equation error was skipped: no parameter has the name of a coefficient term"
+        ]
     notes: list[str] = []
     demand, predicted, base = [], [], []
     channels_of = [states(flight, piece) for flight in flights for piece in flight.pieces]
@@ -304,6 +358,8 @@ def equation_error_start(
         demand.append(demand_of(channels, forced[0], segment))
         predicted.append(smooth(forced[0].coefficients, segment.dt_s))
         base.append({k: smooth(v, segment.dt_s) for k, v in forced[1].items()})
+    # Linear least squares, one coefficient at a time: demanded minus predicted on the term
+    # regressors.
     order = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
     for coefficient, members in groups.items():
         column = order.index(coefficient)
@@ -311,14 +367,14 @@ def equation_error_start(
             [d[:, column] - s[:, column] for d, s in zip(demand, predicted, strict=True)]
         )
         x = np.column_stack(
-            [np.concatenate([regressor(split_name(names[i])[1], b) for b in base]) for i in members]  # type: ignore[index]
+            [np.concatenate([regressor(terms[i], b) for b in base]) for i in members]
         )
         gate = assess(x.T @ x, tuple(names[i] for i in members))
         identified = [i for i, ok in zip(members, gate.identified, strict=True) if ok]
         delta = np.linalg.lstsq(x[:, gate.identified], y, rcond=None)[0]
         for i, d in zip(identified, delta, strict=True):
             low, high = limits[i]
-            # A hair inside, so that output error does not start on a bound.
+            # Slightly inside, so that output error does not start on a bound.
             margin = 1e-6 * (high - low) if np.isfinite(high - low) else 0.0
             theta[i] = float(np.clip(initial[i] + d, low + margin, high - margin))
     return theta, notes
@@ -331,8 +387,8 @@ def forced_at(
     channels_of: Sequence[Mapping[str, FloatArray]],
     properties: Mapping[str, float],
 ) -> list[tuple[ForcedModel, dict[str, FloatArray]]]:
-    """Of each segment the model forced to its measured channels, and the variables of its
-    coefficient terms there.
+    """Evaluate the model at the measured channels of each segment, and the variables of its
+    coefficient terms.
     """
     positions = surface_positions(model, segments, CONTROLS, properties)
     parts = [
@@ -365,10 +421,33 @@ def coefficient_gaps(
     late_s: float = 0.0,
     half_way: bool = False,
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Of each segment, (n, 6) each: coefficients demanded, those said at the measured states with
-    what sampling makes of them, and how noise added once more changes the first less the second.
-    late_s: by how much the controls act late; half_way: commands stand half-way at the row of a
-    jump, which makes up for sampling."""
+    """Compare demanded and predicted coefficients of each segment.
+
+    Parameters
+    ----------
+    model, direct_model : ReplayModel
+        With actuators, and with controls passed through.
+    segments : sequence of Segment
+        The segments.
+    channels_of : sequence of Mapping
+        Measured channels of each.
+    noise_std : Mapping
+        Standard deviation of each channel's noise.
+    rng : Generator
+        Draws a second realisation of the noise.
+    properties : Mapping, optional
+        Properties in force.
+    late_s : float
+        Delay of the controls [s].
+    half_way : bool
+        Whether commands are half-way at the row of a jump, which compensates for sampling.
+
+    Returns
+    -------
+    list of tuple
+        (n, 6) each: demanded coefficients; predicted ones including sampling errors; change of
+        demanded minus predicted by the second noise.
+    """
     noisy = [with_noise(channels, noise_std, rng) for channels in channels_of]
     plain_and_noisy = [*zip(segments, channels_of, strict=True), *zip(segments, noisy, strict=True)]
     forced = forced_at(
@@ -403,7 +482,7 @@ def coefficient_gaps(
 def demand_of(
     channels: Mapping[str, FloatArray], forced: ForcedModel, segment: Segment
 ) -> FloatArray:
-    """(n, 6) coefficients that the flight demanded in a piece."""
+    """Return the coefficients (n, 6) that the flight demanded in a piece."""
     return demanded(
         np.column_stack([channels[f"a{a}_mps2"] for a in "xyz"]),
         np.column_stack([channels[f"{a}_radps"] for a in "pqr"]),
@@ -416,7 +495,7 @@ def demand_of(
     )
 
 
-# Channels that identification compares, and their names as options give them.
+# Fitted channels, and their names in options.
 
 OUTPUTS = (
     "V_mps",
@@ -431,19 +510,20 @@ OUTPUTS = (
     "ay_mps2",
     "az_mps2",
 )
-"""Channels that are compared.
-
-Height and heading follow from the others and drift in real sensors.
+"""Channels that are fitted; height and heading are integrals of the others and drift in real
+sensors.
 """
 BIASES = ("p_radps", "q_radps", "r_radps")
 """Channels whose sensors have a constant bias in each flight."""
 
 
 def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
-    """Channel names of an option; short forms p, alpha, ax stand for p_radps, alpha_rad, ax_mps2;
-    None where it was not given.
+    """Parse the channel names of an option; None where it was not given.
 
-    Raises BadInputError.
+    Short forms p, alpha, ax mean p_radps, alpha_rad, ax_mps2. Raises BadInputError.
+
+    >>> parse_channels("--biases", "p, q_radps")
+    ('p_radps', 'q_radps')
     """
     from uqharness.replay import CONTROL_DELAY
 
@@ -463,22 +543,43 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
     return tuple(dict.fromkeys(names))
 
 
-# What an identification found.
+# Result of an identification.
 
 
 @dataclass(frozen=True)
 class Identification(Tabled):
-    """What was estimated, how, and how well it fits.
+    """Estimated parameters, their uncertainty, and the fit to the flights.
 
-    names, initial, theta, std, std_crb, status, reason  over the parameters asked for (JSBSim
-    properties)
-    cov (k, k)        of the identified ones, in the order of ``identified``
-    nuisance          biases and start states: name -> (value, std) outputs, measured, modelled
-    channels and their [(n, m)] arrays, one a segment; modelled includes biases
-    residual          measured minus model of the method used (innovations for filter error), one a
-    segment
-    method            "output error" | "filter error"; simulations: replays of all segments,
-    seconds: wall time they took"""
+    Attributes
+    ----------
+    aircraft : str
+        Name of the model.
+    names, initial, theta, std, std_crb, status, reason
+        (k,) over the requested parameters (JSBSim properties): start values, estimates, standard
+        errors corrected for coloured residuals, Cramer-Rao bounds, "identified" or
+        "not-identified", and why not.
+    cov : ndarray
+        (k, k) of the identified ones, ordered as ``identified``.
+    nuisance : Mapping
+        Biases, delays and start states by name: (value, std).
+    outputs : tuple of str
+        Fitted channels.
+    segments, measured, modelled, residual
+        One a segment, (n, m) arrays; modelled includes biases, residual is measured minus modelled,
+        the innovations for filter error.
+    whiteness : ndarray
+        (m,) p-values of the test for white residuals.
+    noise : Mapping
+        Standard deviation by channel, in its unit.
+    method : str
+        "output error" or "filter error".
+    converged : bool
+        Whether the search ended by its tolerance.
+    warnings, notes : tuple of str
+        Sentences for the user.
+    simulations, seconds, speed
+        Replays of all segments, wall time [s], and speed of the replays.
+    """
 
     aircraft: str
     names: tuple[str, ...]
@@ -516,12 +617,12 @@ class Identification(Tabled):
 
     @property
     def identified(self) -> tuple[str, ...]:
-        """Names of the parameters that the data determined."""
+        """Return the names of the parameters that the data determine."""
         return tuple(n for n in self.names if self.status[n] == "identified")
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table of parameters: one row a property, with what it began at, estimate, standard
-        error, bound and status.
+        """Return the table of parameters: start value, estimate, standard error, Cramer-Rao bound,
+        status.
         """
         import pandas as pd
 
@@ -541,7 +642,11 @@ class Identification(Tabled):
 
 
 def by_channel(sentences: Sequence[str], outputs: Sequence[str]) -> list[str]:
-    """Sentences that speak of outputs by number, by the channels' names."""
+    """Replace output numbers in sentences by channel names.
+
+    >>> by_channel(["output 1 is coloured"], ("p_radps", "q_radps"))
+    ['q_radps is coloured']
+    """
     return [
         re.sub(r"\boutput (\d+)", lambda found: outputs[int(found[1])], text) for text in sentences
     ]

@@ -1,6 +1,9 @@
-"""The way through turbulence: filter error by one-step predictions of the JSBSim model linearised
-along the flights, as `refine` judges them, the gusts' intensities and the sensors' noise found
-beside the parameters."""
+"""Identification in turbulence by filter error.
+
+One-step predictions of the JSBSim model, linearised along the flights, replace replays. Intensities
+of the gusts and noise of the sensors are estimated with the parameters, as in `refine`. The fit
+starts from the result of output error.
+"""
 
 from __future__ import annotations
 
@@ -29,20 +32,30 @@ from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, mispla
 from uqharness.simulator import Aircraft
 
 CONVERGED, ITERATIONS = 2.0, 16
-"""Length of the last step, in standard errors of all parameters together, up to which an estimation
-has converged, for the step itself is taken: a sensor hardly late or early has other slopes on
-either side, between which the last steps may hop. Most iterations."""
+"""Length of the last step, in standard errors of all parameters together, below which the
+estimation has converged, and largest number of iterations. The last step is taken too; it may stay
+this long where a sensor's delay is near zero, because slopes differ on either side."""
 NO_TURBULENCE = (
-    "filter error finds no air that moves across the flight path, as turbulence does: without"
-    " process noise it is output error, whose estimates these are"
+    "filter error finds no air motion across the flight path, so there is no turbulence: these are"
+    " the estimates of output error"
 )
 
 
 @dataclass(frozen=True)
 class FilterRequest:
-    """What identification is asked to compare and to estimate beside the parameters: outputs,
-    delays (None: by default), biases; measured: surfaces whose positions the record has; ideal:
-    controls that are passed straight through."""
+    """Options of filter error.
+
+    Attributes
+    ----------
+    outputs, delays : sequence of str, optional
+        Fitted channels, and channels with a delay; None for the defaults.
+    biases : sequence of str
+        Channels with a constant bias.
+    measured : sequence of str
+        Surfaces whose positions the record has.
+    ideal : sequence of str
+        Controls that are passed through.
+    """
 
     outputs: Sequence[str] | None
     biases: Sequence[str]
@@ -54,11 +67,11 @@ class FilterRequest:
 def filter_setup(
     aircraft: Aircraft, flights: Sequence[Flight], request: FilterRequest, result: Identification
 ) -> Setup:
-    """The flights as filter error takes them: as `refine` does, but that delays are those that
-    output error estimates.
+    """Prepare the flights for filter error: as `refine` does, but with the delays of output error.
 
-    result: output error's result, which tells how uncertain channels are that an estimator computed
-    and no sensor measured."""
+    ``result`` is that of output error; its residuals bound the uncertainty of channels that an
+    estimator computed.
+    """
     setup = make_setup(aircraft, flights, request.measured, request.ideal)
     if request.outputs is not None:
         columns = [k for k, c in enumerate(setup.outputs) if c in request.outputs]
@@ -69,8 +82,8 @@ def filter_setup(
             measured=tuple(z[:, columns] for z in setup.measured),
             noise=setup.noise[columns],
         )
-    # By default a log's sensors are late against its gyros, and its controls late as well: a filter
-    # finds where commands act far sooner than by how much all sensors are late together.
+    # By default the sensors of a log are late relative to its gyros, and so are its controls: the
+    # instant at which commands act is determined much better than a delay common to all sensors.
     late = delayed(flights, setup.outputs, request.delays)
     timed = tuple(f for f, names in late.items() if CONTROL_DELAY in names)
     sensors = {f: [n for n in names if n != CONTROL_DELAY] for f, names in late.items()}
@@ -94,13 +107,34 @@ def filter_error(
     pool: Processes,
     callback: Callable[[int, float], None] | None = None,
 ) -> Identification:
-    """Output error's result replaced by filter error's, started from it; with a note saying so.
+    """Replace output error's result by that of filter error, with a note.
 
-    models  the aircraft as it flies and with every control straight through      held  parameters
-    that stay, and why
-    told    is told each iteration's number and the length of the next step in standard errors
-    Without air that moves across the path the result stays output error's, and a note says so.
-    Raises BadInputError where no filter follows the flights.
+    Parameters
+    ----------
+    result, fitted
+        Result and fit of output error, the start.
+    models : tuple of ReplayModel
+        The aircraft with its actuators, and with every control passed through.
+    setup : Setup
+        Flights as `filter_setup` prepares them.
+    limits : sequence
+        Bounds of the parameters.
+    fixed : Mapping
+        Parameters that stay, with reasons.
+    pool : callable
+        Parallel `map`.
+    callback : callable, optional
+        Called with the number of each iteration and the length of its step in standard errors.
+
+    Returns
+    -------
+    Identification
+        That of output error where no transverse air motion is found.
+
+    Raises
+    ------
+    BadInputError
+        Where no filter follows the flights.
     """
     start_s = time.perf_counter()
     free = [n for n in result.names if n not in fixed]
@@ -131,8 +165,7 @@ def filter_error(
         return replace(result, notes=(*result.notes, NO_TURBULENCE))
     values, cov, crb, reason = _estimates(fit, free, bounds)
     if undetermined := {n: text for n, text in reason.items() if text}:
-        # What the flights do not determine goes back to where it was, and the rest is estimated
-        # beside values that will be flown.
+        # Undetermined parameters return to their start values, and the others are estimated again.
         free, initial = (
             [n for n in free if n not in undetermined],
             dict(zip(result.names, result.initial.tolist(), strict=True)),
@@ -150,6 +183,7 @@ def filter_error(
         _of_names(result.names, identified, np.sqrt(np.diagonal(c)[where])) for c in (cov, crb)
     )
     outputs, modelled = fit.setup.outputs, _one_ahead(fit)
+    # Innovations: measured minus predicted one sample ahead.
     residual = [z - y for z, y in zip(fit.setup.measured, modelled, strict=True)]
     standardised = [np.where(w.there, w.residual, np.nan) for w in fit.fit.evidence.white]
     residual_colour = colour(standardised)
@@ -164,10 +198,9 @@ def filter_error(
     if not converged:
         warnings.insert(0, f"not converged: the last step is {fit.length:.2g} standard errors long")
     note = (
-        "the residuals of output error showed process noise (turbulence), which it does not allow"
-        " for: these are the estimates of filter error, by one-step predictions"
-        f" ({fit.gusts.gain:.4g} more in twice the log likelihood than calm air;"
-        f" {fit.gusts.words}); time histories show its one-step predictions"
+        "estimated by filter error, because the residuals of output error showed turbulence"
+        f" (twice the log likelihood is {fit.gusts.gain:.4g} above that of calm air;"
+        f" {fit.gusts.words}); time histories show one-step predictions"
     )
     return replace(
         result,
@@ -198,21 +231,22 @@ def filter_error(
 
 
 def _moment_warnings(gusts: Gusts) -> list[str]:
-    """A sentence for each axis about which moments act that the model does not explain: the filter
-    takes them for noise.
+    """Return a warning for each axis with moments that the model does not explain.
+
+    The filter treats them as process noise.
     """
     gains = zip(("roll", "pitch", "yaw"), gusts.moments.tolist(), strict=True)
     return [
-        f"moments act about the {axis} axis that the model does not explain: allowing for them"
-        f" gains {gain:.0f} in twice the log likelihood. A term is missing, or the air is stronger"
-        " than its model is good for; refine looks for it"
+        f"moments act about the {axis} axis that the model does not explain: including them raises"
+        f" twice the log likelihood by {gain:.0f}. A term is missing, or the turbulence exceeds the"
+        " range of its model; refine searches for the term"
         for axis, gain in gains
         if gain > CERTAIN_T**2
     ]
 
 
 def _of_names(names: Sequence[str], identified: Sequence[str], values: FloatArray) -> FloatArray:
-    """(k,) values of those ``identified`` among the names, NaN of the others."""
+    """Return the values (k,) of the identified parameters, NaN of the others."""
     by_name = dict(zip(identified, values.tolist(), strict=True))
     return np.array([by_name.get(n, np.nan) for n in names])
 
@@ -220,14 +254,16 @@ def _of_names(names: Sequence[str], identified: Sequence[str], values: FloatArra
 def _estimates(
     fit: GustFit, free: Sequence[str], bounds: Mapping[str, tuple[float, float]]
 ) -> tuple[dict[str, float], FloatArray, FloatArray, dict[str, str]]:
-    """Of the parameters ``free``: values, and why one is not identified (empty: it is); covariance
-    (K, K) and Cramer-Rao bound of these and the nuisance, in the fit's order, the last step taken.
+    """Return values and reasons of the free parameters, covariance (K, K) and Cramer-Rao bound.
+
+    An empty reason means identified. The covariance includes nuisance parameters in the fit's
+    order; the last step is applied.
     """
     evidence, at = fit.fit.evidence, fit.fit.flown.point.values
     names = list(evidence.names)
     gate = assess(evidence.everything[0], tuple(names))
     steps = corrected_each(evidence, names, names)
-    # Standard errors corrected for colour, by the correlation of the plain ones.
+    # Scale the covariance by standard errors corrected for coloured residuals; correlations stay.
     wider = [steps[n][1] / steps[n][2] for n in names]
     values, reason = {}, dict.fromkeys(free, "")
     cov = gate.inverse * np.outer(wider, wider)
@@ -243,8 +279,8 @@ def _estimates(
 
 
 def _nuisance(fit: GustFit, cov: FloatArray, first: int) -> dict[str, tuple[float, float]]:
-    """Biases, delays and shares with their standard errors, from column ``first`` on, by the names
-    that output error has.
+    """Return biases, delays and shares with standard errors, by output error's names, from column
+    ``first`` on.
     """
     names, point = list(fit.fit.evidence.names), fit.fit.flown.point
     step, std = fit.fit.evidence.step()[0], np.sqrt(np.diagonal(cov))
@@ -256,8 +292,10 @@ def _nuisance(fit: GustFit, cov: FloatArray, first: int) -> dict[str, tuple[floa
 
 
 def _one_ahead(fit: GustFit) -> list[FloatArray]:
-    """[(n, m)] outputs predicted one sample ahead, from the start states that fit best, where the
-    record has them: those of sensors late by whole rows that much later."""
+    """Return the outputs (n, m) predicted one sample ahead from the best start states, by segment.
+
+    Outputs of sensors that are late by whole rows are shifted accordingly.
+    """
     setup, point, gust_fit = fit.setup, fit.fit.flown.point, fit.fit
     followed = follow(
         gust_fit.steps, in_step(setup, point), setup.which, setup.noise, fit.gusts.process

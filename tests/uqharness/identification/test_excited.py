@@ -37,7 +37,7 @@ def test_a_parameter_with_little_information_is_held_and_its_neighbour_is_not() 
     )
     assert list(found.fixed) == ["weak"]
     said = re.fullmatch(
-        r"not excited: its standard error would be (\S+) at least, 0\.25 at most is needed",
+        r"not excited: its standard error would be at least (\S+), at most 0\.25 is needed",
         found.fixed["weak"],
     )
     assert said is not None
