@@ -1,4 +1,4 @@
-"""Aircraft in Python: steady flight, the linear model about it, and the plugin."""
+"""Aircraft in Python: steady flight, linear models, and the model-form plugin."""
 
 from __future__ import annotations
 
@@ -214,6 +214,7 @@ def instrument(
 
 
 def _mass(mass: Mapping[str, float] | None) -> MassProperties:
+    """Check the names and values of mass properties. Raises BadInputError."""
     allowed = tuple(MassProperties.__dataclass_fields__)
     numbers = instance(
         "mass", {} if mass is None else mass, Mapping, 'a mapping such as {"mass_kg": 900.0}'
@@ -224,6 +225,7 @@ def _mass(mass: Mapping[str, float] | None) -> MassProperties:
 
 
 def _pair(name: str, value: float | tuple[float, float]) -> tuple[float, float]:
+    """Check one constant bound; return its lower and upper limit. Raises BadInputError."""
     ends = tuple(value) if isinstance(value, tuple | list) else (value,)
     numbers = all(
         isinstance(end, Real) and not isinstance(end, bool) and math.isfinite(end) for end in ends

@@ -1,4 +1,7 @@
-"""Campaigns in Python: run or opened, and p-boxes of any samples."""
+"""Campaigns in Python: run, opened, and p-boxes of any samples.
+
+A campaign is given as a file, by its name, as a dictionary of its sections, or as a `CampaignSpec`.
+"""
 
 from __future__ import annotations
 
@@ -45,13 +48,13 @@ if TYPE_CHECKING:
 
 
 _NO_FILE = Path("campaign.toml")
-"""Stands for the file of a campaign that is in none."""
+"""File name in the messages of a campaign that has no file."""
 _FILE_AND_LINE = re.compile(rf"^{re.escape(str(_NO_FILE))}:\d+: (the file: )?")
 
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """A campaign whose flights are all done, read from its folder as it is asked for.
+    """Results of a complete campaign, read from its folder on demand.
 
     Attributes
     ----------
@@ -60,7 +63,7 @@ class CampaignResult:
     manifest : Mapping
         What was flown: settings, versions, hashes.
     notes : tuple of str
-        What to know of the bounds that were flown.
+        Remarks on the bounds that were flown.
     """
 
     folder: Path
@@ -76,21 +79,21 @@ class CampaignResult:
         )
 
     def _repr_html_(self) -> str:
-        # Imported here: a campaign that nobody looks at in a notebook needs no charts.
+        # Imported here: only notebooks need charts.
         from uqharness.report import campaign_view
 
         return campaign_view(self.folder, self.manifest, self.cases, self.statements())
 
     @cached_property
     def cases(self) -> pd.DataFrame:
-        """One row a flight (docs/campaigns.md has the columns).
+        """Table with one row a flight (docs/campaigns.md describes the columns).
 
-        Raises BadInputError where the table is not as it was written.
+        Raises BadInputError where the file is damaged.
         """
         return read_cases(self.folder, self.manifest)
 
     def pboxes(self) -> dict[tuple[str, str], PBox]:
-        """(metric, condition) to its p-box; the rows of pbox.parquet."""
+        """Return the p-box of each (metric, condition), the rows of pbox.parquet."""
         confidence = band_confidence(self.manifest["campaign"], CONFIDENCE)
         return {
             (metric, condition.label): box
@@ -98,8 +101,8 @@ class CampaignResult:
         }
 
     def statements(self) -> pd.DataFrame:
-        """statements.csv: per condition and radius the excursions per hour, their limits, and the
-        answer (docs/statements.md).
+        """Return statements.csv: excursions per hour and their limits by condition and radius
+        (docs/statements.md).
         """
         import pandas as pd
 
@@ -199,7 +202,7 @@ def run_campaign(
     command += [] if hours is None else ["--hours", f"{hours:g}"]
     command += [] if samples is None else ["--samples", str(samples)]
     command += [] if engine is None else ["--engine", engine]
-    # No command goes on with a campaign that stands in no file; the same call does.
+    # A campaign without a file can be resumed by the same call, not by a command.
     resume_command = shlex.join(command) if isinstance(campaign, str | PathLike) else ""
     notes = (*noise_notes(spec), *bounds_notes(spec))
     rate = Rate()
@@ -305,6 +308,7 @@ def pbox(
 
 
 def _sample(name: str, values: ArrayLike | Sample) -> Sample:
+    """Return a sample with its finite values and the number of others."""
     if isinstance(values, Sample):
         return values
     array = np.asarray(values, dtype=float).ravel()
@@ -313,7 +317,7 @@ def _sample(name: str, values: ArrayLike | Sample) -> Sample:
 
 
 def campaign_of(campaign: AnyPath | CampaignSpec | Mapping[str, Any]) -> CampaignSpec:
-    """The campaign of that file, name or dictionary, or the one given. Raises BadInputError."""
+    """Return the campaign of a file, name or dictionary. Raises BadInputError."""
     if isinstance(campaign, CampaignSpec):
         return campaign
     if isinstance(campaign, Mapping):
@@ -330,9 +334,7 @@ def campaign_of(campaign: AnyPath | CampaignSpec | Mapping[str, Any]) -> Campaig
 
 
 def _plain(value: Any) -> Any:
-    """What TOML holds: numpy's numbers and arrays and paths as Python's own numbers, lists and
-    texts.
-    """
+    """Convert numpy values and paths to what TOML can hold."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

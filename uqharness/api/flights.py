@@ -1,4 +1,8 @@
-"""Flights in Python: flown here, or read from logs and records."""
+"""Flights in Python: simulated, or read from logs and records.
+
+`Flight` is what all functions of this package take and return. `aircraft_of` and `flights_of`
+accept whatever a user passes for an aircraft or flights.
+"""
 
 from __future__ import annotations
 
@@ -81,20 +85,21 @@ class Flight(Tabled):
         return len(self.record)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """The channel (n,). Raises LogError naming those there are."""
+        """Return the channel (n,). Raises LogError naming the available ones."""
         return self.record[name]
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Every column of the record as a table of (n,) rows, one a sample."""
+        """Return every column of the record as a table, one row a sample."""
         import pandas as pd
 
         return pd.DataFrame(dict(self.record.columns))
 
     def write(self, path: AnyPath) -> tuple[str, ...]:
-        """Write .parquet, .csv or .bin (ArduPilot DataFlash), whole or not at all; the columns that
-        the format has no place for.
+        """Write .parquet, .csv or .bin (ArduPilot DataFlash); return the columns that the format
+        cannot hold.
 
-        Raises BadInputError for another ending and a folder that cannot be written.
+        An interrupted write leaves no file. Raises BadInputError for another suffix and a folder
+        that cannot be written.
         """
         return write_record(
             self.to_dataframe(), argument_path("path", path), self.aircraft, self.start
@@ -362,7 +367,7 @@ def log_info(
 
 
 def aircraft_of(aircraft: AnyAircraft) -> Aircraft:
-    """The aircraft of that name or folder, or the one given. Raises BadInputError."""
+    """Return the aircraft of a name or folder. Raises BadInputError."""
     return (
         aircraft
         if isinstance(aircraft, Aircraft)
@@ -371,7 +376,7 @@ def aircraft_of(aircraft: AnyAircraft) -> Aircraft:
 
 
 def carded_aircraft(aircraft: AnyAircraft) -> Aircraft:
-    """The same; one without airframe.toml is instrumented for as long as the process lasts.
+    """Return the aircraft with a card; one without airframe.toml is instrumented for this process.
 
     Raises BadInputError.
     """
@@ -379,7 +384,7 @@ def carded_aircraft(aircraft: AnyAircraft) -> Aircraft:
 
 
 def flights_of(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) -> list[Flight]:
-    """One flight or several, whatever each was given as, at least one and none twice.
+    """Return one flight or several as a list, at least one and none twice.
 
     Raises BadInputError.
     """
@@ -401,6 +406,7 @@ def flights_of(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) -> 
 
 
 def _flight_of(flight: AnyFlight, aircraft: Aircraft) -> Flight:
+    """Return one flight in whatever form it was given. Raises BadInputError."""
     if isinstance(flight, Flight):
         return flight
     if isinstance(flight, FlightRecord):
@@ -415,6 +421,7 @@ def _flight_of(flight: AnyFlight, aircraft: Aircraft) -> Flight:
 
 
 def _content_sha256(record: FlightRecord) -> str:
+    """Return the digest of a record's columns."""
     parts = []
     for name, values in record.columns.items():
         content = "\0".join(values).encode() if name in LABELS else values.astype("<f8").tobytes()

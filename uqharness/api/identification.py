@@ -1,5 +1,7 @@
-"""Identification in Python: parameters, the gap to a flight, and the bounds of what the model does
-not know.
+"""Identification in Python: parameters, the gap to a flight, and bounds of the model error.
+
+The functions take aircraft and flights in any form (names, paths, records), prepare them as the
+commands do, and return typed results.
 """
 
 from __future__ import annotations
@@ -363,19 +365,21 @@ def validate_bounds(
 def _prepared(
     flights: Sequence[Flight], aircraft: Aircraft, align: bool = True
 ) -> tuple[list[replayed.Flight], tuple[str, ...]]:
+    """Prepare flights for replay; return them and the surfaces with measured positions."""
     return replayed.prepare_together(
         [f.name for f in flights], [f.record for f in flights], aircraft, align=align
     )
 
 
 def _channels(argument: str, names: Sequence[str] | None) -> tuple[str, ...] | None:
+    """Check channel names as the command line does; None where they were not given."""
     return parse_channels(
         f"--{argument}", None if names is None else ",".join(_names(argument, names))
     )
 
 
 def _names(argument: str, names: Sequence[str]) -> list[str]:
-    """One name or several."""
+    """Return one name or several as a list of str. Raises BadInputError."""
     several = (
         [names]
         if isinstance(names, str)
@@ -385,6 +389,7 @@ def _names(argument: str, names: Sequence[str]) -> list[str]:
 
 
 def _designs(argument: str, by_coefficient: Mapping[str, Sequence[str]] | None) -> list[str]:
+    """Convert a mapping of coefficients to the form of the command line, ``CX=V,alpha``."""
     mapping = (
         {}
         if by_coefficient is None

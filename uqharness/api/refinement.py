@@ -1,4 +1,8 @@
-"""Refinement in Python."""
+"""Refinement in Python: the function that ``uqharness refine`` corresponds to.
+
+Flights in memory are written to temporary files, because a refinement reads files and names them in
+its provenance.
+"""
 
 from __future__ import annotations
 
@@ -137,7 +141,7 @@ def refine(
             "--workers": workers,
             "--no-figures": not figures,
         }
-        # No command reads flights that are in memory.
+        # Only flights from files have a command that repeats the refinement.
         in_files = all(
             scratch.path not in file.parents for flights in files.values() for file in flights
         )
@@ -163,7 +167,7 @@ def refine(
 def _files(
     flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft, folder: Path
 ) -> tuple[Path, ...]:
-    """Files of the flights: their own, or ones in ``folder`` for flights that are in memory."""
+    """Return a file for each flight, writing those in memory into ``folder``."""
     several = [flights] if isinstance(flights, str | PathLike | FlightRecord | Flight) else flights
     flight_list = list(
         instance(
@@ -190,7 +194,7 @@ def _files(
 def _command(
     aircraft: AnyAircraft, files: Mapping[str, Sequence[Path]], options: Mapping[str, object]
 ) -> tuple[str, ...]:
-    """The command that does the same: files by name alone, no option at its default."""
+    """Return the equivalent command: file names only, no option at its default."""
     words = [
         "uqharness",
         "refine",

@@ -1,8 +1,10 @@
-"""Commands in Python whose result is a document: margins, differences, campaigns checked, studies,
+"""Commands in Python whose result is a document: margins, differences, campaign folders, studies,
 pages, dossiers.
 
-They return what the command's ``--json`` prints. Those that load an aircraft or write a page run
-the command in a process of its own; those that read a folder of results call the library."""
+They return what the command prints with ``--json``. Those that load an aircraft or write a page run
+the command in a separate process, which an invalid aircraft cannot take down; those that only read
+results call the library.
+"""
 
 from __future__ import annotations
 
@@ -829,16 +831,17 @@ def dossier(folder: AnyPath, *, out: AnyPath | None = None) -> dict[str, Any]:
 
 
 def _aircraft(aircraft: AnyAircraft) -> str:
+    """Return the word that names an aircraft on a command line."""
     return str(aircraft.folder if isinstance(aircraft, Aircraft) else path("aircraft", aircraft))
 
 
 def _several(values: Any) -> list[Any]:
-    """One value or several."""
+    """Return one value or several as a list."""
     return [values] if isinstance(values, str | Path) else list(values)
 
 
 def _files(**files: AnyPath | None) -> list[str]:
-    """Options that name files."""
+    """Return the words of options that name files."""
     pairs = {
         f"--{name.replace('_', '-')}": file for name, file in files.items() if file is not None
     }
@@ -848,8 +851,9 @@ def _files(**files: AnyPath | None) -> list[str]:
 
 
 def _document(words: Sequence[str]) -> dict[str, Any]:
-    """Run a command in a process of its own, which no aircraft file can end this one through; the
-    document that it prints.
+    """Run a command in a separate process; return the document that it prints.
+
+    Raises BadInputError with the command's message.
     """
     with notebook_line(f"uqharness {words[0]}"):
         code, printed, errors = run_command([*words, "--json"])

@@ -1,4 +1,8 @@
-"""``uqharness bounds``: what a model does not know, from flights it was not made from."""
+"""``uqharness bounds``: bounds of a model's error, from flights that it was not made from.
+
+The command reads flights, cuts them where all channels of residual coefficients are present, fits
+the bounds (`uqharness.identification.bounds`) and writes the model form, its evidence and a page.
+"""
 
 from __future__ import annotations
 
@@ -42,17 +46,18 @@ from uqharness.report.pages import RESIDUALS, slice_section, variation_section
 
 _EXAMPLE = """
   uqharness bounds espaaro --flight flight2.parquet --out bounds
-  uqharness bounds identified/aircraft --flight flight2.bin --manoeuvres manoeuvres.csv --roll-terms --out bounds
-  uqharness bounds espaaro --flight f.csv --states CX=V,alpha,q --terms "Cm=1,alpha,q,p^2" --outside clamp --out bounds
+  uqharness bounds identified/aircraft --flight flight2.bin --roll-terms --out bounds
+  uqharness bounds espaaro --flight f.csv --terms "Cm=1,alpha,q,p^2" --outside clamp --out bounds
 
-DIR/model-form.json (read by validate-bounds, instrument and campaigns), DIR/model-form.xml (the same as a JSBSim system),
-DIR/report.html and DIR/figures/*.svg, drawn from DIR/bounds.json and DIR/residuals.parquet.
+Writes DIR/model-form.json (read by validate-bounds, instrument and campaigns), DIR/model-form.xml
+(the same as a JSBSim system), DIR/report.html and DIR/figures/*.svg, drawn from DIR/bounds.json and
+DIR/residuals.parquet.
 --as-published keeps noise and model error together, for comparison with the dissertation.
 States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``bounds``."""
+    """Add the arguments of ``bounds``."""
     text = (
         "Fit intervals of the model's error as functions of the flight state, sensor noise removed"
         " (see docs/model-form.md)."
@@ -153,11 +158,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _options(args: argparse.Namespace) -> BoundsOptions:
+    """Collect the options of the fit. Raises BadInputError for a combination that has no
+    meaning.
+    """
     if args.sample_size is not None and not args.as_published:
         raise BadInputError(
-            f"--sample-size {args.sample_size} belongs to --as-published: bounds of the model's"
-            " error know how their samples hang together; leave it out, or ask for the published"
-            " interval"
+            f"--sample-size {args.sample_size} requires --as-published: bounds of the model error"
+            " account for autocorrelation already; omit it, or add --as-published"
         )
     return BoundsOptions(
         designs=parse_designs(args.states, args.terms, args.order, args.roll_terms),
@@ -175,6 +182,7 @@ def _options(args: argparse.Namespace) -> BoundsOptions:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Fit the bounds and write all files; return the exit code."""
     aircraft = aircraft_with_card(args.aircraft)
     check_folder(args.out)
     options = _options(args)
@@ -184,12 +192,13 @@ def _run(args: argparse.Namespace) -> int:
             args.flight, aircraft, args.manoeuvres, args.map, args.flight_number
         )
         if args.servos == "auto":
-            stage("servos: the card's or ideal ones")
+            stage("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos)
         flights, options = servos.noted(flights), replace(options, ideal_servos=servos.ideal)
         bounds = make_bounds(
             aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, stage
         )
+        # Render the XML before anything is written: it may refuse the aircraft.
         system = model_form_xml(bounds.form, aircraft)
         out = results_folder(args.out)
         document = bounds_document(bounds)
@@ -208,8 +217,8 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _more_figures(bounds: MadeBounds, out: Path) -> None:
-    """Drawings of what the folder does not keep: the levels' changes, and the bounds of the usual
-    states beside others.
+    """Draw what the folder does not store: the changes of levels, and the bounds with default
+    states.
     """
 
     sections = [variation_section(bounds.variations)]

@@ -1,5 +1,6 @@
-"""``uqharness completion``: a script that makes a shell complete commands, options, files and
-aircraft.
+"""``uqharness completion``: a shell script that completes commands, options, files and aircraft.
+
+shtab writes the script from the parser of all commands.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ _EXAMPLE = """
   uqharness completion bash > ~/.local/share/bash-completion/completions/uqharness
   uqharness completion zsh > ~/.zfunc/_uqharness
 
-bash reads its file at the next start. zsh needs `fpath+=~/.zfunc; autoload -U compinit; compinit` in ~/.zshrc. Completing runs
-none of this program; write the file again after an update."""
+bash reads its file at the next start. zsh needs in ~/.zshrc:
+fpath+=~/.zfunc; autoload -U compinit; compinit
+Completion does not run this program; write the file again after an update."""
 _AIRCRAFT: Mapping[str, str] = {
     "bash": '_uqharness_aircraft() {{ compgen -W {names} -- "$1"; compgen -d -- "$1"; }}',
     "zsh": "_uqharness_aircraft() {{ compadd -- {words}; _files -/; }}",
@@ -30,19 +32,20 @@ _AIRCRAFT: Mapping[str, str] = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``completion``."""
+    """Add the arguments of ``completion``."""
     describe(parser, _run, "Print a script that completes uqharness in a shell.", _EXAMPLE)
     parser.add_argument("shell", choices=SHELLS, help="the shell")
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Print the script; return the exit code."""
     text = script(args.complete_parser(), args.shell)
     print(json.dumps({"shell": args.shell, "script": text}) if args.json else text)
     return 0
 
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
-    """The script for ``bash`` or ``zsh`` from the parser of all commands."""
+    """Return the completion script of ``bash`` or ``zsh`` for a parser."""
     for action in _actions(parser):
         completer = _completer(action)
         if completer is not None:
@@ -54,12 +57,13 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
 
 
 def known_aircraft() -> list[str]:
-    """Names under aircraft/."""
+    """Return the names of the aircraft under aircraft/."""
     folder = PROJECT_ROOT / "aircraft"
     return sorted(path.name for path in folder.iterdir() if (path / f"{path.name}.xml").is_file())
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """Yield the arguments of a parser and of all its commands."""
     for action in parser._actions:
         if not isinstance(action, argparse._SubParsersAction):
             yield action
@@ -68,9 +72,7 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
 
 
 def _completer(action: argparse.Action) -> Mapping[str, str] | None:
-    """What the shell offers for an argument; None where that is nothing or the argument's
-    choices.
-    """
+    """Return the completion of an argument by shell; None where its choices are enough."""
     if action.metavar in ("AIRCRAFT", "A", "B"):
         return dict.fromkeys(SHELLS, "_uqharness_aircraft")
     if action.type is not Path:

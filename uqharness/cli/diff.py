@@ -1,4 +1,7 @@
-"""``uqharness diff``: fly two models side by side and list their differences."""
+"""``uqharness diff``: fly two models in the same conditions and list their differences.
+
+Exit code 1 means that the models differ, so the command can guard a repository of aircraft.
+"""
 
 from __future__ import annotations
 
@@ -33,14 +36,14 @@ from uqharness.text_tables import text_table
 
 _EXAMPLE = """
   uqharness diff espaaro espaaro_truth --speed-mps 22
-  uqharness diff HEAD~1:aircraft/espaaro aircraft/espaaro --speed-mps 22 --script loiter --out diff.html
+  uqharness diff HEAD~1:aircraft/espaaro aircraft/espaaro --speed-mps 22 --out diff.html
   uqharness diff c172p my/c172p --speed-mps 45 --speed-mps 60 --json
   uqharness diff c172p c172p --speed-mps 50 --python-b other-jsbsim/bin/python"""
 _MAX_ROWS = 12
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``diff``."""
+    """Add the arguments of ``diff``."""
     text = (
         "Fly the same manoeuvres with two models (same start, controls and air) and list the"
         " outputs that differ by more than rounding, the likeliest cause first, with the XML that"
@@ -126,6 +129,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Fly both models and compare; return exit code 1 where they differ."""
     if args.out is not None:
         check_page(args.out)
     if not args.speed_mps and not args.script:
@@ -170,6 +174,7 @@ def _run(args: argparse.Namespace) -> int:
 def _text(
     flights: Sequence[Matched], first: Sequence[Difference], terms: Sequence[Term], differ: bool
 ) -> str:
+    """Return the differences as text, the likeliest cause first."""
     flight_summary = (
         f"{len(flights)} flights,"
         f" {sum(float(f.time_s[-1]) for f in flights if len(f.time_s)):.0f} s"
@@ -228,6 +233,7 @@ def _text(
 
 
 def _terms(terms: Sequence[Term]) -> list[str]:
+    """Return the lines of differing XML elements."""
     lines = [
         f"{_where(t)}: {t.path}: {t.a or 'nothing'} -> {t.b or 'nothing'}"
         for t in terms[:_MAX_ROWS]
@@ -236,6 +242,7 @@ def _terms(terms: Sequence[Term]) -> list[str]:
 
 
 def _where(term: Term) -> str:
+    """Return file and line of a differing element."""
     return f"B {term.b_where}" if term.b_where else f"A {term.a_where}"
 
 
@@ -246,6 +253,8 @@ def _document(
     terms: Sequence[Term],
     differ: bool,
 ) -> dict[str, Any]:
+    """Return the differences for --json; numbers that are not finite become null."""
+
     def finite(value: float) -> float | None:
         return value if math.isfinite(value) else None
 

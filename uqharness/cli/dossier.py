@@ -1,4 +1,4 @@
-"""``uqharness dossier``: the evidence of a folder of results as one document."""
+"""``uqharness dossier``: the evidence of a folder of results as one printable document."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ _EXAMPLE = """
   uqharness dossier results
   uqharness dossier refined --out evidence.html --json
 
-DIR is the --out of study, refine, campaign run, identify or compare, or a folder that holds several of them. Writes
-DIR/dossier.html, one file that can be printed. It lays out evidence and claims no compliance with any regulation or standard."""
+DIR is the --out of study, refine, campaign run, identify or compare, or a folder that holds several
+of them. Writes DIR/dossier.html, one file that can be printed. It presents evidence and claims no
+compliance with any regulation or standard."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``dossier``."""
+    """Add the arguments of ``dossier``."""
     text = (
         "Write the evidence for a model as one document: provenance, proof of match, credibility,"
         " claims, validity envelope, sources (see docs/dossier.md). Nothing is flown or fitted."
@@ -47,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Write the dossier; return exit code 1 where evidence is missing."""
     path = args.folder / DOSSIER if args.out is None else args.out
     if path.suffix not in (".html", ".htm"):
         raise BadInputError(f"--out {path}: a file whose name ends with .html is needed")
@@ -77,7 +79,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _match(dossier: Dossier) -> dict[str, Any]:
-    """Tests and segments, as a program reads them."""
+    """Return the tests of the match, and those whose data are missing, for --json."""
     if dossier.source is None:
         return {"tests": [], "not_in_the_data": {}}
     match = dossier.source.match
@@ -88,6 +90,7 @@ def _match(dossier: Dossier) -> dict[str, Any]:
 
 
 def _test_document(outcome: Judged) -> dict[str, Any]:
+    """Return one test with its segment and rows for --json."""
     rows = [
         {
             "quantity": r.quantity,

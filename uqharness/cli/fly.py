@@ -1,4 +1,4 @@
-"""``uqharness fly``: one flight of a script, recorded as a flight log."""
+"""``uqharness fly``: fly a run script once and record it as a flight log."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ from uqharness.simulator import (
 
 _EXAMPLE = """
   uqharness fly espaaro --script scripts/doublet-elevator.xml --out doublet.csv
-  uqharness fly espaaro --duration-s 600 --wind-mps 3 --wind-from-deg 270 --turbulence moderate --seed 7 --noise --out x.parquet
+  uqharness fly espaaro --duration-s 600 --wind-mps 3 --turbulence moderate --noise --out x.parquet
   uqharness fly c172p --mission doublets --speed-mps 50 --noise --seed 1 --out doublets.parquet
-  uqharness fly espaaro --autopilot my-plane.param --duration-s 300 --wind-mps 3 --turbulence moderate --out mine.csv
-  uqharness fly espaaro --set aero/Cm_q=-10 --set uq/active=1 --set uq/CX/level=1 --out changed.csv"""
+  uqharness fly espaaro --autopilot my-plane.param --duration-s 300 --wind-mps 3 --out mine.csv
+  uqharness fly espaaro --set aero/Cm_q=-10 --set uq/active=1 --set uq/CX/level=1 --out new.csv"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``fly``."""
+    """Add the arguments of ``fly``."""
     text = (
         "Fly a run script once and write the flight record (SI, body axes; see docs/commands.md)."
     )
@@ -158,6 +158,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Check the options and fly; return the exit code."""
     if args.out.suffix not in FORMATS:
         raise BadInputError(
             f"--out {args.out}: the format follows the name's ending, {', '.join(FORMATS)}"
@@ -177,7 +178,7 @@ def _run(args: argparse.Namespace) -> int:
             f"--mission {args.mission}: give --speed-mps V, at which {aircraft.name} trims"
             " (uqharness modes)"
         )
-    # Initial conditions lie in the aircraft's folder, and that is not ours to write to.
+    # Initial conditions must lie in the aircraft's folder, so a mission flies a copy.
     with scratch_folder("fly") as scratch:
         root = scratch.path
         copy_folder(aircraft.folder, root / "aircraft" / aircraft.folder.name)
@@ -192,8 +193,9 @@ def _run(args: argparse.Namespace) -> int:
 def _fly(
     args: argparse.Namespace, aircraft: Aircraft, flight_aircraft: Aircraft, path: Path
 ) -> int:
-    """Fly ``flight_aircraft``, which is ``aircraft`` or its copy with initial conditions, and write
-    the record."""
+    """Fly ``flight_aircraft``, the aircraft or its copy with initial conditions, and write the
+    record.
+    """
     script = read_script(path)
     gains = gains_of(args.autopilot, flight_aircraft, path)
     record, recorded = recorded_flight(
@@ -238,6 +240,7 @@ def _fly(
 
 
 def _conditions(args: argparse.Namespace) -> str:
+    """Describe air, noise and settings for the page."""
     wind = (
         f"Wind {args.wind_mps:g} m/s from {args.wind_from_deg:g} deg"
         if args.wind_mps
@@ -257,6 +260,7 @@ def _conditions(args: argparse.Namespace) -> str:
 def _spec(
     args: argparse.Namespace, aircraft: Aircraft, script: Script, gains: Mapping[str, float]
 ) -> FlightSpec:
+    """Return the specification of the flight."""
     spec = FlightSpec(
         aircraft=aircraft.folder,
         script=script.path,
@@ -273,7 +277,11 @@ def _spec(
 
 
 def parse_settings(settings: list[str]) -> dict[str, float]:
-    """``PROP=VALUE`` pairs as a dict. Raises BadInputError for anything else."""
+    """Parse ``PROP=VALUE`` pairs. Raises BadInputError.
+
+    >>> parse_settings(["aero/Cm_q=-10"])
+    {'aero/Cm_q': -10.0}
+    """
     parsed: dict[str, float] = {}
     for text in settings:
         name, equals, value = text.partition("=")

@@ -1,4 +1,8 @@
-"""``uqharness identify``: flights in, an aircraft with estimated parameters out."""
+"""``uqharness identify``: estimate an aircraft's parameters from flights.
+
+The command reads flights, chooses the servos, estimates the parameters
+(`uqharness.identification.identify`) and writes an aircraft with the estimates, tables and a page.
+"""
 
 from __future__ import annotations
 
@@ -32,24 +36,25 @@ from uqharness.report.pages.identify import write_results
 
 _EXAMPLE = """
   uqharness identify espaaro --flight doublets.parquet --out identified
-  uqharness identify espaaro --flight flight1.bin --manoeuvres manoeuvres.csv --servos ideal --out identified
-  uqharness identify espaaro --flight a.csv b.csv --params aero/Cm_q,aero/Cm_de --start initial --out identified
+  uqharness identify espaaro --flight flight1.bin --servos ideal --out identified
+  uqharness identify espaaro --flight a.csv b.csv --params aero/Cm_q,aero/Cm_de --out identified
 
-Writes DIR/fit.json, DIR/report.html, DIR/parameters.csv, DIR/figures/*.svg, and DIR/aircraft, an AIRCRAFT with the estimates."""
+Writes DIR/fit.json, DIR/report.html, DIR/parameters.csv, DIR/figures/*.svg, and DIR/aircraft, an
+AIRCRAFT with the estimates."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``identify``."""
+    """Add the arguments of ``identify``."""
     text = (
-        "Estimate an aircraft's parameters from flight logs or records by output error (see"
-        " docs/identification.md)."
+        "Estimate an aircraft's parameters from flight logs or records by output error, or by"
+        " filter error in turbulence (see docs/identification.md)."
     )
     describe(
         parser,
         _run,
         text,
         _EXAMPLE,
-        no="the estimation did not converge, or no parameter could be identified",
+        no="not converged, or no parameter identified",
     )
     add_aircraft(parser)
     add_flights(parser)
@@ -60,46 +65,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--params",
         metavar="P,P",
         help=(
-            "JSBSim properties to estimate (default: those of the card's [parameters] that the"
-            " flights excite)"
+            "JSBSim properties to estimate (default: the card's [parameters] that the flights"
+            " excite)"
         ),
     )
     parser.add_argument(
         "--outputs",
         metavar="C,C",
         help=(
-            "channels that are fitted, such as q,alpha,az (default: all; without --params those"
-            " that the parameters act on)"
+            "channels to fit, such as q,alpha,az (default: all; without --params those on which a"
+            " parameter acts)"
         ),
     )
     parser.add_argument(
         "--start",
         choices=("initial", "current"),
         default="current",
-        help="start from the card's initial values or from the XML's (default %(default)s)",
+        help="start values: the card's (initial) or the XML's (current) (default %(default)s)",
     )
     parser.add_argument(
         "--method",
         choices=("auto", "output-error", "filter-error"),
         default="auto",
-        help="auto: filter error where output error's residuals show turbulence (default)",
+        help=(
+            "auto: output error, then filter error if its residuals show turbulence (default"
+            " %(default)s)"
+        ),
     )
     add_workers(parser, DEFAULT_WORKERS)
     add_no_figures(parser)
 
 
 def _note(text: str) -> None:
+    """Print a note to standard error, also in a pipe."""
     print(f"uqharness: note: {text}", file=sys.stderr, flush=True)
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Estimate the parameters and write the results; return the exit code."""
     aircraft = aircraft_with_card(args.aircraft)
     parameters = (
         None if args.params is None else [p.strip() for p in args.params.split(",") if p.strip()]
     )
     if parameters == []:
         raise BadInputError(
-            "--params is empty; name properties such as aero/Cm_q,aero/Cm_de, or leave it out"
+            "--params is empty; give properties such as aero/Cm_q,aero/Cm_de, or omit the option"
         )
     biases, delays, outputs = (
         parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays", "outputs")
@@ -111,7 +121,7 @@ def _run(args: argparse.Namespace) -> int:
             args.flight, aircraft, args.manoeuvres, args.map, flight_numbers=args.flight_number
         )
         if args.servos == "auto":
-            stage("servos: the card's or ideal ones")
+            stage("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos, args.workers)
         flights = servos.noted(flights)
         result = identify(

@@ -1,4 +1,4 @@
-"""``uqharness instrument``: the model-form plugin for any JSBSim aircraft, and back."""
+"""``uqharness instrument``: add the model-form plugin to a JSBSim aircraft, or remove it."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ from uqharness.text_tables import text_table
 _EXAMPLE = """
   uqharness instrument c172x --out aircraft/c172x
   uqharness instrument c172x --out aircraft/c172x --constant CX=0.01,CZ=-0.05:0.08,Cm=0.02
-  uqharness instrument identified/aircraft --bounds bounds/model-form.json --out bounded --page bounds.html
+  uqharness instrument identified/aircraft --bounds bounds/model-form.json --out bounded
   uqharness instrument c172x --out mine --mass-kg 998 --iyy-kgm2 1700 --cg-x-m 1.03
   uqharness instrument c172x --out aircraft/c172x --undo
 
-DIR becomes a copy of the aircraft's folder with the plugin in it (DIR may be that folder itself), and a record
-that --undo goes by."""
+DIR becomes a copy of the aircraft's folder with the plugin (DIR may be that folder itself), and a
+record that --undo reads."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``instrument``."""
+    """Add the arguments of ``instrument``."""
     text = (
         "Add bounded increments (uq/...) of the six coefficients to an aircraft of any axes; see"
         " docs/instrument.md."
@@ -104,6 +104,7 @@ _MASS = {
 
 
 def _add_mass(parser: argparse.ArgumentParser) -> None:
+    """Add the options that replace mass properties."""
     group = parser.add_argument_group("mass properties, in place of the XML's")
     for name, text in _MASS.items():
         option, unit = f"--{name.replace('_', '-')}", name.rpartition("_")[2]
@@ -113,7 +114,11 @@ def _add_mass(parser: argparse.ArgumentParser) -> None:
 
 
 def parse_constant(text: str) -> dict[str, tuple[float, float]]:
-    """``CX=0.008,CZ=-0.05:0.08`` as lower and upper bounds. Raises BadInputError."""
+    """Parse ``CX=0.008,CZ=-0.05:0.08`` to lower and upper bounds. Raises BadInputError.
+
+    >>> parse_constant("CX=0.008,CZ=-0.05:0.08")
+    {'CX': (-0.008, 0.008), 'CZ': (-0.05, 0.08)}
+    """
     out = {}
     for part in text.split(","):
         name, equals, number = part.strip().partition("=")
@@ -141,6 +146,7 @@ def parse_constant(text: str) -> dict[str, tuple[float, float]]:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Instrument an aircraft, or undo it; return the exit code."""
     if args.page is not None:
         if args.undo or args.dry_run:
             raise BadInputError(
@@ -159,7 +165,7 @@ def _run(args: argparse.Namespace) -> int:
     bounds = Bounds(form, {} if args.constant is None else parse_constant(args.constant))
     checked = not (args.no_check or args.dry_run)
     with working("instrument") as stage:
-        stage("flights of 1 s or less beside the original" if checked else "writing")
+        stage("comparing short flights with the original" if checked else "writing")
         done = instrument_aircraft(
             aircraft,
             bounds,
@@ -183,17 +189,18 @@ def _run(args: argparse.Namespace) -> int:
 def _write_page(
     args: argparse.Namespace, aircraft: Aircraft, done: Instrumented, bounds: Bounds
 ) -> None:
+    """Write the page of the bounds, with the result of the check."""
     check = None
     if done.verdict is not None and done.verdict.status == "works":
         text = (
-            f"Flown beside the untouched aircraft: {done.verdict.properties} properties"
+            f"Compared with the original aircraft: {done.verdict.properties} properties"
             " bit-identical with uq/active 0."
         )
         check = (True, text)
     elif done.verdict is not None:
         check = (
             False,
-            f"Flown beside the untouched aircraft, {done.verdict.status}: {done.verdict.reason}.",
+            f"Compared with the original aircraft, {done.verdict.status}: {done.verdict.reason}.",
         )
     page_data = Instrumentation(
         aircraft.name, done.planned.rows, tuple(done.notes), check, command_as_given(args)
@@ -202,6 +209,7 @@ def _write_page(
 
 
 def _undo(args: argparse.Namespace) -> int:
+    """Remove the plugin; return the exit code."""
     folder = args.out if (args.out / FILE_NAME).is_file() else find_folder(args.aircraft)
     if args.dry_run:
         raise BadInputError(
@@ -218,6 +226,7 @@ def _undo(args: argparse.Namespace) -> int:
 
 
 def _report(aircraft: Aircraft, done: Instrumented, args: argparse.Namespace) -> dict[str, Any]:
+    """Return what was done, for --json and the text."""
     planned, files = done.planned, []
     for name, change in sorted(planned.changes.items()):
         kind = "edited" if change.edited else "added" if not change.before else "replaced"
@@ -243,6 +252,7 @@ def _report(aircraft: Aircraft, done: Instrumented, args: argparse.Namespace) ->
 
 
 def _text(report: dict[str, Any]) -> str:
+    """Return what was done as text."""
     axes = report["axes"]
     state = (
         f"the copy in {report['out']} has"
@@ -299,6 +309,7 @@ def _text(report: dict[str, Any]) -> str:
 
 
 def _check_lines(check: dict[str, Any] | None) -> list[str]:
+    """Describe the result of the check flights."""
     if check is None:
         return []
     if check["status"] == "works":

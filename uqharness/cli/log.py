@@ -1,5 +1,8 @@
-"""``uqharness log info``, ``map`` and ``import``: what a flight log holds, its signal map, and a
-flight record from it.
+"""``uqharness log info | map | import | export``: contents of a flight log, its signal map, and
+records made from it.
+
+`info` checks a log and lists the purposes it serves, `map` proposes a signal map for an unknown
+table, `import` writes a flight record, and `export` writes files that FlightGear plays back.
 """
 
 from __future__ import annotations
@@ -56,7 +59,7 @@ VERBS: Table = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Give ``log`` its verbs."""
+    """Add the verbs of ``log``."""
     parser.description = (
         "Check a flight log, convert it to a flight record, or export it to FlightGear."
     )
@@ -64,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_info(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``log info``."""
+    """Add the arguments of ``log info``."""
     text, no = (
         "List the contents and findings of a log, and the purposes it serves.",
         "the log serves no purpose",
@@ -79,7 +82,7 @@ def add_info(parser: argparse.ArgumentParser) -> None:
 
 
 def add_map_proposal(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``log map``."""
+    """Add the arguments of ``log map``."""
     text, no = (
         "Propose a signal map for a log by names, units and statistics, to be read and edited.",
         "no signal was recognised",
@@ -96,7 +99,7 @@ def add_map_proposal(parser: argparse.ArgumentParser) -> None:
 
 
 def _map(args: argparse.Namespace) -> int:
-    """0 when a signal was recognised, 1 when none was."""
+    """Propose a map; return 0 when a signal was recognised, 1 when none was."""
     from sysid.logs import propose_map
 
     if args.out.exists():
@@ -132,7 +135,7 @@ def _map(args: argparse.Namespace) -> int:
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``log import``."""
+    """Add the arguments of ``log import``."""
     text = "Turn a log into a flight record (Parquet or CSV by the suffix of --out)."
     describe(
         parser,
@@ -151,6 +154,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_log(parser: argparse.ArgumentParser) -> None:
+    """Add the log and the options by which it is read."""
     parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP)
     add_map(parser)
     add_flight_number(parser)
@@ -167,7 +171,7 @@ def _add_log(parser: argparse.ArgumentParser) -> None:
 
 
 def _info(args: argparse.Namespace) -> int:
-    """0 when the log serves a purpose, 1 when it serves none."""
+    """Print the contents of a log; return 0 when it serves a purpose, 1 when it serves none."""
     # Imported here, as below: `uqharness --help` should not wait for the numerical libraries.
     from sysid.logs import log_info
 
@@ -184,6 +188,7 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _write_page(args: argparse.Namespace, info: LogInfo, record: FlightRecord) -> None:
+    """Write the page of a log, with manoeuvres from a table or as found in the commands."""
     from sysid.logs import label_found, labelled
     from uqharness.report import write_html
     from uqharness.report.pages import log_page
@@ -196,6 +201,7 @@ def _write_page(args: argparse.Namespace, info: LogInfo, record: FlightRecord) -
 
 
 def _import(args: argparse.Namespace) -> int:
+    """Write a flight record, by default of free flight alone; return the exit code."""
     if args.out.suffix.lower() not in (".parquet", ".csv"):
         raise LogError(
             f"--out ends in '{args.out.suffix}'; allowed are .parquet and .csv", args.out
@@ -232,6 +238,7 @@ def _import(args: argparse.Namespace) -> int:
 
 
 def _read(args: argparse.Namespace) -> FlightRecord:
+    """Import the log with its progress on a terminal."""
     from sysid.logs import import_log
 
     card = _card_of(args)
@@ -248,7 +255,7 @@ def _read(args: argparse.Namespace) -> FlightRecord:
 
 
 def _card_of(args: argparse.Namespace) -> Path | None:
-    """The card that --aircraft names, or the folder that holds it."""
+    """Return the card that ``--aircraft`` names, or the folder that holds it."""
     if args.aircraft is None:
         return None
     card = Path(args.aircraft)
@@ -256,7 +263,7 @@ def _card_of(args: argparse.Namespace) -> Path | None:
 
 
 class _ProgressLine:
-    """A percentage on a terminal's standard error; silent in a pipe."""
+    """Context for a percentage on a terminal's standard error; silent in a pipe."""
 
     def __init__(self, title: str) -> None:
         self._title, self._shown = title, -1
@@ -269,6 +276,7 @@ class _ProgressLine:
             drawing(sys.stderr).write("\r\x1b[K")
 
     def _show(self, share: float) -> None:
+        """Print a new percentage over the old one."""
         percent = int(100 * share)
         if percent != self._shown:
             self._shown = percent
@@ -277,6 +285,7 @@ class _ProgressLine:
 
 
 def _info_text(info: LogInfo) -> str:
+    """Return the contents of a log as text."""
     flight = (
         "none" if info.flight_s is None else f"{info.flight_s[0]:.1f} to {info.flight_s[1]:.1f} s"
     )
@@ -314,6 +323,7 @@ def _info_text(info: LogInfo) -> str:
 
 
 def _boot_text(boot: Boot, read: int) -> str:
+    """Describe one boot of the autopilot."""
     span = boot.free_flight_s
     flight = "no free flight" if span is None else f"free flight {span[0]:.1f} to {span[1]:.1f} s"
     mark = "  <- read here" if boot.number == read else ""
@@ -321,6 +331,7 @@ def _boot_text(boot: Boot, read: int) -> str:
 
 
 def _loiter_text(loiter: Loiter) -> str:
+    """Describe one commanded loiter."""
     sense = "clockwise" if loiter.clockwise else "anticlockwise"
     return (
         f"{loiter.start_s:.1f} to {loiter.end_s:.1f} s, radius {loiter.radius_m:g} m {sense} about"
@@ -331,6 +342,7 @@ def _loiter_text(loiter: Loiter) -> str:
 def _import_text(
     record: FlightRecord, out: Path, kept_s: tuple[float, float], log_s: tuple[float, float]
 ) -> str:
+    """Describe the written record."""
     span = f"{kept_s[0]:.2f} to {kept_s[1]:.2f} s of {log_s[0]:.2f} to {log_s[1]:.2f} s"
     lines = [
         f"{out}: {len(record)} rows at {record.metadata.grid_hz:g} Hz, {span}",
@@ -341,8 +353,10 @@ def _import_text(
 
 
 def _condensed(findings: Sequence[Finding]) -> list[str]:
-    """By code and severity: the first message, further channels of which it can be said, what
-    errors spoil and what mends them.
+    """Group findings by severity and code.
+
+    Each group has its first message, the other channels that it applies to, and for errors what
+    they spoil and what repairs them.
     """
     groups: dict[tuple[str, str], list[Finding]] = {}
     for f in findings:
@@ -364,20 +378,21 @@ def _condensed(findings: Sequence[Finding]) -> list[str]:
     return lines
 
 
-# ``uqharness log export``: a flight that FlightGear shows.
+# ``uqharness log export``: files for FlightGear.
 
 FORMATS = ("flightgear",)
 LINES, PROTOCOL = "playback.csv", "uqharness-playback.xml"
 _EXAMPLE = f"""
   uqharness log export flight1.bin --aircraft espaaro --out shown
-  uqharness log export loiter.csv --aircraft espaaro --lat-deg 37.2 --lon-deg -80.4 --alt-m 630 --out shown
+  uqharness log export loiter.csv --aircraft espaaro --lat-deg 37.2 --lon-deg -80.4 --out shown
 
-DIR/{LINES} and DIR/{PROTOCOL}. Copy the latter to Protocol/ of FlightGear's data folder, then
+Writes DIR/{LINES} and DIR/{PROTOCOL}. Copy the latter to Protocol/ of FlightGear's
+data folder, then
   fgfs --fdm=null --generic=file,in,30,shown/{LINES},uqharness-playback"""
 
 
 def add_export(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``log export``."""
+    """Add the arguments of ``log export``."""
     text = "Write a flight as files that FlightGear plays back: position, attitude, airspeed."
     describe(parser, _run, text, _EXAMPLE)
     parser.add_argument("log", type=Path, metavar="LOG", help=FLIGHT_FILE)
@@ -419,6 +434,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Write the files of an export; return the exit code."""
     check_folder(args.out)
     record = read_flight(args.log, find_aircraft(args.aircraft), None, args.map, args.flight_number)
     rows = playback_rows(record, _start(args, record.metadata.start), args.rate_hz)
@@ -451,7 +467,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _start(args: argparse.Namespace, logged: Mapping[str, float]) -> dict[str, float]:
-    """The start point: what was given, then what the log says.
+    """Return the start point from the options, or else from the log.
 
     Raises BadInputError where neither has a position.
     """
@@ -464,6 +480,6 @@ def _start(args: argparse.Namespace, logged: Mapping[str, float]) -> dict[str, f
         start["alt_m"] = 0.0
     if any(math.isnan(value) for value in start.values()):
         raise BadInputError(
-            f"{args.log}: the log does not say where it began; give --lat-deg and --lon-deg"
+            f"{args.log}: the log has no start position; give --lat-deg and --lon-deg"
         )
     return start

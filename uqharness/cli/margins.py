@@ -42,7 +42,7 @@ _EXAMPLE = """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``margins``."""
+    """Add the arguments of ``margins``."""
     text = (
         "Measure the autopilot's stability margins in flight, loop by loop, by injecting a"
         " multisine at each controller's output."
@@ -72,6 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Measure the loops and print their margins; return the exit code."""
     if args.out is not None:
         check_page(args.out)
     aircraft = find_aircraft(args.aircraft)
@@ -122,10 +123,12 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _number(value: float) -> float | None:
+    """Return a finite value, None otherwise."""
     return value if math.isfinite(value) else None
 
 
 def _as_json(item: LoopMargins) -> dict[str, object]:
+    """Return one loop's margins for --json."""
     m = item.margins
     return {
         "gain_up_dB": _number(m.gain_up_dB),
@@ -140,6 +143,8 @@ def _as_json(item: LoopMargins) -> dict[str, object]:
 
 
 def _as_text(name: str, flight: str, measured: list[LoopMargins]) -> str:
+    """Return the table of margins."""
+
     def show(value: float, digits: int = 1) -> str:
         return f"{value:.{digits}f}" if math.isfinite(value) else "none"
 
@@ -167,6 +172,7 @@ def _as_text(name: str, flight: str, measured: list[LoopMargins]) -> str:
 
 
 def _unread_note(item: LoopMargins) -> str:
+    """Describe the frequencies that were discarded; empty where all were used."""
     dropped = item.frequency_radps[~item.reliable]
     if not dropped.size:
         return ""

@@ -40,7 +40,7 @@ _EXAMPLE = """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``modes``."""
+    """Add the arguments of ``modes``."""
     text = (
         "Trim the aircraft in steady flight, linearise the JSBSim model about it, and name its"
         " modes."
@@ -107,11 +107,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _angle(option: str, below: float) -> Callable[[str], float]:
+    """Return a reader of an angle of less than ``below`` degrees either way."""
     return number(option, "an angle in degrees", above=-below, maximum=math.nextafter(below, 0.0))
 
 
 class Speeds(NamedTuple):
-    """Ends of a range of true airspeeds [m/s], written as they are given."""
+    """Range of true airspeeds [m/s], printed as it is written on the command line."""
 
     low: float
     high: float
@@ -121,6 +122,7 @@ class Speeds(NamedTuple):
 
 
 def _speeds(text: str) -> Speeds:
+    """Parse ``LO:HI``. Raises BadInputError."""
     low, colon, high = text.partition(":")
     speed = number("--speeds", "LO:HI, two true airspeeds in m/s,", above=0.0)
     if not colon:
@@ -134,6 +136,7 @@ def _speeds(text: str) -> Speeds:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Trim, linearise and print; return exit code 1 without a trim."""
     if args.out is not None:
         check_page(args.out)
     elif args.speeds is not None:
@@ -176,9 +179,9 @@ def _write(
     condition: SteadyCondition,
     point: LocusPoint,
 ) -> None:
-    """Trim at the page's other speeds, and write it."""
+    """Trim at the other speeds of the page, and write it."""
     speeds = usual_speeds(args.speed_mps, *(args.speeds or ()))
-    # Only a page takes time enough for a line that moves, and its library is slow to load.
+    # Only a page takes long enough for a progress line, whose library is slow to load.
     from uqharness.cli.progress import counting
 
     with counting("speeds trimmed") as progress:
@@ -198,13 +201,15 @@ def _write(
 def _as_json(
     aircraft: Aircraft, trim: Trim, modes: list[Mode], levels: list[Assessment]
 ) -> dict[str, object]:
+    """Return trim, modes and levels for --json."""
+
     def number(value: float) -> float | None:
         return value if math.isfinite(value) else None
 
     controls: dict[str, float | None] = {
         f"{name}_{aircraft.card.inputs[name].unit}": value for name, value in trim.controls.items()
     }
-    # A normalised command says nothing of an angle; the surface itself may.
+    # A normalised command has no angle; the surface position may have one.
     controls.setdefault("elevator_deg", trim.positions_deg.get("elevator"))
     if "throttle_norm" in controls:
         controls["throttle_pct"] = 100.0 * trim.controls["throttle"]
@@ -249,7 +254,7 @@ def _as_json(
 
 
 def _measured(assessment: Assessment) -> str:
-    """The criterion with its value; no time to double amplitude is a mode that is stable."""
+    """Describe a criterion's value; a mode without time to double amplitude is stable."""
     if math.isinf(assessment.value):
         return "stable"
     if math.isnan(assessment.value):
@@ -261,6 +266,7 @@ def _measured(assessment: Assessment) -> str:
 
 
 def _trim_lines(name: str, trim: Trim) -> list[str]:
+    """Return the lines that describe a trim."""
     north, east, down = trim.velocity_ned_mps
     attitude = (
         f"  alpha {math.degrees(trim.alpha_rad):8.3f} deg   beta {math.degrees(trim.beta_rad):8.3f}"
@@ -287,6 +293,7 @@ def _trim_lines(name: str, trim: Trim) -> list[str]:
 
 
 def _as_text(name: str, trim: Trim, modes: list[Mode], levels: list[Assessment]) -> str:
+    """Return trim, modes and levels as a table."""
     lines = [
         *_trim_lines(name, trim),
         "",
@@ -311,7 +318,9 @@ def _as_text(name: str, trim: Trim, modes: list[Mode], levels: list[Assessment])
 
 
 def _belongs(assessment: Assessment, mode: Mode, first: bool) -> bool:
-    """Whether a criterion is printed in a mode's row: a divergence at its root, others once."""
+    """Check whether a criterion is printed in a mode's row: a divergence at its root,
+    others once.
+    """
     if assessment.paragraph != DIVERGENCE:
         return first
     return mode.real > 0.0 and math.isclose(assessment.value, math.log(2.0) / mode.real)

@@ -1,5 +1,8 @@
-"""``uqharness next-flight``: where more flight data would narrow the interval that matters most,
-and what to fly for it.
+"""``uqharness next-flight``: the test flight that would narrow the most important interval.
+
+The sensitivity of a campaign selects the coefficient, the mission's flight states weight its
+interval, and `uqharness.next_flight` searches for test points. Exit code 1 means that no flight of
+the allowed length is worth flying.
 """
 
 from __future__ import annotations
@@ -55,16 +58,17 @@ DOCUMENT, SCRIPT, TABLE = "next-flight.json", "next-flight.xml", "test-points.cs
 
 _EXAMPLE = """
   uqharness next-flight results --bounds bounds/model-form.json --out next
-  uqharness next-flight results --bounds bounds/model-form.json --metric altitude_median_m --minutes 3 --turbulence light --out next
+  uqharness next-flight results --metric altitude_median_m --minutes 3 --out next
   uqharness fly espaaro --script next/next-flight.xml --noise --seed 1 --out rehearsal.parquet
-  uqharness next-flight results --bounds bounds/model-form.json --redone both/model-form.json --out next
+  uqharness next-flight results --redone both/model-form.json --out next
 
-DIR/next-flight.json, DIR/next-flight.xml (a run script), DIR/test-points.csv, DIR/report.html and DIR/figures/next-flight.svg.
-With --redone nothing is planned: the bounds before and after a flight are compared."""
+Writes DIR/next-flight.json, DIR/next-flight.xml (a run script), DIR/test-points.csv,
+DIR/report.html and DIR/figures/next-flight.svg. With --redone nothing is planned: the bounds before
+and after a flight are compared."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``next-flight``."""
+    """Add the arguments of ``next-flight``."""
     text = (
         "Plan the test flight that most narrows the interval of the coefficient to which the"
         " mission is most sensitive, in the flight states of the mission (see docs/next-flight.md)."
@@ -154,6 +158,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _speeds(text: str) -> tuple[float, ...]:
+    """Parse true airspeeds. Raises BadInputError."""
     try:
         speeds = tuple(float(v) for v in text.split(","))
     except ValueError:
@@ -164,6 +169,7 @@ def _speeds(text: str) -> tuple[float, ...]:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Print the plan; return the exit code."""
     check_folder(args.out)
     with working("next-flight") as stage:
         text, code = _answer(args, stage)
@@ -172,7 +178,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _answer(args: argparse.Namespace, stage: Stage) -> tuple[str, int]:
-    """What is printed, and the exit code."""
+    """Return what is printed, and the exit code."""
     stage("sensitivity")
     winner = find_winner(args.folder, args.metric, args.coefficient)
     campaign = open_campaign(args.folder)
@@ -203,6 +209,7 @@ def _plan(
     winner: Winner,
     stage: Stage,
 ) -> tuple[str, int]:
+    """Plan a flight and write its files; return the text and the exit code."""
     flight = flight_of(campaign, aircraft, form, args.turbulence)
     plan = plan_flight(
         form,
@@ -269,6 +276,7 @@ def _compare_redone(
     mission: Occupancy,
     coefficient: str,
 ) -> tuple[str, int]:
+    """Compare the bounds before and after the new flight; return the text and the exit code."""
     rows = achieved(before, after, mission, args.out / DOCUMENT)
     text = (
         json.dumps({"coefficient": coefficient, "achieved": rows}) if args.json else as_text(rows)

@@ -1,7 +1,8 @@
-"""Progress of a command: a bar on a terminal, a line now and then in a pipe.
+"""Progress of a command: a bar on a terminal, an occasional line in a pipe.
 
-`working`, `counting` and `ProgressView` draw on a terminal, and tell `uqharness.heartbeat` the
-stage, which it writes elsewhere."""
+`working`, `counting` and `ProgressView` draw on a terminal and set the stage of
+`uqharness.heartbeat`, which prints it elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -36,16 +37,14 @@ if TYPE_CHECKING:
 
 
 class _Counted(ProgressColumn):
-    """How many of something are done since the line began, asked for at each drawing; empty before
-    the first.
-    """
+    """Column with the count since the line began; empty before the first."""
 
     def __init__(self, count: Callable[[], int], unit: str) -> None:
         super().__init__()
         self._count, self._unit, self._before = count, unit, count()
 
     def render(self, task: Task) -> Text:
-        """The number and its unit."""
+        """Return the number and its unit."""
         done = self._count() - self._before
         return Text(f"{done:,} {self._unit}" if done else "")
 
@@ -59,21 +58,23 @@ def working(
     keep: bool = False,
     console: Console | None = None,
 ) -> Iterator[Callable[[str], None]]:
-    """A line that moves while a command works: its stage, the time since the command began, and a
-    count.
+    """Context that shows the stage, the elapsed time and a count while a command works.
 
     Parameters
     ----------
-    command
-        What the line begins with.
-    count, unit
-        Gives a number that grows with the work; None shows none.
-    keep
-        Whether each finished stage leaves a line with the time that it took.
-    console
+    command : str
+        Prefix of the line.
+    count, unit : callable and str
+        A number that grows with the work; None shows none.
+    keep : bool
+        Whether each finished stage leaves a line with its duration.
+    console : Console, optional
         Where to draw; by default standard error.
 
-    Yields a function that is told each stage.
+    Yields
+    ------
+    callable
+        Called with the name of each stage.
     """
     console_used = console or Console(stderr=True, file=drawing(sys.stderr))
     if not console_used.is_terminal:
@@ -87,8 +88,8 @@ def working(
         return
     columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()]
     columns += [] if count is None else [_Counted(count, unit)]
-    # Other output is not drawn through the bar: it may hold a log's own words, and those pass the
-    # terminal's filter alone.
+    # Other output is not redirected through the bar: it may contain text of a log, which must pass
+    # the terminal's filter.
     with (
         bar_drawn(),
         Bar(
@@ -121,18 +122,18 @@ def working(
 
 
 def _without_numbers(text: str) -> str:
-    """A stage that only counts on is the same stage."""
+    """Remove numbers: a stage that only counts on is the same stage."""
     return re.sub(r"\d+", "", text)
 
 
 def print_line(text: object) -> None:
-    """A line of its own."""
+    """Print a line on a terminal only."""
     if sys.stderr.isatty():
         print(text, file=sys.stderr)
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
-    """A line each on standard error, in a pipe too; on a terminal in place of a line that moves."""
+    """Print warnings to standard error, one a line, overwriting a progress line."""
     for text in warnings:
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=drawing(sys.stderr))
@@ -141,8 +142,9 @@ def print_warnings(warnings: Iterable[str]) -> None:
 
 @contextmanager
 def counting(title: str) -> Iterator[Callable[[float, int], None]]:
-    """A counter with an estimate of the time to go: call it with how many are done, parts included,
-    and how many there are.
+    """Context for a counter with the remaining time.
+
+    Yields a function of the amount done, fractions included, and the total.
     """
     terminal, rate = sys.stderr.isatty(), Rate()
 
@@ -162,12 +164,13 @@ def counting(title: str) -> Iterator[Callable[[float, int], None]]:
 
 
 class ProgressView:
-    """Context whose ``update`` is a campaign's ``on_progress``: finished cases, time to go, speed,
-    failures so far.
+    """Context whose ``update`` is the progress callback of a campaign.
+
+    It shows finished cases, remaining time, speed and failures.
     """
 
     def __init__(self, console: Console | None = None) -> None:
-        # The bar moves the cursor itself; what it writes beside it holds no text of anybody's.
+        # The bar moves the cursor itself; its texts contain no foreign input.
         self._console = console or Console(stderr=True, file=drawing(sys.stderr))
         self._bar: Bar | None = None
         self._task: TaskID | None = None
@@ -189,7 +192,7 @@ class ProgressView:
         return self
 
     def update(self, progress: Progress) -> None:
-        """Show a state; counts only what is on the disk."""
+        """Show the progress; only stored flights count."""
         remaining_s = self._rate.seconds_left(
             progress.done - progress.done_before, progress.cases - progress.done_before
         )
@@ -212,7 +215,7 @@ class ProgressView:
 
 
 def describe(progress: Progress, eta: float | None = None) -> str:
-    """What stands beside the bar; ``eta`` is the time to go [s], by default at the mean rate of the
+    """Describe the progress; ``eta`` is the remaining time [s], by default at the mean rate of the
     run.
     """
     eta = progress.eta_s if eta is None else eta

@@ -1,5 +1,5 @@
-"""``uqharness refine``: an aircraft and flights in, a better aircraft, a named reason and proof on
-other flights out.
+"""``uqharness refine``: find effects that a model lacks, add them, and test the result on other
+flights.
 """
 
 from __future__ import annotations
@@ -31,28 +31,25 @@ from uqharness.report import write_report
 from uqharness.report.write import write_results
 
 _EXAMPLE = """
-  uqharness refine espaaro --train flight1.parquet flight2.parquet --test flight3.parquet --out refined
-  uqharness refine espaaro --train a.bin b.bin --test c.bin --manoeuvres manoeuvres.csv --servos ideal --out refined
+  uqharness refine espaaro --train flight1.parquet --test flight2.parquet --out refined
+  uqharness refine espaaro --train a.bin b.bin --test c.bin --servos ideal --out refined
   uqharness refine espaaro --train a.csv --test b.csv --effects own.toml --out refined
   uqharness refine my-c172 --train a.csv --test b.csv --campaign campaign.toml --out refined
 
-DIR/refinement.json, DIR/report.html, DIR/aircraft/<name> (an AIRCRAFT for every command), DIR/model.diff,
-DIR/figures/*.svg, DIR/histories.parquet;
-DIR/before/aircraft/<name> (re-identified without effects), DIR/intervals/*.json (model forms), DIR/pbox/* (campaign folders).
-An effect's property set to 0 restores the model without it, bit for bit."""
+Writes DIR/refinement.json, DIR/report.html, DIR/aircraft/<name> (an AIRCRAFT for every command),
+DIR/model.diff, DIR/figures/*.svg, DIR/histories.parquet, DIR/before/aircraft/<name> (re-identified
+without effects), DIR/intervals/*.json (model forms) and DIR/pbox/* (campaign folders). Setting an
+effect's property to 0 restores the model without it, bit for bit."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``refine``."""
+    """Add the arguments of ``refine``."""
     text = (
         "Find the effects that a model lacks, name them, add them to its XML, and test the result"
         " on hold-out flights (see docs/refine.md)."
     )
-    done = "effects found and no residual left, or no effect is missing"
-    no = (
-        "a residual remains that no effect of the catalogue explains, also beside effects that were"
-        " found"
-    )
+    done = "effects explain the residuals, or no effect is missing"
+    no = "a residual remains that no effect of the catalogue explains, with or without effects"
     describe(parser, _run, text, _EXAMPLE, done=done, no=no)
     add_aircraft(parser)
     add_flights(parser, "--train", "flights for choosing and fitting effects")
@@ -81,6 +78,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Refine an aircraft and write the results; return exit code 1 where residuals stay
+    unexplained.
+    """
     aircraft = aircraft_with_card(args.aircraft)
     if args.campaign is not None and args.no_pbox:
         raise BadInputError(

@@ -1,5 +1,7 @@
-"""``uqharness sensitivity``: which uncertainty to reduce first, from a corner campaign or for the
-dissertation's modal example.
+"""``uqharness sensitivity``: which uncertainty to reduce first.
+
+Coefficients are ranked by the width they give to a campaign's p-box, or for the dissertation's
+modal example.
 """
 
 from __future__ import annotations
@@ -33,14 +35,15 @@ _EXAMPLE = """
   uqharness sensitivity campaigns/demo/results --interior campaigns/demo/middle --json
   uqharness sensitivity --modal as_published
 
-On a campaign: writes DIR/sensitivity.csv and DIR/figures/sensitivity-*.svg; no flight is flown. --interior names a second
-campaign, method = "levels" and the same seed, whose flights check that levels between the bounds stay inside the corners' p-box."""
+For a campaign, writes DIR/sensitivity.csv and DIR/figures/sensitivity-*.svg; nothing is flown.
+--interior names a second campaign, method = "levels" and the same seed, whose flights check that
+levels between the bounds stay inside the corners' p-box."""
 
 _TEXT_METRICS = ("cross_track_median_m", "altitude_median_m", "speed_median_mps")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``sensitivity``."""
+    """Add the arguments of ``sensitivity``."""
     text, no = (
         "Rank uncertain coefficients by the width they give to the p-box.",
         "nothing could be compared",
@@ -71,6 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Rank coefficients; return the exit code."""
     if (args.folder is None) == (args.modal is None):
         raise BadInputError(
             "sensitivity takes either a campaign folder DIR or --modal as_corrected|as_published"
@@ -79,6 +83,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _modal(args: argparse.Namespace) -> int:
+    """Print the indices of the modal example."""
     if args.interior is not None:
         raise BadInputError("--interior belongs to a campaign folder, not to --modal")
     with counting("repeats") as update:
@@ -99,8 +104,8 @@ def _modal(args: argparse.Namespace) -> int:
 
 
 def _modal_json(methods: Any) -> dict[str, dict[str, Any]]:
-    """Per parameter the five numbers, then the interval of each, one run's standard deviation, and
-    reasons where undefined.
+    """Return, by parameter, the indices with intervals, one run's standard deviation and
+    reasons.
     """
     by_parameter: dict[str, dict[str, Any]] = {}
     for method, result in methods.items():
@@ -117,6 +122,7 @@ def _modal_json(methods: Any) -> dict[str, dict[str, Any]]:
 
 
 def _campaign(args: argparse.Namespace) -> int:
+    """Rank the coefficients of a campaign and write the tables."""
     campaign = read_corner_campaign(args.folder)
     interior = None if args.interior is None else read_interior_campaign(args.interior, campaign)
     with counting("metrics") as update:
@@ -138,6 +144,7 @@ def _campaign(args: argparse.Namespace) -> int:
 def _campaign_text(
     folder: Path, results: Sequence[MetricSensitivity], figures: Sequence[Path]
 ) -> str:
+    """Return the shares of the p-box's width by condition as text."""
     lines = []
     for condition in dict.fromkeys(item.condition for item in results):
         displayed = [

@@ -1,5 +1,7 @@
-"""``uqharness study``: from flights to a statement about performance, before and after refinement,
-in one command.
+"""``uqharness study``: from flights to a statement about performance, before and after refinement.
+
+A study file lists flights and stages. Stages with unchanged inputs are skipped, so the same command
+resumes.
 """
 
 from __future__ import annotations
@@ -20,13 +22,14 @@ _EXAMPLE = """
   uqharness study campaigns/chain/chain.toml --out campaigns/chain/results
   uqharness study mine.toml --out results --workers 8
 
-Flights (flown, or logs of your own), identification, model-form bounds, a campaign over their corners, refinement, and the
-same again with the refined model; DIR/study.json lists the stages, DIR/report.html shows the results. See docs/study.md.
-The same command resumes after an interruption; a stage with unchanged inputs and options is not repeated."""
+Stages: flights (simulated or logged), identification, model-form bounds, a campaign over their
+corners, refinement, and the same again with the refined model. DIR/study.json lists the stages,
+DIR/report.html shows the results (see docs/study.md). The same command resumes after an
+interruption; a stage with unchanged inputs and options is not repeated."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``study``."""
+    """Add the arguments of ``study``."""
     text = "Run a study file stage by stage, or resume it."
     describe(parser, _run, text, _EXAMPLE, no="done, and a stage that is named answered no")
     parser.add_argument(
@@ -37,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Run or resume the study; return exit code 1 where a stage answered no."""
     spec = read_chain(find_campaign(args.study, "chain.toml"))
     command = shlex.join(["uqharness", "study", str(args.study), "--out", str(args.out)])
     try:

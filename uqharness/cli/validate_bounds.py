@@ -1,5 +1,7 @@
-"""``uqharness validate-bounds``: the share of a new flight inside bounds that were made from other
-flights.
+"""``uqharness validate-bounds``: the share of a new flight inside bounds from other flights.
+
+The flights are filtered as those of the bounds were, and each coefficient's residuals are counted
+(`uqharness.identification.bounds.validate`). With ``--out`` the evidence is written.
 """
 
 from __future__ import annotations
@@ -29,11 +31,11 @@ from uqharness.report.pages import coverage_page_of
 
 _EXAMPLE = """
   uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.parquet
-  uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.bin --manoeuvres manoeuvres.csv --out check"""
+  uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.bin --out check"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``validate-bounds``."""
+    """Add the arguments of ``validate-bounds``."""
     text = (
         "Count the residuals of a flight that lie within bounds made from other flights, sensor"
         " noise allowed for."
@@ -50,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Count coverage, and write it where ``--out`` is given; return the exit code."""
     aircraft = aircraft_with_card(args.aircraft)
     if args.out is not None:
         check_folder(args.out)
@@ -61,7 +64,7 @@ def _run(args: argparse.Namespace) -> int:
         )
         hashes = [file_sha256(p) for p in args.flight]
         if args.servos == "auto":
-            stage("servos: the card's or ideal ones")
+            stage("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos)
         flights = servos.noted(flights)
         stage("residual coefficients")

@@ -1,16 +1,17 @@
-"""What the batch engine brings over JSBSim's bare loop, measured in turns: ``python -m
+"""Speed of the batch engine relative to JSBSim's bare loop: ``python -m
 uqharness.cli.benchmarks.batch``.
 
 One flight is the expensive case: loiter in wind, turbulence, sensor noise, autopilot, and with
---model-form bounds that depend on the state. Loops take turns in one process, and the least
+``--model-form`` bounds that depend on the state. Loops take turns in one process, and the shortest
 processor time of all rounds counts:
 
-a  JSBSim's bare loop, one flight; c  the product through JSBSim: a campaign's default air,
-recorded, scored, one flight; d  the batch engine alone: 64 corners in two airs, streams included,
-recorded, not scored; for each width of vector there is here; e  a corner campaign from end to end,
-by the clock: engine check, flights, scores, journal, tables; in one process and in two.
-
-With --flight also f, g and h: replays of it (``replays``).
+- a: JSBSim's bare loop, one flight;
+- c: the product through JSBSim: a campaign's default air, recorded and scored, one flight;
+- d: the batch engine alone: 64 corners in two airs, streams included, recorded, not scored; for
+  each vector width of this machine;
+- e: a corner campaign from end to end by the wall clock: engine check, flights, scores, journal,
+  tables; in one process and in two;
+- f, g, h: with ``--flight``, replays of that flight.
 """
 
 from __future__ import annotations
@@ -50,23 +51,19 @@ from uqharness.replay import (
 from uqharness.replay.flights import segments
 from uqharness.simulator import Aircraft, find_aircraft, find_script
 
-# How fast replays are, for ``uqharness.cli.benchmarks.batch``: of a whole flight with many
-# parameters, and in ``identify``.
-#
-# f 400 replays of the first 90 s of a flight, each with parameters of its own, by one core; g
-# an aircraft's replays translated, compiled and checked against JSBSim; h ``identify`` of all
-# parameters of the card, nothing written, g included: what a process has loaded before does not
-# count.
+# Speed of replays, on one core: f, 400 replays of the first 90 s of a flight with different
+# parameters; g, translation, compilation and check of an aircraft's replays; h, ``identify`` of all
+# parameters of the card, g included, nothing written.
 
 _FLIGHT_S = 90.0
 _PARAMETER_STD = 0.02
-"""Standard deviation of a lane's parameters, in their values."""
+"""Relative standard deviation of the parameters of a lane."""
 
 
 def measure_replays(
     aircraft: Aircraft, flight: Path, rounds: int, replays: int = 400
 ) -> dict[str, float]:
-    """Figures of f, g and h, the least processor time of all rounds.
+    """Measure f, g and h: the shortest processor time of all rounds.
 
     Raises BadInputError for a flight shorter than 90 s.
     """
@@ -88,6 +85,7 @@ def measure_replays(
 def _replays(
     aircraft: Aircraft, flight: Flight, measured: tuple[str, ...], count: int
 ) -> dict[str, float]:
+    """Time the first replay, which compiles, and then all of them [s]."""
     segment = _long_segment(aircraft, flight, measured)
     rng = np.random.default_rng(1)
     forget_programs()
@@ -115,6 +113,7 @@ def _replays(
 def _identify(
     aircraft: Aircraft, flights: list[Flight], measured: tuple[str, ...]
 ) -> dict[str, float]:
+    """Time `identify` without compiled programs [s]."""
     forget_programs()
     start_s = time.process_time()
     identify(aircraft, flights, measured, workers=1)
@@ -122,6 +121,9 @@ def _identify(
 
 
 def _long_segment(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...]) -> Segment:
+    """Return the first 90 s of a flight as one segment. Raises BadInputError for a shorter
+    flight.
+    """
     rows = round(_FLIGHT_S / flight.record.dt_s) + 1
     if len(flight.record) < rows:
         raise BadInputError(
@@ -133,7 +135,7 @@ def _long_segment(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...])
 
 
 def replay_lines(figures: Mapping[str, float]) -> list[str]:
-    """The figures for a reader."""
+    """Return the figures of replays as text."""
     rate = figures["f_replays_per_s"]
     return [
         (
@@ -150,7 +152,7 @@ def replay_lines(figures: Mapping[str, float]) -> list[str]:
 
 _AIRS = 2
 CAMPAIGN_AIRS = 48
-"""Airs of the campaigns, each flown by 64 corners."""
+"""Realisations of turbulence in the campaigns, each flown by 64 corners."""
 _BURN_IN_S = 60.0
 
 
@@ -161,8 +163,8 @@ def measure_batch(
     model_form: Path | None = None,
     campaign_airs: int = CAMPAIGN_AIRS,
 ) -> dict[str, float]:
-    """Microseconds per step and flight of a, c and each d, flight hours per core hour of d and e,
-    and their ratios.
+    """Measure a, c, d and e: microseconds per step and flight, flight hours per core hour,
+    ratios.
     """
     with scratch_folder() as scratch:
         aircraft = find_aircraft(aircraft_name)
@@ -174,6 +176,7 @@ def measure_batch(
 
 
 def _alternate(aircraft: Aircraft, duration_s: float, rounds: int) -> dict[str, float]:
+    """Measure a, c and d in turns."""
     one = FlightSpec(
         aircraft.folder,
         find_script("loiter"),
@@ -206,7 +209,7 @@ def _alternate(aircraft: Aircraft, duration_s: float, rounds: int) -> dict[str, 
             with _compiled_for(name):
                 for source in ("spec", "jsbsim"):
                     flights = [replace(spec, turbulence_source=source) for spec in corners]
-                    # Translated and compiled once; a campaign does so once for each condition.
+                    # Compile outside the timed part: a campaign does so once a condition.
                     record_many(flights[:8])
                     start_s = time.process_time()
                     record_many(flights)
@@ -224,6 +227,7 @@ def _alternate(aircraft: Aircraft, duration_s: float, rounds: int) -> dict[str, 
 
 
 def _corner(levels: tuple[float, ...]) -> dict[str, float]:
+    """Return the properties of a corner of the model-form bounds."""
     return {"uq/active": 1.0} | {
         f"uq/{name}/level": level for name, level in zip(COEFFICIENTS, levels, strict=True)
     }
@@ -231,6 +235,7 @@ def _corner(levels: tuple[float, ...]) -> dict[str, float]:
 
 @contextmanager
 def _compiled_for(name: str) -> Iterator[None]:
+    """Context in which the batch engine compiles for one vector width."""
     before = os.environ.get(VECTORS)
     os.environ[VECTORS] = name
     forget()
@@ -246,8 +251,9 @@ def _compiled_for(name: str) -> Iterator[None]:
 def _campaigns(
     aircraft: Aircraft, duration_s: float, folder: Path, model_form: Path | None, airs: int
 ) -> dict[str, float]:
-    """Flight hours per hour of the clock of whole campaigns; the least worker time would leave out
-    what the parent does.
+    """Measure flight hours per wall-clock hour of complete campaigns.
+
+    Processor time of the workers would leave out the work of the parent.
     """
     figures: dict[str, float] = {}
     bounds = dict.fromkeys(COEFFICIENTS, 0.001) if model_form is None else str(model_form.resolve())
@@ -296,7 +302,7 @@ def _campaigns(
 
 
 def as_text(figures: Mapping[str, float]) -> str:
-    """The figures for a reader."""
+    """Return the figures as text."""
     lines = [f"  a  JSBSim's bare loop                     {figures['a_us_per_step']:8.3f} us/step"]
     lines.append(
         f"  c  the product through JSBSim             {figures['c_us_per_step']:8.3f} us/step"
@@ -322,7 +328,7 @@ def as_text(figures: Mapping[str, float]) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Measure and print; the process's exit code."""
+    """Measure and print; return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m uqharness.cli.benchmarks.batch",
         description="The batch engine beside JSBSim's bare loop.",

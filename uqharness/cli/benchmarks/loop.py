@@ -1,20 +1,19 @@
-"""What the harness costs over JSBSim's bare loop, measured side by side: ``python -m
-uqharness.cli.benchmarks.loop``.
+"""Cost of the harness over JSBSim's bare loop: ``python -m uqharness.cli.benchmarks.loop``.
 
 Three loops take turns in one process, each flying the same minutes of the loiter in wind,
 turbulence and sensor noise:
 
-a  the bare ``while run()`` loop of the aircraft's own XML, plugin, air (JSBSim's turbulence) and
-sensors on, nothing recorded; b  the same without the plugin (its system and its functions taken out
-of a copy of the XML); c  the harness with a campaign's default air: conditions, levels, recording,
-scoring and storage of the result.
+- a: the bare ``while run()`` loop of the aircraft's XML with plugin, air (JSBSim's turbulence) and
+  sensors, nothing recorded;
+- b: the same without the plugin, whose system and functions are removed from a copy of the XML;
+- c: the harness with a campaign's default air: conditions, levels, recording, scoring and storage.
 
-With --model-form the aircraft is one whose bounds depend on its state. With --side-by-side two
-processes fly a at the same time, then two workers fly c, by the clock, and once more with workers
-in the air of a (JSBSim's turbulence) at a corner: that needs two cores with nothing else to do.
+With ``--model-form`` the aircraft has bounds that depend on its state. With ``--side-by-side`` two
+processes fly a at the same time, then two workers fly c, by the wall clock, and again with workers
+in JSBSim's turbulence at a corner; this needs two idle cores.
 
-Processor time is counted, the least of all rounds is quoted, and ratios are what to compare:
-machines are noisy."""
+The shortest processor time of all rounds is reported. Machines are noisy: compare ratios.
+"""
 
 from __future__ import annotations
 
@@ -50,15 +49,13 @@ from uqharness.simulator import (
 )
 
 REFERENCE_HOURS_PER_CORE_HOUR = 890.0
-"""Flight hours per core hour at 100 Hz of a hand-written loop with compiled intervals, the figure
-to beat.
+"""Flight hours per core hour at 100 Hz of a hand-written loop with compiled intervals: the
+target.
 """
 
 
 def without_plugin(aircraft: Aircraft, folder: Path) -> Aircraft:
-    """A copy of the aircraft in ``folder`` whose XML has no model-form system and no uq/
-    function.
-    """
+    """Copy the aircraft into ``folder`` without the model-form system and uq/ functions."""
     target = folder / "aircraft" / aircraft.name
     copy_folder(aircraft.folder, target)
     path = target / aircraft.card.aircraft.xml
@@ -76,8 +73,8 @@ def without_plugin(aircraft: Aircraft, folder: Path) -> Aircraft:
 def bare_loop(
     aircraft: Aircraft, spec: FlightSpec, clock: Callable[[], float] = time.process_time
 ) -> Callable[[], float]:
-    """A function that flies ``spec`` with JSBSim's bare loop and returns the seconds spent in it by
-    ``clock``.
+    """Return a function that flies ``spec`` with JSBSim's bare loop and returns its duration by
+    ``clock`` [s].
     """
     mission = StagedMission(aircraft, find_script(spec.script), end_s=spec.duration_s)
 
@@ -97,8 +94,8 @@ def bare_loop(
 
 
 def harness_loop(spec: FlightSpec, folder: Path) -> Callable[[], float]:
-    """A function that flies ``spec`` as a campaign does, result on the disk, and returns the
-    processor seconds of all of it.
+    """Return a function that flies ``spec`` as a campaign does and returns its processor
+    time [s].
     """
     store = Store(folder)
     count = iter(range(10**9))
@@ -115,7 +112,7 @@ def harness_loop(spec: FlightSpec, folder: Path) -> Callable[[], float]:
 
 
 def with_model_form(aircraft: Aircraft, model_form: Path, folder: Path) -> Aircraft:
-    """A copy of the aircraft in ``folder`` that computes the bounds of a model-form.json."""
+    """Copy the aircraft into ``folder`` with the bounds of a model-form.json."""
     target = folder / "aircraft" / aircraft.name
     copy_folder(aircraft.folder, target)
     put_bounds(target, aircraft, model_form)
@@ -123,8 +120,8 @@ def with_model_form(aircraft: Aircraft, model_form: Path, folder: Path) -> Aircr
 
 
 def bare_flight(spec: FlightSpec) -> FlightResult:
-    """Flight function for a worker: the bare loop alone, its seconds by the clock as the metric
-    ``loop_s``.
+    """Fly the bare loop alone, as the flight function of a worker; the metric ``loop_s`` is its
+    duration.
     """
     loop_s = bare_loop(find_aircraft(spec.aircraft), spec, time.monotonic)()
     return FlightResult("ok", "", spec.duration_s, {"loop_s": loop_s}, {}, {})
@@ -133,8 +130,8 @@ def bare_flight(spec: FlightSpec) -> FlightResult:
 def side_by_side(
     bare_spec: FlightSpec, harness_spec: FlightSpec, rounds: int, workers: int = 2
 ) -> dict[str, float]:
-    """Flight seconds per second by the clock: that many bare loops at once, as many workers, and
-    the ratio.
+    """Measure flight seconds per wall-clock second of parallel bare loops, and of as many
+    workers.
     """
 
     def fly_all(
@@ -152,7 +149,7 @@ def side_by_side(
     for name, function, spec in (("bare", bare_flight, bare_spec), ("workers", fly, harness_spec)):
         executor = ProcessExecutor(workers, keep=True)
         try:
-            # Both are up and have loaded everything before the clock is looked at.
+            # Let all workers start and load everything before timing.
             fly_all(executor, function, replace(spec, duration_s=10.0), 2 * workers)
             start = time.monotonic()
             timed = fly_all(executor, function, spec, rounds * workers)
@@ -179,8 +176,8 @@ def measure(
     model_form: Path | None = None,
     in_parallel: bool = False,
 ) -> dict[str, float]:
-    """Least microseconds per step of a, b and c, their ratios, and flight hours per core
-    hour of c.
+    """Measure microseconds per step of a, b and c, their ratios, and flight hours per core hour of
+    c.
     """
     with scratch_folder() as scratch:
         aircraft = find_aircraft(aircraft_name)
@@ -192,6 +189,7 @@ def measure(
 def _measure(
     aircraft: Aircraft, duration_s: float, rounds: int, source: str, levels: str, in_parallel: bool
 ) -> dict[str, float]:
+    """Measure with a given aircraft."""
     deltas = {"uq/active": 1.0} | {f"uq/{name}/level": 1.0 for name in COEFFICIENTS}
     spec = FlightSpec(
         aircraft.folder,
@@ -210,8 +208,7 @@ def _measure(
         if levels == "corner"
         else replace(spec, levels=_driver(levels), properties={"uq/active": 1.0})
     )
-    # Without a host JSBSim has only its own turbulence: that is the air of the bare loops, whatever
-    # the harness flies.
+    # The bare loops have JSBSim's own turbulence, whatever the harness flies.
     bare_spec = replace(spec, turbulence_source="jsbsim")
     with scratch_folder() as scratch:
         folder = scratch.path
@@ -237,7 +234,7 @@ def _measure(
 
 
 def _both_airs(bare_spec: FlightSpec, harness_spec: FlightSpec, rounds: int) -> dict[str, float]:
-    """`side_by_side`, and of workers in the air of the bare loops, levels at a corner."""
+    """Measure `side_by_side`, and workers in the air of the bare loops with levels at a corner."""
     same = side_by_side(bare_spec, bare_spec, rounds)["workers_2_over_bare_2"]
     return side_by_side(bare_spec, harness_spec, rounds) | {
         "workers_2_in_the_same_air_over_bare_2": same
@@ -245,13 +242,14 @@ def _both_airs(bare_spec: FlightSpec, harness_spec: FlightSpec, rounds: int) -> 
 
 
 def _driver(levels: str) -> LevelDriver | None:
+    """Return the driver of varying levels; None for a corner."""
     if levels == "walk":
         return LevelDriver("walk", 1, "walk-000000", COEFFICIENTS, (0.012,) * len(COEFFICIENTS))
     return LevelDriver("white", 1, "white-000000", COEFFICIENTS) if levels == "white" else None
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Measure and print; the process's exit code."""
+    """Measure and print; return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m uqharness.cli.benchmarks.loop",
         description="Cost of the harness over JSBSim's bare loop.",

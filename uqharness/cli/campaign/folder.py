@@ -1,5 +1,8 @@
-"""``uqharness campaign status | report | merge | rerun``: a campaign's folder looked at, reported,
-put together, flown again.
+"""``uqharness campaign`` verbs on an existing folder: status, report, merge, rerun, convergence,
+area, verify, salvage.
+
+Each verb has a function that adds its arguments, and one that runs it and returns the exit code;
+the work is done by `uqharness.campaign`.
 """
 
 from __future__ import annotations
@@ -66,30 +69,32 @@ Works from another terminal while the campaign runs."""
 _REPORT_EXAMPLE = """
   uqharness campaign report campaigns/demo/results
 
-Writes DIR/report.html (one file, no network needed) and DIR/figures/*.svg. Of a complete campaign of short flights the worst and
-the median flight are flown again into DIR/rerun/ID for the ground track, unless records of flights are there."""
+Writes DIR/report.html (one file, no network needed) and DIR/figures/*.svg. For a complete campaign
+of short flights the worst and the median flight are flown again into DIR/rerun/ID for the ground
+track, unless flight records exist."""
 _MERGE_EXAMPLE = """
   uqharness campaign merge big
 
-Brings the shards in DIR/shards together and writes DIR's tables, the same bytes as of a run in one piece."""
+Merges the shards in DIR/shards and writes DIR's tables, bit-identical to those of a single run."""
 _RERUN_EXAMPLE = """
   uqharness campaign rerun campaigns/demo/results --case 4c4000eebc386034
 
-Writes DIR/rerun/ID/: record.parquet (all signals at 50 Hz, burn-in included), flight.svg and result.json."""
+Writes record.parquet (all signals at 50 Hz, burn-in included), flight.svg and result.json into
+DIR/rerun/ID."""
 
 
 MAX_REFLOWN_S = 600.0
-"""Flight time that a report flies again without being asked [s]. 1800 s of the E-SPAARO take 15 s
-of a core, recording and drawing included, so these take some 5 s."""
+"""Longest flight time that a report flies again unasked [s]. 1800 s of the E-SPAARO take 15 s of a
+core, recording and drawing included, so this takes some 5 s."""
 
 
 def add_folder(parser: argparse.ArgumentParser) -> None:
-    """The campaign folder that a verb looks at."""
+    """Add the campaign folder."""
     parser.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
 
 
 def add_status(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``status``."""
+    """Add the arguments of ``status``."""
     describe(
         parser,
         _status,
@@ -102,7 +107,7 @@ def add_status(parser: argparse.ArgumentParser) -> None:
 
 
 def add_report(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``report``."""
+    """Add the arguments of ``report``."""
     describe(
         parser,
         _report,
@@ -117,7 +122,7 @@ def add_report(parser: argparse.ArgumentParser) -> None:
 
 
 def add_merge(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``merge``."""
+    """Add the arguments of ``merge``."""
     text, no = (
         "Merge shards and write the tables.",
         "flights are missing (the message lists the shards to run)",
@@ -127,7 +132,7 @@ def add_merge(parser: argparse.ArgumentParser) -> None:
 
 
 def add_rerun(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``rerun``."""
+    """Add the arguments of ``rerun``."""
     text, done = (
         "Fly one case again with full output and a plot.",
         "the result is as stored (or was not stored yet)",
@@ -140,6 +145,7 @@ def add_rerun(parser: argparse.ArgumentParser) -> None:
 
 
 def _status(args: argparse.Namespace) -> int:
+    """Print the progress of a campaign."""
     status = read_status(args.folder)
     done, statuses = status.done, dict(status.statuses)
     if args.json:
@@ -157,6 +163,7 @@ def _status(args: argparse.Namespace) -> int:
 
 
 def _report(args: argparse.Namespace) -> int:
+    """Write the page and the figures."""
     reflown_cases = [] if args.no_tracks else _fly_displayed(args.folder)
     report = write_campaign_report(args.folder)
     if args.json:
@@ -172,9 +179,11 @@ def _report(args: argparse.Namespace) -> int:
 
 
 def _fly_displayed(folder: Path) -> list[str]:
-    """Fly the worst and the median flight again for the page's ground track; nothing where records
-    of flights are there, and with a note where that takes too long or is not possible any more.
-    Returns the ids of the cases."""
+    """Fly the worst and the median flight again for the page's ground track; return their case ids.
+
+    None are flown where records exist, or where that takes too long; a note says where it is
+    impossible.
+    """
     manifest = read_manifest(folder)
     if manifest.get("state") != "complete" or any((folder / RERUN).glob("*/record.parquet")):
         return []
@@ -195,6 +204,7 @@ def _fly_displayed(folder: Path) -> list[str]:
 
 
 def _merge(args: argparse.Namespace) -> int:
+    """Merge shards."""
     merged = merge(args.folder)
     note_rewritten(merged.folder, merged.rewritten)
     done = merged.cases - merged.missing
@@ -215,6 +225,7 @@ def _merge(args: argparse.Namespace) -> int:
 
 
 def _rerun(args: argparse.Namespace) -> int:
+    """Fly one case again and compare it with the stored result."""
     rerun = rerun_case(args.folder, args.case)
     files = [*rerun.files, *draw_rerun(rerun)]
     outcome = rerun.outcome
@@ -240,23 +251,25 @@ def _rerun(args: argparse.Namespace) -> int:
     return 1 if rerun.same is False else 0
 
 
-# ``uqharness campaign convergence | area``: what a flown campaign says of its own size, and of
-# real flights.
+# ``uqharness campaign convergence | area``: whether a campaign is large enough, and whether real
+# flights agree with it.
 
 _CONVERGENCE_EXAMPLE = """
   uqharness campaign convergence campaigns/demo/results --repeats 4
-  uqharness campaign run campaigns/convergence/campaign.toml --out fig35; uqharness campaign convergence fig35
+  uqharness campaign convergence fig35 --metric cross_track_median_m
 
-Writes DIR/convergence.csv and DIR/figures/convergence-*.svg from the stored flights; nothing is flown."""
+Writes DIR/convergence.csv and DIR/figures/convergence-*.svg from the stored flights; nothing is
+flown."""
 _AREA_EXAMPLE = """
   uqharness campaign area campaigns/demo/results --value cross_track_median_m_measured=9.41
-  uqharness campaign area results --flight flights.csv       one row per flight, columns as in cases.parquet
+  uqharness campaign area results --flight flights.csv
 
-Writes DIR/area.csv: the area by which the flights lie outside the p-box, in the metric's unit."""
+flights.csv has one row per flight and columns as in cases.parquet. Writes DIR/area.csv: the area by
+which the flights lie outside the p-box, in the metric's unit."""
 
 
 def add_convergence(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``convergence``."""
+    """Add the arguments of ``convergence``."""
     text = "Convergence over flights and epistemic samples."
     describe(
         parser,
@@ -283,7 +296,7 @@ def add_convergence(parser: argparse.ArgumentParser) -> None:
 
 
 def add_area(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``area``."""
+    """Add the arguments of ``area``."""
     text, no = (
         "Area metric of real flights against the p-boxes.",
         "flights lie outside by more than sampling error",
@@ -303,6 +316,7 @@ def add_area(parser: argparse.ArgumentParser) -> None:
 
 
 def _convergence(args: argparse.Namespace) -> int:
+    """Study the convergence of a campaign."""
     result = write_convergence(args.folder, args.metric, args.repeats)
     sections = [
         convergence_section(item) for item in result if item.repeats is not None or item.growth
@@ -323,6 +337,7 @@ def _convergence(args: argparse.Namespace) -> int:
 
 
 def _area(args: argparse.Namespace) -> int:
+    """Compare flights with the p-boxes; exit code 1 where some lie outside."""
     flights = read_flights(args.flight, dict(map(_value, args.value)))
     result = write_area(args.folder, flights)
     document = area_document(args.folder, result)
@@ -339,6 +354,7 @@ def _area(args: argparse.Namespace) -> int:
 
 
 def _value(text: str) -> tuple[str, float]:
+    """Parse ``METRIC=NUMBER``. Raises BadInputError."""
     name, _, number = text.partition("=")
     try:
         return name.strip(), float(number)
@@ -348,20 +364,20 @@ def _value(text: str) -> tuple[str, float]:
         ) from None
 
 
-# ``uqharness campaign verify | salvage``: is a folder as it was written, and how it becomes so
-# again.
+# ``uqharness campaign verify | salvage``: check a folder against its digests, and repair it.
 
 _VERIFY_EXAMPLE = """
   uqharness campaign verify campaigns/demo/results
 
-Compares manifest, journal and tables, also of shards, with their stored digests. Changes nothing."""
+Compares manifest, journal and tables, also those of shards, with their digests. Changes nothing."""
 _SALVAGE_EXAMPLE = """
   uqharness campaign salvage campaigns/demo/results
-  uqharness campaign salvage results --campaign campaigns/demo/campaign.toml      where manifest.json is damaged too
+  uqharness campaign salvage results --campaign campaigns/demo/campaign.toml
 
-Keeps every flight that fits its digest, gives damaged files another name (journal.damaged-1.sqlite), flies the rest again and
-writes the tables: the bytes of an undamaged run. Nothing is deleted; the same command resumes after an interruption.
-Give --hours and --samples with --campaign if the campaign was flown with them."""
+Keeps every flight that matches its digest, renames damaged files (journal.damaged-1.sqlite), flies
+the other flights again and writes the tables, bit-identical to those of an undamaged run. Nothing
+is deleted; the same command resumes after an interruption. Give --campaign where manifest.json is
+damaged too, with --hours and --samples if the campaign was flown with them."""
 _TABLE_COMMANDS = {
     "sensitivity": "sensitivity",
     "convergence": "campaign convergence",
@@ -371,7 +387,7 @@ _TABLE_COMMANDS = {
 
 
 def add_verify(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``verify``."""
+    """Add the arguments of ``verify``."""
     no = "something is damaged or has no digests (made by uqharness 0.1)"
     describe(
         parser,
@@ -385,7 +401,7 @@ def add_verify(parser: argparse.ArgumentParser) -> None:
 
 
 def add_salvage(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``salvage``."""
+    """Add the arguments of ``salvage``."""
     text, no = (
         "Repair a damaged campaign: keep sound flights, fly the rest again.",
         "flights of shards that were never flown are missing",
@@ -406,6 +422,7 @@ def add_salvage(parser: argparse.ArgumentParser) -> None:
 
 
 def _verify(args: argparse.Namespace) -> int:
+    """Check a folder against its digests."""
     verification = verify(args.folder)
     print(
         json.dumps(_verified_json(verification))
@@ -416,6 +433,7 @@ def _verify(args: argparse.Namespace) -> int:
 
 
 def _verified_json(verification: Verified) -> dict[str, Any]:
+    """Return a verification with its shards for --json."""
     items = [
         {
             "name": item.name,
@@ -435,6 +453,7 @@ def _verified_json(verification: Verified) -> dict[str, Any]:
 
 
 def _verified_lines(verification: Verified) -> Iterator[str]:
+    """Yield the lines of a verification with its shards."""
     state = "whole" if verification.whole else "NOT whole"
     running = (
         ""
@@ -452,6 +471,7 @@ def _verified_lines(verification: Verified) -> Iterator[str]:
 
 
 def _salvage(args: argparse.Namespace) -> int:
+    """Repair a damaged campaign; exit code 1 where flights are missing."""
     if args.campaign is None and (args.hours is not None or args.samples is not None):
         raise BadInputError(
             "--hours and --samples belong to --campaign, the file they were given with"
@@ -470,6 +490,7 @@ def _salvage(args: argparse.Namespace) -> int:
 
 
 def _salvaged_json(result: Salvaged) -> dict[str, Any]:
+    """Return a repair with its shards for --json."""
     document: dict[str, Any] = {
         "folder": str(result.folder),
         "kept": result.kept,
@@ -485,6 +506,7 @@ def _salvaged_json(result: Salvaged) -> dict[str, Any]:
 
 
 def _salvaged_lines(result: Salvaged) -> Iterator[str]:
+    """Yield the lines of a repair with its shards."""
     for part in result.parts:
         yield from _salvaged_lines(part)
     text = f"{result.folder}: {result.kept} flights kept, {result.flown} flown again"

@@ -1,4 +1,8 @@
-"""``uqharness campaign check | run``: what a campaign costs, and flying it."""
+"""``uqharness campaign check | run``: the cost of a campaign, and its flights.
+
+`check` tries out a few flights and extrapolates time and disk space. `run` flies a campaign or
+resumes it, in this process, in worker processes or on a Dask cluster.
+"""
 
 from __future__ import annotations
 
@@ -39,24 +43,28 @@ from uqharness.parallel import usable_cores
 _CHECK_EXAMPLE = """
   uqharness campaign check campaigns/demo/campaign.toml
 
-Prints flights, flight hours, expected time and disk space, the engine (batch, or jsbsim with the reason, file and line), and
-the joint confidence of the intervals of a model-form.json. Flies check flights alone; no result is stored."""
+Prints flights, flight hours, expected time and disk space, the engine (batch, or jsbsim with the
+reason, file and line), and the joint confidence of the intervals of a model-form.json. Only check
+flights are flown; no result is stored."""
 _RUN_EXAMPLE = """
   uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
   uqharness campaign run campaigns/demo/campaign.toml --out big --hours 10 --workers 8
   uqharness campaign run campaigns/demo/campaign.toml --out big --dask tcp://192.168.0.2:8786
-  uqharness campaign run demo --out anywhere      the campaign of that name that comes with the package
-  uqharness campaign run campaigns/demo/campaign.toml --out big --shard 3/16      one of 16 jobs; then: campaign merge big
+  uqharness campaign run demo --out anywhere
+  uqharness campaign run campaigns/demo/campaign.toml --out big --shard 3/16
 
-The same command resumes a run that was interrupted, killed or cut off: only missing flights are flown.
+The third example runs a campaign of the package by its name, the fourth one of 16 jobs, to be put
+together by campaign merge. The same command resumes an interrupted run: only missing flights are
+flown.
 
-With method = "corners" the nominal model ([epistemic] nominal = false leaves it out) and points between the corners fly as well:
-16 with bounds = "model-form.json", else as many as corners, at most 16 (interior = N). Transient model error flies
-if the file has such a part (transient = false leaves it out); set = "ellipsoid" flies the joint confidence set."""
+With method = "corners" the nominal model ([epistemic] nominal = false leaves it out) and points
+between the corners are flown as well: 16 with bounds = "model-form.json", else as many as corners,
+at most 16 (interior = N). Transient model error is included if the file has such a part
+(transient = false leaves it out); set = "ellipsoid" flies the joint confidence set."""
 
 
 def add_check(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``check``."""
+    """Add the arguments of ``check``."""
     text = "Print the cost of a campaign before it is flown."
     done, no = (
         "done (a model that cannot be flown is bad input)",
@@ -67,7 +75,7 @@ def add_check(parser: argparse.ArgumentParser) -> None:
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``run``."""
+    """Add the arguments of ``run``."""
     done = "all flights done (failed ones are counted and reported)"
     no = "the batch engine differs from JSBSim"
     describe(parser, _run, "Fly a campaign, or resume it.", _RUN_EXAMPLE, done=done, no=no)
@@ -92,6 +100,7 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_campaign(parser: argparse.ArgumentParser) -> None:
+    """Add the campaign and what replaces its settings."""
     parser.add_argument(
         "campaign",
         type=Path,
@@ -111,7 +120,7 @@ def _add_campaign(parser: argparse.ArgumentParser) -> None:
 
 
 def add_size(parser: argparse.ArgumentParser) -> None:
-    """``--hours`` and ``--samples``, which stand in place of the file's numbers."""
+    """Add ``--hours`` and ``--samples``, which replace numbers of the file."""
     text = "flight hours per corner and condition, in place of [aleatory] flights"
     parser.add_argument("--hours", type=float, metavar="H", help=text)
     parser.add_argument(
@@ -123,14 +132,15 @@ def add_size(parser: argparse.ArgumentParser) -> None:
 
 
 def add_yes(parser: argparse.ArgumentParser) -> None:
-    """``--yes``."""
+    """Add ``--yes``."""
     parser.add_argument(
         "--yes", action="store_true", help="fly even if it takes more than a day on this machine"
     )
 
 
 def requested_campaign(args: argparse.Namespace) -> CampaignSpec:
-    """The campaign of ``args.campaign`` with ``--hours``, ``--samples`` and ``--engine`` in it.
+    """Read the campaign of ``args.campaign`` with ``--hours``, ``--samples`` and ``--engine``
+    applied.
 
     Raises BadInputError.
     """
@@ -143,7 +153,9 @@ def requested_campaign(args: argparse.Namespace) -> CampaignSpec:
 
 
 def flying_command(args: argparse.Namespace, out: Path) -> list[str]:
-    """The words that fly the campaign into a folder, at the size that was asked for."""
+    """Return the words of the command that flies the campaign into a folder at the
+    requested size.
+    """
     words = ["uqharness", "campaign", "run", str(args.campaign), "--out", str(out)]
     words += [] if args.hours is None else ["--hours", f"{args.hours:g}"]
     words += [] if getattr(args, "engine", None) is None else ["--engine", args.engine]
@@ -151,8 +163,9 @@ def flying_command(args: argparse.Namespace, out: Path) -> list[str]:
 
 
 def cost_checker(agreed: bool, name: Path) -> Callable[[Cost], None]:
-    """What a campaign calls before it flies: refuses more than a day unless that was agreed to, and
-    says what is ahead.
+    """Return the function that a campaign calls before it flies.
+
+    It refuses more than a day unless that was agreed to, and prints the cost.
     """
 
     def check_cost(cost: Cost) -> None:
@@ -163,7 +176,7 @@ def cost_checker(agreed: bool, name: Path) -> Callable[[Cost], None]:
 
 
 def note_rewritten(folder: Path, names: Sequence[str]) -> None:
-    """Say which files were not as they had been written."""
+    """Print which files were damaged and are written again."""
     for name in names:
         print(
             f"note: {folder / name} was not as it had been written; it is written again from the"
@@ -173,7 +186,7 @@ def note_rewritten(folder: Path, names: Sequence[str]) -> None:
 
 
 def failures(statuses: Mapping[str, int]) -> str:
-    """How many flights failed, and in which way."""
+    """Describe how many flights failed, and how."""
     failed = {status: number for status, number in statuses.items() if status != "ok"}
     if not failed:
         return "none failed"
@@ -184,9 +197,11 @@ def failures(statuses: Mapping[str, int]) -> str:
 
 
 def _check(args: argparse.Namespace) -> int:
+    """Print the cost of a campaign; return the exit code."""
     spec = requested_campaign(args)
     for note in noise_notes(spec):
         print(f"note: {note}", file=sys.stderr)
+    # Check flights run on a copy, so that nothing of the user's is touched.
     with scratch_folder("check") as scratch:
         mission = campaign_run.find_mission(spec, scratch.path)
         if needs_copy(spec):
@@ -222,6 +237,7 @@ def _check(args: argparse.Namespace) -> int:
 
 
 def _cost_json(cost: Cost) -> dict[str, Any]:
+    """Return the cost for --json."""
     size = cost.size
     return {
         "flights": size.flights,
@@ -240,6 +256,7 @@ def _cost_json(cost: Cost) -> dict[str, Any]:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Fly a campaign; return the exit code."""
     spec = requested_campaign(args)
     for note in (*noise_notes(spec), *bounds_notes(spec)):
         print(f"note: {note}", file=sys.stderr)
@@ -251,7 +268,7 @@ def _run(args: argparse.Namespace) -> int:
     try:
         with ExitStack() as stack:
             executor = _executor(args, stack)
-            # Before anything is made or tried out: what is too long at any pace need not be.
+            # Refuse first what is too long at any pace, before anything is created or tried out.
             size = size_of(spec, 1 if shard is None else shard.count)
             fastest = (
                 "jsbsim"
@@ -293,7 +310,9 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _done_before(folder: Path) -> int:
-    """Flights that need not be flown again; whether the folder may be flown into is asked later."""
+    """Return the number of stored flights; 0 for a folder that cannot be read, which is reported
+    later.
+    """
     try:
         return read_status(folder).done
     except BadInputError:
@@ -301,7 +320,7 @@ def _done_before(folder: Path) -> int:
 
 
 def _executor(args: argparse.Namespace, stack: ExitStack) -> Executor:
-    """What flies the cases, closed with the stack. Raises BadInputError."""
+    """Return the executor of the cases, closed with the stack. Raises BadInputError."""
     if args.dask is not None:
         if args.serial or args.workers is not None:
             raise BadInputError(
@@ -318,6 +337,7 @@ def _executor(args: argparse.Namespace, stack: ExitStack) -> Executor:
 
 
 def _summary_json(summary: CampaignSummary) -> dict[str, Any]:
+    """Return the summary of a run for --json."""
     progress = summary.progress
     return {
         "folder": str(summary.folder),
@@ -333,6 +353,7 @@ def _summary_json(summary: CampaignSummary) -> dict[str, Any]:
 
 
 def _sentence(summary: CampaignSummary) -> str:
+    """Return the summary of a run as a sentence."""
     progress = summary.progress
     text = f"{summary.folder}: {summary.cases} flights done"
     if summary.done_before:
