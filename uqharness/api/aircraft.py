@@ -76,6 +76,7 @@ def find_trim(
         ("altitude_m", altitude_m),
     ):
         number(name, angle)
+    # The limits of the command line, in its units.
     if not (abs(bank_rad) < math.radians(85.0) and abs(climb_rad) < math.radians(60.0)):
         raise BadInputError(
             f"bank_rad = {bank_rad:g}, climb_rad = {climb_rad:g}: less than 85 and 60 degrees"
@@ -201,6 +202,7 @@ def instrument(
     )
     bounds = Bounds(form, {name: _pair(name, value) for name, value in constant_bounds.items()})
     model = aircraft_of(aircraft)
+    # Fail before the flights if the copy cannot be written.
     check_folder(folder)
     return run_unsupervised(
         instrument_aircraft,

@@ -180,6 +180,7 @@ def run_campaign(
     >>> bool((box.lower <= box.upper).all())
     True
     """
+    # Check the arguments before anything is created.
     folder, workers = path("out", out), given_workers(workers)
     if on_progress is not None:
         require("on_progress", on_progress, callable(on_progress), "a function of a Progress")
@@ -198,6 +199,7 @@ def run_campaign(
         spec = reading.with_samples(spec, samples)
     if engine is not None:
         spec = spec.with_engine(one_of("engine", engine, ("auto", "batch", "jsbsim")))
+    # The folder stores the command that resumes the campaign.
     command = ["uqharness", "campaign", "run", str(campaign), "--out", str(folder)]
     command += [] if hours is None else ["--hours", f"{hours:g}"]
     command += [] if samples is None else ["--samples", str(samples)]
@@ -300,6 +302,7 @@ def pbox(
         isinstance(samples, Iterable) and not isinstance(samples, str),
         "a mapping or sequence of arrays",
     )
+    # Samples without names are numbered.
     labelled = samples.items() if isinstance(samples, Mapping) else enumerate(samples)
     try:
         return boxes.pbox([_sample(str(name), values) for name, values in labelled], confidence)
@@ -322,6 +325,8 @@ def campaign_of(campaign: AnyPath | CampaignSpec | Mapping[str, Any]) -> Campaig
         return campaign
     if isinstance(campaign, Mapping):
         try:
+            # The dictionary passes the same checks as a file; messages omit the missing file's
+            # name.
             return reading.campaign_from(_plain(campaign), _NO_FILE)
         except BadInputError as error:
             raise BadInputError(*(_FILE_AND_LINE.sub("", line) for line in error.args)) from None

@@ -202,6 +202,7 @@ def fly(
     )
     frame, recorded = recorded_flight(model, run, as_asked(spec, seed))
     channels = {str(name): frame[name].to_numpy() for name in frame.columns if name in SIGNALS}
+    # Unit checks need a record, and their findings belong to its metadata.
     record = FlightRecord(channels, Metadata(source=run.path.stem, dialect="record"))
     record = FlightRecord(
         channels,
@@ -388,6 +389,7 @@ def flights_of(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) -> 
 
     Raises BadInputError.
     """
+    # A single flight is a sequence too (its path, its rows), so it is recognised first.
     if isinstance(flights, str | PathLike | FlightRecord | Flight):
         flights = [flights]
     several = instance(
@@ -424,6 +426,7 @@ def _content_sha256(record: FlightRecord) -> str:
     """Return the digest of a record's columns."""
     parts = []
     for name, values in record.columns.items():
+        # The digest covers names, lengths and little-endian values, whatever the platform.
         content = "\0".join(values).encode() if name in LABELS else values.astype("<f8").tobytes()
         parts += [f"{name}\0{len(content)}\0".encode(), content]
     return sha256_hex(b"".join(parts))

@@ -207,6 +207,7 @@ def compare(
         raise BadInputError(
             f"compare takes one flight, {len(flights)} were given; call it once for each"
         )
+    # Late channels stay late: their delay is part of the comparison.
     ready, measured = _prepared(flights, model, align=False)
     choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS), workers)
     return comparing.compare(
@@ -300,6 +301,7 @@ def fit_model_form(
     flight_list = flights_of(flights, model)
     ready, measured = _prepared(flight_list, model)
     hashes = [flight.sha256 for flight in flight_list]
+    # Residual coefficients need more channels than a replay.
     ready = [recut(flight, measured) for flight in ready]
     choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS))
     options = replace(options, ideal_servos=choice.ideal)

@@ -128,6 +128,7 @@ def refine(
     check_folder(folder)
     extra = tuple(read_effects(effects_file)) if effects_file is not None else ()
     with scratch_folder("flights") as scratch:
+        # A refinement reads files: flights in memory are written to a temporary folder.
         files = {
             name: _files(flights, model, scratch.path / name)
             for name, flights in (("train", train), ("test", test))

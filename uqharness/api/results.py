@@ -569,6 +569,7 @@ def sensitivity(
     Traceback (most recent call last):
     uqharness.errors.BadInputError: missing
     """
+    # The command checks which arguments may be combined.
     words = ["sensitivity"] + ([] if folder is None else [str(path("folder", folder))])
     words += _files(interior=interior)
     words += [] if modal is None else ["--modal", modal]
@@ -857,10 +858,12 @@ def _document(words: Sequence[str]) -> dict[str, Any]:
     """
     with notebook_line(f"uqharness {words[0]}"):
         code, printed, errors = run_command([*words, "--json"])
+    # Exit code 1 is an answer, with a document of its own.
     if code in (0, 1) and printed.strip():
         document: dict[str, Any] = json.loads(printed)
         return document
     if code in (130, 143):
         raise TerminatedError
+    # The last line of the command is its error message.
     lines = errors.strip().splitlines() or [f"uqharness {words[0]} ended with {code}"]
     raise BadInputError(lines[-1].removeprefix("uqharness: error: "))

@@ -166,6 +166,7 @@ def _options(args: argparse.Namespace) -> BoundsOptions:
             f"--sample-size {args.sample_size} requires --as-published: bounds of the model error"
             " account for autocorrelation already; omit it, or add --as-published"
         )
+    # 0 on the command line means no low-pass of the airspeed.
     return BoundsOptions(
         designs=parse_designs(args.states, args.terms, args.order, args.roll_terms),
         fit=FitOptions(
@@ -203,6 +204,7 @@ def _run(args: argparse.Namespace) -> int:
         out = results_folder(args.out)
         document = bounds_document(bounds)
         write_bytes(out / "model-form.xml", system)
+        # The provenance is stored in the folder, but is no part of ``--json``.
         stored = document | {"command": command_as_given(args), "version": __version__}
         write_json(out / "bounds.json", stored)
         write_residuals(bounds.form, bounds.residuals, ", ".join(f.name for f in flights), out)

@@ -50,6 +50,7 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
         completer = _completer(action)
         if completer is not None:
             action.complete = completer  # type: ignore[attr-defined]
+    # The script lists the aircraft at the time it is written.
     names = " ".join(shlex.quote(name) for name in known_aircraft())
     preamble = _AIRCRAFT[shell].format(names=shlex.quote(names), words=names)
     preambles: Any = {shell: preamble}  # the library's annotation knows texts alone

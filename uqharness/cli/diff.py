@@ -152,10 +152,12 @@ def _run(args: argparse.Namespace) -> int:
         a, b = (
             aircraft_at(text, scratch.path / side) for side, text in (("a", args.a), ("b", args.b))
         )
+        # XML that differs ranks the likely causes.
         terms = differing_terms(a.folder, b.folder)
         with counting("flights compared") as progress:
             channels, flights = fly_matched(a, b, request, progress)
     all_differences = differences(channels, flights, terms, args.tolerance)
+    # A flight that only one model can fly is a difference too.
     refused = [f for f in flights if f.reason]
     first = by_channel(all_differences)
     if args.out is not None:
@@ -255,6 +257,7 @@ def _document(
 ) -> dict[str, Any]:
     """Return the differences for --json; numbers that are not finite become null."""
 
+    # JSON has no NaN or infinity.
     def finite(value: float) -> float | None:
         return value if math.isfinite(value) else None
 

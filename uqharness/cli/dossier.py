@@ -50,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> int:
     """Write the dossier; return exit code 1 where evidence is missing."""
     path = args.folder / DOSSIER if args.out is None else args.out
+    # Other formats would be HTML under a wrong name.
     if path.suffix not in (".html", ".htm"):
         raise BadInputError(f"--out {path}: a file whose name ends with .html is needed")
     with working("dossier") as stage:

@@ -163,6 +163,7 @@ def _run(args: argparse.Namespace) -> int:
         raise BadInputError(
             f"--out {args.out}: the format follows the name's ending, {', '.join(FORMATS)}"
         )
+    # Fail before the flight if the record cannot be written.
     check_out(args.out)
     if args.page is not None:
         check_page(args.page, "--page")
@@ -185,6 +186,7 @@ def _run(args: argparse.Namespace) -> int:
         copy_beside(aircraft, root, engine.default_root())
         copy = finely(find_aircraft(root / "aircraft" / aircraft.folder.name))
         start = StartSection(V_mps=args.speed_mps, altitude_m=args.altitude_m)
+        # A user who sets integrators keeps them; otherwise the mission restarts with finer ones.
         chosen = SECOND_ORDER.keys() & parse_settings(args.settings).keys()
         path, _ = write_own_mission(copy, start, args.mission, restarting=not chosen)
         return _fly(args, aircraft, copy, path)
@@ -203,6 +205,7 @@ def _fly(
         script,
         _spec(args, flight_aircraft, script, gains.properties if gains else {}),
     )
+    # Without a card there are no units for the controls.
     if not aircraft.has_card:
         print(
             f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are"

@@ -114,6 +114,7 @@ def _run(args: argparse.Namespace) -> int:
     biases, delays, outputs = (
         parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays", "outputs")
     )
+    # Fail before the estimation if results cannot be written.
     check_folder(args.out)
     with working("identify", lambda: counter["segments"]) as stage:
         stage("reading the flights")
@@ -141,6 +142,7 @@ def _run(args: argparse.Namespace) -> int:
         )
         stage("report")
         out = results_folder(args.out)
+        # Digests identify the flights, so that `bounds` can warn of their reuse.
         hashes = [file_sha256(p) for p in args.flight]
         document = write_results(
             result, aircraft, [p.name for p in args.flight], command_words(args), out, hashes

@@ -163,6 +163,7 @@ def _run(args: argparse.Namespace) -> int:
     check_folder(args.out)
     form = None if args.bounds is None else read_model_form(args.bounds)
     bounds = Bounds(form, {} if args.constant is None else parse_constant(args.constant))
+    # A dry run writes nothing that could be flown.
     checked = not (args.no_check or args.dry_run)
     with working("instrument") as stage:
         stage("comparing short flights with the original" if checked else "writing")
@@ -176,6 +177,7 @@ def _run(args: argparse.Namespace) -> int:
             mass=mass,
         )
     report = _report(aircraft, done, args)
+    # JSON has no NaN.
     if done.verdict is not None:
         report["check"] = {k: None if v != v else v for k, v in asdict(done.verdict).items()}
     if args.page is not None:
@@ -229,6 +231,7 @@ def _report(aircraft: Aircraft, done: Instrumented, args: argparse.Namespace) ->
     """Return what was done, for --json and the text."""
     planned, files = done.planned, []
     for name, change in sorted(planned.changes.items()):
+        # Edited files keep their own text but for the insertions.
         kind = "edited" if change.edited else "added" if not change.before else "replaced"
         lines = (
             sum(i.text.count(b"\n") for i in change.insertions)

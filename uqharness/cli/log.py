@@ -102,6 +102,7 @@ def _map(args: argparse.Namespace) -> int:
     """Propose a map; return 0 when a signal was recognised, 1 when none was."""
     from sysid.logs import propose_map
 
+    # A proposed map is meant to be edited, so it is never overwritten.
     if args.out.exists():
         raise BadInputError(
             f"{args.out}: exists, and may have been edited; give another name or remove it"
@@ -212,6 +213,7 @@ def _import(args: argparse.Namespace) -> int:
 
         record = labelled(record, args.manoeuvres, args.log.stem)
     kept_s = log_s = (float(record["time_s"][0]), float(record["time_s"][-1]))
+    # A flight record has been cut before.
     if not args.whole and record.metadata.free_flight_s and record.metadata.dialect != "record":
         kept_s = record.metadata.free_flight_s[0]
         record = record.between(*kept_s)
@@ -476,6 +478,7 @@ def _start(args: argparse.Namespace, logged: Mapping[str, float]) -> dict[str, f
         name: logged.get(name, math.nan) if value is None else value
         for name, value in options.items()
     }
+    # Without an altitude FlightGear shows the flight at sea level.
     if math.isnan(start["alt_m"]):
         start["alt_m"] = 0.0
     if any(math.isnan(value) for value in start.values()):

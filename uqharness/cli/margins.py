@@ -80,9 +80,10 @@ def _run(args: argparse.Namespace) -> int:
     names = args.loop or list(LOOPS)
     script = find_script(args.script)
     gains = gains_of(args.autopilot, aircraft, script)
+    # Gains of a parameter file replace those of the aircraft.
     condition = {**condition, **(gains.properties if gains else {})}
     with StagedMission(aircraft, script) as mission:
-
+        # Each measurement needs instances of its own, at the same condition.
         def make_fdm() -> Any:
             fdm = mission.open()
             needed = [name for loop in LOOPS.values() for name in loop.properties]

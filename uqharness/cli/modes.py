@@ -141,6 +141,7 @@ def _run(args: argparse.Namespace) -> int:
         check_page(args.out)
     elif args.speeds is not None:
         raise BadInputError("--speeds: belongs to the page; give --out FILE.html too")
+    # The wind blows towards the opposite of the direction it comes from.
     toward = math.radians(args.wind_from_deg + 180.0)
     wind = (args.wind_mps * math.cos(toward), args.wind_mps * math.sin(toward), 0.0)
     aircraft = find_aircraft(args.aircraft)
@@ -153,6 +154,7 @@ def _run(args: argparse.Namespace) -> int:
         wind,
     )
     trim = find_trim(aircraft, condition)
+    # No trim is an answer, not an error.
     if not trim.converged:
         print(
             json.dumps({"trim": None, "reason": trim.reason, "modes": []})

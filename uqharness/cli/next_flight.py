@@ -183,10 +183,12 @@ def _answer(args: argparse.Namespace, stage: Stage) -> tuple[str, int]:
     winner = find_winner(args.folder, args.metric, args.coefficient)
     campaign = open_campaign(args.folder)
     path = args.bounds or bounds_of(campaign, args.folder, winner.coefficient)
+    # The bounds must belong to the aircraft of the campaign and bound the coefficient.
     form = load_form(path)
     aircraft = aircraft_of(campaign)
     check_form(form, aircraft, winner.coefficient, str(path))
     stage("the mission's flight states")
+    # Flight states of the mission weigh the interval.
     mission = (
         recorded_mission(args.occupancy, aircraft, form.filtering.cutoff_hz)
         if args.occupancy
@@ -220,6 +222,7 @@ def _plan(
         stage,
     )
     missing = None
+    # Flights behind the bounds may show terms that the polynomial lacks.
     if args.flight:
         stage("missing terms")
         missing = missing_in(form, aircraft, winner.coefficient, args.flight)
@@ -240,6 +243,7 @@ def _plan(
     )
     doc = document(plan, winner, mission, missing, air, units, warnings)
     out = results_folder(args.out)
+    # The run script repeats the plan in simulation, as a rehearsal.
     points = [p.point for p in plan.plan]
     purpose = f"Flight for {plan.coefficient}"
     write_bytes(

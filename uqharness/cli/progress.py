@@ -77,6 +77,7 @@ def working(
         Called with the name of each stage.
     """
     console_used = console or Console(stderr=True, file=drawing(sys.stderr))
+    # In a pipe the heartbeat prints the stage now and then.
     if not console_used.is_terminal:
 
         def set_stage(text: str) -> None:
@@ -105,6 +106,7 @@ def working(
 
         def stage(text: str) -> None:
             nonlocal current, stage_start_s
+            # A new stage, not a new count.
             if _without_numbers(text) != _without_numbers(current):
                 if keep and current:
                     line = (
@@ -197,6 +199,7 @@ class ProgressView:
             progress.done - progress.done_before, progress.cases - progress.done_before
         )
         note = describe(progress, remaining_s)
+        # The tables of a large campaign take a while after the last flight.
         ready = "; writing the tables" if progress.done == progress.cases else ""
         STATE.stage = f"{progress.done} of {progress.cases} flights, {note}{ready}"
         if self._bar is not None and self._task is not None:

@@ -87,6 +87,7 @@ def _run(args: argparse.Namespace) -> int:
             "--campaign and --no-pbox: a campaign is flown for its p-box; leave out one of them"
         )
     check_folder(args.out)
+    # Read the user's effects first: errors in the file should not cost a refinement.
     extra = tuple(read_effects(args.effects)) if args.effects else ()
     out = args.out
     request = Request(

@@ -128,6 +128,7 @@ def _campaign(args: argparse.Namespace) -> int:
     with counting("metrics") as update:
         results = analyse_campaign(campaign, interior, seed=args.seed, on_progress=update)
     content = as_csv(results)
+    # The manifest stores the table's digest, so that `verify` can check it.
     record_table(args.folder, SENSITIVITY, content)
     figures = write_figures(args.folder, condition_sections(content), "Sensitivity")
     if args.json:

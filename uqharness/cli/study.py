@@ -52,6 +52,7 @@ def _run(args: argparse.Namespace) -> int:
         )
         raise
     report = write_report(args.out).path
+    # Stages that ran but answered no, such as a comparison above the noise floor.
     no = [row["name"] for row in document["stages"] if row["exit"] == 1]
     if args.json:
         print(json.dumps(document | {"report": str(report)}))

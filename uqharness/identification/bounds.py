@@ -81,6 +81,7 @@ def noise_sizes(
     for name in NOISY:
         if name not in record:
             continue
+        # Pieces with gaps have no spectrum above the cut-off.
         pieces = [np.asarray(record[name][p.rows], dtype=float) for p in flight.pieces]
         size = noise_size(
             [x for x in pieces if np.isfinite(x).all()],
@@ -134,6 +135,7 @@ class NoisyFlight:
             std,
             {c: size.spread for c, size in sizes.items()},
         )
+        # Angles of an estimator do not contain the rotation of gusts.
         measures_wind_angles = not set(VANES) & set(flight.record.metadata.estimates)
         air = (
             air_pieces(flight.record, flight.pieces, model, residuals.cutoffs.airspeed_hz)
@@ -332,13 +334,17 @@ def make_bounds(
     BadInputError
         When the flights are too short for any fit.
     """
+    # Ideal servos move at once; their commands are delayed as the smoothed rates are.
     arm = aircraft.accelerometer_m
     flights = [f.with_smoothing_delay() for f in flights] if options.ideal_servos else flights
     with prediction_of(aircraft, measured, options.ideal_servos, options.values) as pair:
         callback("residual coefficients")
+        # 1: demanded minus predicted coefficients of every flight.
         parts = [flight_residuals(pair, f, arm, options.cutoffs) for f in flights]
         callback("sensor noise")
+        # 2: sensor noise in each sample, by probing the model.
         noisy = [NoisyFlight.of(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)]
+        # 3: remove the rotation of the air, unless noise and model error are kept together.
         calm_residuals = (
             [n.in_still_air(n.residuals) for n in noisy]
             if options.fit.noise == "apart"
@@ -346,6 +352,7 @@ def make_bounds(
         )
         residuals = together([r for r, _ in calm_residuals])
         callback("model error apart from noise" if options.fit.noise == "apart" else "intervals")
+        # 4: bounds as functions of the flight state.
         fitted = _fit(residuals, options.designs, options.fit)
         cutoff_rows = []
         if options.checks:
@@ -359,6 +366,7 @@ def make_bounds(
         c: variation(residuals, c, f.bounds, options.walk_cutoff_hz, options.outside)
         for c, f in fitted.items()
     }
+    # The form records what is needed to repeat the fit: flights, filters, confidence.
     form = ModelForm(
         aircraft=AircraftReference(aircraft.name, content_hash(aircraft)),
         flights=tuple(
@@ -428,6 +436,7 @@ def _baseline(residuals: Residuals, options: BoundsOptions) -> dict[str, Coeffic
     2.10).
     """
     usual = default_designs()
+    # Only coefficients with other states or terms than the default need a second fit.
     changed = {c: usual[c] for c, d in options.designs.items() if d != usual[c]}
     try:
         return (
@@ -482,6 +491,7 @@ def _with_cutoffs(
             parts = [u.in_still_air(r)[0] for u, r in zip(used, parts, strict=True)]
         residuals = together(parts)
         fitted = fit_bounds(residuals, options.designs, options.fit)
+    # A filter may leave too few samples; that is a result, not an error.
     except (ValueError, BadInputError):
         return CutoffRow(cutoffs, dict.fromkeys(options.designs, float("nan")))
     return CutoffRow(cutoffs, {c: _mean_width(f.bounds, residuals) for c, f in fitted.items()})
@@ -502,6 +512,7 @@ def mean_left_out(
     if not left_out:
         return dict.fromkeys(COEFFICIENTS, float("nan"))
     by_manoeuvre = told_apart(residuals)
+    # Weigh each manoeuvre by its samples.
     n = {label: sum(by_manoeuvre.only([label]).lengths) for label in left_out}
     names = next(iter(left_out.values()))
     return {
@@ -551,6 +562,7 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
                 f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor; the"
                 " intervals include its errors"
             )
+        # Nyquist with a margin; the airspeed has its own, lower cut-off.
         slow = [
             c
             for c, hz in record.metadata.native_hz.items()
@@ -561,6 +573,7 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
                 f"{flight.name}: {', '.join(slow)} were logged too slowly for a filter at"
                 f" {cutoffs.all_hz:g} Hz; lower --cutoff-hz"
             )
+        # Noise variance after the filter depends on the sample rate.
         rate = 1.0 / record.dt_s
         if abs(rate / form.filtering.rate_hz - 1.0) > 0.1:
             out.append(
@@ -576,6 +589,7 @@ def _identified_from(
     """Warn of flights from which the model was identified, by the fit.json of an identified
     aircraft.
     """
+    # The file is optional and may be of any origin: unreadable content is ignored.
     path = aircraft.folder.parent / "fit.json"
     try:
         document = parse_json(read_regular(path))
@@ -587,6 +601,7 @@ def _identified_from(
         return []
     out = []
     for flight, sha256 in zip(flights, hashes, strict=True):
+        # Older files have names only.
         if sha256 in digests or (not digests and any(Path(n).stem == flight.name for n in names)):
             out.append(
                 f"{flight.name}: the model was identified from this flight ({path}); its residuals"
@@ -641,6 +656,7 @@ def parse_designs(
     for text in terms:
         coefficient, names = _assignment("--terms", text, list(designs))
         long_names = ["*".join(_long_name(f) for f in name.split("*")) for name in names]
+        # States of the terms, in canonical order.
         used = tuple(
             s
             for s in STATES
@@ -754,6 +770,7 @@ def validate(
             " residuals of one model say nothing about another; make bounds for this one"
             " (uqharness bounds)"
         )
+    # Coverage is meaningful only with the filters of the form.
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
     arm = aircraft.accelerometer_m
     flights = [f.with_smoothing_delay() for f in flights] if ideal_servos else flights
@@ -762,6 +779,7 @@ def validate(
         residuals = together(
             [noisy_residuals(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)]
         )
+    # Bounds cannot be evaluated without their states.
     missing = [s for s in form.states if s not in residuals.states]
     if missing:
         raise BadInputError(

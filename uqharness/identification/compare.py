@@ -110,6 +110,7 @@ def motion(modelled: Sequence[FloatArray]) -> float:
     """
     squares = []
     for y in modelled:
+        # Short or diverged segments say nothing about the motion.
         if len(y) >= 8 and np.isfinite(y).all():
             at = np.arange(len(y), dtype=float)
             squares.append((y - np.polynomial.Polynomial.fit(at, y, 1)(at)) ** 2)
@@ -135,6 +136,7 @@ def answer_of(
     Answer
         Without evidence or delay where they are undetermined.
     """
+    # Order of the tests: enough motion, right sign and scale, a defined delay.
     rms_motion = motion(modelled)
     if not rms_motion >= MOTION_SIGMA * noise:
         return Answer(_NO_RELATION, _no_shift(), _motion_note(rms_motion / noise))
@@ -144,6 +146,7 @@ def answer_of(
     shift = time_shift(measured, modelled, dt_s, MAX_DELAY_S)
     if not math.isfinite(shift.seconds):
         return Answer(relation, _no_shift(), "the model does not move")
+    # NaN must fail too, hence the negation.
     if not shift.std <= DELAY_STD_S:
         return Answer(relation, _no_shift(), f"its standard error is {1e3 * shift.std:.0f} ms")
     if abs(shift.seconds) >= MAX_DELAY_S:
@@ -169,6 +172,7 @@ def _relation(
     x, y = [], []
     for z, m in zip(measured, modelled, strict=True):
         at, logged = np.arange(len(z)), np.isfinite(z)
+        # Sparse channels would be mostly interpolation.
         if logged.sum() > 0.1 * len(z) and np.isfinite(m).all() and logged.sum() > 8:
             x.append(np.interp(at, at[logged], m[logged]))
             y.append(np.interp(at, at[logged], z[logged]))
@@ -328,6 +332,7 @@ class Comparison(Tabled):
     def slips(self) -> tuple[str, ...]:
         """Describe judged channels of wrong sign or scale, and the control that explains them."""
         slips = {c: g.slip for c, g in self.channels.items() if g.judged and g.slip}
+        # Two channels that reverse with one control point at the control, not at the sensors.
         reversed_ = {c for c, text in slips.items() if text.startswith("reversed")}
         reversed_controls = [
             f"the {control} is reversed: {' and '.join(sorted(reversed_ & answers))} answer it with"
@@ -435,6 +440,7 @@ def compare(
     """
     arm = aircraft.accelerometer_m
     cut_segments = segments(flight, measured, arm)
+    # All recorded channels are compared, but only OUTPUTS decide the verdict.
     present = tuple(
         c for c in CHANNELS if c in flight.record and np.isfinite(flight.record[c]).any()
     )
@@ -444,12 +450,14 @@ def compare(
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
         callback("start states, biases and delays")
+        # Fit the nuisance parameters to the judged channels only.
         with replay_pool(workers) as pool:
             fitted_biases = [b for b in biases if b in judged_channels]
             late = delayed([flight], judged_channels, delays)
             theta, layout_names, flyable, notes, late_std_s = _fit_starts(
                 model, cut_segments, judged_channels, data, present, fitted_biases, late, pool
             )
+        # Replay all channels with the estimated nuisance parameters.
         replay = Replay(model, cut_segments, layout_names, present, uuid.uuid4().hex)
         modelled = replay(theta)
         callback("coefficients")
@@ -468,6 +476,7 @@ def compare(
     cut_segments = [s for s, ok in zip(cut_segments, flyable, strict=True) if ok]
     demand = [d for d, ok in zip(demand, flyable, strict=True) if ok]
     predicted = [d for d, ok in zip(predicted, flyable, strict=True) if ok]
+    # Everything below is statistics of measured minus modelled.
     gaps = [z - y for z, y in zip(data, modelled, strict=True)]
     estimates = [c for c in judged_channels if c in flight.record.metadata.estimates]
     if estimates:
@@ -539,6 +548,7 @@ def _fit_starts(
         (), (), segments, biases, judged_channels, late, jumping_flights(model, segments, late)
     )
     token = uuid.uuid4().hex
+    # A replay without nuisance parameters shows which segments can be flown.
     plain = Replay(model, segments, (), judged_channels, token)
     flyable = [bool(np.isfinite(y).all()) for y in plain(np.zeros(0))]
     if not any(flyable):
@@ -553,6 +563,7 @@ def _fit_starts(
     ]
     flyable_segments = [s for s, ok in zip(segments, flyable, strict=True) if ok]
     flyable_data = [z[:, columns] for z, ok in zip(data, flyable, strict=True) if ok]
+    # No parameter is free: this is output error of the nuisance parameters alone.
     fitted = fit_replays(
         model,
         Observed(flyable_segments, tuple(judged_channels), flyable_data, biases, late),
@@ -572,6 +583,7 @@ def _fit_starts(
             _, k, state = name.split("/")
             name = f"start/{number[int(k)]}/{state}"
         theta[layout.names.index(name)] = value
+    # Standard error of the controls' delay, if it was estimated.
     errors = [
         s for n, s in zip(inner.names, fit.std, strict=True) if n.endswith(f"/{CONTROL_DELAY}")
     ]
@@ -591,6 +603,7 @@ def _coefficients(
 
     The latter is an experiment: noise is added once more to the measured channels and states.
     """
+    # A fixed seed: equal input gives equal output.
     rng = np.random.default_rng(1)
     channels = [states(flight, piece) for piece in flight.pieces]
     gaps = coefficient_gaps(model, direct_model, segments, channels, noise, rng, late_s=late_s)
@@ -679,6 +692,7 @@ def _moments(
     moments = []
     for segment, gap in zip(segments, gaps, strict=True):
         for channel in judged_channels:
+            # At most three moments of a channel and segment, one second apart.
             for at, size in worst(
                 gap[:, list(present).index(channel)], segment.time_s, noise[channel], 3, 1.0
             ):

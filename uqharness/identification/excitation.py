@@ -107,6 +107,7 @@ def find_excited(
     count = len(replay.names)
     theta = np.zeros(count)
     theta[: len(names)] = initial
+    # Steps are relative to the value, the width of the bounds, or one.
     steps = np.full(count, _STEP)
     for k, (value, (low, high)) in enumerate(zip(initial, limits, strict=True)):
         width = high - low if np.isfinite(high - low) else 1.0
@@ -125,6 +126,7 @@ def find_excited(
         slopes = sensitivities.each(
             lambda part, _, rows: np.where(logged[rows, :, None], part / sigma[:, None], 0.0)
         )
+    # The size against which a standard error is judged.
     widths = np.array([high - low if np.isfinite(high - low) else 0.0 for low, high in limits])
     size = np.maximum(np.abs(initial), WIDTH_SHARE * widths)
     excitation = assess_excitation(slopes, replay.names, size, observed.outputs)
@@ -150,6 +152,7 @@ def assess_excitation(
     fixed: dict[str, str] = {}
     while True:
         free_columns = [k for k, name in enumerate(labels) if name not in fixed]
+        # Collinear parameters have infinite standard errors here and are fixed first.
         gate = assess(
             information[np.ix_(free_columns, free_columns)], tuple(labels[k] for k in free_columns)
         )
@@ -171,6 +174,7 @@ def assess_excitation(
     free = [
         k for k, name in enumerate(labels[:count]) if name not in fixed and np.isfinite(smallest[k])
     ]
+    # Without free parameters no channel can be judged.
     if not free:
         return Excitation(fixed, ())
     # (free, m): information of each channel alone on each parameter, relative to that of all
@@ -215,6 +219,7 @@ def restrict_to_excited(
 
     Returns the reduced observations and notes; ``choose`` allows channels to be left out.
     """
+    # The constants compete with lateral parameters, so their information is accounted for.
     constants = [n for n in lateral_constants(model) if n not in names]
     layout = nuisance_layout(
         (*names, *constants),
@@ -226,6 +231,7 @@ def restrict_to_excited(
     )
     replay = Replay(model, observed.segments, layout.names, observed.outputs, uuid.uuid4().hex)
     excitation = find_excited(replay, observed, names, initial, limits, noise, pool)
+    # The perturbed simulations are not needed by the fit.
     replay.forget()
     left_out = excitation.left_out if choose else ()
     notes = (

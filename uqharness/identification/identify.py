@@ -98,11 +98,13 @@ def unexplained(
                 residual_square += float(np.sum(r[logged, k] ** 2))
                 motion_square += float(np.sum((z[logged, k] - z[logged, k].mean()) ** 2))
                 samples += int(logged.sum())
+        # A very clean record must not fail for residuals that any real sensor would hide.
         size = max(noise[channel], MEMS_NOISE_STD.get(channel, 0.0))
         if not samples or not size > 0.0:
             continue
         sigma = float(np.sqrt(residual_square / samples)) / size
         share = residual_square / motion_square if motion_square > 0.0 else np.inf
+        # Both tests must fail: a large ratio alone may be a small missing term in a clean channel.
         if sigma > UNEXPLAINED_SIGMA and share > UNEXPLAINED_SHARE:
             out[channel] = (sigma, share)
     return out
@@ -121,6 +123,7 @@ def withdraw_invalid(result: Identification) -> Identification:
         "check units, signs, mass, inertia and servos with compare, or let refine look for a"
         " missing effect"
     )
+    # Keep everything that describes the fit, so that the user can see why it failed.
     return replace(
         result,
         theta=result.initial.copy(),
@@ -142,6 +145,7 @@ def _invalid_reason(result: Identification) -> str:
         result.residual, result.measured, result.outputs, result.noise
     )
     if unexplained_channels:
+        # Name the channel that is explained worst.
         channel = max(unexplained_channels, key=lambda c: unexplained_channels[c][1])
         sigma, share = unexplained_channels[channel]
         other_channels = (
@@ -191,6 +195,7 @@ class DescentProgress:
 
     def __call__(self, iteration: int, length: float) -> None:
         """Report that an iteration begins, whose step would be ``length`` standard errors long."""
+        # A new descent starts its own clock.
         if iteration == 1 or not self._lengths:
             self._start_s, self._lengths = self.clock(), []
         self._lengths.append(length)
@@ -207,6 +212,7 @@ class DescentProgress:
         done = len(self._lengths) - 1
         if done < 2:
             return None
+        # Without convergence all allowed iterations may be needed.
         iterations_left = max(float(self.max_iterations - iteration), 1.0)
         first, last = self._lengths[0], self._lengths[-1]
         # Geometric extrapolation of the step length down to the tolerance.
@@ -278,6 +284,7 @@ def identify(
     BadInputError
         For unknown parameters, and for a model that cannot fly the segments.
     """
+    # Commands pass the actuators unless the servos are ideal; measured positions never do.
     names = _parameter_names(aircraft, parameters)
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
@@ -285,6 +292,7 @@ def identify(
         cut_segments = [s for f in flights for s in segments(f, measured, arm)]
         initial = _initial(aircraft, model, names, start)
         limits = _limits(aircraft, names, initial)
+        # Stage 1: equation error, linear and fast, gives start values.
         start_s = time.perf_counter()
         callback("equation error")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model:
@@ -301,19 +309,23 @@ def identify(
             [b for b in biases if b in channels],
             delayed(flights, channels, delays),
         )
+        # The noise scales residuals until output error estimates its own.
         noise = channel_noise(data, channels, aircraft.card.sensors.noise_std)
+        # Speed of the bare loop and number of simulated rows, for the report on speed.
         bare_flight_s_per_s, rows_before, fit_start_s = (
             bare_rate(model, cut_segments[0]),
             counter["rows"],
             time.perf_counter(),
         )
         with replay_pool(workers) as pool:
+            # Stage 2: by default fix what the manoeuvres do not excite.
             if parameters is None:
                 callback("parameters that the flights excite")
                 observed, channel_notes = restrict_to_excited(
                     model, observed, names, initial, limits, noise, pool, outputs is None
                 )
                 notes = [*notes, *channel_notes]
+            # Stage 3: output error.
             callback("output error")
             if message_callback is not None:
                 message_callback(_output_error_message(observed, names, method))
@@ -354,6 +366,7 @@ def identify(
         from uqharness.identification.turbulence import FilterRequest, filter_error, filter_setup
 
         callback("filter error")
+        # Stage 4: filter error. The simulations of output error are no longer needed.
         fitted.replay.forget()
         setup = filter_setup(
             aircraft, flights, FilterRequest(outputs, biases, delays, measured, ideal), result
@@ -393,6 +406,7 @@ def _outputs(flights: Sequence[Flight], requested: Sequence[str] | None) -> tupl
 
     Raises BadInputError for a requested channel that none has.
     """
+    # A channel counts as recorded if any flight has finite values.
     available = tuple(
         c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights)
     )
@@ -430,6 +444,7 @@ def _no_filter_message(method: str, gusty: bool) -> str:
 def _filter_error_message(result: Identification, method: str) -> str:
     """Explain why filter error follows, and how large the problem is."""
     residual, _, noise = _inertial_channels(result)
+    # The test for process noise uses the inertial channels only, so the message does too.
     channels = [c for c in result.outputs if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
     # Only channels above their noise are named.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -493,6 +508,7 @@ def _initial(
     """Return the start values (k,), from the XML or from the card's guesses where it has any."""
     from uqharness.simulator import engine
 
+    # Values of the XML are read from JSBSim, which also checks that the properties exist.
     fdm = model.open(aircraft.dt_s)
     engine.require(fdm, names)
     current = np.array([fdm[name] for name in names])
@@ -512,6 +528,7 @@ def _limits(
     """
     out = []
     for name, value in zip(names, initial, strict=True):
+        # Parameters that the card does not list are unbounded.
         card = aircraft.card.parameters.get(name)
         low, high = (
             card.bounds if card is not None and card.bounds is not None else (-np.inf, np.inf)
@@ -528,6 +545,7 @@ def _noise_warning(
     residual: Sequence[FloatArray], outputs: Sequence[str], noise: Mapping[str, float]
 ) -> list[str]:
     """Return a warning where residuals exceed the noise although nothing looks coloured."""
+    # All segments together: a single one may exceed the limit by chance.
     pooled = np.concatenate(residual)
     ratio = {c: rms(pooled[:, k]) / noise[c] for k, c in enumerate(outputs) if noise[c] > 0.0}
     above = {c: r for c, r in ratio.items() if r > NOISE_FLOOR}
@@ -555,6 +573,7 @@ def _assemble(
 ) -> Identification:
     """Collect the result of output error."""
     k, fit, outputs = len(names), fitted.fit, observed.outputs
+    # The covariance has only the identified parameters.
     identified = [i for i in range(k) if fit.status[names[i]] == "identified"]
     nuisance = {
         n: (float(fit.theta[i]), float(fit.std[i]))
@@ -567,6 +586,7 @@ def _assemble(
     ]
     warnings = by_channel(parameter_warnings, outputs)
     assert isinstance(fit.residual, list)
+    # Coloured residuals are the more specific warning and include this one.
     if not any(w.startswith("coloured") for w in warnings):
         warnings += _noise_warning(fit.residual, outputs, noise)
     return Identification(

@@ -162,6 +162,7 @@ def fit_replays(
         When the model cannot fly the segments.
     """
     jumping = jumping_flights(model, observed.segments, observed.late)
+    # theta: the parameters, then biases, delays, shares and start states.
     layout = nuisance_layout(
         names, limits, observed.segments, observed.biases, observed.outputs, observed.late, jumping
     )
@@ -211,6 +212,7 @@ def fit_replays(
             fit = replace(one_sided, n_simulations=fit.n_simulations + one_sided.n_simulations)
         return fit
 
+    # Start vectors: fixed parameters take the last of the tries, nuisance parameters their start.
     fixed = observed.fixed
     tries = [
         _with_values(values, tries[-1], [list(names).index(n) for n in fixed]) for values in tries
@@ -224,6 +226,7 @@ def fit_replays(
         status={**fit.status, **dict.fromkeys(fixed, "not-identified")},
         reason={**fit.reason, **fixed},
     )
+    # Parameters that the information matrix cannot resolve.
     undetermined = tuple(n for n in names if fit.status[n] == "not-identified" and n not in fixed)
     if undetermined:
         # Undetermined parameters return to their start values, with which the model will be flown,
@@ -252,6 +255,7 @@ def fit_replays(
 
 def _kinked_delays(model: ReplayModel, layout: Layout, fit: OutputErrorFit) -> list[int]:
     """Find control delays near zero of a fit that did not converge, where surfaces jump."""
+    # Only surfaces without a lag make a kink.
     if fit.converged or not model.jumping:
         return []
     return [
@@ -310,6 +314,7 @@ def _fit_first_flyable(
         try:
             return fit_from(theta)
         except ValueError as error:
+            # Any other error would occur with all start values.
             failure = error
             if "fails at theta0" not in str(error):
                 raise BadInputError(str(error)) from None
@@ -354,6 +359,7 @@ def equation_error_start(
     forced_models = forced_at(
         model, direct_model, segments, channels_of, dict(zip(names, initial, strict=True))
     )
+    # Demanded and predicted coefficients pass the same filter, and so do the regressors.
     for segment, channels, forced in zip(segments, channels_of, forced_models, strict=True):
         demand.append(demand_of(channels, forced[0], segment))
         predicted.append(smooth(forced[0].coefficients, segment.dt_s))
@@ -369,6 +375,7 @@ def equation_error_start(
         x = np.column_stack(
             [np.concatenate([regressor(terms[i], b) for b in base]) for i in members]
         )
+        # Parameters that the data cannot separate are left at their values.
         gate = assess(x.T @ x, tuple(names[i] for i in members))
         identified = [i for i, ok in zip(members, gate.identified, strict=True) if ok]
         delta = np.linalg.lstsq(x[:, gate.identified], y, rcond=None)[0]
@@ -397,6 +404,8 @@ def forced_at(
     ]
     out = []
     for part, forced in zip(parts, force_all(direct_model, parts, properties), strict=True):
+        # Variables of the terms: surface positions and motion, made dimensionless by the mass's
+        # lengths.
         de, da, dr = (
             part.controls[:, model.controls.index(c)] for c in ("elevator", "aileron", "rudder")
         )
@@ -448,6 +457,7 @@ def coefficient_gaps(
         (n, 6) each: demanded coefficients; predicted ones including sampling errors; change of
         demanded minus predicted by the second noise.
     """
+    # A second realisation of the noise shows its effect on the coefficients.
     noisy = [with_noise(channels, noise_std, rng) for channels in channels_of]
     plain_and_noisy = [*zip(segments, channels_of, strict=True), *zip(segments, noisy, strict=True)]
     forced = forced_at(
@@ -468,10 +478,12 @@ def coefficient_gaps(
         )
         for segment, channels, controls in zip(segments, channels_of, positions, strict=True)
     ]
+    # Half-way commands are the first-order correction of sampling.
     if half_way:
         sampled = [np.zeros((len(part.positions), 6)) for part in parts]
     else:
         sampled = sampling_errors(model, direct_model, parts, properties or {})
+    # The first half belongs to the measured states, the second half to the noisy ones.
     pairs = zip(coefficients[: len(segments)], coefficients[len(segments) :], sampled, strict=True)
     return [
         (demand, said + error, (demand_again - said_again) - (demand - said))
@@ -533,6 +545,7 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
         return ()
     short = {c.split("_")[0]: c for c in OUTPUTS}
     names = [short.get(n.strip(), n.strip()) for n in text.split(",")]
+    # Only delays apply to the controls.
     extra_names = (CONTROL_DELAY,) if option == "--delays" else ()
     unknown = [n for n in names if n not in (*OUTPUTS, *extra_names)]
     if unknown:

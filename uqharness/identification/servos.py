@@ -93,6 +93,7 @@ def choose_servos(
     """
     if request != "auto":
         return ServoChoice(request == "ideal")
+    # Without logged rates the flights are simulations, flown with the card's servos.
     logged = [f for f in flights if f.record.metadata.native_hz]
     moved = [c for c in SURFACES if c in aircraft.card.inputs and c not in measured]
     if not logged or not moved:
@@ -108,6 +109,7 @@ def choose_servos(
         ideal = _fit(aircraft, busiest, measured, unmeasured, pool)
     if card is None and ideal is None:
         return ServoChoice(False)
+    # A model that cannot fly has log likelihood minus infinity.
     gain = (ideal.log_likelihood if ideal else -math.inf) - (
         card.log_likelihood if card else -math.inf
     )
@@ -124,6 +126,7 @@ def choose_servos(
         f"{logged[0].name}: using {chosen} servos ({margin}, {len(busiest[0].pieces)} segments, all"
         f" other parameters estimated for both); --servos {option} selects the alternative"
     )
+    # A delay of all channels is not an effect of the servos.
     if abs(best.common_s) > LATE_ROWS * logged[0].record.dt_s:
         note += (
             f"; all channels {'lag' if best.common_s > 0.0 else 'lead'} the commands by"
@@ -147,6 +150,7 @@ def _busiest(flight: Flight, surfaces: Sequence[str], measured: Sequence[str]) -
     columns = dict(zip(CONTROLS, control_columns(measured), strict=True))
     rows = math.ceil(MAX_WINDOW_S / flight.record.dt_s)
     windows = [w for piece in flight.pieces for w in _windows(flight, piece, rows)]
+    # A window may serve several surfaces, but counts once.
     picked: set[int] = set()
     for surface in surfaces:
         values = flight.record[columns[surface]]
@@ -159,6 +163,7 @@ def _busiest(flight: Flight, surfaces: Sequence[str], measured: Sequence[str]) -
 def _windows(flight: Flight, piece: Piece, rows: int) -> list[Piece]:
     """Divide a piece into equal windows of at most ``rows`` rows."""
     n = piece.rows.stop - piece.rows.start
+    # Equal lengths: a short remainder would carry little information.
     edges = np.linspace(piece.rows.start, piece.rows.stop, math.ceil(n / rows) + 1).astype(int)
     time = flight.record["time_s"]
     return [
@@ -198,6 +203,7 @@ def _fit(
             [limits[n] for n in names],
         )
         starts = tuple(s.start.copy() for s in setup.segments)
+        # Start from equation error, or from the values of the XML if these fly better.
         points = [
             Point(
                 dict(zip(names, values.tolist(), strict=True)),
@@ -235,6 +241,7 @@ def _common_s(setup: Setup, point: Point) -> float:
         for name, value in point.nuisance.items()
         if name.startswith("delay/") and name.endswith(("/rates", "/accelerations", "/attitude"))
     ]
+    # Delays of both signs have no common part.
     if not delays or min(delays) * max(delays) <= 0.0:
         return 0.0
     return min(delays, key=abs)

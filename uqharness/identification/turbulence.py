@@ -73,6 +73,7 @@ def filter_setup(
     estimator computed.
     """
     setup = make_setup(aircraft, flights, request.measured, request.ideal)
+    # Keep the requested channels only.
     if request.outputs is not None:
         columns = [k for k, c in enumerate(setup.outputs) if c in request.outputs]
         outputs = tuple(setup.outputs[k] for k in columns)
@@ -91,6 +92,7 @@ def filter_setup(
     setup = setup_in_gusts(
         aircraft, replace(setup, biased=tuple(b for b in request.biases if b in setup.outputs))
     )
+    # Residuals of output error limit the noise of channels that were estimated on board.
     residual_rms = {
         c: rms(r) for c, r in zip(result.outputs, np.concatenate(result.residual).T, strict=True)
     }
@@ -160,6 +162,7 @@ def filter_error(
                 " output-error"
             ) from None
 
+    # Start at the estimates of output error.
     fit = fit_from(setup, point_of(fitted, setup, result.names))
     if not fit.gusts.air:
         return replace(result, notes=(*result.notes, NO_TURBULENCE))
@@ -176,6 +179,7 @@ def filter_error(
         )
         fit = fit_from(fit.setup, point, fit.gusts)
         values, cov, crb, reason = _estimates(fit, free, bounds)
+    # Assemble the result by the names of the request.
     identified = [n for n in free if not reason[n]]
     where = [free.index(n) for n in identified]
     reason = {**reason, **undetermined, **fixed}
@@ -185,6 +189,7 @@ def filter_error(
     outputs, modelled = fit.setup.outputs, _one_ahead(fit)
     # Innovations: measured minus predicted one sample ahead.
     residual = [z - y for z, y in zip(fit.setup.measured, modelled, strict=True)]
+    # Standardised innovations must be white if model and noise are right.
     standardised = [np.where(w.there, w.residual, np.nan) for w in fit.fit.evidence.white]
     residual_colour = colour(standardised)
     warnings = [
@@ -267,6 +272,7 @@ def _estimates(
     wider = [steps[n][1] / steps[n][2] for n in names]
     values, reason = {}, dict.fromkeys(free, "")
     cov = gate.inverse * np.outer(wider, wider)
+    # Reasons in order: collinear, at a bound, a bound wider than the data, no effect.
     for n in free:
         k, (low, high) = names.index(n), bounds[n]
         value = float(at[n] + steps[n][0])
@@ -283,6 +289,7 @@ def _nuisance(fit: GustFit, cov: FloatArray, first: int) -> dict[str, tuple[floa
     ``first`` on.
     """
     names, point = list(fit.fit.evidence.names), fit.fit.flown.point
+    # The last step is taken, as for the parameters.
     step, std = fit.fit.evidence.step()[0], np.sqrt(np.diagonal(cov))
     return {
         n.replace("lateness/", "delay/"): (point.nuisance[n] + float(step[k]), float(std[k]))
@@ -297,6 +304,7 @@ def _one_ahead(fit: GustFit) -> list[FloatArray]:
     Outputs of sensors that are late by whole rows are shifted accordingly.
     """
     setup, point, gust_fit = fit.setup, fit.fit.flown.point, fit.fit
+    # Run the filter with the estimated process noise.
     followed = follow(
         gust_fit.steps, in_step(setup, point), setup.which, setup.noise, fit.gusts.process
     )
@@ -305,6 +313,7 @@ def _one_ahead(fit: GustFit) -> list[FloatArray]:
     for segment, steps, one, w in zip(
         setup.segments, gust_fit.steps, followed, gust_fit.evidence.white, strict=True
     ):
+        # State estimates are linear in the start state and the last step.
         path = one.path_from(w.start[:, 0] + w.start[:, 1:] @ delta)
         predicted = steps.y_ref[:, setup.which] + np.einsum(
             "nij,nj->ni", steps.H[:, setup.which], path

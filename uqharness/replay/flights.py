@@ -76,6 +76,7 @@ def with_steps_placed(
     placed_commands: dict[str, FloatArray] = {}
     notes, late, steps = [], 0.0, 0
     for column, rate in _AXIS.items():
+        # Only columns that were logged more slowly than the record's rows have misplaced steps.
         native = record.metadata.native_hz.get(column, 0.0)
         stride = round(1.0 / (record.dt_s * native)) if native > 0.0 else 1
         if column not in columns or stride < 2:
@@ -87,6 +88,7 @@ def with_steps_placed(
             command, logged_rows(command, stride), record[rate], noise, record.dt_s
         )
         placed_commands[column] = placed.command
+        # The mean delay weighs each column by its number of placed steps.
         if placed.steps:
             late, steps = late + placed.steps * placed.late_s, steps + placed.steps
         notes.append(
@@ -124,6 +126,8 @@ def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[
     """
     if _has(record, THROTTLE) or "throttle" not in aircraft.card.inputs:
         return record, ""
+    # Thrust is preferred: it acts on the motion directly, whereas rpm acts through the propeller
+    # map.
     column = next((c for c in SOURCES if _has(record, c)), None)
     if column is None or not _has(record, "V_mps"):
         return record, ""
@@ -145,6 +149,7 @@ def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[
     throttle = throttle_at(V, measured, speeds, throttles, curves)
     low, high = float(curves.min()), float(curves.max())
     finite = np.isfinite(measured) & np.isfinite(V)
+    # Values outside the range of the engines mean a wrong unit or engine, unless they are noise.
     margin = _NOISE_MARGIN * high
     outside = (measured[finite] > high + margin) | (measured[finite] < low - margin)
     if outside.mean() > _MAX_OUTSIDE_SHARE:
@@ -177,6 +182,7 @@ def throttle_at(
     NaN where an input is NaN; clipped to the range of the throttle. ``curves`` is (speeds,
     throttles).
     """
+    # Interpolation needs curves that do not decrease with throttle.
     rising = np.maximum.accumulate(curves, axis=1)
     out = np.full(len(V), np.nan)
     for k in np.flatnonzero(np.isfinite(V) & np.isfinite(measured)):
@@ -198,12 +204,14 @@ def engine_map(
     engine. Raises BadInputError for an aircraft without a propeller.
     """
     out = np.empty((len(speeds_mps), len(throttles_pct)))
+    # Passing controls through makes the throttle independent of earlier values.
     with ReplayFolder(aircraft, ideal=CONTROLS) as model:
         fdm = model.open(aircraft.dt_s)
         read = [
             engine.handle(fdm, name).get_double_value
             for name in ("forces/fbx-total-lbs", "forces/fbx-aero-lbs")
         ]
+        # The card may name another output for the propeller speed.
         turning = aircraft.card.outputs.get("rpm", "propulsion/engine/propeller-rpm")
         if column == "rpm":
             if not fdm.get_property_manager().hasNode(turning):
@@ -214,6 +222,7 @@ def engine_map(
             read = [engine.handle(fdm, turning).get_double_value]
         setters = control_setters(fdm, model)[CONTROLS.index("throttle")]
         fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
+        # Keep the ground away: only the engines matter here.
         fdm["ic/terrain-elevation-ft"] = (altitude_m - _CLEARANCE_M) / FT_M
         for i, speed in enumerate(speeds_mps):
             for k, percent in enumerate(throttles_pct):
@@ -352,10 +361,12 @@ class Flight:
                 continue
             is_command = c in _COLUMN.values()
             values = self.commands[c] if self.per_row > 1 else _filled(self.record[c])
+            # Commands are held on the finer grid, positions interpolated.
             fine = np.repeat(values, finer)[: (len(values) - 1) * finer + 1]
             if not is_command:
                 fine = np.interp(np.arange(len(fine)), finer * np.arange(len(values)), values)
             between[c] = delayed_command(fine, np.arange(0.0, len(fine)) * step_s, late_s)
+            # The record itself holds means from row to row, for what compares row by row.
             rows = mean_ahead(between[c], per_row) if is_command else between[c]
             moved[c] = rows[::per_row][: len(self.record)]
         return replace(
@@ -371,6 +382,7 @@ class Flight:
         """
         if self.per_row == 1:
             return None
+        # The last row has no commands after it that belong to the segment.
         fine = slice(rows.start * self.per_row, (rows.stop - 1) * self.per_row + 1)
         unknown = np.full(fine.stop - fine.start, np.nan)
         return np.column_stack(
@@ -409,6 +421,7 @@ def read_flight(
         record = import_log(
             path, map_path, card, flight_number=flight_number, cache=default_cache()
         )
+        # Copters and rovers log the same messages.
         if refused := no_aeroplane(record):
             raise BadInputError(f"{path}: {refused}; give the log of an aeroplane")
         if manoeuvres is not None:
@@ -423,6 +436,7 @@ def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> F
 
     Raises BadInputError, naming ``where``, for angles in degrees and for another aircraft's record.
     """
+    # Flight records are used as they are; logs contain taxi, tow and landing as well.
     if record.metadata.dialect != "record":
         if record.metadata.free_flight_s:
             record = record.between(*record.metadata.free_flight_s[0])
@@ -432,12 +446,14 @@ def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> F
                 f"{where}: {phase.message if phase else 'it never flew'}; a log with free flight is"
                 " needed (uqharness log info shows it)"
             )
+    # A record in degrees would replay without an error and fit nothing.
     degrees_finding = next((f for f in record.metadata.findings if in_degrees(f)), None)
     if degrees_finding is not None and record.metadata.dialect == "record":
         raise BadInputError(
             f"{where}: {degrees_finding.message}; angles and rates of a flight record are in rad"
             " and rad/s"
         )
+    # Surface angles were computed with the card of that aircraft.
     aircraft_name = record.metadata.aircraft
     if aircraft_name and aircraft_name not in (aircraft.card.aircraft.name, aircraft.name):
         raise BadInputError(
@@ -457,6 +473,7 @@ def _is_on_ground(record: FlightRecord) -> bool:
 
 def measured_surfaces(records: Sequence[FlightRecord]) -> tuple[str, ...]:
     """Return the surfaces whose positions every record carries, unless these copy the commands."""
+    # All records must carry a position: a mixture would need two models of the servo.
     return tuple(
         name
         for name, column in _POSITION.items()
@@ -475,6 +492,7 @@ def _equals_command(record: FlightRecord, position: str, command: str) -> bool:
     commanded = record[command]
     deviation = np.abs(record[position] - commanded)
     finite = np.isfinite(deviation)
+    # Relative to the range of the command, because units differ between records.
     travel = float(np.ptp(commanded[finite])) if finite.any() else 0.0
     return travel > 0.0 and bool(deviation[finite].max() <= MAX_COMMAND_ERROR * travel)
 
@@ -516,6 +534,7 @@ def prepare(
         piece is long enough.
     """
     columns = control_columns(measured)
+    # Report everything that is missing at once.
     missing = [
         c for c in (*_NEEDED, *columns) if c not in record or not np.isfinite(record[c]).any()
     ]
@@ -530,6 +549,7 @@ def prepare(
         raise BadInputError(f"{name}: the record has no {', '.join(missing)}; {reason}")
     if len(record) < 2:
         raise BadInputError(f"{name}: the record has {len(record)} row(s)")
+    # Gaps in commands are held, gaps in measurements interpolated.
     commands = [c for c in columns if c not in _POSITION.values()]
     record, gap_notes = bridge(record, (*_NEEDED, "alpha_rad", "beta_rad", *columns), commands)
     record, step_notes, gyro_late_s = with_steps_placed(record, columns)
@@ -545,6 +565,7 @@ def prepare(
             " at all rows"
         )
         record, between = _thinned(record, averaged_rows, per_row)
+    # Short period and roll mode need 10 rows a second; slightly slower clocks are accepted.
     if 1.0 / record.dt_s < 9.5:
         raise BadInputError(
             f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees"
@@ -552,6 +573,7 @@ def prepare(
         )
     record, alignment_notes = _aligned(record, align or bool(record.metadata.native_hz))
     notes += [f"{name}: {text}" for text in alignment_notes]
+    # Pieces need all channels without a gap; maximum length limits the divergence of replays.
     pieces, cut_note = cut(record, (*_NEEDED, *columns), min_s, max_s)
     if not pieces:
         raise BadInputError(
@@ -575,6 +597,7 @@ def _thinned(
     mask = np.zeros(len(record), dtype=bool)
     mask[:: averaged_rows * per_row] = True
     commands = [c for c in _COLUMN.values() if c in record]
+    # Commands keep their mean over each averaging interval, so their area is preserved.
     between = {c: _filled(mean_ahead(record[c], averaged_rows)[::averaged_rows]) for c in commands}
     between |= {c: _filled(record[c][::averaged_rows]) for c in _POSITION.values() if c in record}
     mean_commands = {c: mean_ahead(record[c], averaged_rows * per_row) for c in commands}
@@ -591,6 +614,7 @@ def _describe_gaps(record: FlightRecord, columns: Sequence[str]) -> str:
     """Describe what interrupts a record: the channel that lacks most samples, the share of late
     rows.
     """
+    # The channel that is missing most often is the likeliest cause.
     share = {c: float(np.mean(~np.isfinite(record[c]))) for c in (*_NEEDED, *columns)}
     worst = max(share, key=lambda c: share[c])
     late = float(np.mean(np.diff(record["time_s"]) > 1.5 * record.dt_s))
@@ -617,12 +641,14 @@ def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]
         ):
             continue
         late, std = (finding.numbers.get(n, math.nan) for n in ("delay_s", "std_s"))
+        # Move channels only by delays that are significant: moving by noise would add an error.
         if not surely_late(late, std):
             continue
         if not align:
             notes.append(f"{finding.message}, by the log's findings; it stands as recorded")
             continue
         time = record["time_s"]
+        # Values beyond the end of the record become NaN, not a repetition of the last.
         moved = np.interp(
             time + late, time, _unwrapped(finding.channel, record[finding.channel]), right=np.nan
         )
@@ -642,7 +668,9 @@ def segments(
     for piece in flight.pieces:
         rows = piece.rows
         time = record["time_s"][rows]
+        # JSBSim steps uniformly; the grid keeps the first and the last time of the piece.
         grid = time[0] + (time[-1] - time[0]) / (len(time) - 1) * np.arange(len(time))
+        # The start state is estimated, because a single noisy row would be a poor start.
         begins = [_start(record, name, rows) for name in STATES]
         h = float(states(flight, piece)["h_m"][0])
         between = flight.commands_in(rows, control_columns(measured))
@@ -674,6 +702,7 @@ def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> Floa
     """
     record = flight.record
     begin = max(0, first - round(RUN_UP_S / record.dt_s))
+    # A gap in time separates these commands from those before it.
     gaps = np.flatnonzero(np.diff(record["time_s"][begin : first + 1]) > 1.5 * record.dt_s)
     begin += int(gaps[-1]) + 1 if len(gaps) else 0
     between = flight.commands_in(slice(begin, first + 1), columns)
@@ -682,6 +711,7 @@ def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> Floa
         if between is None
         else between
     )
+    # Keep the commands after the last missing one.
     missing_rows = np.flatnonzero(~np.isfinite(values[:-1]).all(axis=1))
     values = values[missing_rows[-1] + 1 if len(missing_rows) else 0 : -1]
     return values if len(values) else None
@@ -729,6 +759,7 @@ def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
         return _Start(0.0, 0.0)
     first = values[at]
     value, n = float(first[0]), len(at)
+    # Halve the window until a straight line is as good as a cubic.
     while n >= _MIN_LINE_ROWS:
         line, line_sse = _polynomial_at_zero(at[:n], first[:n], 1)
         _, cubic_sse = _polynomial_at_zero(at[:n], first[:n], 3)
@@ -744,6 +775,7 @@ def _polynomial_at_zero(
     at: NDArray[np.intp], values: FloatArray, degree: int
 ) -> tuple[float, float]:
     """Fit a polynomial; return its value at row 0 and the residual sum of squares."""
+    # Scale the rows to 1 for conditioning.
     basis = (at / at[-1])[:, None] ** np.arange(degree + 1)
     coefficients = np.linalg.lstsq(basis, values, rcond=None)[0]
     residual = values - basis @ coefficients
@@ -756,6 +788,7 @@ def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
 
     Without a density it is the start's altitude plus the height ``h``.
     """
+    # Density decides the dynamic pressure, so it takes precedence over recorded heights.
     if "rho_kgpm3" in record and np.isfinite(record["rho_kgpm3"][rows]).any():
         rho = float(np.nanmedian(record["rho_kgpm3"][rows]))
         # ISA below 11 km: rho = 1.225 (1 - 2.25577e-5 h)^4.25588.
@@ -777,6 +810,7 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[FloatArray
         for k, name in enumerate(channels):
             if name not in flight.record:
                 continue
+            # Interpolated samples carry no information and would count as measurements.
             values = as_logged(flight.record, name, piece.rows)
             if name == "psi_rad":
                 values = _unwrapped(name, values)
@@ -809,6 +843,7 @@ def states(flight: Flight, piece: Piece) -> Mapping[str, FloatArray]:
             else np.zeros(0)
         )
         finite = np.isfinite(values)
+        # Angles of attack and sideslip may be absent: then the model is evaluated at zero.
         if not finite.any():
             values = np.zeros(piece.rows.stop - piece.rows.start)
         elif not finite.all():
@@ -872,6 +907,7 @@ def read_flights(
         As `read_flight` and `prepare`, and for a file given twice.
     """
     numbers = numbers_of_files(flight_numbers, len(paths))
+    # The same flight twice would count its noise as two independent measurements.
     refuse_duplicates(paths, [file_sha256(path) if path.is_file() else str(path) for path in paths])
     records = [
         read_flight(path, aircraft, manoeuvres, map_path, number)
@@ -925,11 +961,13 @@ def prepare_together(
 
     Raises BadInputError.
     """
+    # Surfaces that the model does not have are ignored.
     measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
     placed = [with_start_altitude(record, aircraft.folder) for record in records]
     flights = []
     for name, (record, altitude_note) in zip(unique_names(names), placed, strict=True):
         with_controls, throttle_note = with_throttle(record, aircraft, name)
+        # Choices of the importer affect the estimates and must appear in the results.
         choices = [
             f"{name}: {f.message}"
             for f in record.metadata.findings

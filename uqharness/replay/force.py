@@ -111,6 +111,7 @@ def by_batch(
     ``by_jsbsim`` evaluates some of the states for comparison.
     """
     entry = _cached_programs.setdefault(model.identity, _CachedProgram())
+    # A refusal is final for this model.
     if entry.refused or len(states.controls) < MIN_BATCH_STATES:
         return None
     # Recompile with the union of the properties, so that alternating sets do not recompile each
@@ -160,6 +161,7 @@ def _verified(
     """Return the program if it agrees with JSBSim at some of the states, None otherwise."""
     if program is None:
         return None
+    # Compare states that are spread over the whole request.
     subset = states.subset(
         np.unique(np.linspace(0, len(states.controls) - 1, _COMPARED_STATES).astype(int))
     )
@@ -273,6 +275,7 @@ class SegmentStates:
         """Convert controls to their properties' units, over ground that lies below all states."""
         n = len(self.controls)
         height = np.full(n, self.segment.altitude_m) if self.altitude_m is None else self.altitude_m
+        # A state below the ground would meet ground reactions.
         terrain = min(terrain_m(model, self.segment), float(height.min()))
         return States(self.states, model.to_property(self.controls), height, np.full(n, terrain))
 
@@ -345,6 +348,7 @@ def _force_step(
         return _by_jsbsim((model, dt_s, properties, subset))
 
     raw = by_batch(model, States.of(state_sets), dt_s, properties, _RECORDS, by_jsbsim)
+    # Each set has an instance of its own, so sets can be evaluated in parallel.
     if raw is None:
         raw = np.concatenate(
             list(pool(_by_jsbsim, [(model, dt_s, properties, states) for states in state_sets]))

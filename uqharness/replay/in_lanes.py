@@ -91,6 +91,7 @@ def fly_all(jobs: Sequence[ReplayJob], pool: Map = map) -> list[FloatArray]:
     ``pool`` is a `map` that distributes the replays that JSBSim flies.
     """
     outputs: dict[int, FloatArray] = {}
+    # Group by program, so that each is compiled once and flies its jobs in lanes.
     by_program: dict[_ProgramKey, list[int]] = {}
     for k, job in enumerate(jobs):
         by_program.setdefault(_program_key(job), []).append(k)
@@ -146,6 +147,7 @@ def _program(jobs: Sequence[ReplayJob]) -> _Program | None:
         # Recompile with the union, so that alternating sets of parameters do not recompile each
         # time.
         names |= program.names
+    # A program that fails the comparison is stored as None: JSBSim flies from then on.
     _programs[key] = _verified(job, _compile(job, names))
     return _programs[key]
 
@@ -205,6 +207,7 @@ def _verified(job: ReplayJob, program: _Program | None) -> _Program | None:
         np.where(same_end, np.nan_to_num(np.abs(perturbed - from_batch)), np.inf), axis=0
     )
     comparable = np.max(divergence, axis=1) < _MAX_GROWTH * _START_OFFSET
+    # Differences are relative to each channel's largest value.
     size = np.nanmax(np.abs(from_jsbsim[comparable]), axis=0, initial=1e-3)
     difference = np.abs(from_batch - from_jsbsim)[comparable] / size
     same_rows = np.isfinite(from_batch[comparable]) == np.isfinite(from_jsbsim[comparable])
@@ -261,6 +264,7 @@ def _controls_key(job: ReplayJob, shape: Shape) -> tuple[object, ...]:
 @cached(LRUCache(_MAX_CONTROLS), key=_controls_key)
 def _controls_of(job: ReplayJob, shape: Shape) -> FloatArray:
     """Return the controls of every run; jobs that agree in them share one array."""
+    # One column a property: the throttle of several engines is repeated.
     _, places = job.model.control_properties()
     return run_controls(job.model, job.segment, shape, job.properties, job.late_s, job.unseen)[
         :, places
@@ -271,6 +275,7 @@ def _lane(job: ReplayJob, shape: Shape) -> ReplayLane:
     """Return the lane of a job: properties, initial conditions, terrain and controls."""
     latitude, height = level_of(job.model, job.segment.altitude_m)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in job.start)
+    # JSBSim takes the start as body velocities in ft/s.
     u, v, w = body_velocity(V, alpha, beta)
     conditions = {
         "ic/lat-geod-rad": latitude,
@@ -316,6 +321,7 @@ def _outputs(program: _Program, rows: FloatArray, job: ReplayJob, shape: Shape) 
     """Convert recorded rows to the outputs of `fly_segment`; rows after a failure are NaN."""
     extra_columns = [len(RAW) + program.extra.index(name) for name in job.extra]
     rows = rows[:, [*range(len(RAW)), *extra_columns]] if extra_columns else rows[:, : len(RAW)]
+    # The same limit on the speed as in a replay by JSBSim.
     valid = np.isfinite(rows[:, 0]) & (np.abs(rows[:, 0]) < 1e5)
     valid[0] = True
     done = len(valid) if valid.all() else int(np.argmin(valid))

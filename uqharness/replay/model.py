@@ -203,6 +203,7 @@ class ReplayFolder:
                 f"aircraft '{aircraft.name}': its airframe.toml has no [inputs.{missing[0]}]; a"
                 " replay needs to know which property that control is"
             )
+        # All edits are made in a temporary copy.
         self._scratch = scratch_folder("replay")
         staging = stage(aircraft, self._scratch.path)
         copy, card = staging.folder, aircraft.card
@@ -230,6 +231,7 @@ class ReplayFolder:
             varied=(*declared_in(copy, "aero/"), *declared_in(copy, "effect/")),
             servos=servos,
         )
+        # The model must load before its linkages can be measured.
         engines = _declare_orphans(self.model, staging.xml, aircraft.dt_s)
         self.model = replace(self.model, engines=engines)
         self.model = replace(
@@ -265,6 +267,7 @@ def _factor(card: Card, control: str) -> float:
         return 1.0
     if control == "throttle":
         return 0.01
+    # A symmetric throw of the card converts degrees to the normalised command.
     if (throw := card.inputs[control].throw_deg) is not None:
         return 1.0 / throw
     raise BadInputError(
@@ -394,6 +397,7 @@ def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
     manager = fdm.get_property_manager()
     names = [n for n in model.card.modes.get("open_loop", {}) if not manager.hasNode(n)]
     read = (name for name, _, _ in function_properties(model.staging))
+    # Functions that read an undefined property would not load.
     names += engine.undefined_properties(fdm, read)
     if not names:
         return engines
@@ -402,6 +406,7 @@ def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
     system = etree.Element("system", name="left out of the replay")
     for name in names:
         etree.SubElement(system, "property", value="0").text = name
+    # The declarations must precede their first use.
     first = next(
         (e for e in root if e.tag in ("system", "autopilot", "flight_control", "aerodynamics")),
         None,
@@ -450,6 +455,7 @@ def has_ground_heights(record: FlightRecord) -> bool:
         return False
     beginning = slice(0, max(1, round(_BEGINNING_S / record.dt_s)))
     first = {c: np.array(record[c][beginning]) for c in ("h_m", "V_mps") if c in record}
+    # Medians over half a second are robust to single outliers.
     low = {c: float(np.median(v[np.isfinite(v)])) for c, v in first.items() if np.isfinite(v).any()}
     return abs(low.get("h_m", 0.0)) > _ZERO_M or low.get("V_mps", np.inf) < _AT_REST_MPS
 
@@ -468,6 +474,7 @@ def heights(channels: Mapping[str, FloatArray], dt_s: float) -> FloatArray:
     # cosine.
     across = np.sin(b) * np.sin(phi) + np.sin(a) * np.cos(b) * np.cos(phi)
     climb = V * (np.cos(a) * np.cos(b) * np.sin(theta) - across * np.cos(theta))
+    # Trapezoidal integration of the climb; only its offset from the recorded heights is smoothed.
     path = dt_s * np.concatenate([[0.0], np.cumsum(0.5 * (climb[1:] + climb[:-1]))])
     return path + _local_lines(h - path, max(1, round(_HALF_WINDOW_S / dt_s)))
 
@@ -491,6 +498,7 @@ def _local_lines(values: FloatArray, half: int) -> FloatArray:
 
 def terrain_m(model: ReplayModel, segment: Segment) -> float:
     """Return the elevation of the ground under a replay, above sea level [m]."""
+    # The ground is placed relative to the start, whose altitude comes from the air density.
     return segment.altitude_m - (segment.h_m if _ground_counts(model, segment) else OUT_OF_REACH_M)
 
 

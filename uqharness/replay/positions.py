@@ -91,6 +91,7 @@ def fly_chain(
     Rows after a failure are NaN. Raises BadInputError.
     """
     out: list[FloatArray] = [np.empty(0)] * len(segments)
+    # Segments of one stride share a compiled program.
     by_stride: dict[int, list[int]] = {}
     for k, segment in enumerate(segments):
         by_stride.setdefault(shape_of(request.model, segment).stride, []).append(k)
@@ -126,6 +127,7 @@ def _program(
             or batch.available() is not None
         ):
             return None
+        # The shortest segment is enough for the comparison.
         _programs[key] = _verified(
             request,
             chain,
@@ -141,6 +143,7 @@ def _compile(
     """Translate and compile a chain; None where the engine cannot."""
     staging, model = _staging(chain), request.model
     exists = engine.open_fdm(staging, dt_s).get_property_manager().hasNode
+    # The chain has only the properties on which positions depend.
     inputs = [
         (name, place)
         for name, place in zip(*model.control_properties(), strict=True)
@@ -195,6 +198,7 @@ def _fly_batch(
 ) -> list[FloatArray]:
     """Fly segments by the batch engine; return (n, k) positions of each."""
     servo_values = {name: request.servos[name] for name in program.servos if name in request.servos}
+    # The chain does not read the motion, so all initial conditions are zero.
     conditions = dict.fromkeys(batch.CONDITIONS, 0.0)
     lanes = []
     for segment in segments:
@@ -226,6 +230,7 @@ def _by_jsbsim(request: PositionRequest, chain: ControlChain, segment: Segment) 
         if exists(name):
             engine.set_property(fdm, name, value)
     names, places = model.control_properties()
+    # Set only the controls that the chain has.
     inputs = [
         (engine.handle(fdm, name).set_double_value, place)
         for name, place in zip(names, places, strict=True)
@@ -240,6 +245,7 @@ def _by_jsbsim(request: PositionRequest, chain: ControlChain, segment: Segment) 
     for setter, value in zip(setters, last, strict=True):
         setter(value)
     engine.run_ic(fdm)
+    # Rows after an exception stay NaN.
     rows = np.full((shape.rows, len(read)), np.nan)
     rows[0] = [get() for get in read]
     try:
@@ -265,6 +271,7 @@ def _staging(chain: ControlChain) -> Staging:
             folder.mkdir(parents=True)
         staging.xml.write_text(chain.xml, encoding="utf-8")
         _staged[chain.xml] = (staging, scratch)
+        # Each staged chain occupies a folder on the disk.
         while len(_staged) > _MAX_CHAINS_STAGED:
             _staged.popitem(last=False)[1][1].close()
     _staged.move_to_end(chain.xml)
@@ -317,6 +324,7 @@ def surface_positions(
     request = PositionRequest(model, tuple(names), position_properties, servos)
     chain = _chain_of(request, segments) if position_properties and segments else None
     keys = [_key(request, chain, segment) for segment in segments]
+    # Equal keys within one request are computed once.
     missing = {
         key: segment
         for key, segment in zip(keys, segments, strict=True)
@@ -334,6 +342,7 @@ def surface_positions(
     for key in keys:
         _position_cache.move_to_end(key)
         out.append(_position_cache[key].copy())
+    # The cache is limited by bytes: segments differ much in length.
     while sum(value.nbytes for value in _position_cache.values()) > _MAX_CACHE_BYTES:
         _position_cache.popitem(last=False)
     return out
@@ -349,6 +358,7 @@ def _key(
         return (request.model.identity, controls, *start, request.names, *request.servos.items())
     model = request.model
     servos = [(name, value) for name, value in request.servos.items() if name in chain.reads]
+    # The chain's inputs also depend on units, throws and settings of the model.
     feeding = repr(
         (
             model.controls,
@@ -381,6 +391,7 @@ def _fly_aircraft(
     request: PositionRequest, segments: Sequence[Segment], min_batch_s: float
 ) -> list[FloatArray]:
     """Fly the whole aircraft; return (n, k) positions of each segment in their own units."""
+    # Nothing to fly: return arrays without columns.
     if not request.properties or not segments:
         return [np.empty((len(segment.time_s), 0)) for segment in segments]
     jobs = [
@@ -403,6 +414,7 @@ def _with_positions(request: PositionRequest, segment: Segment, rows: FloatArray
     positions = segment.at_commands().controls[:: segment.per_row].copy()
     for k, control in enumerate(request.properties):
         column = model.controls.index(control)
+        # After a failure the command is the best guess of the position.
         valid = np.isfinite(rows[:, k])
         positions[valid, column] = rows[valid, k] * model.position_unit(control)
     return positions
@@ -417,6 +429,7 @@ def _chain_of(request: PositionRequest, segments: Sequence[Segment]) -> ControlC
     model = request.model
     key = (model.identity, tuple(request.properties.values()))
     if key not in _chains:
+        # The result, also a failed one, is stored by aircraft and positions.
         chain = _extract_chain(request)
         _chains[key] = (
             chain
@@ -447,6 +460,7 @@ def _extract_chain(request: PositionRequest) -> ControlChain | None:
         *(s.document for s in sources.systems),
         *(part[0] for part in parts if part is not None),
     ]
+    # Systems and sections of the XML may be in one file.
     unique_documents = {id(document): document for document in documents}
     inputs, _ = model.control_properties()
     files = ControlFiles(
@@ -472,6 +486,7 @@ def _chain_agrees(request: PositionRequest, chain: ControlChain, segment: Segmen
         ReplayJob(request.model, beginning, request.servos, beginning.start, extra=extra)
     )[:, len(CHANNELS) :]
     valid = np.isfinite(from_jsbsim).all(axis=1)
+    # Relative to the largest position, with a floor for surfaces that do not move.
     size = np.maximum(np.abs(from_jsbsim[valid]).max(axis=0, initial=1e-3), 1e-3)
     try:
         difference = (np.abs(fly_chain(request, chain, [beginning])[0] - from_jsbsim) / size)[valid]

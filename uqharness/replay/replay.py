@@ -60,13 +60,16 @@ def initial_actuator_positions(
     before = segment.at_commands().before
     if before is None or not len(before):
         return out
+    # Surfaces without a lag are at their last command.
     for control in model.jumping:
         k = model.controls.index(control)
         out[k] = np.clip(before[-1, k], *limits[k])
+    # Servo parameters may be estimated, so given values replace those of the XML.
     values = {**_xml_servo_values(model), **properties}
     for control, numbers in model.lags.items():
         k = model.controls.index(control)
         lag, rate = (_number(text, values) for text in numbers)
+        # Unknown commands or an unknown lag leave the position undetermined.
         if control in model.lagging and np.isfinite(before[:, k]).all() and not math.isnan(lag):
             fastest = math.inf if math.isnan(rate) else abs(rate * model.position_unit(control))
             servo = Actuator(lag if lag * SHORTEST_S < 1.0 else None, fastest)
@@ -207,6 +210,7 @@ def shape_of(model: ReplayModel, segment: Segment, between: bool = False) -> Sha
     longest_s = SHORT_STEP_S if model.by_rates or model.jumping else MAX_STEP_S
     runs = per_row * runs_per_row(command_s, longest_s)
     outputs = per_row * math.ceil(command_s / BETWEEN_S - 1e-6) if between else 1
+    # Runs must divide evenly into outputs, and outputs into rows.
     runs = outputs * math.ceil(runs / outputs)
     return Shape(
         segment.dt_s / runs, runs, runs // outputs, (len(segment.time_s) - 1) * outputs + 1
@@ -232,6 +236,7 @@ def run_controls(
     )
     jump_share = 1.0 - unseen if shape.stride == shape.runs else None
     late = late_s / segment.dt_s * shape.runs
+    # JSBSim clips commands; the overshoot of a step must stay inside the same limits.
     limits = [
         tuple(limit / factor for limit in model.card.inputs[c].limits)
         for c, factor in zip(model.controls, model.factor, strict=True)
@@ -302,6 +307,7 @@ def fly_segment(
     """
     shape = shape_of(model, segment, between)
     fdm = model.open(shape.dt_s)
+    # Properties are set before initialising, which evaluates the model once.
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
     setters = control_setters(fdm, model)
@@ -520,7 +526,9 @@ def _on_time(
         previous[0] = np.where(lags & np.isfinite(initial), initial, current[0])
     # Commands: held, with the correction of a lagging actuator in the first three runs of a row.
     fits = runs >= len(_RETURN)
+    # Start from held commands, then correct the runs near each step.
     values = np.repeat(current[:, None, :], runs, axis=1)
+    # A lagging actuator has not moved at the row of the step.
     values[:, 0, lags] = previous[:, lags]
     overshoot = _overshoot(previous, current, _OVERSHOOT if fits else 0.5, limits)
     values[:, 1, lags] += overshoot[:, lags]
@@ -533,6 +541,7 @@ def _on_time(
     # Positions: linear from row to row, or exponential where the target explains both ends.
     share = (np.arange(runs) / runs)[None, :, None]
     path = current[:, None, :] + share * (following - current)[:, None, :]
+    # A first-order servo covers the distance to its target by a constant factor from row to row.
     if segment.targets is not None:
         distance, next_distance = current - segment.targets[:-1], following - segment.targets[:-1]
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -606,6 +615,7 @@ def _advance(
                     set_controls(numbers)
                     last = numbers
                 run()
+            # Divergence ends a replay early: later rows would only cost time.
             sample = read()
             if not -1e5 < sample[0] < 1e5:
                 break
@@ -621,9 +631,11 @@ def outputs_of(raw: FloatArray, segment: Segment, extra: int, n: int) -> FloatAr
     """
     c = len(CHANNELS)
     done = len(raw)
+    # Channels are contiguous in memory, as the estimators read them one by one.
     out = np.empty((c + extra, n)).T
     out[done:] = np.nan
     np.multiply(raw[:, :c], _FACTORS, out=out[:done, :c])
+    # JSBSim gives forces; accelerometers measure them per mass.
     out[:done, _OVER_MASS] /= raw[:, c : c + 1]
     # Unwrap the heading, starting on the turn nearest the start's: measured headings begin there.
     psi = CHANNELS.index("psi_rad")
@@ -686,6 +698,7 @@ def bare_rate(model: ReplayModel, segment: Segment) -> float:
     """
     dt_s = segment.dt_s / runs_per_row(segment.dt_s)
     fdm = model.open(dt_s)
+    # Well above the ground, so that no contact model slows the loop.
     fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = (
         (segment.altitude_m + 500.0) / FT_M,
         float(segment.start[0]) / FT_M,

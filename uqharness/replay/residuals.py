@@ -136,6 +136,7 @@ def sampling_errors(
         for f, y in zip(flights, outputs, strict=True)
         if np.isfinite(y).all()
     ]
+    # Impose the simulated states: predicted coefficients follow as they do for a measured flight.
     states = [
         SegmentStates(
             f.job.segment,
@@ -168,6 +169,7 @@ def _jump_flights(
     n, width = len(segment.time_s), half_width(segment.dt_s, cutoff_hz)
     commands = segment.controls[:, surfaces]
     before = commands[:1] if segment.before is None else segment.before[-1:, surfaces]
+    # Rows at which some surface without a lag moves.
     jumps = np.abs(np.diff(commands, axis=0, prepend=before)).sum(axis=1) > 0.0
     length = max(round(_PIECE_S / segment.dt_s), 2 * width + 1)
     for start in range(0, n, length):
@@ -246,6 +248,7 @@ class JsbsimPrediction:
         Raises BadInputError.
         """
         self._prepare([piece for _, piece, _ in requests])
+        # All requests are evaluated in one batch, which is much faster than piece by piece.
         parts = [self._states(*one) for one in requests]
         names = [f"{c}_pos_deg" if c != "throttle" else "throttle_pct" for c in CONTROLS]
         columns = [self.model.controls.index(c) for c in CONTROLS]
@@ -328,6 +331,7 @@ class JsbsimPrediction:
         run_up = round(_PRE_ROLL_S / record.dt_s)
         longer = []
         for (start, stop), piece in missing.items():
+            # The run-up must not cross a gap of the record.
             stretch = next(s for s in record.segments(needed) if s.start <= start < s.stop)
             first = max(stretch.start, start - run_up)
             longer.append(
@@ -455,6 +459,7 @@ class ReplayPair:
         """Evaluate all states of some records at once; one piece at a time takes many times as
         long.
         """
+        # Equal states of several requests are evaluated once.
         requests = {self._key(flight, r, p, every): (r, p, every) for r in records for p in pieces}
         missing = {key: one for key, one in requests.items() if key not in self.predictions}
         if missing:
@@ -484,6 +489,7 @@ class ReplayPair:
     def _model(self, flight: Flight) -> JsbsimPrediction:
         """Return the prediction object of a flight."""
         prediction = self.models.get(id(flight))
+        # An id may be reused after a flight was deleted.
         if prediction is None or prediction.flight is not flight:
             prediction = self.models[id(flight)] = JsbsimPrediction(
                 self.model, self.direct_model, flight, self.measured, self.values
@@ -549,6 +555,7 @@ def flight_residuals(
     BadInputError.
     """
     try:
+        # Evaluate all pieces of the filtered record before the residuals ask piece by piece.
         pair.prefetch(flight, [steady_airspeed(flight.record, cutoffs.airspeed_hz)], flight.pieces)
         residuals = residual_coefficients(
             flight.record, flight.pieces, pair.of(flight), arm_m, cutoffs

@@ -112,6 +112,7 @@ class Segment:
     def _at_commands(self) -> Segment:
         commands = self.commands
         assert commands is not None
+        # The last command of a segment is at its last row.
         time_s = np.linspace(self.time_s[0], self.time_s[-1], len(commands.controls))
         return replace(
             self, time_s=time_s, controls=commands.controls, targets=commands.targets, commands=None
@@ -131,6 +132,7 @@ class Segment:
         if original is not None:
             targets = None if original.targets is None else original.targets[fine]
             commands = Commands(original.per_row, original.controls[fine], targets)
+        # Commands that are cut away still determine the actuators' initial positions.
         if first > 0:
             preceding = (self.controls if original is None else original.controls)[: fine.start]
             before = preceding if before is None else np.vstack([before, preceding])

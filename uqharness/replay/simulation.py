@@ -108,6 +108,7 @@ class Replay:
         self._unseen: dict[str, int] = {}
         self._last_outputs: dict[int, tuple[tuple[tuple[_Key, ...], bytes], FloatArray]] = {}
         self._sizes: list[int] = []
+        # Sort theta's elements by what they affect.
         for i, name in enumerate(names):
             kind, _, target = name.partition("/")
             where, _, element = target.rpartition("/")
@@ -133,6 +134,7 @@ class Replay:
         kind, _, target = self.names[index].partition("/")
         if kind == "start":
             return (int(target.partition("/")[0]),)
+        # Only properties affect all segments.
         flight = (
             target
             if kind == UNSEEN
@@ -184,6 +186,7 @@ class Replay:
         cached.
         """
         late, biased = self._delays.get(segment.flight, []), self._biases.get(segment.flight, [])
+        # Equal simulations with equal delays and biases give equal outputs.
         state = (tuple(pieces), theta[[i for i, _ in (*late, *biased)]].tobytes())
         cached = self._last_outputs.get(number)
         if cached is not None and cached[0] == state:
@@ -226,6 +229,7 @@ class Replay:
         start, late_s, unseen = conditions
         between = segment.flight in self._delays or bool(self._late_s)
         late = {*self._late_s, *(k for _, k in self._delays.get(segment.flight, ()))}
+        # Sensors without a delay are read at the rows themselves.
         on_time = [c for k, c in enumerate(self.channels) if k not in late]
         jobs = split_job(
             ReplayJob(self.model, segment, dict(properties), start, late_s, between, unseen=unseen),
@@ -271,6 +275,7 @@ class Replay:
                         jobs[key] = job
                         size += self._sizes[number]
             waiting.append(theta)
+            # Fly what has accumulated before the cache would have to drop any of it.
             if size > _MAX_PENDING_BYTES:
                 _fly(jobs, pool)
                 yield from waiting
@@ -318,6 +323,7 @@ def batched_pool(pool: Callable[..., Any]) -> Callable[..., Iterable[Any]]:
     """
 
     def mapped(function: Callable[[FloatArray], Any], points: Any) -> Iterable[Any]:
+        # Output error maps a callable object whose attribute ``simulate`` is the replay.
         replay = getattr(function, "simulate", None)
         return (
             _map_replays(function, replay, list(points), pool)
@@ -432,6 +438,7 @@ def nuisance_layout(
         bounds += [(-_DELAY_WIDTH, _DELAY_WIDTH)] * len(channels)
     extra += [f"{UNSEEN}/{flight}" for flight in jumping]
     bounds += [SHARES] * len(jumping)
+    # The initial heading is not free: the heading is no fitted output.
     for number, segment in enumerate(segments):
         for state in _FREE_STARTS:
             if state not in outputs:
@@ -456,6 +463,7 @@ def delayed(
     """
     out = {}
     for flight in flights:
+        # Records of simulations have no native rates: their sensors are on time.
         logged = bool(flight.record.metadata.native_hz)
         sensors = [
             SENSOR_OF.get(c, c)
@@ -500,6 +508,7 @@ def misplaced(
         # The limit follows the spacing of commands, not of output rows.
         limit = late_limit_s(flight, next(s.command_s for s in segments if s.flight == flight.name))
         # An undetermined delay (std NaN) fails the comparison and raises no warning.
+        # Significant at two standard errors.
         if abs(late) - 2.0 * std > limit:
             warnings.append(
                 f"{flight.name}: its controls act {1e3 * abs(late):.1f} ms"
@@ -559,6 +568,7 @@ def write_pieces(
 ) -> None:
     """Write pieces (flight, manoeuvre, time_s) of any kind. Raises BadInputError."""
     counts = [len(time_s) for _, _, time_s in pieces]
+    # Segments are stored one after the other and identified by their number.
     number = np.repeat(np.arange(len(pieces)), counts)
     table = {
         "segment": pa.Array.from_buffers(pa.int64(), len(number), [None, pa.py_buffer(number)]),
@@ -596,6 +606,7 @@ def read_histories(path: Path) -> list[History]:
     number, time_s = _values(table.column("segment")), _values(table.column("time_s"))
     flights, manoeuvres = table.column("flight"), table.column("manoeuvre")
     values = {name: _values(table.column(name)) for name in table.column_names if name not in _KEYS}
+    # Numbers need not be consecutive: writers may leave segments out.
     rows_of = [np.flatnonzero(number == k) for k in np.unique(number)]
     return [
         History(

@@ -88,6 +88,7 @@ def _replays(
     """Time the first replay, which compiles, and then all of them [s]."""
     segment = _long_segment(aircraft, flight, measured)
     rng = np.random.default_rng(1)
+    # Compilation is part of g, so no earlier program may be used.
     forget_programs()
     with ReplayFolder(aircraft, measured=measured) as model:
         fdm = model.open(aircraft.dt_s)
@@ -196,6 +197,7 @@ def _alternate(aircraft: Aircraft, duration_s: float, rounds: int) -> dict[str, 
     run_bare_loop = bare_loop(aircraft, replace(one, turbulence_source="jsbsim"))
     best: dict[str, float] = {}
 
+    # The shortest time of all rounds is least affected by other processes.
     def timed(key: str, seconds: float, flights: int) -> None:
         per_step = 1e6 * seconds / (flights * duration_s / aircraft.dt_s)
         best[key] = min(best.get(key, float("inf")), per_step)
@@ -236,6 +238,7 @@ def _corner(levels: tuple[float, ...]) -> dict[str, float]:
 @contextmanager
 def _compiled_for(name: str) -> Iterator[None]:
     """Context in which the batch engine compiles for one vector width."""
+    # The width of vectors is chosen when a program is compiled.
     before = os.environ.get(VECTORS)
     os.environ[VECTORS] = name
     forget()

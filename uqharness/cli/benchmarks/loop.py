@@ -98,6 +98,7 @@ def harness_loop(spec: FlightSpec, folder: Path) -> Callable[[], float]:
     time [s].
     """
     store = Store(folder)
+    # Every flight needs a new id in the store.
     count = iter(range(10**9))
 
     def fly_once() -> float:
@@ -156,6 +157,8 @@ def side_by_side(
             elapsed = time.monotonic() - start
         finally:
             executor.close()
+        # Bare loops time themselves, without the start of the worker; the harness is timed as a
+        # whole.
         clocks = (
             [item.metrics["loop_s"] for item in timed] if name == "bare" else [elapsed / rounds]
         )

@@ -185,6 +185,7 @@ def _fly_displayed(folder: Path) -> list[str]:
     impossible.
     """
     manifest = read_manifest(folder)
+    # Only complete campaigns have a worst flight; existing records are kept.
     if manifest.get("state") != "complete" or any((folder / RERUN).glob("*/record.parquet")):
         return []
     cases = shown_cases(read_cases(folder, manifest))
@@ -455,6 +456,7 @@ def _verified_json(verification: Verified) -> dict[str, Any]:
 def _verified_lines(verification: Verified) -> Iterator[str]:
     """Yield the lines of a verification with its shards."""
     state = "whole" if verification.whole else "NOT whole"
+    # None: a folder whose manifest does not say.
     running = (
         ""
         if verification.complete in (True, None)
@@ -515,6 +517,7 @@ def _salvaged_lines(result: Salvaged) -> Iterator[str]:
     yield text + (
         f"; damaged, under another name: {', '.join(result.aside)}" if result.aside else ""
     )
+    # Derived tables are not repaired, but can be computed again.
     for name, command in _TABLE_COMMANDS.items():
         if any(item.startswith(f"{name}.damaged-") for item in result.aside):
             yield (

@@ -157,6 +157,7 @@ def flying_command(args: argparse.Namespace, out: Path) -> list[str]:
     requested size.
     """
     words = ["uqharness", "campaign", "run", str(args.campaign), "--out", str(out)]
+    # Only options that change the campaign: the command must resume with any number of workers.
     words += [] if args.hours is None else ["--hours", f"{args.hours:g}"]
     words += [] if getattr(args, "engine", None) is None else ["--engine", args.engine]
     return words if args.samples is None else [*words, "--samples", str(args.samples)]
@@ -261,6 +262,7 @@ def _run(args: argparse.Namespace) -> int:
     for note in (*noise_notes(spec), *bounds_notes(spec)):
         print(f"note: {note}", file=sys.stderr)
     shard = parse_shard(args.shard) if args.shard is not None else None
+    # Whoever gives a number of hours knows the size.
     agreed = args.yes or args.hours is not None
     command = flying_command(args, args.out)
     command += [] if args.shard is None else ["--shard", args.shard]
