@@ -68,7 +68,7 @@ def find_trim(
     >>> steady.converged, round(steady.controls["throttle"])
     (True, 60)
     """
-    number("V_mps", V_mps, "a positive true airspeed [m/s]", lambda given: 0.0 < given < math.inf)
+    number("V_mps", V_mps, "a positive true airspeed [m/s]", lambda value: 0.0 < value < math.inf)
     for name, angle in (
         ("climb_rad", climb_rad),
         ("bank_rad", bank_rad),

@@ -191,7 +191,7 @@ def run_campaign(
                 "hours",
                 hours,
                 "a number of flight hours above 0",
-                lambda given: 0.0 < given < math.inf,
+                lambda value: 0.0 < value < math.inf,
             )
         )
     if samples is not None:

@@ -186,7 +186,8 @@ def _run(args: argparse.Namespace) -> int:
         copy_beside(aircraft, root, engine.default_root())
         copy = finely(find_aircraft(root / "aircraft" / aircraft.folder.name))
         start = StartSection(V_mps=args.speed_mps, altitude_m=args.altitude_m)
-        # A user who sets integrators keeps them; otherwise the mission restarts with finer ones.
+        # The mission restarts its second-order integrators at control steps, unless the user sets
+        # others.
         chosen = SECOND_ORDER.keys() & parse_settings(args.settings).keys()
         path, _ = write_own_mission(copy, start, args.mission, restarting=not chosen)
         return _fly(args, aircraft, copy, path)

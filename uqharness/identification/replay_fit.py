@@ -486,8 +486,8 @@ def coefficient_gaps(
     # The first half belongs to the measured states, the second half to the noisy ones.
     pairs = zip(coefficients[: len(segments)], coefficients[len(segments) :], sampled, strict=True)
     return [
-        (demand, said + error, (demand_again - said_again) - (demand - said))
-        for (demand, said), (demand_again, said_again), error in pairs
+        (demand, predicted + error, (noisy_demand - noisy_predicted) - (demand - predicted))
+        for (demand, predicted), (noisy_demand, noisy_predicted), error in pairs
     ]
 
 
@@ -661,5 +661,5 @@ def by_channel(sentences: Sequence[str], outputs: Sequence[str]) -> list[str]:
     ['q_radps is coloured']
     """
     return [
-        re.sub(r"\boutput (\d+)", lambda found: outputs[int(found[1])], text) for text in sentences
+        re.sub(r"\boutput (\d+)", lambda match: outputs[int(match[1])], text) for text in sentences
     ]
