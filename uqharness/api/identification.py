@@ -361,7 +361,9 @@ def validate_bounds(
     with notebook_line("validate_bounds"):
         ready = [recut(flight, measured) for flight in ready]
         choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS))
-        return validate(model, form, choice.noted(ready), measured, hashes, choice.ideal)
+        return validate(
+            model, form, choice.noted(ready), measured, hashes, ideal_servos=choice.ideal
+        )
 
 
 def _prepared(

@@ -198,7 +198,7 @@ def _answer(args: argparse.Namespace, stage: Stage) -> tuple[str, int]:
         after = load_form(args.redone)
         check_form(after, aircraft, winner.coefficient, str(args.redone))
         return _compare_redone(args, form, after, mission, winner.coefficient)
-    return _plan(args, form, path, aircraft, campaign, mission, winner, stage)
+    return _plan(args, form, path, aircraft, campaign, mission, winner=winner, stage=stage)
 
 
 def _plan(
@@ -208,6 +208,7 @@ def _plan(
     aircraft: Aircraft,
     campaign: CampaignMission,
     mission: Occupancy,
+    *,
     winner: Winner,
     stage: Stage,
 ) -> tuple[str, int]:

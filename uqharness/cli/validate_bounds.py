@@ -68,7 +68,7 @@ def _run(args: argparse.Namespace) -> int:
         servos = choose_servos(aircraft, flights, measured, args.servos)
         flights = servos.noted(flights)
         stage("residual coefficients")
-        validation = validate(aircraft, form, flights, measured, hashes, servos.ideal)
+        validation = validate(aircraft, form, flights, measured, hashes, ideal_servos=servos.ideal)
         document = validation_document(validation)
         text = "\n".join(first_lines(coverage_page_of(document)))
         if args.out is not None:

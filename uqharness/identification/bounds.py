@@ -736,6 +736,7 @@ def validate(
     flights: Sequence[Flight],
     measured: Sequence[str],
     hashes: Sequence[str],
+    *,
     ideal_servos: bool = False,
     values: Mapping[str, float] | None = None,
 ) -> Validation:

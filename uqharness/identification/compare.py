@@ -455,7 +455,14 @@ def compare(
             fitted_biases = [b for b in biases if b in judged_channels]
             late = delayed([flight], judged_channels, delays)
             theta, layout_names, flyable, notes, late_std_s = _fit_starts(
-                model, cut_segments, judged_channels, data, present, fitted_biases, late, pool
+                model,
+                cut_segments,
+                judged_channels,
+                data,
+                present,
+                fitted_biases,
+                late=late,
+                pool=pool,
             )
         # Replay all channels with the estimated nuisance parameters.
         replay = Replay(model, cut_segments, layout_names, present, uuid.uuid4().hex)
@@ -497,9 +504,9 @@ def compare(
                 modelled,
                 gaps,
                 cut_segments,
-                noise,
-                c in judged_channels,
-                _allowed_delay_s(layout_names, theta, c),
+                noise=noise,
+                judged=c in judged_channels,
+                allowed_s=_allowed_delay_s(layout_names, theta, c),
             )
             for k, c in enumerate(present)
         },
@@ -535,6 +542,7 @@ def _fit_starts(
     data: list[FloatArray],
     present: Sequence[str],
     biases: Sequence[str],
+    *,
     late: Mapping[str, Sequence[str]],
     pool: Any,
 ) -> tuple[FloatArray, tuple[str, ...], list[bool], list[str], float]:
@@ -545,7 +553,13 @@ def _fit_starts(
     """
     columns = [list(present).index(c) for c in judged_channels]
     layout = nuisance_layout(
-        (), (), segments, biases, judged_channels, late, jumping_flights(model, segments, late)
+        (),
+        (),
+        segments,
+        biases,
+        judged_channels,
+        late=late,
+        jumping=jumping_flights(model, segments, late),
     )
     token = uuid.uuid4().hex
     # A replay without nuisance parameters shows which segments can be flown.
@@ -638,6 +652,7 @@ def _channel_gap(
     modelled: list[FloatArray],
     gaps: list[FloatArray],
     segments: list[Segment],
+    *,
     noise: Mapping[str, float],
     judged: bool,
     allowed_s: float,

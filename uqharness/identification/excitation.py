@@ -82,6 +82,7 @@ def find_excited(
     initial: FloatArray,
     limits: Sequence[tuple[float, float]],
     noise: Mapping[str, float],
+    *,
     pool: Callable[..., Any],
 ) -> Excitation:
     """Assess the parameters of a replay at their start values.
@@ -212,6 +213,7 @@ def restrict_to_excited(
     initial: FloatArray,
     limits: Sequence[tuple[float, float]],
     noise: Mapping[str, float],
+    *,
     pool: Callable[..., Any],
     choose: bool,
 ) -> tuple[Observed, list[str]]:
@@ -227,10 +229,10 @@ def restrict_to_excited(
         observed.segments,
         observed.biases,
         observed.outputs,
-        observed.late,
+        late=observed.late,
     )
     replay = Replay(model, observed.segments, layout.names, observed.outputs, uuid.uuid4().hex)
-    excitation = find_excited(replay, observed, names, initial, limits, noise, pool)
+    excitation = find_excited(replay, observed, names, initial, limits, noise, pool=pool)
     # The perturbed simulations are not needed by the fit.
     replay.forget()
     left_out = excitation.left_out if choose else ()

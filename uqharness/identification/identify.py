@@ -297,7 +297,7 @@ def identify(
         callback("equation error")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model:
             equation_error_theta, notes = equation_error_start(
-                model, direct_model, flights, cut_segments, names, initial, limits
+                model, direct_model, flights, cut_segments, names, initial, limits=limits
             )
         # Observations: fitted channels of every segment, with biases and delays to estimate.
         channels = _outputs(flights, outputs)
@@ -322,7 +322,14 @@ def identify(
             if parameters is None:
                 callback("parameters that the flights excite")
                 observed, channel_notes = restrict_to_excited(
-                    model, observed, names, initial, limits, noise, pool, outputs is None
+                    model,
+                    observed,
+                    names,
+                    initial,
+                    limits,
+                    noise,
+                    pool=pool,
+                    choose=outputs is None,
                 )
                 notes = [*notes, *channel_notes]
             # Stage 3: output error.
@@ -349,7 +356,17 @@ def identify(
             fit.n_simulations / fit_s, flown_s / fit_s, process_count(workers), bare_flight_s_per_s
         )
         # Assemble the result of output error, then choose the method by its residuals.
-        result = _assemble(aircraft, names, initial, fitted, observed, noise, notes, seconds, speed)
+        result = _assemble(
+            aircraft,
+            names,
+            initial,
+            fitted,
+            observed,
+            noise,
+            notes=notes,
+            seconds=seconds,
+            speed=speed,
+        )
         result = replace(
             result, warnings=(*misplaced(flights, cut_segments, result.nuisance), *result.warnings)
         )
@@ -363,7 +380,11 @@ def identify(
         # Imported here: most flights need no filter.
         from uqharness.identification.linearised.gusts import TOLERANCE as FILTER_TOLERANCE
         from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
-        from uqharness.identification.turbulence import FilterRequest, filter_error, filter_setup
+        from uqharness.identification.turbulence import (
+            FilterRequest,
+            filter_setup,
+            identify_in_turbulence,
+        )
 
         callback("filter error")
         # Stage 4: filter error. The simulations of output error are no longer needed.
@@ -377,15 +398,15 @@ def identify(
         ):
             descent = DescentProgress("filter error", callback, FILTER_TOLERANCE, FILTER_ITERATIONS)
             return withdraw_invalid(
-                filter_error(
+                identify_in_turbulence(
                     result,
                     fitted,
                     (model, direct_model),
                     setup,
                     limits,
                     observed.fixed,
-                    worker_pool,
-                    descent,
+                    pool=worker_pool,
+                    callback=descent,
                 )
             )
 
@@ -567,6 +588,7 @@ def _assemble(
     fitted: ReplayFit,
     observed: Observed,
     noise: Mapping[str, float],
+    *,
     notes: Sequence[str],
     seconds: float,
     speed: Speed,

@@ -126,6 +126,7 @@ def fit_replays(
     tries: Sequence[FloatArray],
     limits: Sequence[tuple[float, float]],
     pool: Callable[..., Any],
+    *,
     errors: bool = True,
     callback: Callable[[int, float], None] | None = None,
 ) -> ReplayFit:
@@ -164,7 +165,13 @@ def fit_replays(
     jumping = jumping_flights(model, observed.segments, observed.late)
     # theta: the parameters, then biases, delays, shares and start states.
     layout = nuisance_layout(
-        names, limits, observed.segments, observed.biases, observed.outputs, observed.late, jumping
+        names,
+        limits,
+        observed.segments,
+        observed.biases,
+        observed.outputs,
+        late=observed.late,
+        jumping=jumping,
     )
     replay = Replay(
         model,
@@ -172,8 +179,8 @@ def fit_replays(
         layout.names,
         observed.outputs,
         uuid.uuid4().hex,
-        observed.properties,
-        observed.late_s,
+        base=observed.properties,
+        late_s=observed.late_s,
     )
 
     def fit_within(
@@ -333,6 +340,7 @@ def equation_error_start(
     segments: Sequence[Segment],
     names: Sequence[str],
     initial: FloatArray,
+    *,
     limits: Sequence[tuple[float, float]],
 ) -> tuple[FloatArray, list[str]]:
     """Find the parameters (k,) at which the model's coefficients at the measured states fit the
@@ -426,6 +434,7 @@ def coefficient_gaps(
     channels_of: Sequence[Mapping[str, FloatArray]],
     noise_std: Mapping[str, float],
     rng: np.random.Generator,
+    *,
     properties: Mapping[str, float] | None = None,
     late_s: float = 0.0,
     half_way: bool = False,

@@ -200,7 +200,7 @@ def _fit(
             setup.segments,
             names,
             current,
-            [limits[n] for n in names],
+            limits=[limits[n] for n in names],
         )
         starts = tuple(s.start.copy() for s in setup.segments)
         # Start from equation error, or from the values of the XML if these fly better.

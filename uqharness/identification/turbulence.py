@@ -99,13 +99,14 @@ def filter_setup(
     return replace(setup, noise=noise_left(setup, residual_rms))
 
 
-def filter_error(
+def identify_in_turbulence(
     result: Identification,
     fitted: ReplayFit,
     models: tuple[ReplayModel, ReplayModel],
     setup: Setup,
     limits: Sequence[tuple[float, float]],
     fixed: Mapping[str, str],
+    *,
     pool: Processes,
     callback: Callable[[int, float], None] | None = None,
 ) -> Identification:

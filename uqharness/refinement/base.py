@@ -51,7 +51,13 @@ def base_fit_and_noise(
     del fdm
     bounds = [limits[n] for n in names]
     near, notes = equation_error_start(
-        bench.model, bench.direct_model, setup.flights, setup.segments, names, current, bounds
+        bench.model,
+        bench.direct_model,
+        setup.flights,
+        setup.segments,
+        names,
+        current,
+        limits=bounds,
     )
     noise = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
     seen, _ = restrict_to_excited(
@@ -61,7 +67,7 @@ def base_fit_and_noise(
         current,
         bounds,
         noise,
-        batched_pool(map_),
+        pool=batched_pool(map_),
         choose=False,
     )
     found = fit_replays(bench.model, seen, names, (near, current), bounds, batched_pool(map_))

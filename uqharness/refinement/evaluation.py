@@ -103,7 +103,7 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
             setup.channels,
             noise_std,
             rng,
-            start.values,
+            properties=start.values,
             half_way=bool(setup.ideal),
         )
         if gusts is None:

@@ -300,7 +300,13 @@ def fit_intervals(job: IntervalJob) -> Intervals:
             made, aircraft=AircraftReference(job.aircraft.name, content_hash(job.aircraft))
         )
         found = validate(
-            job.flown, made, test, job.test.measured, job.test.hashes, job.ideal_servos, job.values
+            job.flown,
+            made,
+            test,
+            job.test.measured,
+            job.test.hashes,
+            ideal_servos=job.ideal_servos,
+            values=job.values,
         )
     except (BadInputError, ValueError) as error:
         return Intervals(form, {}, str(error))

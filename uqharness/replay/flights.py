@@ -873,6 +873,7 @@ def read_flights(
     aircraft: Aircraft,
     manoeuvres: Path | None = None,
     map_path: Path | None = None,
+    *,
     min_s: float = MIN_S,
     max_s: float = MAX_S,
     align: bool = True,

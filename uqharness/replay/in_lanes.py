@@ -78,10 +78,10 @@ def by_jsbsim(job: ReplayJob) -> FloatArray:
         job.segment,
         job.properties,
         job.start,
-        job.extra,
-        job.late_s,
-        job.between,
-        job.unseen,
+        extra=job.extra,
+        late_s=job.late_s,
+        between=job.between,
+        unseen=job.unseen,
     )
 
 

@@ -244,7 +244,16 @@ def run_controls(
     runs, ends = shape.runs // segment.per_row, np.sort(limits)
     initial = initial_actuator_positions(model, segment, properties, ends)
     return model.to_property(
-        by_run(segment.at_commands(), runs, measured, lagging, late, jump_share, ends, initial)
+        by_run(
+            segment.at_commands(),
+            runs,
+            measured,
+            lagging,
+            late=late,
+            jump_share=jump_share,
+            limits=ends,
+            initial=initial,
+        )
     )
 
 
@@ -268,6 +277,7 @@ def fly_segment(
     segment: Segment,
     properties: Mapping[str, float],
     start: FloatArray | None = None,
+    *,
     extra: Sequence[str] = (),
     late_s: float = 0.0,
     between: bool = False,
@@ -398,6 +408,7 @@ def by_run(
     runs: int,
     measured: Sequence[bool],
     lagging: Sequence[bool],
+    *,
     late: float = 0.0,
     jump_share: float | None = 1.0,
     limits: FloatArray | None = None,

@@ -88,6 +88,7 @@ class Replay:
         names: Sequence[str],
         channels: Sequence[str],
         token: str,
+        *,
         base: Mapping[str, float] | None = None,
         late_s: Mapping[str, float] | None = None,
     ) -> None:
@@ -402,6 +403,7 @@ def nuisance_layout(
     segments: Sequence[Segment],
     biases: Sequence[str],
     outputs: Sequence[str],
+    *,
     late: Mapping[str, Sequence[str]],
     jumping: Sequence[str] = (),
 ) -> Layout:

@@ -48,7 +48,9 @@ def test_logs_are_stamped_when_written_and_may_be_late():
 def test_places_of_biases_delays_and_starts():
     cut = [replace(PIECE, flight=name) for name in ("f", "g", "f")]
     biases, outputs = ("V_mps", "q_radps"), ("V_mps", "q_radps", "az_mps2")
-    found = nuisance_layout(("Cm_q",), [(-20.0, 0.0)], cut, biases, outputs, {"g": ["controls"]})
+    found = nuisance_layout(
+        ("Cm_q",), [(-20.0, 0.0)], cut, biases, outputs, late={"g": ["controls"]}
+    )
     assert found.names == (
         "Cm_q",
         "bias/f/V_mps",
@@ -67,7 +69,7 @@ def test_places_of_biases_delays_and_starts():
     assert found.bounds[0] == (-20.0, 0.0)
     assert all(low == -high for low, high in found.bounds[1:])
     assert dict(zip(found.names, found.bounds, strict=True))["bias/f/V_mps"] == (-5.0, 5.0)
-    jumps = nuisance_layout((), (), cut, (), ("V_mps",), {}, ["g"])
+    jumps = nuisance_layout((), (), cut, (), ("V_mps",), late={}, jumping=["g"])
     assert dict(zip(jumps.names, jumps.bounds, strict=True))["unseen/g"] == (0.0, 1.0)
 
 
@@ -90,5 +92,5 @@ def test_a_start_may_move_as_far_as_the_first_rows_do():
     reach = np.zeros(9)
     reach[6] = 1.4
     fast = replace(PIECE, reach=reach)
-    slow, found = (nuisance_layout((), (), [s], (), ("p_radps",), {}) for s in (PIECE, fast))
+    slow, found = (nuisance_layout((), (), [s], (), ("p_radps",), late={}) for s in (PIECE, fast))
     assert found.bounds[0][1] == pytest.approx(slow.bounds[0][1] + 1.4)
