@@ -187,17 +187,17 @@ def _run(args: argparse.Namespace) -> int:
     aircraft = aircraft_with_card(args.aircraft)
     check_folder(args.out)
     options = _options(args)
-    with working("bounds") as stage:
-        stage("reading the flights")
+    with working("bounds") as callback:
+        callback("reading the flights")
         flights, measured = read_bounds_flights(
             args.flight, aircraft, args.manoeuvres, args.map, args.flight_number
         )
         if args.servos == "auto":
-            stage("comparing the card's servos with ideal ones")
+            callback("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos)
         flights, options = servos.noted(flights), replace(options, ideal_servos=servos.ideal)
         bounds = make_bounds(
-            aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, stage
+            aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, callback
         )
         # Render the XML before anything is written: it may refuse the aircraft.
         system = model_form_xml(bounds.form, aircraft)
@@ -209,7 +209,7 @@ def _run(args: argparse.Namespace) -> int:
         write_json(out / "bounds.json", stored)
         write_residuals(bounds.form, bounds.residuals, ", ".join(f.name for f in flights), out)
         write_text(out / "model-form.json", bounds.form.to_json())
-        stage("report")
+        callback("report")
         report = write_report(out, not args.no_figures)
         if not args.no_figures:
             _more_figures(bounds, out)

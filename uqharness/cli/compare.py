@@ -57,8 +57,8 @@ def _run(args: argparse.Namespace) -> int:
     aircraft = aircraft_with_card(args.aircraft)
     biases, delays = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays"))
     check_folder(args.out)
-    with working("compare", lambda: counter["segments"]) as stage:
-        stage("reading the flight")
+    with working("compare", lambda: counter["segments"]) as callback:
+        callback("reading the flight")
         flights, measured = read_flights(
             [args.flight],
             aircraft,
@@ -69,7 +69,7 @@ def _run(args: argparse.Namespace) -> int:
             flight_numbers=args.flight_number,
         )
         if args.servos == "auto":
-            stage("comparing the card's servos with ideal ones")
+            callback("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos, args.workers)
         flights = servos.noted(flights)
         comparison = compare(
@@ -80,9 +80,9 @@ def _run(args: argparse.Namespace) -> int:
             delays=delays,
             ideal_servos=servos.ideal,
             workers=args.workers,
-            callback=stage,
+            callback=callback,
         )
-        stage("report")
+        callback("report")
         out = results_folder(args.out)
         document = document_of(comparison) | {"command": command_as_given(args)}
         write_tables(comparison, document, out)

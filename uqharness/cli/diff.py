@@ -154,8 +154,8 @@ def _run(args: argparse.Namespace) -> int:
         )
         # XML that differs ranks the likely causes.
         terms = differing_terms(a.folder, b.folder)
-        with counting("flights compared") as progress:
-            channels, flights = fly_matched(a, b, request, progress)
+        with counting("flights compared") as callback:
+            channels, flights = fly_matched(a, b, request, callback)
     all_differences = differences(channels, flights, terms, args.tolerance)
     # A flight that only one model can fly is a difference too.
     refused = [f for f in flights if f.reason]

@@ -53,10 +53,10 @@ def _run(args: argparse.Namespace) -> int:
     # Other formats would be HTML under a wrong name.
     if path.suffix not in (".html", ".htm"):
         raise BadInputError(f"--out {path}: a file whose name ends with .html is needed")
-    with working("dossier") as stage:
-        stage("reading results")
+    with working("dossier") as callback:
+        callback("reading results")
         evidence = read_evidence(args.folder)
-        stage("judging and writing")
+        callback("judging and writing")
         dossier = dossier_of(evidence)
         write_html(path, dossier.page)
     if args.json:

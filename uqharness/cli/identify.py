@@ -116,13 +116,13 @@ def _run(args: argparse.Namespace) -> int:
     )
     # Fail before the estimation if results cannot be written.
     check_folder(args.out)
-    with working("identify", lambda: counter["segments"]) as stage:
-        stage("reading the flights")
+    with working("identify", lambda: counter["segments"]) as callback:
+        callback("reading the flights")
         flights, measured = read_flights(
             args.flight, aircraft, args.manoeuvres, args.map, flight_numbers=args.flight_number
         )
         if args.servos == "auto":
-            stage("comparing the card's servos with ideal ones")
+            callback("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos, args.workers)
         flights = servos.noted(flights)
         result = identify(
@@ -137,10 +137,10 @@ def _run(args: argparse.Namespace) -> int:
             ideal_servos=servos.ideal,
             method=args.method,
             workers=args.workers,
-            callback=stage,
+            callback=callback,
             message_callback=_note,
         )
-        stage("report")
+        callback("report")
         out = results_folder(args.out)
         # Digests identify the flights, so that `bounds` can warn of their reuse.
         hashes = [file_sha256(p) for p in args.flight]

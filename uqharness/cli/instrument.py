@@ -165,8 +165,8 @@ def _run(args: argparse.Namespace) -> int:
     bounds = Bounds(form, {} if args.constant is None else parse_constant(args.constant))
     # A dry run writes nothing that could be flown.
     checked = not (args.no_check or args.dry_run)
-    with working("instrument") as stage:
-        stage("comparing short flights with the original" if checked else "writing")
+    with working("instrument") as callback:
+        callback("comparing short flights with the original" if checked else "writing")
         done = instrument_aircraft(
             aircraft,
             bounds,

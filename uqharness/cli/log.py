@@ -107,8 +107,8 @@ def _map(args: argparse.Namespace) -> int:
         raise BadInputError(
             f"{args.out}: exists, and may have been edited; give another name or remove it"
         )
-    with _ProgressLine(args.log.name) as progress:
-        proposal = propose_map(args.log, _card_of(args), callback=progress)
+    with _ProgressLine(args.log.name) as callback:
+        proposal = propose_map(args.log, _card_of(args), callback=callback)
     write_text(args.out, proposal.to_toml())
     if args.json:
         rows = {
@@ -245,14 +245,14 @@ def _read(args: argparse.Namespace) -> FlightRecord:
 
     card = _card_of(args)
     cache = None if args.no_cache else (args.cache or default_cache())
-    with _ProgressLine(args.log.name) as progress:
+    with _ProgressLine(args.log.name) as callback:
         return import_log(
             args.log,
             args.map,
             card,
             flight_number=args.flight_number,
             cache=cache,
-            progress=progress,
+            progress=callback,
         )
 
 

@@ -92,10 +92,10 @@ def _run(args: argparse.Namespace) -> int:
 
         try:
             measured: list[LoopMargins] = []
-            with counting("loops measured") as progress:
+            with counting("loops measured") as callback:
 
                 def update(share: float) -> None:
-                    progress(len(measured) + share, len(names))
+                    callback(len(measured) + share, len(names))
 
                 for name in names:
                     measured.append(

@@ -186,9 +186,9 @@ def _write(
     # Only a page takes long enough for a progress line, whose library is slow to load.
     from uqharness.cli.progress import counting
 
-    with counting("speeds trimmed") as progress:
+    with counting("speeds trimmed") as callback:
         locus = root_locus(
-            aircraft, condition, speeds, args.category, args.aircraft_class, point, progress
+            aircraft, condition, speeds, args.category, args.aircraft_class, point, callback
         )
     _, *trim_lines = [line.strip() for line in _trim_lines(aircraft.name, trim)]
     altitude = f"{condition.altitude_m:g} m above sea level"

@@ -53,7 +53,7 @@ from uqharness.report import document, points_csv, write_page
 from uqharness.report.pages import next_flight_page, uncertainty_figures
 from uqharness.simulator import Aircraft
 
-Stage = Callable[[str], None]
+Callback = Callable[[str], None]
 DOCUMENT, SCRIPT, TABLE = "next-flight.json", "next-flight.xml", "test-points.csv"
 
 _EXAMPLE = """
@@ -171,15 +171,15 @@ def _speeds(text: str) -> tuple[float, ...]:
 def _run(args: argparse.Namespace) -> int:
     """Print the plan; return the exit code."""
     check_folder(args.out)
-    with working("next-flight") as stage:
-        text, code = _answer(args, stage)
+    with working("next-flight") as callback:
+        text, code = _answer(args, callback)
     print(text)
     return code
 
 
-def _answer(args: argparse.Namespace, stage: Stage) -> tuple[str, int]:
+def _answer(args: argparse.Namespace, callback: Callback) -> tuple[str, int]:
     """Return what is printed, and the exit code."""
-    stage("sensitivity")
+    callback("sensitivity")
     winner = find_winner(args.folder, args.metric, args.coefficient)
     campaign = open_campaign(args.folder)
     path = args.bounds or bounds_of(campaign, args.folder, winner.coefficient)
@@ -187,7 +187,7 @@ def _answer(args: argparse.Namespace, stage: Stage) -> tuple[str, int]:
     form = load_form(path)
     aircraft = aircraft_of(campaign)
     check_form(form, aircraft, winner.coefficient, str(path))
-    stage("the mission's flight states")
+    callback("the mission's flight states")
     # Flight states of the mission weigh the interval.
     mission = (
         recorded_mission(args.occupancy, aircraft, form.filtering.cutoff_hz)
@@ -198,7 +198,7 @@ def _answer(args: argparse.Namespace, stage: Stage) -> tuple[str, int]:
         after = load_form(args.redone)
         check_form(after, aircraft, winner.coefficient, str(args.redone))
         return _compare_redone(args, form, after, mission, winner.coefficient)
-    return _plan(args, form, path, aircraft, campaign, mission, winner=winner, stage=stage)
+    return _plan(args, form, path, aircraft, campaign, mission, winner=winner, callback=callback)
 
 
 def _plan(
@@ -210,7 +210,7 @@ def _plan(
     mission: Occupancy,
     *,
     winner: Winner,
-    stage: Stage,
+    callback: Callback,
 ) -> tuple[str, int]:
     """Plan a flight and write its files; return the text and the exit code."""
     flight = flight_of(campaign, aircraft, form, args.turbulence)
@@ -220,14 +220,14 @@ def _plan(
         mission,
         flight,
         Options(args.minutes, args.speeds, args.seed),
-        stage,
+        callback,
     )
     missing = None
     # Flights behind the bounds may show terms that the polynomial lacks.
     if args.flight:
-        stage("missing terms")
+        callback("missing terms")
         missing = missing_in(form, aircraft, winner.coefficient, args.flight)
-    stage("report")
+    callback("report")
     units = {c: card.unit for c, card in aircraft.card.inputs.items()}
     air = {
         "aircraft": {"name": aircraft.name, "sha256": form.aircraft.sha256},

@@ -106,9 +106,9 @@ def _run(args: argparse.Namespace) -> int:
         args.bake,
         tuple(args.flight_number),
     )
-    with working("refine", lambda: counter["segments"], keep=True) as stage:
-        done = refine(request, stage)
-        stage("report")
+    with working("refine", lambda: counter["segments"], keep=True) as callback:
+        done = refine(request, callback)
+        callback("report")
         write_results(done, out)
         report = write_report(out, not args.no_figures)
     print(json.dumps(done.document) if args.json else report.text)

@@ -86,8 +86,8 @@ def _modal(args: argparse.Namespace) -> int:
     """Print the indices of the modal example."""
     if args.interior is not None:
         raise BadInputError("--interior belongs to a campaign folder, not to --modal")
-    with counting("repeats") as update:
-        results = modal_sensitivity(args.modal, args.repeats, args.seed, on_progress=update)
+    with counting("repeats") as callback:
+        results = modal_sensitivity(args.modal, args.repeats, args.seed, on_progress=callback)
     if args.json:
         print(
             json.dumps(
@@ -125,8 +125,8 @@ def _campaign(args: argparse.Namespace) -> int:
     """Rank the coefficients of a campaign and write the tables."""
     campaign = read_corner_campaign(args.folder)
     interior = None if args.interior is None else read_interior_campaign(args.interior, campaign)
-    with counting("metrics") as update:
-        results = analyse_campaign(campaign, interior, seed=args.seed, on_progress=update)
+    with counting("metrics") as callback:
+        results = analyse_campaign(campaign, interior, seed=args.seed, on_progress=callback)
     content = as_csv(results)
     # The manifest stores the table's digest, so that `verify` can check it.
     record_table(args.folder, SENSITIVITY, content)

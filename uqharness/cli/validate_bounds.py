@@ -57,22 +57,22 @@ def _run(args: argparse.Namespace) -> int:
     if args.out is not None:
         check_folder(args.out)
     form = load_form(args.form)
-    with working("validate-bounds") as stage:
-        stage("reading the flights")
+    with working("validate-bounds") as callback:
+        callback("reading the flights")
         flights, measured = read_bounds_flights(
             args.flight, aircraft, args.manoeuvres, args.map, args.flight_number
         )
         hashes = [file_sha256(p) for p in args.flight]
         if args.servos == "auto":
-            stage("comparing the card's servos with ideal ones")
+            callback("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos)
         flights = servos.noted(flights)
-        stage("residual coefficients")
+        callback("residual coefficients")
         validation = validate(aircraft, form, flights, measured, hashes, ideal_servos=servos.ideal)
         document = validation_document(validation)
         text = "\n".join(first_lines(coverage_page_of(document)))
         if args.out is not None:
-            stage("report")
+            callback("report")
             out = results_folder(args.out)
             stored = document | {"command": command_as_given(args), "version": __version__}
             write_residuals(form, validation.residuals, ", ".join(f.name for f in flights), out)
