@@ -53,7 +53,7 @@ _RUN_EXAMPLE = """
   uqharness campaign run demo --out anywhere
   uqharness campaign run campaigns/demo/campaign.toml --out big --shard 3/16
 
-The third example runs a campaign of the package by its name, the fourth one of 16 jobs, to be put
+The fourth example runs a campaign of the package by its name, the fifth one of 16 jobs, to be put
 together by campaign merge. The same command resumes an interrupted run: only missing flights are
 flown.
 
