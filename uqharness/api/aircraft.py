@@ -152,7 +152,7 @@ def instrument(
     air : bool
         Whether this project's wind and turbulence are added (docs/air.md).
     check : bool
-        Whether the copy is flown beside the untouched aircraft.
+        Whether check flights compare the copy with the original.
     mass : Mapping, optional
         Mass properties of the aircraft as it flew, in place of the XML's: ``mass_kg``,
         ``ixx_kgm2``, ``iyy_kgm2``, ``izz_kgm2``, ``ixz_kgm2`` (the product of inertia), ``cg_x_m``,

@@ -127,8 +127,9 @@ def run_campaign(
     engine: Literal["auto", "batch", "jsbsim"] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> CampaignResult:
-    """Fly a campaign, as ``uqharness campaign run`` does. The same call, or the command, resumes
-    one that was interrupted.
+    """Fly a campaign, as ``uqharness campaign run`` does.
+
+    The same call or command resumes an interrupted campaign.
 
     Parameters
     ----------

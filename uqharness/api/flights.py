@@ -145,7 +145,7 @@ def fly(
     seed : int
         Seed of turbulence and of sensor noise; the same seed gives the same flight.
     noise : bool
-        Whether the sensors are noisy, in what the autopilot is told and in the record.
+        Whether sensor noise is added to the autopilot's inputs and to the record.
     properties : Mapping, optional
         JSBSim properties set before the flight, such as ``{"aero/Cm_q": -10.0}``.
     rate_hz : float
@@ -326,8 +326,7 @@ def log_info(
     signal_map: AnyPath | None = None,
     flight_number: int | None = None,
 ) -> LogInfo:
-    """Read a flight log and say what it holds and what it is good for, as ``uqharness log info``
-    does.
+    """Check a flight log, and list its contents and purposes, as ``uqharness log info`` does.
 
     Parameters
     ----------

@@ -52,8 +52,9 @@ def refine(
     workers: int | None = None,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Refinement:
-    """Find, name and add what a model lacks, as ``uqharness refine`` does. The same call goes on
-    where it was interrupted.
+    """Find effects that a model lacks, and add them, as ``uqharness refine`` does.
+
+    The same call resumes an interrupted refinement.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def refine(
     out : str or Path
         Folder for the results.
     effects : str or Path, optional
-        Effects of your own beside the catalogue, TOML (docs/extend.md).
+        User effects in addition to the catalogue, TOML (docs/extend.md).
     servos : {"auto", "card", "ideal"}
         As for `identify`.
     campaign : str or Path, optional

@@ -57,7 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_out(parser)
     add_log_options(parser)
     parser.add_argument(
-        "--effects", type=Path, metavar="FILE.toml", help="effects of your own beside the catalogue"
+        "--effects",
+        type=Path,
+        metavar="FILE.toml",
+        help="user effects in addition to the catalogue",
     )
     parser.add_argument(
         "--campaign",

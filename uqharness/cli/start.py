@@ -179,9 +179,8 @@ def _run(argv: Sequence[str] | None, ends: _EndSignals) -> int:
         return _no_memory(limit) if limit is not None and not ends.terminated else ends.report_end()
     except (MemoryError, ImportError, OSError, RuntimeError, SystemError) as error:
         if ends.received:
-            return (
-                ends.report_end()
-            )  # some modules turn an interruption while they load into an error of their own
+            # Some modules convert an interruption while they load to another exception.
+            return ends.report_end()
         if (
             limit is not None
             or isinstance(error, MemoryError)
@@ -191,7 +190,7 @@ def _run(argv: Sequence[str] | None, ends: _EndSignals) -> int:
         raise
     try:
         return command_line(argv)
-    except KeyboardInterrupt:  # while an error was being told
+    except KeyboardInterrupt:  # while an error was printed
         return ends.report_end()
     except ImportError:
         if limit is None:

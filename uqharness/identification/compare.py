@@ -488,7 +488,10 @@ def compare(
     estimates = [c for c in judged_channels if c in flight.record.metadata.estimates]
     if estimates:
         # A vane's noise does not apply to an angle that a filter computed from other sensors.
-        notes = [*notes, f"estimates of the log, listed and not judged: {', '.join(estimates)}"]
+        notes = [
+            *notes,
+            f"estimates of the log, listed but not in the verdict: {', '.join(estimates)}",
+        ]
         judged_channels = tuple(c for c in judged_channels if c not in estimates)
     missing = [c for c in OUTPUTS if c not in present]
     if missing:

@@ -92,8 +92,8 @@ def with_steps_placed(
         if placed.steps:
             late, steps = late + placed.steps * placed.late_s, steps + placed.steps
         notes.append(
-            f"{column} was logged at {native:.0f} Hz: {placed.steps} of its steps are where {rate}"
-            " says that they happened, and between other logged values it goes straight"
+            f"{column} was logged at {native:.0f} Hz: {placed.steps} of its steps were re-timed by"
+            f" {rate}; the rest is interpolated"
         )
     return record.with_columns(placed_commands), notes, late / steps if steps else 0.0
 
@@ -541,10 +541,10 @@ def prepare(
     if missing:
         reason = (
             "without the surfaces' commands or positions nothing can be replayed (import the log"
-            " with --aircraft, whose card turns servo outputs into angles; thrust_N or rpm may"
-            " stand for throttle_pct)"
+            " with --aircraft, whose card converts servo outputs to angles; thrust_N or rpm can"
+            " replace throttle_pct)"
             if set(missing) & set(columns)
-            else "a replay starts from them and is compared with them"
+            else "a replay needs them for its start and for the comparison"
         )
         raise BadInputError(f"{name}: the record has no {', '.join(missing)}; {reason}")
     if len(record) < 2:
@@ -561,15 +561,15 @@ def prepare(
     between: dict[str, FloatArray] = {}
     if (step := averaged_rows * per_row) > 1:
         notes.append(
-            f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used; controls act"
-            " at all rows"
+            f"{name}: {1 / record.dt_s:.0f} Hz, 1 of {step} rows is compared; controls act at all"
+            " rows"
         )
         record, between = _thinned(record, averaged_rows, per_row)
     # Short period and roll mode need 10 rows a second; slightly slower clocks are accepted.
     if 1.0 / record.dt_s < 9.5:
         raise BadInputError(
-            f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees"
-            " neither short period nor roll"
+            f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10 to resolve"
+            " short period and roll mode"
         )
     record, alignment_notes = _aligned(record, align or bool(record.metadata.native_hz))
     notes += [f"{name}: {text}" for text in alignment_notes]
@@ -944,8 +944,7 @@ def refuse_duplicates(names: Sequence[object], hashes: Sequence[str]) -> None:
     )
     if duplicate is not None:
         raise BadInputError(
-            f"flight {duplicate} is given more than once: its noise would count as if it were"
-            " measured anew"
+            f"flight {duplicate} is given more than once: its noise would be counted as independent"
         )
 
 

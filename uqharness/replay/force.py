@@ -146,7 +146,7 @@ def _compile(
             model.by_rates,
         )
     except BadInputError as error:
-        _LOG.info("states are forced upon JSBSim: %s", error)
+        _LOG.info("forces are evaluated by JSBSim, which is slower: %s", error)
         return None
 
 
@@ -172,7 +172,8 @@ def _verified(
     if difference <= TOLERANCE:
         return program
     _LOG.warning(
-        "states are forced upon JSBSim: the batch engine differs by %.1g of a force's size",
+        "forces are evaluated by JSBSim, which is slower: the batch engine differs by %.1g of a"
+        " force's size",
         difference,
     )
     return None

@@ -230,7 +230,7 @@ def _verified(job: ReplayJob, program: _Program | None) -> _Program | None:
         "replays are flown by JSBSim, which is slower: the batch engine's %s differs by %s of its"
         " size",
         channel,
-        percent(float(np.max(worst))) if np.isfinite(worst).all() else "more than all",
+        percent(float(np.max(worst))) if np.isfinite(worst).all() else "more than 100 %",
     )
     return None
 

@@ -271,8 +271,8 @@ def _factor(card: Card, control: str) -> float:
     if (throw := card.inputs[control].throw_deg) is not None:
         return 1.0 / throw
     raise BadInputError(
-        f"[inputs.{control}] is normalised (limits {limits}) and a record is in degrees: nothing"
-        " says what throw 1 means; give the card a property in deg or rad, or throw_deg"
+        f"[inputs.{control}] is normalised (limits {limits}) and a record is in degrees: the"
+        " deflection at 1 is undefined; give the card a property in deg or rad, or throw_deg"
     )
 
 

@@ -513,10 +513,10 @@ def misplaced(
         # Significant at two standard errors.
         if abs(late) - 2.0 * std > limit:
             warnings.append(
-                f"{flight.name}: its controls act {1e3 * abs(late):.1f} ms"
-                f" {'late' if late > 0.0 else 'early'}, and {1e3 * limit:.1f} ms are allowed: its"
-                " command columns are shifted; a command belongs to the row whose acceleration has"
-                " seen it first"
+                f"{flight.name}: controls act {1e3 * abs(late):.1f} ms"
+                f" {'late' if late > 0.0 else 'early'}, where {1e3 * limit:.1f} ms are allowed: the"
+                " command columns are shifted; a command belongs to the first row whose"
+                " acceleration includes it"
             )
     return warnings
 

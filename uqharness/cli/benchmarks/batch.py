@@ -334,7 +334,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Measure and print; return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m uqharness.cli.benchmarks.batch",
-        description="The batch engine beside JSBSim's bare loop.",
+        description="Speed of the batch engine relative to JSBSim's bare loop.",
     )
     parser.add_argument("--aircraft", default="espaaro")
     parser.add_argument(

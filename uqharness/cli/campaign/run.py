@@ -166,7 +166,7 @@ def flying_command(args: argparse.Namespace, out: Path) -> list[str]:
 def cost_checker(agreed: bool, name: Path) -> Callable[[Cost], None]:
     """Return the function that a campaign calls before it flies.
 
-    It refuses more than a day unless that was agreed to, and prints the cost.
+    It refuses more than a day without consent, and prints the cost.
     """
 
     def check_cost(cost: Cost) -> None:
