@@ -41,8 +41,8 @@ from uqharness.identification import bounds as bounding
 from uqharness.identification import compare as comparing
 from uqharness.identification import identify as identifying
 from uqharness.isolation import isolated
+from uqharness.replay import cut_for_residuals
 from uqharness.replay import flights as replayed
-from uqharness.replay import recut
 from uqharness.simulator import Aircraft
 
 Servos = Literal["auto", "card", "ideal"]
@@ -136,7 +136,7 @@ def identify(
     choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS), workers)
     return identifying.identify(
         model,
-        choice.noted(ready),
+        choice.with_note(ready),
         measured,
         names,
         start=one_of("start", start, ("current", "initial")),
@@ -212,7 +212,7 @@ def compare(
     choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS), workers)
     return comparing.compare(
         model,
-        choice.noted(ready)[0],
+        choice.with_note(ready)[0],
         measured,
         biases=identifying.BIASES if biased is None else biased,
         delays=late,
@@ -302,10 +302,10 @@ def fit_model_form(
     ready, measured = _prepared(flight_list, model)
     hashes = [flight.sha256 for flight in flight_list]
     # Residual coefficients need more channels than a replay.
-    ready = [recut(flight, measured) for flight in ready]
+    ready = [cut_for_residuals(flight, measured) for flight in ready]
     choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS))
     options = replace(options, ideal_servos=choice.ideal)
-    return bounding.make_bounds(model, choice.noted(ready), measured, hashes, options)
+    return bounding.make_bounds(model, choice.with_note(ready), measured, hashes, options)
 
 
 def validate_bounds(
@@ -359,10 +359,10 @@ def validate_bounds(
     ready, measured = _prepared(new, model)
     hashes = [flight.sha256 for flight in new]
     with notebook_line("validate_bounds"):
-        ready = [recut(flight, measured) for flight in ready]
+        ready = [cut_for_residuals(flight, measured) for flight in ready]
         choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS))
         return validate(
-            model, form, choice.noted(ready), measured, hashes, ideal_servos=choice.ideal
+            model, form, choice.with_note(ready), measured, hashes, ideal_servos=choice.ideal
         )
 
 

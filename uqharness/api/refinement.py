@@ -61,9 +61,10 @@ def refine(
     aircraft : str, Path or Aircraft
         The model.
     train : flight or sequence of flights
-        Flights that choose: paths, FlightRecords, or what `fly` and `read_flights` give.
+        Flights to choose and fit effects: paths, FlightRecords, or results of `fly` and
+        `read_flights`.
     test : flight or sequence of flights
-        Flights that only show what it did.
+        Hold-out flights, used for testing only.
     out : str or Path
         Folder for the results.
     effects : str or Path, optional

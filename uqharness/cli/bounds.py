@@ -195,7 +195,7 @@ def _run(args: argparse.Namespace) -> int:
         if args.servos == "auto":
             callback("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos)
-        flights, options = servos.noted(flights), replace(options, ideal_servos=servos.ideal)
+        flights, options = servos.with_note(flights), replace(options, ideal_servos=servos.ideal)
         bounds = make_bounds(
             aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, callback
         )

@@ -124,7 +124,7 @@ def _run(args: argparse.Namespace) -> int:
         if args.servos == "auto":
             callback("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos, args.workers)
-        flights = servos.noted(flights)
+        flights = servos.with_note(flights)
         result = identify(
             aircraft,
             flights,

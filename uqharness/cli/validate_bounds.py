@@ -66,7 +66,7 @@ def _run(args: argparse.Namespace) -> int:
         if args.servos == "auto":
             callback("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos)
-        flights = servos.noted(flights)
+        flights = servos.with_note(flights)
         callback("residual coefficients")
         validation = validate(aircraft, form, flights, measured, hashes, ideal_servos=servos.ideal)
         document = validation_document(validation)

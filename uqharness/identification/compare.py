@@ -78,7 +78,7 @@ _NO_RELATION = Relation(math.nan, math.nan, math.nan, math.inf, 0.0, 0)
 
 
 @dataclass(frozen=True)
-class Answer:
+class ChannelResponse:
     """How a measured channel follows the modelled one.
 
     Attributes
@@ -95,7 +95,7 @@ class Answer:
     undefined: str = ""
 
 
-def slip_of(answer: Relation) -> str:
+def describe_slip(answer: Relation) -> str:
     """Describe a sign or scale that is certainly wrong; "" where it is right or undetermined."""
     if not answer.evident or answer.allows(1.0, SCALE_MARGIN):
         return ""
@@ -117,9 +117,9 @@ def motion(modelled: Sequence[FloatArray]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else math.nan
 
 
-def answer_of(
+def channel_response(
     measured: Sequence[FloatArray], modelled: Sequence[FloatArray], noise: float, dt_s: float
-) -> Answer:
+) -> ChannelResponse:
     """Determine sign, scale and delay of a channel.
 
     Parameters
@@ -139,19 +139,23 @@ def answer_of(
     # Order of the tests: enough motion, right sign and scale, a defined delay.
     rms_motion = motion(modelled)
     if not rms_motion >= MOTION_SIGMA * noise:
-        return Answer(_NO_RELATION, _no_shift(), _motion_note(rms_motion / noise))
+        return ChannelResponse(_NO_RELATION, _no_shift(), _motion_note(rms_motion / noise))
     relation = _relation(measured, modelled, dt_s)
-    if slip := slip_of(relation):
-        return Answer(relation, _no_shift(), slip.split(":")[0])
+    if slip := describe_slip(relation):
+        return ChannelResponse(relation, _no_shift(), slip.split(":")[0])
     shift = time_shift(measured, modelled, dt_s, MAX_DELAY_S)
     if not math.isfinite(shift.seconds):
-        return Answer(relation, _no_shift(), "the model does not move")
+        return ChannelResponse(relation, _no_shift(), "the model does not move")
     # NaN must fail too, hence the negation.
     if not shift.std <= DELAY_STD_S:
-        return Answer(relation, _no_shift(), f"its standard error is {1e3 * shift.std:.0f} ms")
+        return ChannelResponse(
+            relation, _no_shift(), f"its standard error is {1e3 * shift.std:.0f} ms"
+        )
     if abs(shift.seconds) >= MAX_DELAY_S:
-        return Answer(relation, _no_shift(), f"no minimum within {1e3 * MAX_DELAY_S:.0f} ms")
-    return Answer(relation, shift)
+        return ChannelResponse(
+            relation, _no_shift(), f"no minimum within {1e3 * MAX_DELAY_S:.0f} ms"
+        )
+    return ChannelResponse(relation, shift)
 
 
 def _motion_note(sigma: float) -> str:
@@ -229,7 +233,7 @@ class ChannelGap:
     @property
     def slip(self) -> str:
         """Describe a wrong sign or scale of the measured channel; "" where nothing is certain."""
-        return slip_of(self.answer)
+        return describe_slip(self.answer)
 
     @property
     def ratio(self) -> float:
@@ -662,7 +666,7 @@ def _channel_gap(
 ) -> ChannelGap:
     """Compute the gap of one channel."""
     z, y = [d[:, k] for d in data], [m[:, k] for m in modelled]
-    answer = answer_of(z, y, noise[name], segments[0].dt_s)
+    answer = channel_response(z, y, noise[name], segments[0].dt_s)
     return ChannelGap(
         rms(np.concatenate([g[:, k] for g in gaps])),
         noise[name],

@@ -50,8 +50,8 @@ from uqharness.replay import (
     counter,
     delayed,
     measured_outputs,
-    misplaced,
     replay_pool,
+    shifted_command_warnings,
     shown_channel,
 )
 from uqharness.replay.flights import segments
@@ -368,7 +368,11 @@ def identify(
             speed=speed,
         )
         result = replace(
-            result, warnings=(*misplaced(flights, cut_segments, result.nuisance), *result.warnings)
+            result,
+            warnings=(
+                *shifted_command_warnings(flights, cut_segments, result.nuisance),
+                *result.warnings,
+            ),
         )
         gusty = process_noise_shown(*_inertial_channels(result))
         if method == "output-error" or (method == "auto" and not gusty):

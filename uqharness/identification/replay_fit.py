@@ -369,7 +369,7 @@ def equation_error_start(
     )
     # Demanded and predicted coefficients pass the same filter, and so do the regressors.
     for segment, channels, forced in zip(segments, channels_of, forced_models, strict=True):
-        demand.append(demand_of(channels, forced[0], segment))
+        demand.append(demanded_coefficients(channels, forced[0], segment))
         predicted.append(smooth(forced[0].coefficients, segment.dt_s))
         base.append({k: smooth(v, segment.dt_s) for k, v in forced[1].items()})
     # Linear least squares, one coefficient at a time: demanded minus predicted on the term
@@ -477,7 +477,10 @@ def coefficient_gaps(
         properties or {},
     )
     coefficients = [
-        (demand_of(channels, model_at, segment), smooth(model_at.coefficients, segment.dt_s))
+        (
+            demanded_coefficients(channels, model_at, segment),
+            smooth(model_at.coefficients, segment.dt_s),
+        )
         for (segment, channels), (model_at, _) in zip(plain_and_noisy, forced, strict=True)
     ]
     positions = surface_positions(model, segments, CONTROLS, properties or {})
@@ -500,7 +503,7 @@ def coefficient_gaps(
     ]
 
 
-def demand_of(
+def demanded_coefficients(
     channels: Mapping[str, FloatArray], forced: ForcedModel, segment: Segment
 ) -> FloatArray:
     """Return the coefficients (n, 6) that the flight demanded in a piece."""

@@ -61,7 +61,7 @@ class ServoChoice:
     gain: float = math.nan
     note: str = ""
 
-    def noted(self, flights: Sequence[Flight]) -> list[Flight]:
+    def with_note(self, flights: Sequence[Flight]) -> list[Flight]:
         """Return the flights, the first with the note."""
         if not self.note:
             return list(flights)

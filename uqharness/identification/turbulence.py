@@ -28,7 +28,7 @@ from uqharness.identification.linearised.types import (
     setup_in_gusts,
 )
 from uqharness.identification.replay_fit import Identification, ReplayFit, by_channel
-from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, misplaced
+from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, shifted_command_warnings
 from uqharness.simulator import Aircraft
 
 CONVERGED, ITERATIONS = 2.0, 16
@@ -199,7 +199,7 @@ def identify_in_turbulence(
     warnings += by_channel(colour_warnings(residual_colour, std, std_crb, "filter error"), outputs)
     warnings += _moment_warnings(fit.gusts)
     nuisance = _nuisance(fit, cov, len(free))
-    warnings = [*misplaced(setup.flights, setup.segments, nuisance), *warnings]
+    warnings = [*shifted_command_warnings(setup.flights, setup.segments, nuisance), *warnings]
     converged = fit.length < CONVERGED
     if not converged:
         warnings.insert(0, f"not converged: the last step is {fit.length:.2g} standard errors long")

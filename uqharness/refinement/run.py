@@ -113,7 +113,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         request = replace(request, ideal_servos=servos.ideal)
         train = replace(
             train,
-            flights=tuple(servos.noted(train.flights)),
+            flights=tuple(servos.with_note(train.flights)),
             ideal=_ideal_controls(request, train.measured),
         )
     test = _read(request, request.test)

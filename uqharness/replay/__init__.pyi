@@ -39,10 +39,10 @@ from .replay import late_rows as late_rows
 from .replay import runs_per_row as runs_per_row
 from .residuals import MeasuredSegment as MeasuredSegment
 from .residuals import ReplayPair as ReplayPair
+from .residuals import cut_for_residuals as cut_for_residuals
 from .residuals import flight_residuals as flight_residuals
 from .residuals import prediction_of as prediction_of
 from .residuals import read_bounds_flights as read_bounds_flights
-from .residuals import recut as recut
 from .residuals import sampling_errors as sampling_errors
 from .segments import Segment as Segment
 from .simulation import HISTORIES as HISTORIES
@@ -58,10 +58,10 @@ from .simulation import counter as counter
 from .simulation import delayed as delayed
 from .simulation import have_columns as have_columns
 from .simulation import late_limit_s as late_limit_s
-from .simulation import misplaced as misplaced
 from .simulation import nuisance_layout as nuisance_layout
 from .simulation import read_histories as read_histories
 from .simulation import replay_pool as replay_pool
+from .simulation import shifted_command_warnings as shifted_command_warnings
 from .simulation import shown_channel as shown_channel
 from .simulation import with_shown_names as with_shown_names
 from .simulation import write_histories as write_histories

@@ -124,15 +124,15 @@ def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[
     The record itself and "" where it has a throttle or neither column. Raises BadInputError where
     the engines cannot produce the measured values at any throttle.
     """
-    if _has(record, THROTTLE) or "throttle" not in aircraft.card.inputs:
+    if _has_values(record, THROTTLE) or "throttle" not in aircraft.card.inputs:
         return record, ""
     # Thrust is preferred: it acts on the motion directly, whereas rpm acts through the propeller
     # map.
-    column = next((c for c in SOURCES if _has(record, c)), None)
-    if column is None or not _has(record, "V_mps"):
+    column = next((c for c in SOURCES if _has_values(record, c)), None)
+    if column is None or not _has_values(record, "V_mps"):
         return record, ""
     V, measured = record["V_mps"], record[column]
-    height = record["h_m"] if _has(record, "h_m") else np.zeros(1)
+    height = record["h_m"] if _has_values(record, "h_m") else np.zeros(1)
     altitude = float(record.metadata.start.get("alt_m", 0.0)) + float(np.nanmedian(height))
     speeds = np.linspace(
         float(np.nanmin(V)), max(float(np.nanmax(V)), float(np.nanmin(V)) + 1.0), _SPEEDS
@@ -245,7 +245,7 @@ def engine_map(
     return out
 
 
-def _has(record: FlightRecord, column: str) -> bool:
+def _has_values(record: FlightRecord, column: str) -> bool:
     """Check that a column exists and has finite values."""
     return column in record and bool(np.isfinite(record[column]).any())
 
@@ -360,7 +360,7 @@ class Flight:
             if c not in self.record:
                 continue
             is_command = c in _COLUMN.values()
-            values = self.commands[c] if self.per_row > 1 else _filled(self.record[c])
+            values = self.commands[c] if self.per_row > 1 else _forward_filled(self.record[c])
             # Commands are held on the finer grid, positions interpolated.
             fine = np.repeat(values, finer)[: (len(values) - 1) * finer + 1]
             if not is_command:
@@ -564,14 +564,14 @@ def prepare(
             f"{name}: {1 / record.dt_s:.0f} Hz, 1 of {step} rows is compared; controls act at all"
             " rows"
         )
-        record, between = _thinned(record, averaged_rows, per_row)
+        record, between = _reduce_rows(record, averaged_rows, per_row)
     # Short period and roll mode need 10 rows a second; slightly slower clocks are accepted.
     if 1.0 / record.dt_s < 9.5:
         raise BadInputError(
             f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10 to resolve"
             " short period and roll mode"
         )
-    record, alignment_notes = _aligned(record, align or bool(record.metadata.native_hz))
+    record, alignment_notes = _align_channels(record, align or bool(record.metadata.native_hz))
     notes += [f"{name}: {text}" for text in alignment_notes]
     # Pieces need all channels without a gap; maximum length limits the divergence of replays.
     pieces, cut_note = cut(record, (*_NEEDED, *columns), min_s, max_s)
@@ -587,7 +587,7 @@ def prepare(
     return Flight(name, record, tuple(pieces), tuple(notes), gyro_late_s, between, per_row)
 
 
-def _thinned(
+def _reduce_rows(
     record: FlightRecord, averaged_rows: int, per_row: int
 ) -> tuple[FlightRecord, dict[str, FloatArray]]:
     """Return the compared rows, and the controls with ``per_row`` values between them.
@@ -598,13 +598,17 @@ def _thinned(
     mask[:: averaged_rows * per_row] = True
     commands = [c for c in _COLUMN.values() if c in record]
     # Commands keep their mean over each averaging interval, so their area is preserved.
-    between = {c: _filled(mean_ahead(record[c], averaged_rows)[::averaged_rows]) for c in commands}
-    between |= {c: _filled(record[c][::averaged_rows]) for c in _POSITION.values() if c in record}
+    between = {
+        c: _forward_filled(mean_ahead(record[c], averaged_rows)[::averaged_rows]) for c in commands
+    }
+    between |= {
+        c: _forward_filled(record[c][::averaged_rows]) for c in _POSITION.values() if c in record
+    }
     mean_commands = {c: mean_ahead(record[c], averaged_rows * per_row) for c in commands}
     return record.with_columns(mean_commands).rows(mask), between
 
 
-def _filled(values: FloatArray) -> FloatArray:
+def _forward_filled(values: FloatArray) -> FloatArray:
     """Fill gaps (n,) with the value before; a piece has none at its rows."""
     last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))
     return np.asarray(values[last], dtype=np.float64)
@@ -627,7 +631,7 @@ def _describe_gaps(record: FlightRecord, columns: Sequence[str]) -> str:
     return f" ({', '.join(texts)})" if texts else ""
 
 
-def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]]:
+def _align_channels(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]]:
     """Move channels that the record's findings call late for sure, or note them where ``align`` is
     False.
     """
@@ -671,7 +675,7 @@ def segments(
         # JSBSim steps uniformly; the grid keeps the first and the last time of the piece.
         grid = time[0] + (time[-1] - time[0]) / (len(time) - 1) * np.arange(len(time))
         # The start state is estimated, because a single noisy row would be a poor start.
-        begins = [_start(record, name, rows) for name in STATES]
+        begins = [_estimate_start(record, name, rows) for name in STATES]
         h = float(states(flight, piece)["h_m"][0])
         between = flight.commands_in(rows, control_columns(measured))
         target_commands = flight.commands_in(rows, [_COLUMN[c] for c in CONTROLS])
@@ -734,7 +738,7 @@ def _unwrapped(name: str, values: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _Start:
+class _StartEstimate:
     """Estimate of a channel at a segment's first row, and its distance from the channel within the
     first rows.
     """
@@ -743,7 +747,7 @@ class _Start:
     reach: float
 
 
-def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
+def _estimate_start(record: FlightRecord, name: str, rows: slice) -> _StartEstimate:
     """Estimate a channel at the first row of a piece.
 
     A straight line through the first 0.4 s averages the noise, but a segment may begin with a fast
@@ -752,11 +756,11 @@ def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
     Without one the first value is taken.
     """
     if name not in record:
-        return _Start(0.0, 0.0)
+        return _StartEstimate(0.0, 0.0)
     values = _unwrapped(name, record[name][rows][: max(3, round(_START_S / record.dt_s))])
     at = np.flatnonzero(np.isfinite(values))
     if not len(at):
-        return _Start(0.0, 0.0)
+        return _StartEstimate(0.0, 0.0)
     first = values[at]
     value, n = float(first[0]), len(at)
     # Halve the window until a straight line is as good as a cubic.
@@ -768,7 +772,7 @@ def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
             value = line
             break
         n //= 2
-    return _Start(value, float(np.abs(first - value).max()))
+    return _StartEstimate(value, float(np.abs(first - value).max()))
 
 
 def _polynomial_at_zero(
@@ -821,7 +825,8 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[FloatArray
                     2.0
                     * np.pi
                     * np.rint(
-                        (first - _start(flight.record, name, piece.rows).value) / (2.0 * np.pi)
+                        (first - _estimate_start(flight.record, name, piece.rows).value)
+                        / (2.0 * np.pi)
                     ).sum()
                 )
             block[:, k] = values

@@ -141,7 +141,7 @@ def _compile(
     request: PositionRequest, chain: ControlChain, dt_s: float, stride: int
 ) -> _Program | None:
     """Translate and compile a chain; None where the engine cannot."""
-    staging, model = _staging(chain), request.model
+    staging, model = _stage_chain(chain), request.model
     exists = engine.open_fdm(staging, dt_s).get_property_manager().hasNode
     # The chain has only the properties on which positions depend.
     inputs = [
@@ -223,7 +223,7 @@ def _by_jsbsim(request: PositionRequest, chain: ControlChain, segment: Segment) 
     """Fly one segment by JSBSim; return (n, k) positions."""
     model = request.model
     shape = shape_of(model, segment)
-    fdm = _open_chain(_staging(chain), model, shape.dt_s)
+    fdm = _open_chain(_stage_chain(chain), model, shape.dt_s)
     exists = fdm.get_property_manager().hasNode
     # Freeze the integrators of motion: only the controls move.
     for name, value in {**request.servos, **dict.fromkeys(_FROZEN_INTEGRATORS, 0.0)}.items():
@@ -262,7 +262,7 @@ def _by_jsbsim(request: PositionRequest, chain: ControlChain, segment: Segment) 
     return rows
 
 
-def _staging(chain: ControlChain) -> Staging:
+def _stage_chain(chain: ControlChain) -> Staging:
     """Lay the chain's aircraft out as JSBSim expects; the most recent ones are retained."""
     if chain.xml not in _staged:
         scratch = scratch_folder("controls")

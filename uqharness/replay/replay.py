@@ -445,15 +445,15 @@ def by_run(
     known and explains both, and linearly elsewhere.
     """
     is_command, lags = ~np.asarray(measured), np.asarray(lagging)
-    on_time = _on_time(segment, runs, is_command, lags, limits, initial)
+    on_time = _undelayed_controls(segment, runs, is_command, lags, limits, initial)
     out = on_time.copy() if late == 0.0 else _delayed(on_time, late)
     if late > 0.0 and initial is not None:
         # A late command leaves surfaces at their earlier position for a while. The first run
         # belongs to the start itself, so it stays.
         waits = is_command & ~lags & np.isfinite(initial)
-        out[1:, waits] -= np.outer(_waiting(len(out) - 1, late), segment.controls[0] - initial)[
-            :, waits
-        ]
+        out[1:, waits] -= np.outer(
+            _waiting_shares(len(out) - 1, late), segment.controls[0] - initial
+        )[:, waits]
     if jump_share is not None:
         current, jumps = segment.controls[:-1], is_command & ~lags
         rows = np.arange(len(out))[::runs]
@@ -487,7 +487,7 @@ def _delayed(values: FloatArray, late: float) -> FloatArray:
     return out
 
 
-def _waiting(n: int, late: float) -> FloatArray:
+def _waiting_shares(n: int, late: float) -> FloatArray:
     """Return the shares (n,) of a jump at the first row that are missing in the runs of a ``late``
     command.
 
@@ -519,7 +519,7 @@ def _controls_key(
 
 
 @cached(LRUCache(_MAX_SEGMENTS), key=_controls_key)
-def _on_time(
+def _undelayed_controls(
     segment: Segment,
     runs: int,
     is_command: NDArray[np.bool_],

@@ -518,10 +518,10 @@ def read_bounds_flights(
     flights, measured = read_flights(
         paths, aircraft, manoeuvres, map_path, flight_numbers=flight_numbers
     )
-    return [recut(f, measured) for f in flights], measured
+    return [cut_for_residuals(f, measured) for f in flights], measured
 
 
-def recut(flight: Flight, measured: Sequence[str]) -> Flight:
+def cut_for_residuals(flight: Flight, measured: Sequence[str]) -> Flight:
     """Cut a flight where every channel of NEEDED is present. Raises BadInputError."""
     missing = [
         c for c in NEEDED if c not in flight.record or not np.isfinite(flight.record[c]).any()

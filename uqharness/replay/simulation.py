@@ -496,7 +496,7 @@ def late_limit_s(flight: Flight, dt_s: float) -> float:
     return math.inf if flight.record.metadata.native_hz else max(LATE_ROWS * dt_s, _MIN_LATE_S)
 
 
-def misplaced(
+def shifted_command_warnings(
     flights: Sequence[Flight],
     segments: Sequence[Segment],
     nuisance: Mapping[str, tuple[float, float]],

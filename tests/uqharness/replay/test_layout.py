@@ -10,7 +10,12 @@ import pytest
 
 from uqharness.replay.replay import CONTROL_DELAY, SENSOR_OF
 from uqharness.replay.segments import Commands, Segment
-from uqharness.replay.simulation import delayed, late_limit_s, misplaced, nuisance_layout
+from uqharness.replay.simulation import (
+    delayed,
+    late_limit_s,
+    nuisance_layout,
+    shifted_command_warnings,
+)
 
 TIME = np.arange(5) * 0.02
 PIECE = Segment("s", "f", TIME, np.zeros((5, 4)), np.zeros(9), 100.0, 0.0)
@@ -24,8 +29,8 @@ def flight(native_hz):
 
 def test_half_a_row_is_allowed_and_a_row_is_not():
     record = flight({})
-    assert misplaced([record], [PIECE], {"delay/f/controls": (0.009, 0.001)}) == []
-    (said,) = misplaced([record], [PIECE], {"delay/f/controls": (-0.02, 0.001)})
+    assert shifted_command_warnings([record], [PIECE], {"delay/f/controls": (0.009, 0.001)}) == []
+    (said,) = shifted_command_warnings([record], [PIECE], {"delay/f/controls": (-0.02, 0.001)})
     assert "20.0 ms early" in said
     assert "10.0 ms are allowed" in said
 
@@ -33,15 +38,20 @@ def test_half_a_row_is_allowed_and_a_row_is_not():
 def test_a_row_of_commands_counts_where_rows_were_thinned():
     """A clock 10 ms late is one row of a record at 100 Hz, and half a row of those compared."""
     fine = replace(PIECE, commands=Commands(2, np.zeros((9, 4))))
-    (said,) = misplaced([flight({})], [fine], {"delay/f/controls": (0.01, 0.001)})
+    (said,) = shifted_command_warnings([flight({})], [fine], {"delay/f/controls": (0.01, 0.001)})
     assert "7.5 ms are allowed" in said
-    assert misplaced([flight({})], [PIECE], {"delay/f/controls": (0.01, 0.001)}) == []
+    assert (
+        shifted_command_warnings([flight({})], [PIECE], {"delay/f/controls": (0.01, 0.001)}) == []
+    )
 
 
 def test_logs_are_stamped_when_written_and_may_be_late():
     assert late_limit_s(flight({"q_radps": 25.0}), 0.02) == float("inf")
     assert (
-        misplaced([flight({"q_radps": 25.0})], [PIECE], {"delay/f/controls": (0.05, 0.001)}) == []
+        shifted_command_warnings(
+            [flight({"q_radps": 25.0})], [PIECE], {"delay/f/controls": (0.05, 0.001)}
+        )
+        == []
     )
 
 

@@ -15,7 +15,7 @@ from tests.helpers.flown import NOISE, fly
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.motion import Model, integrate, trim
 from uqharness.errors import BadInputError
-from uqharness.identification.replay_fit import demand_of, forced_at
+from uqharness.identification.replay_fit import demanded_coefficients, forced_at
 from uqharness.replay import replay
 from uqharness.replay.flights import prepare, read_flight, segments, states
 from uqharness.replay.force import force_states
@@ -373,7 +373,10 @@ def test_forced_states_give_the_flights_coefficients_back(aircraft, clean):
         for segment, channels, (forced, found) in zip(
             cut, every, forced_at(model, straight, cut, every, {}), strict=True
         ):
-            demand, said = demand_of(channels, forced, segment), smooth(forced.coefficients, 0.02)
+            demand, said = (
+                demanded_coefficients(channels, forced, segment),
+                smooth(forced.coefficients, 0.02),
+            )
             np.testing.assert_allclose(demand[5:-5, :3], said[5:-5, :3], atol=6e-4)
             np.testing.assert_allclose(demand[5:-5, 3:], said[5:-5, 3:], atol=1.5e-3)
             np.testing.assert_allclose(found["de"], segment.controls[:, 0])

@@ -16,9 +16,9 @@ from uqharness.replay.residuals import (
     NEEDED,
     PREDICTED_FIELDS,
     ReplayPair,
+    cut_for_residuals,
     flight_residuals,
     prediction_of,
-    recut,
     sampled_rows,
     with_sampled_change,
 )
@@ -52,7 +52,7 @@ def test_the_same_states_are_asked_for_once(monkeypatch):
 def test_a_flight_is_cut_where_every_channel_is_there():
     holes = np.array(RECORD["beta_rad"])
     holes[600:700] = np.nan
-    found = recut(made(RECORD.with_columns({"beta_rad": holes})), ())
+    found = cut_for_residuals(made(RECORD.with_columns({"beta_rad": holes})), ())
     rows = np.concatenate([np.arange(p.rows.start, p.rows.stop) for p in found.pieces])
     assert not set(rows) & set(range(600, 700))
     assert len(rows) > 1000
@@ -63,10 +63,10 @@ def test_a_flight_is_cut_where_every_channel_is_there():
 def test_what_is_missing_is_named():
     bare = replace(RECORD, columns={n: v for n, v in RECORD.columns.items() if n != "alpha_rad"})
     with pytest.raises(BadInputError, match="f: the record has no alpha_rad; residual"):
-        recut(made(bare), ())
+        cut_for_residuals(made(bare), ())
     holes = {n: np.where(np.arange(len(RECORD)) % 40 == 0, np.nan, RECORD[n]) for n in NEEDED}
     with pytest.raises(BadInputError, match="no stretch of two seconds"):
-        recut(made(RECORD.with_columns(holes)), ())
+        cut_for_residuals(made(RECORD.with_columns(holes)), ())
 
 
 def test_a_refusal_bears_the_flights_name(monkeypatch):
