@@ -192,11 +192,11 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
             )
     share, std = (
         fit.values()["unseen/f"],
-        float(fit.found.std[fit.layout.names.index("unseen/f")]),
+        float(fit.fit.std[fit.layout.names.index("unseen/f")]),
     )
     assert share == pytest.approx(1.0, abs=4.0 * std)
     assert std < 0.05
-    assert (np.array([fit.values()[n] for n in names]) - true) / fit.found.std[:4] == pytest.approx(
+    assert (np.array([fit.values()[n] for n in names]) - true) / fit.fit.std[:4] == pytest.approx(
         0.0, abs=4.0
     )
     assert blind.values()["unseen/f"] == pytest.approx(share, abs=3.0 * std)
