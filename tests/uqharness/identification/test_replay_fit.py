@@ -203,9 +203,7 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
     # Taken to have seen their jumps, the same flights put the force of a surface elsewhere.
     assert "unseen/f" not in without.layout.names
     assert (
-        np.abs(
-            (np.array([without.values()[n] for n in names]) - true) / without.found.std[:4]
-        ).max()
+        np.abs((np.array([without.values()[n] for n in names]) - true) / without.fit.std[:4]).max()
         > 4.0
     )
 
