@@ -437,10 +437,8 @@ def _outputs(flights: Sequence[Flight], requested: Sequence[str] | None) -> tupl
     )
     missing = [] if requested is None else [c for c in requested if c not in available]
     if missing or requested == ():
-        raise BadInputError(
-            f"no flight has {', '.join(missing) or 'any output, for none is named'}; the flights"
-            f" have {', '.join(available)}"
-        )
+        problem = f"no flight has {', '.join(missing)}" if missing else "no outputs are selected"
+        raise BadInputError(f"{problem}; the flights have {', '.join(available)}")
     return available if requested is None else tuple(c for c in available if c in requested)
 
 
