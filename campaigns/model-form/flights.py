@@ -34,7 +34,12 @@ from uqharness.flight.recorded import recorded_flight, seeded_spec
 from uqharness.flight.spec import FlightSpec
 from uqharness.identification.bounds import noise_sizes
 from uqharness.replay.flights import Flight, measured_surfaces, prepare
-from uqharness.replay.residuals import ReplayPair, flight_residuals, prediction_of, recut
+from uqharness.replay.residuals import (
+    ReplayPair,
+    cut_for_residuals,
+    flight_residuals,
+    prediction_of,
+)
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
 from uqharness.simulator.mission import read_script
 from uqharness.simulator.own_mission import PLANS, THREE_TWO_ONE_ONE, Manoeuvre, Plan, script
@@ -190,7 +195,7 @@ def _record(aircraft: Aircraft, turbulence: str, plan: Plan, seed: int) -> Fligh
 
 
 def _flight(name: str, record: FlightRecord, measured: tuple[str, ...]) -> Flight:
-    return recut(prepare(name, record, measured), measured)
+    return cut_for_residuals(prepare(name, record, measured), measured)
 
 
 def model_pair(measured: tuple[str, ...]) -> AbstractContextManager[ReplayPair]:

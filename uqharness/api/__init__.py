@@ -1,1 +1,3 @@
-"""The public face in Python: what ``import uqharness as uq`` offers, thin over the packages that the commands use."""
+"""The public face in Python: what ``import uqharness as uq`` offers, thin over the packages that
+the commands use.
+"""

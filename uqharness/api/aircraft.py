@@ -1,4 +1,4 @@
-"""Aircraft in Python: steady flight, the linear model about it, and the plugin."""
+"""Aircraft in Python: steady flight, linear models, and the model-form plugin."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numbers import Real
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import ModelForm, read_model_form
-from uqharness.api.flights import AnyAircraft, AnyPath, given_aircraft
+from uqharness.api.flights import AnyAircraft, AnyPath, aircraft_of
 from uqharness.arguments import flag, instance, number, path, require
 from uqharness.arguments import properties as settings
 from uqharness.errors import BadInputError
@@ -48,8 +48,9 @@ def find_trim(
     Returns
     -------
     Trim
-        Angles [rad], body rates [rad/s], ``controls`` in their own units, ``thrust_N`` [N], ``rpm`` [1/min], ``residual`` (6,)
-        the accelerations left [m/s2 and rad/s2]. Where no steady flight exists, ``converged`` is False and ``reason`` says why.
+        Angles [rad], body rates [rad/s], ``controls`` in their own units, ``thrust_N`` [N], ``rpm``
+        [1/min], ``residual`` (6,) the accelerations left [m/s2 and rad/s2]. Where no steady flight
+        exists, ``converged`` is False and ``reason`` says why.
 
     Raises
     ------
@@ -67,7 +68,7 @@ def find_trim(
     >>> steady.converged, round(steady.controls["throttle"])
     (True, 60)
     """
-    number("V_mps", V_mps, "a positive true airspeed [m/s]", lambda given: 0.0 < given < math.inf)
+    number("V_mps", V_mps, "a positive true airspeed [m/s]", lambda value: 0.0 < value < math.inf)
     for name, angle in (
         ("climb_rad", climb_rad),
         ("bank_rad", bank_rad),
@@ -75,14 +76,16 @@ def find_trim(
         ("altitude_m", altitude_m),
     ):
         number(name, angle)
+    # The limits of the command line, in its units.
     if not (abs(bank_rad) < math.radians(85.0) and abs(climb_rad) < math.radians(60.0)):
         raise BadInputError(
-            f"bank_rad = {bank_rad:g}, climb_rad = {climb_rad:g}: less than 85 and 60 degrees either way are needed"
+            f"bank_rad = {bank_rad:g}, climb_rad = {climb_rad:g}: less than 85 and 60 degrees"
+            " either way are needed"
         )
     condition = SteadyCondition(
         V_mps, altitude_m, climb_rad, bank_rad, heading_rad, properties=settings(properties)
     )
-    return run_unsupervised(trim.find_trim, given_aircraft(aircraft), condition)
+    return run_unsupervised(trim.find_trim, aircraft_of(aircraft), condition)
 
 
 def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
@@ -98,8 +101,9 @@ def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
     Returns
     -------
     LinearModel
-        dx/dt = A x + B u: ``A`` (8, 8) for x = (u, v, w, p, q, r, phi, theta) in m/s, rad/s and rad, ``B`` (8, c) for the
-        ``controls`` in their own units. ``uqharness.simulator.linear.modes`` names its modes.
+        dx/dt = A x + B u: ``A`` (8, 8) for x = (u, v, w, p, q, r, phi, theta) in m/s, rad/s and
+        rad, ``B`` (8, c) for the ``controls`` in their own units.
+        ``uqharness.simulator.linear.modes`` names its modes.
 
     Raises
     ------
@@ -108,7 +112,8 @@ def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
 
     References
     ----------
-    B. L. Stevens, F. L. Lewis, Aircraft Control and Simulation: numerical linearisation by central differences.
+    B. L. Stevens, F. L. Lewis, Aircraft Control and Simulation: numerical linearisation by central
+    differences.
 
     Examples
     --------
@@ -117,7 +122,7 @@ def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
     >>> model.A.shape, model.controls
     ((8, 8), ('elevator', 'aileron', 'rudder', 'throttle'))
     """
-    return run_unsupervised(linear.linearise, given_aircraft(aircraft), steady)
+    return run_unsupervised(linear.linearise, aircraft_of(aircraft), steady)
 
 
 @notebook_line("instrument")
@@ -142,24 +147,28 @@ def instrument(
     out : str or Path
         Folder of the copy.
     constant : Mapping, optional
-        In place of a form, bounds that stay: coefficient to half width [-] or to (lower, upper) [-], as ``{"CX": 0.01}``.
+        In place of a form, bounds that stay: coefficient to half width [-] or to (lower, upper)
+        [-], as ``{"CX": 0.01}``.
     air : bool
         Whether this project's wind and turbulence are added (docs/air.md).
     check : bool
-        Whether the copy is flown beside the untouched aircraft.
+        Whether check flights compare the copy with the original.
     mass : Mapping, optional
-        Mass properties of the aircraft as it flew, in place of the XML's: ``mass_kg``, ``ixx_kgm2``, ``iyy_kgm2``, ``izz_kgm2``,
-        ``ixz_kgm2`` (the product of inertia), ``cg_x_m``, ``cg_y_m``, ``cg_z_m`` (the XML's structural frame).
+        Mass properties of the aircraft as it flew, in place of the XML's: ``mass_kg``,
+        ``ixx_kgm2``, ``iyy_kgm2``, ``izz_kgm2``, ``ixz_kgm2`` (the product of inertia), ``cg_x_m``,
+        ``cg_y_m``, ``cg_z_m`` (the XML's structural frame).
 
     Returns
     -------
     Instrumented
-        ``folder``, ``notes``, and the ``verdict`` of that flight: works, wrong or fails; None without one.
+        ``folder``, ``notes``, and the ``verdict`` of that flight: works, wrong or fails; None
+        without one.
 
     Raises
     ------
     BadInputError
-        For an aircraft that cannot be instrumented, with file and line, and for a folder that may not be written.
+        For an aircraft that cannot be instrumented, with file and line, and for a folder that may
+        not be written.
     LogError
         For a file that is no model form.
 
@@ -177,7 +186,8 @@ def instrument(
     folder = path("out", out)
     if form is None and constant is None:
         raise BadInputError(
-            'instrument: no bounds; give form, or constant such as {"CX": 0.01}, or {} for bounds of zero'
+            'instrument: no bounds; give form, or constant such as {"CX": 0.01}, or {} for bounds'
+            " of zero"
         )
     if form is not None and constant is not None:
         raise BadInputError(
@@ -187,11 +197,12 @@ def instrument(
         form = form.form
     elif form is not None and not isinstance(form, ModelForm):
         form = read_model_form(path("form", form))
-    given = instance(
+    constant_bounds = instance(
         "constant", {} if constant is None else constant, Mapping, 'a mapping such as {"CX": 0.01}'
     )
-    bounds = Bounds(form, {name: _pair(name, value) for name, value in given.items()})
-    model = given_aircraft(aircraft)
+    bounds = Bounds(form, {name: _pair(name, value) for name, value in constant_bounds.items()})
+    model = aircraft_of(aircraft)
+    # Fail before the flights if the copy cannot be written.
     check_output_folder(folder)
     return run_unsupervised(
         instrument_aircraft,
@@ -204,10 +215,11 @@ def instrument(
     )
 
 
-def _mass(given: Mapping[str, float] | None) -> MassProperties:
+def _mass(mass: Mapping[str, float] | None) -> MassProperties:
+    """Check the names and values of mass properties. Raises BadInputError."""
     allowed = tuple(MassProperties.__dataclass_fields__)
     numbers = instance(
-        "mass", {} if given is None else given, Mapping, 'a mapping such as {"mass_kg": 900.0}'
+        "mass", {} if mass is None else mass, Mapping, 'a mapping such as {"mass_kg": 900.0}'
     )
     if unknown := [name for name in numbers if name not in allowed]:
         raise BadInputError(f"mass: {unknown[0]!r} is unknown; allowed are {', '.join(allowed)}")
@@ -215,6 +227,7 @@ def _mass(given: Mapping[str, float] | None) -> MassProperties:
 
 
 def _pair(name: str, value: float | tuple[float, float]) -> tuple[float, float]:
+    """Check one constant bound; return its lower and upper limit. Raises BadInputError."""
     ends = tuple(value) if isinstance(value, tuple | list) else (value,)
     numbers = all(
         isinstance(end, Real) and not isinstance(end, bool) and math.isfinite(end) for end in ends

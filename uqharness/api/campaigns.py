@@ -1,4 +1,7 @@
-"""Campaigns in Python: run or opened, and p-boxes of any samples."""
+"""Campaigns in Python: run, opened, and p-boxes of any samples.
+
+A campaign is given as a file, by its name, as a dictionary of its sections, or as a `CampaignSpec`.
+"""
 
 from __future__ import annotations
 
@@ -44,14 +47,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-_NOWHERE = Path("campaign.toml")
-"""Stands for the file of a campaign that is in none."""
-_IN_A_FILE = re.compile(rf"^{re.escape(str(_NOWHERE))}:\d+: (the file: )?")
+_NO_FILE = Path("campaign.toml")
+"""File name in the messages of a campaign that has no file."""
+_FILE_AND_LINE = re.compile(rf"^{re.escape(str(_NO_FILE))}:\d+: (the file: )?")
 
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """A campaign whose flights are all done, read from its folder as it is asked for.
+    """Results of a complete campaign, read from its folder on demand.
 
     Attributes
     ----------
@@ -60,7 +63,7 @@ class CampaignResult:
     manifest : Mapping
         What was flown: settings, versions, hashes.
     notes : tuple of str
-        What to know of the bounds that were flown.
+        Remarks on the bounds that were flown.
     """
 
     folder: Path
@@ -76,18 +79,21 @@ class CampaignResult:
         )
 
     def _repr_html_(self) -> str:
-        # Imported here: a campaign that nobody looks at in a notebook needs no charts.
+        # Imported here: only notebooks need charts.
         from uqharness.report import campaign_view
 
         return campaign_view(self.folder, self.manifest, self.cases, self.statements())
 
     @cached_property
     def cases(self) -> pd.DataFrame:
-        """One row a flight (docs/campaigns.md has the columns). Raises BadInputError where the table is not as it was written."""
+        """Table with one row a flight (docs/campaigns.md describes the columns).
+
+        Raises BadInputError where the file is damaged.
+        """
         return read_cases(self.folder, self.manifest)
 
     def pboxes(self) -> dict[tuple[str, str], PBox]:
-        """(metric, condition) to its p-box; the rows of pbox.parquet."""
+        """Return the p-box of each (metric, condition), the rows of pbox.parquet."""
         confidence = band_confidence(self.manifest["campaign"], CONFIDENCE)
         return {
             (metric, condition.label): box
@@ -95,7 +101,9 @@ class CampaignResult:
         }
 
     def statements(self) -> pd.DataFrame:
-        """statements.csv: per condition and radius the excursions per hour, their limits, and the answer (docs/statements.md)."""
+        """Return statements.csv: excursions per hour and their limits by condition and radius
+        (docs/statements.md).
+        """
         import pandas as pd
 
         content = read_checked(self.folder, self.manifest, STATEMENTS)
@@ -119,12 +127,15 @@ def run_campaign(
     engine: Literal["auto", "batch", "jsbsim"] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> CampaignResult:
-    """Fly a campaign, as ``uqharness campaign run`` does. The same call, or the command, resumes one that was interrupted.
+    """Fly a campaign, as ``uqharness campaign run`` does.
+
+    The same call or command resumes an interrupted campaign.
 
     Parameters
     ----------
     campaign : str, Path, Mapping or CampaignSpec
-        A campaign.toml, the name of a folder under campaigns/, or the file's sections as a dictionary.
+        A campaign.toml, the name of a folder under campaigns/, or the file's sections as a
+        dictionary.
     out : str or Path
         Folder for the results.
     hours : float, optional
@@ -141,17 +152,19 @@ def run_campaign(
     Returns
     -------
     CampaignResult
-        ``cases`` a DataFrame of one row a flight, ``pboxes()`` (metric, condition) to PBox, ``statements()`` a DataFrame. A
-        flight that failed is a row with its reason.
+        ``cases`` a DataFrame of one row a flight, ``pboxes()`` (metric, condition) to PBox,
+        ``statements()`` a DataFrame. A flight that failed is a row with its reason.
 
     Raises
     ------
     BadInputError
-        For mistakes in the campaign, each with its line, a model that does not fly, and a folder of another campaign.
+        For mistakes in the campaign, each with its line, a model that does not fly, and a folder of
+        another campaign.
 
     References
     ----------
-    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3: nested sampling of epistemic and aleatory uncertainty.
+    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3: nested sampling of epistemic and
+    aleatory uncertainty.
 
     Examples
     --------
@@ -168,6 +181,7 @@ def run_campaign(
     >>> bool((box.lower <= box.upper).all())
     True
     """
+    # Check the arguments before anything is created.
     folder, workers = path("out", out), given_workers(workers)
     if on_progress is not None:
         require("on_progress", on_progress, callable(on_progress), "a function of a Progress")
@@ -178,7 +192,7 @@ def run_campaign(
                 "hours",
                 hours,
                 "a number of flight hours above 0",
-                lambda given: 0.0 < given < math.inf,
+                lambda value: 0.0 < value < math.inf,
             )
         )
     if samples is not None:
@@ -186,24 +200,25 @@ def run_campaign(
         spec = reading.with_samples(spec, samples)
     if engine is not None:
         spec = spec.with_engine(one_of("engine", engine, ("auto", "batch", "jsbsim")))
+    # The folder stores the command that resumes the campaign.
     command = ["uqharness", "campaign", "run", str(campaign), "--out", str(folder)]
     command += [] if hours is None else ["--hours", f"{hours:g}"]
     command += [] if samples is None else ["--samples", str(samples)]
     command += [] if engine is None else ["--engine", engine]
-    # No command goes on with a campaign that stands in no file; the same call does.
-    told = shlex.join(command) if isinstance(campaign, str | PathLike) else ""
+    # A campaign without a file can be resumed by the same call, not by a command.
+    resume_command = shlex.join(command) if isinstance(campaign, str | PathLike) else ""
     notes = (*noise_notes(spec), *bounds_notes(spec))
     rate = Rate()
 
     def show(progress: Progress) -> None:
         done, total = progress.done - progress.done_before, progress.cases - progress.done_before
-        left = rate.seconds_left(done, total)
+        remaining_s = rate.seconds_left(done, total)
         STATE.stage = f"{progress.done} of {progress.cases} flights"
-        STATE.stage += "" if left is None else f", {clock(left)} to go"
+        STATE.stage += "" if remaining_s is None else f", {clock(remaining_s)} to go"
         if on_progress is not None:
             on_progress(progress)
 
-    running.run_campaign(spec, folder, workers, on_progress=show, command=told)
+    running.run_campaign(spec, folder, workers, on_progress=show, command=resume_command)
     return CampaignResult(folder, read_complete(folder), notes)
 
 
@@ -245,21 +260,23 @@ def pbox(
     samples: Mapping[str, ArrayLike] | Sequence[ArrayLike | Sample],
     confidence: float = 0.95,
 ) -> PBox:
-    """The p-box of samples: the envelope of their distribution functions, with a band for their finite number.
+    """The p-box of samples: the envelope of their distribution functions, with a band for their
+    finite number.
 
     Parameters
     ----------
     samples : Mapping or sequence
-        One array (n,) of values for each epistemic sample, all of one quantity; a mapping names them. A value that is not finite
-        counts as unknown: it may lie anywhere and is not dropped.
+        One array (n,) of values for each epistemic sample, all of one quantity; a mapping names
+        them. A value that is not finite counts as unknown: it may lie anywhere and is not dropped.
     confidence : float
         Of the band [-], over all values and samples at once.
 
     Returns
     -------
     PBox
-        At each ``value`` (m,), the probability of at most that lies between ``lower`` and ``upper`` (m,) [-]; ``band_lower`` and
-        ``band_upper`` (m,) [-] add what chance leaves open. ``quantile(p)`` is the interval of a quantile.
+        At each ``value`` (m,), the probability of at most that lies between ``lower`` and ``upper``
+        (m,) [-]; ``band_lower`` and ``band_upper`` (m,) [-] add what chance leaves open.
+        ``quantile(p)`` is the interval of a quantile.
 
     Raises
     ------
@@ -268,8 +285,9 @@ def pbox(
 
     References
     ----------
-    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3. S. Ferson et al., Constructing probability boxes and Dempster-Shafer
-    structures, SAND2002-4015, 2003. The band: Bonferroni over the samples on Kolmogorov's statistic.
+    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3. S. Ferson et al., Constructing
+    probability boxes and Dempster-Shafer structures, SAND2002-4015, 2003. The band: Bonferroni over
+    the samples on Kolmogorov's statistic.
 
     Examples
     --------
@@ -285,39 +303,44 @@ def pbox(
         isinstance(samples, Iterable) and not isinstance(samples, str),
         "a mapping or sequence of arrays",
     )
-    named = samples.items() if isinstance(samples, Mapping) else enumerate(samples)
+    # Samples without names are numbered.
+    labelled = samples.items() if isinstance(samples, Mapping) else enumerate(samples)
     try:
-        return boxes.pbox([_sample(str(name), values) for name, values in named], confidence)
+        return boxes.pbox([_sample(str(name), values) for name, values in labelled], confidence)
     except (ValueError, TypeError) as error:
         raise BadInputError(f"samples: {error}") from None
 
 
 def _sample(name: str, values: ArrayLike | Sample) -> Sample:
+    """Return a sample with its finite values and the number of others."""
     if isinstance(values, Sample):
         return values
-    known = np.asarray(values, dtype=float).ravel()
-    finite = np.isfinite(known)
-    return Sample(name, known[finite], int(np.count_nonzero(~finite)))
+    array = np.asarray(values, dtype=float).ravel()
+    finite = np.isfinite(array)
+    return Sample(name, array[finite], int(np.count_nonzero(~finite)))
 
 
 def campaign_of(campaign: AnyPath | CampaignSpec | Mapping[str, Any]) -> CampaignSpec:
-    """The campaign of that file, name or dictionary, or the one given. Raises BadInputError."""
+    """Return the campaign of a file, name or dictionary. Raises BadInputError."""
     if isinstance(campaign, CampaignSpec):
         return campaign
     if isinstance(campaign, Mapping):
         try:
-            return reading.campaign_from(_plain(campaign), _NOWHERE)
+            # The dictionary passes the same checks as a file; messages omit the missing file's
+            # name.
+            return reading.campaign_from(_plain(campaign), _NO_FILE)
         except BadInputError as error:
-            raise BadInputError(*(_IN_A_FILE.sub("", line) for line in error.args)) from None
+            raise BadInputError(*(_FILE_AND_LINE.sub("", line) for line in error.args)) from None
     if not isinstance(campaign, str | PathLike):
         raise BadInputError(
-            f"a campaign is a file, a name or its sections as a dictionary; received {type(campaign).__name__}"
+            "a campaign is a file, a name or its sections as a dictionary; received"
+            f" {type(campaign).__name__}"
         )
     return reading.read_campaign(find_campaign(Path(campaign)))
 
 
 def _plain(value: Any) -> Any:
-    """What TOML holds: numpy's numbers and arrays and paths as Python's own numbers, lists and texts."""
+    """Convert numpy values and paths to what TOML can hold."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,8 @@
-"""Flights in Python: flown here, or read from logs and records."""
+"""Flights in Python: simulated, or read from logs and records.
+
+`Flight` is what all functions of this package take and return. `aircraft_of` and `flights_of`
+accept whatever a user passes for an aircraft or flights.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +35,7 @@ from uqharness.flight import (
 )
 from uqharness.heartbeat import notebook_line
 from uqharness.plugin import with_card
-from uqharness.replay import in_free_flight, numbers_of_files, read_flight, refuse_twice
+from uqharness.replay import in_free_flight, numbers_of_files, read_flight, refuse_duplicates
 from uqharness.simulator import Aircraft, find_aircraft, find_script, read_script
 from uqharness.text_tables import TabularResult
 
@@ -51,11 +55,13 @@ class Flight(TabularResult):
     name : str
         What reports call it.
     record : FlightRecord
-        Channels by name, (n,) each, SI units and body axes (docs/log-reference.md lists them). ``flight["q_radps"]`` reads one.
+        Channels by name, (n,) each, SI units and body axes (docs/log-reference.md lists them).
+        ``flight["q_radps"]`` reads one.
     sha256 : str
         Identity of its content, which model forms remember.
     status, reason : str
-        ``ok``, or what ended a flown flight early (``diverged``, ``ground-contact``, ``crashed``) and why.
+        ``ok``, or what ended a flown flight early (``diverged``, ``ground-contact``, ``crashed``)
+        and why.
     aircraft : Aircraft or None
         What flew it; None for a log.
     start : Mapping
@@ -79,19 +85,21 @@ class Flight(TabularResult):
         return len(self.record)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """The channel (n,). Raises LogError naming those there are."""
+        """Return the channel (n,). Raises LogError naming the available ones."""
         return self.record[name]
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Every column of the record as a table of (n,) rows, one a sample."""
+        """Return every column of the record as a table, one row a sample."""
         import pandas as pd
 
         return pd.DataFrame(dict(self.record.columns))
 
     def write(self, path: AnyPath) -> tuple[str, ...]:
-        """Write .parquet, .csv or .bin (ArduPilot DataFlash), whole or not at all; the columns that the format has no place for.
+        """Write .parquet, .csv or .bin (ArduPilot DataFlash); return the columns that the format
+        cannot hold.
 
-        Raises BadInputError for another ending and a folder that cannot be written.
+        An interrupted write leaves no file. Raises BadInputError for another suffix and a folder
+        that cannot be written.
         """
         return write_record(
             self.to_dataframe(), argument_path("path", path), self.aircraft, self.start
@@ -137,7 +145,7 @@ def fly(
     seed : int
         Seed of turbulence and of sensor noise; the same seed gives the same flight.
     noise : bool
-        Whether the sensors are noisy, in what the autopilot is told and in the record.
+        Whether sensor noise is added to the autopilot's inputs and to the record.
     properties : Mapping, optional
         JSBSim properties set before the flight, such as ``{"aero/Cm_q": -10.0}``.
     rate_hz : float
@@ -146,8 +154,8 @@ def fly(
     Returns
     -------
     Flight
-        The record, (duration_s * rate_hz + 1,) samples if it flew to the end, and how it ended. A flight that crashes or
-        diverges is a result: its ``status`` says so.
+        The record, (duration_s * rate_hz + 1,) samples if it flew to the end, and how it ended. A
+        flight that crashes or diverges is a result: its ``status`` says so.
 
     Raises
     ------
@@ -161,7 +169,7 @@ def fly(
     Examples
     --------
     >>> import uqharness as uq
-    >>> flight = uq.fly("espaaro", "loiter", duration_s=10, wind_mps=3, turbulence="moderate", seed=7)
+    >>> flight = uq.fly("espaaro", duration_s=10, wind_mps=3, turbulence="moderate", seed=7)
     >>> flight.status, len(flight)
     ('ok', 501)
     >>> table = flight.to_dataframe()
@@ -170,7 +178,7 @@ def fly(
     """
     if mission is not None:
         script = argument_path("mission", mission)
-    model, run = given_aircraft(aircraft), read_script(find_script(argument_path("script", script)))
+    model, run = aircraft_of(aircraft), read_script(find_script(argument_path("script", script)))
     for name, value in (
         ("wind_mps", wind_mps),
         ("wind_from_deg", wind_from_deg),
@@ -193,10 +201,12 @@ def fly(
         record_rate_hz=rate_hz,
     )
     frame, recorded = recorded_flight(model, run, seeded_spec(spec, seed))
-    known = {str(name): frame[name].to_numpy() for name in frame.columns if name in SIGNALS}
-    record = FlightRecord(known, Metadata(source=run.path.stem, dialect="record"))
+    channels = {str(name): frame[name].to_numpy() for name in frame.columns if name in SIGNALS}
+    # Unit checks need a record, and their findings belong to its metadata.
+    record = FlightRecord(channels, Metadata(source=run.path.stem, dialect="record"))
     record = FlightRecord(
-        known, Metadata(source=run.path.stem, dialect="record", findings=tuple(check_units(record)))
+        channels,
+        Metadata(source=run.path.stem, dialect="record", findings=tuple(check_units(record))),
     )
     return Flight(
         run.path.stem,
@@ -222,7 +232,8 @@ def read_flights(
     Parameters
     ----------
     paths : str, Path or sequence of them
-        Records (.parquet, .csv) or logs (ArduPilot .bin, .log, .tlog; PX4 .ulg), recognised by their content.
+        Records (.parquet, .csv) or logs (ArduPilot .bin, .log, .tlog; PX4 .ulg), recognised by
+        their content.
     aircraft : str, Path or Aircraft
         Whose airframe.toml turns servo outputs into angles.
     manoeuvres : str or Path, optional
@@ -230,7 +241,8 @@ def read_flights(
     signal_map : str or Path, optional
         Signal map of your own, TOML (docs/logs.md).
     flight_number : int or sequence of int, optional
-        Which flight of logs that hold several boots of the autopilot, from 1: one number, or one a file. Default: the longest.
+        Which flight of logs that hold several boots of the autopilot, from 1: one number, or one a
+        file. Default: the longest.
 
     Returns
     -------
@@ -264,7 +276,7 @@ def read_flights(
         for path, number in zip(files, numbers, strict=True)
     ]
     hashes = [file_sha256(path) for path in files]
-    refuse_twice(files, hashes)
+    refuse_duplicates(files, hashes)
     return [
         Flight(path.stem, record, sha256)
         for path, record, sha256 in zip(files, records, hashes, strict=True)
@@ -284,7 +296,8 @@ def propose_map(log: AnyPath, aircraft: AnyAircraft | None = None) -> MapProposa
     Returns
     -------
     MapProposal
-        ``signals`` holds each signal with its field, scale and evidence; ``to_toml()`` is the map as text.
+        ``signals`` holds each signal with its field, scale and evidence; ``to_toml()`` is the map
+        as text.
 
     Raises
     ------
@@ -313,12 +326,13 @@ def log_info(
     signal_map: AnyPath | None = None,
     flight_number: int | None = None,
 ) -> LogInfo:
-    """Read a flight log and say what it holds and what it is good for, as ``uqharness log info`` does.
+    """Check a flight log, and list its contents and purposes, as ``uqharness log info`` does.
 
     Parameters
     ----------
     log : str or Path
-        A record (.parquet, .csv) or log (ArduPilot .bin, .log, .tlog; PX4 .ulg), recognised by its content.
+        A record (.parquet, .csv) or log (ArduPilot .bin, .log, .tlog; PX4 .ulg), recognised by its
+        content.
     aircraft : str, Path or Aircraft, optional
         Whose airframe.toml turns servo outputs into angles.
     signal_map : str or Path, optional
@@ -329,8 +343,8 @@ def log_info(
     Returns
     -------
     LogInfo
-        ``channels``, ``rates_hz`` [1/s], ``flight_s`` [s], ``manoeuvres``, ``findings`` and ``purposes``; ``as_dict()`` is the
-        document of ``--json``.
+        ``channels``, ``rates_hz`` [1/s], ``flight_s`` [s], ``manoeuvres``, ``findings`` and
+        ``purposes``; ``as_dict()`` is the document of ``--json``.
 
     Raises
     ------
@@ -352,8 +366,8 @@ def log_info(
         return report_of_log(record)
 
 
-def given_aircraft(aircraft: AnyAircraft) -> Aircraft:
-    """The aircraft of that name or folder, or the one given. Raises BadInputError."""
+def aircraft_of(aircraft: AnyAircraft) -> Aircraft:
+    """Return the aircraft of a name or folder. Raises BadInputError."""
     return (
         aircraft
         if isinstance(aircraft, Aircraft)
@@ -362,27 +376,38 @@ def given_aircraft(aircraft: AnyAircraft) -> Aircraft:
 
 
 def carded_aircraft(aircraft: AnyAircraft) -> Aircraft:
-    """The same; one without airframe.toml is instrumented for as long as the process lasts. Raises BadInputError."""
-    return with_card(given_aircraft(aircraft))
+    """Return the aircraft with a card; one without airframe.toml is instrumented for this process.
+
+    Raises BadInputError.
+    """
+    return with_card(aircraft_of(aircraft))
 
 
-def given_flights(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) -> list[Flight]:
-    """One flight or several, whatever each was given as, at least one and none twice. Raises BadInputError."""
+def flights_of(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) -> list[Flight]:
+    """Return one flight or several as a list, at least one and none twice.
+
+    Raises BadInputError.
+    """
+    # A single flight is a sequence too (its path, its rows), so it is recognised first.
     if isinstance(flights, str | PathLike | FlightRecord | Flight):
         flights = [flights]
     several = instance(
         "flights", flights, Iterable, "a path, a FlightRecord, a Flight or several of them"
     )
-    found = [_given(flight, aircraft) for flight in several]
-    if not found:
+    unique_flights = [_flight_of(flight, aircraft) for flight in several]
+    if not unique_flights:
         raise BadInputError(
-            "no flight was given; at least one is needed, such as uq.read_flights(['flight.bin'], aircraft)"
+            "no flight was given; at least one is needed, such as uq.read_flights(['flight.bin'],"
+            " aircraft)"
         )
-    refuse_twice([flight.name for flight in found], [flight.sha256 for flight in found])
-    return found
+    refuse_duplicates(
+        [flight.name for flight in unique_flights], [flight.sha256 for flight in unique_flights]
+    )
+    return unique_flights
 
 
-def _given(flight: AnyFlight, aircraft: Aircraft) -> Flight:
+def _flight_of(flight: AnyFlight, aircraft: Aircraft) -> Flight:
+    """Return one flight in whatever form it was given. Raises BadInputError."""
     if isinstance(flight, Flight):
         return flight
     if isinstance(flight, FlightRecord):
@@ -390,14 +415,17 @@ def _given(flight: AnyFlight, aircraft: Aircraft) -> Flight:
         return Flight(name, in_free_flight(flight, aircraft, name), _content_sha256(flight))
     if not isinstance(flight, str | PathLike):
         raise BadInputError(
-            f"a flight is a path, a FlightRecord or what fly and read_flights give; received {type(flight).__name__}"
+            "a flight is a path, a FlightRecord or what fly and read_flights give; received"
+            f" {type(flight).__name__}"
         )
     return read_flights(flight, aircraft)[0]
 
 
 def _content_sha256(record: FlightRecord) -> str:
+    """Return the digest of a record's columns."""
     parts = []
     for name, values in record.columns.items():
+        # The digest covers names, lengths and little-endian values, whatever the platform.
         content = "\0".join(values).encode() if name in LABELS else values.astype("<f8").tobytes()
         parts += [f"{name}\0{len(content)}\0".encode(), content]
     return sha256_hex(b"".join(parts))

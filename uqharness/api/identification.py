@@ -1,4 +1,8 @@
-"""Identification in Python: parameters, the gap to a flight, and the bounds of what the model does not know."""
+"""Identification in Python: parameters, the gap to a flight, and bounds of the model error.
+
+The functions take aircraft and flights in any form (names, paths, records), prepare them as the
+commands do, and return typed results.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ from uqharness.api.flights import (
     AnyPath,
     Flight,
     carded_aircraft,
-    given_flights,
+    flights_of,
 )
 from uqharness.arguments import flag, instance, integer, one_of, path, share
 from uqharness.arguments import workers as given_workers
@@ -37,8 +41,8 @@ from uqharness.identification import bounds as bounding
 from uqharness.identification import compare as comparing
 from uqharness.identification import identify as identifying
 from uqharness.isolation import isolated
+from uqharness.replay import cut_for_residuals
 from uqharness.replay import flights as replayed
-from uqharness.replay import recut
 from uqharness.simulator import Aircraft
 
 Servos = Literal["auto", "card", "ideal"]
@@ -68,39 +72,46 @@ def identify(
     flights : flight or sequence of flights
         Paths, FlightRecords, or what `fly` and `read_flights` give.
     parameters : sequence of str, optional
-        JSBSim properties to estimate, such as ``["aero/Cm_q"]``; by default those of the card that the flights excite.
+        JSBSim properties to estimate, such as ``["aero/Cm_q"]``; by default those of the card that
+        the flights excite.
     start : {"current", "initial"}
         Start from the values in the XML, or from the card's first guesses.
     method : {"auto", "output-error", "filter-error"}
         ``auto`` takes filter error where the residuals show turbulence.
     biases : sequence of str, optional
-        Channels with a constant sensor bias to estimate, short (``"p"``) or whole (``"p_radps"``); by default p, q, r.
+        Channels with a constant sensor bias to estimate, short (``"p"``) or whole (``"p_radps"``);
+        by default p, q, r.
     delays : sequence of str, optional
-        What is late by a delay to be estimated: channels, or ``"controls"``; by default the controls, and all channels of a log.
+        What is late by a delay to be estimated: channels, or ``"controls"``; by default the
+        controls, and all channels of a log.
     outputs : sequence of str, optional
-        Channels that are fitted; by default all that are recorded, without ``parameters`` those that some parameter acts on.
+        Channels that are fitted; by default all that are recorded, without ``parameters`` those
+        that some parameter acts on.
     servos : {"auto", "card", "ideal"}
-        Commands go through the aircraft's actuators, or surfaces and throttle follow them at once; ``auto``: of a log, the
-        likelier of the two, which a note of the result names.
+        Commands go through the aircraft's actuators, or surfaces and throttle follow them at once;
+        ``auto``: of a log, the likelier of the two, which a note of the result names.
     workers : int, optional
         Processes; by default one a core, 8 at most.
 
     Returns
     -------
     Identification
-        ``names`` (k,), ``theta`` (k,) the estimates in the properties' own units, ``std`` (k,) corrected for coloured residuals,
-        ``cov`` (k, k) of the identified ones, ``status``, ``warnings``, the segments with measured and modelled channels.
-        ``to_dataframe()`` is the table of parameters.
+        ``names`` (k,), ``theta`` (k,) the estimates in the properties' own units, ``std`` (k,)
+        corrected for coloured residuals, ``cov`` (k, k) of the identified ones, ``status``,
+        ``warnings``, the segments with measured and modelled channels. ``to_dataframe()`` is the
+        table of parameters.
 
     Raises
     ------
     BadInputError
-        For flights that lack a channel, unknown parameters or channels, and a model that cannot fly the segments.
+        For flights that lack a channel, unknown parameters or channels, and a model that cannot fly
+        the segments.
 
     References
     ----------
-    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9: output error. R. V. Jategaonkar, Flight Vehicle System
-    Identification, 2nd ed., 2015: filter error. docs/method.md has the equations.
+    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9: output error. R. V. Jategaonkar,
+    Flight Vehicle System Identification, 2nd ed., 2015: filter error. docs/method.md has the
+    equations.
 
     Examples
     --------
@@ -111,8 +122,8 @@ def identify(
     (True, ('aero/Cm_q', 'aero/Cm_de'))
     """
     model, workers = carded_aircraft(aircraft), given_workers(workers)
-    asked = None if parameters is None else _names("parameters", parameters)
-    if asked == []:
+    names = None if parameters is None else _names("parameters", parameters)
+    if names == []:
         raise BadInputError(
             "parameters is empty; name properties such as aero/Cm_q, or leave it out"
         )
@@ -121,13 +132,13 @@ def identify(
         _channels("biases", biases),
         _channels("outputs", outputs),
     )
-    ready, measured = _prepared(given_flights(flights, model), model)
+    ready, measured = _prepared(flights_of(flights, model), model)
     choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS), workers)
     return identifying.identify(
         model,
-        choice.noted(ready),
+        choice.with_note(ready),
         measured,
-        asked,
+        names,
         start=one_of("start", start, ("current", "initial")),
         biases=identifying.BIASES if biased is None else biased,
         delays=late,
@@ -149,7 +160,8 @@ def compare(
     servos: Servos = "auto",
     workers: int | None = None,
 ) -> Comparison:
-    """Replay a flight and measure the gap to the model against the sensors' noise, as ``uqharness compare`` does.
+    """Replay a flight and measure the gap to the model against the sensors' noise, as ``uqharness
+    compare`` does.
 
     A record's late channels stay late; ``delays`` allows for them.
 
@@ -165,9 +177,10 @@ def compare(
     Returns
     -------
     Comparison
-        ``channels`` with rms and noise of each in the channel's own unit, ``coefficients`` [-], ``manoeuvres``, the worst
-        ``moments``, and per segment the channels ``measured`` and ``modelled`` (n, m). ``reached`` says whether every judged
-        channel is within 1.15 of its noise. ``to_dataframe()`` is the table of channels.
+        ``channels`` with rms and noise of each in the channel's own unit, ``coefficients`` [-],
+        ``manoeuvres``, the worst ``moments``, and per segment the channels ``measured`` and
+        ``modelled`` (n, m). ``reached`` says whether every judged channel is within 1.15 of its
+        noise. ``to_dataframe()`` is the table of channels.
 
     Raises
     ------
@@ -176,7 +189,8 @@ def compare(
 
     References
     ----------
-    H. Theil's inequality coefficient, with its shares of bias, variance and covariance; docs/identification.md has the rest.
+    H. Theil, Economic Forecasts and Policy, 1961: inequality coefficient with its shares of bias,
+    variance and covariance. docs/identification.md describes the other measures.
 
     Examples
     --------
@@ -188,16 +202,17 @@ def compare(
     """
     model, workers = carded_aircraft(aircraft), given_workers(workers)
     late, biased = _channels("delays", delays), _channels("biases", biases)
-    found = given_flights(flight, model)
-    if len(found) != 1:
+    flights = flights_of(flight, model)
+    if len(flights) != 1:
         raise BadInputError(
-            f"compare takes one flight, {len(found)} were given; call it once for each"
+            f"compare takes one flight, {len(flights)} were given; call it once for each"
         )
-    ready, measured = _prepared(found, model, align=False)
+    # Late channels stay late: their delay is part of the comparison.
+    ready, measured = _prepared(flights, model, align=False)
     choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS), workers)
     return comparing.compare(
         model,
-        choice.noted(ready)[0],
+        choice.with_note(ready)[0],
         measured,
         biases=identifying.BIASES if biased is None else biased,
         delays=late,
@@ -220,7 +235,8 @@ def fit_model_form(
     checks: bool = True,
     servos: Servos = "auto",
 ) -> MadeBounds:
-    """Bounds of what a model does not know, from flights that it was not identified from, as ``uqharness bounds`` makes them.
+    """Bounds of what a model does not know, from flights that it was not identified from, as
+    ``uqharness bounds`` makes them.
 
     Parameters
     ----------
@@ -246,9 +262,10 @@ def fit_model_form(
     Returns
     -------
     MadeBounds
-        ``form``, the model form that `instrument` and campaigns take (``form.to_json()`` is model-form.json), the residual
-        coefficients [-] it was fitted to, ``widths`` and ``noise`` [-] per coefficient, ``warnings``. Sensor noise is in no
-        bounds. ``to_dataframe()`` is the table of coefficients, with the parts of model error [-] and whether any was found.
+        ``form``, the model form that `instrument` and campaigns take (``form.to_json()`` is
+        model-form.json), the residual coefficients [-] it was fitted to, ``widths`` and ``noise``
+        [-] per coefficient, ``warnings``. Sensor noise is in no bounds. ``to_dataframe()`` is the
+        table of coefficients, with the parts of model error [-] and whether any was found.
 
     Raises
     ------
@@ -257,35 +274,38 @@ def fit_model_form(
 
     References
     ----------
-    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.11 to 2.18: residual coefficients, and the prediction interval of their
-    regression on the flight states.
+    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.11 to 2.18: residual coefficients, and the
+    prediction interval of their regression on the flight states.
 
     Examples
     --------
     >>> import uqharness as uq
-    >>> flight = uq.fly("espaaro_truth", "flight-bounds", duration_s=40, turbulence="light", noise=True, seed=2)
-    >>> made = uq.fit_model_form("espaaro", flight, checks=False)
-    >>> sorted(made.form.coefficients)
+    >>> flight = uq.fly(
+    ...     "espaaro_truth", "flight-bounds", duration_s=40, turbulence="light", noise=True, seed=2
+    ... )
+    >>> bounds = uq.fit_model_form("espaaro", flight, checks=False)
+    >>> sorted(bounds.form.coefficients)
     ['CX', 'CY', 'CZ', 'Cl', 'Cm', 'Cn']
     """
     model = carded_aircraft(aircraft)
-    chosen, named = _designs("states", states), _designs("terms", terms)
+    state_texts, term_texts = _designs("states", states), _designs("terms", terms)
     options = BoundsOptions(
         designs=parse_designs(
-            chosen, named, one_of("order", integer("order", order), (0, 1, 2, 3)), False
+            state_texts, term_texts, one_of("order", integer("order", order), (0, 1, 2, 3)), False
         ),
         fit=FitOptions(share("confidence", confidence)),
         cutoffs=Cutoffs(),
         outside=one_of("outside", outside, ("grow", "clamp")),
         checks=flag("checks", checks),
     )
-    found = given_flights(flights, model)
-    ready, measured = _prepared(found, model)
-    hashes = [flight.sha256 for flight in found]
-    ready = [recut(flight, measured) for flight in ready]
+    flight_list = flights_of(flights, model)
+    ready, measured = _prepared(flight_list, model)
+    hashes = [flight.sha256 for flight in flight_list]
+    # Residual coefficients need more channels than a replay.
+    ready = [cut_for_residuals(flight, measured) for flight in ready]
     choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS))
     options = replace(options, ideal_servos=choice.ideal)
-    return bounding.make_bounds(model, choice.noted(ready), measured, hashes, options)
+    return bounding.make_bounds(model, choice.with_note(ready), measured, hashes, options)
 
 
 def validate_bounds(
@@ -295,7 +315,8 @@ def validate_bounds(
     *,
     servos: Servos = "auto",
 ) -> Validation:
-    """Count how much of a new flight lies within bounds from other flights, as ``uqharness validate-bounds`` does.
+    """Count how much of a new flight lies within bounds from other flights, as ``uqharness
+    validate-bounds`` does.
 
     Parameters
     ----------
@@ -316,7 +337,8 @@ def validate_bounds(
     Raises
     ------
     BadInputError
-        For bounds of another aircraft, flights that they were made from, and flights that lack a channel.
+        For bounds of another aircraft, flights that they were made from, and flights that lack a
+        channel.
 
     Examples
     --------
@@ -333,39 +355,48 @@ def validate_bounds(
         form = form.form
     if not isinstance(form, ModelForm):
         form = load_form(path("form", form))
-    new = given_flights(flights, model)
+    new = flights_of(flights, model)
     ready, measured = _prepared(new, model)
     hashes = [flight.sha256 for flight in new]
     with notebook_line("validate_bounds"):
-        ready = [recut(flight, measured) for flight in ready]
+        ready = [cut_for_residuals(flight, measured) for flight in ready]
         choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS))
-        return validate(model, form, choice.noted(ready), measured, hashes, choice.ideal)
+        return validate(
+            model, form, choice.with_note(ready), measured, hashes, ideal_servos=choice.ideal
+        )
 
 
 def _prepared(
     flights: Sequence[Flight], aircraft: Aircraft, align: bool = True
 ) -> tuple[list[replayed.Flight], tuple[str, ...]]:
+    """Prepare flights for replay; return them and the surfaces with measured positions."""
     return replayed.prepare_together(
         [f.name for f in flights], [f.record for f in flights], aircraft, align=align
     )
 
 
-def _channels(what: str, names: Sequence[str] | None) -> tuple[str, ...] | None:
-    return parse_channels(f"--{what}", None if names is None else ",".join(_names(what, names)))
+def _channels(argument: str, names: Sequence[str] | None) -> tuple[str, ...] | None:
+    """Check channel names as the command line does; None where they were not given."""
+    return parse_channels(
+        f"--{argument}", None if names is None else ",".join(_names(argument, names))
+    )
 
 
-def _names(what: str, names: Sequence[str]) -> list[str]:
-    """One name or several."""
+def _names(argument: str, names: Sequence[str]) -> list[str]:
+    """Return one name or several as a list of str. Raises BadInputError."""
     several = (
-        [names] if isinstance(names, str) else instance(what, names, Iterable, "a name or several")
+        [names]
+        if isinstance(names, str)
+        else instance(argument, names, Iterable, "a name or several")
     )
-    return [instance(what, name, str, "a name, as a str,") for name in several]
+    return [instance(argument, name, str, "a name, as a str,") for name in several]
 
 
-def _designs(what: str, given: Mapping[str, Sequence[str]] | None) -> list[str]:
-    known = (
+def _designs(argument: str, by_coefficient: Mapping[str, Sequence[str]] | None) -> list[str]:
+    """Convert a mapping of coefficients to the form of the command line, ``CX=V,alpha``."""
+    mapping = (
         {}
-        if given is None
-        else instance(what, given, Mapping, 'a mapping such as {"CX": ["V", "alpha"]}')
+        if by_coefficient is None
+        else instance(argument, by_coefficient, Mapping, 'a mapping such as {"CX": ["V", "alpha"]}')
     )
-    return [f"{c}={','.join(_names(what, names))}" for c, names in known.items()]
+    return [f"{c}={','.join(_names(argument, names))}" for c, names in mapping.items()]

@@ -1,4 +1,8 @@
-"""Refinement in Python."""
+"""Refinement in Python: the function that ``uqharness refine`` corresponds to.
+
+Flights in memory are written to temporary files, because a refinement reads files and names them in
+its provenance.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ from uqharness.api.flights import (
     AnyPath,
     Flight,
     carded_aircraft,
-    given_flights,
+    flights_of,
 )
 from uqharness.arguments import flag, instance, one_of, path, require
 from uqharness.arguments import workers as given_workers
@@ -25,7 +29,7 @@ from uqharness.heartbeat import notebook_line
 from uqharness.isolation import isolated
 from uqharness.refinement import Refinement, Request
 from uqharness.refinement import run as running
-from uqharness.replay import renamed
+from uqharness.replay import unique_names
 from uqharness.report import write_report
 from uqharness.report.write import write_results
 from uqharness.simulator import Aircraft
@@ -48,24 +52,28 @@ def refine(
     workers: int | None = None,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Refinement:
-    """Find, name and add what a model lacks, as ``uqharness refine`` does. The same call goes on where it was interrupted.
+    """Find effects that a model lacks, and add them, as ``uqharness refine`` does.
+
+    The same call resumes an interrupted refinement.
 
     Parameters
     ----------
     aircraft : str, Path or Aircraft
         The model.
     train : flight or sequence of flights
-        Flights that choose: paths, FlightRecords, or what `fly` and `read_flights` give.
+        Flights to choose and fit effects: paths, FlightRecords, or results of `fly` and
+        `read_flights`.
     test : flight or sequence of flights
-        Flights that only show what it did.
+        Hold-out flights, used for testing only.
     out : str or Path
         Folder for the results.
     effects : str or Path, optional
-        Effects of your own beside the catalogue, TOML (docs/extend.md).
+        User effects in addition to the catalogue, TOML (docs/extend.md).
     servos : {"auto", "card", "ideal"}
         As for `identify`.
     campaign : str or Path, optional
-        Mission that both models fly within their intervals; by default the aircraft's loiter, if it has one.
+        Mission that both models fly within their intervals; by default the aircraft's loiter, if it
+        has one.
     pbox : bool
         Whether that mission is flown.
     bake : bool
@@ -80,13 +88,15 @@ def refine(
     Returns
     -------
     Refinement
-        ``document``, which is refinement.json (verdict, effects with estimate, standard deviation and unit, gaps before and
-        after), and ``aircraft``, the refined one, which every function here takes.
+        ``document``, which is refinement.json (verdict, effects with estimate, standard deviation
+        and unit, gaps before and after), and ``aircraft``, the refined one, which every function
+        here takes.
 
     Raises
     ------
     BadInputError
-        For flights that cannot be used or that train and test share, and a card without ``[parameters]``.
+        For flights that cannot be used or that train and test share, and a card without
+        ``[parameters]``.
     LogError
         For a file of effects that cannot be used.
 
@@ -97,16 +107,20 @@ def refine(
     Examples
     --------
     >>> import uqharness as uq
-    >>> flights = [uq.fly("espaaro_truth", "flight-ident", noise=True, seed=seed) for seed in (1, 2)]
-    >>> found = uq.refine("espaaro", train=flights[0], test=flights[1], out="refined", pbox=False, figures=False)
-    >>> found.document["verdict"]
+    >>> train, test = (
+    ...     uq.fly("espaaro_truth", "flight-ident", noise=True, seed=seed) for seed in (1, 2)
+    ... )
+    >>> result = uq.refine(
+    ...     "espaaro", train=train, test=test, out="refined", pbox=False, figures=False
+    ... )
+    >>> result.document["verdict"]
     'effects-found'
     """
     model, folder, workers = carded_aircraft(aircraft), path("out", out), given_workers(workers)
     one_of("servos", servos, ("auto", "card", "ideal"))
     flag("figures", figures)
     require("on_stage", on_stage, callable(on_stage), "a function of a text")
-    own, mission = (
+    effects_file, mission = (
         None if f is None else path(n, f) for n, f in (("effects", effects), ("campaign", campaign))
     )
     if not flag("pbox", pbox) and campaign is not None:
@@ -114,22 +128,23 @@ def refine(
             "campaign and pbox = False: a campaign is flown for its p-box; leave out one of them"
         )
     check_output_folder(folder)
-    extra = tuple(read_effects(own)) if own is not None else ()
+    extra = tuple(read_effects(effects_file)) if effects_file is not None else ()
     with scratch_folder("flights") as scratch:
+        # A refinement reads files: flights in memory are written to a temporary folder.
         files = {
             name: _files(flights, model, scratch.path / name)
             for name, flights in (("train", train), ("test", test))
         }
         options: dict[str, object] = {
             "--servos": servos if servos != "auto" else None,
-            "--effects": own,
+            "--effects": effects_file,
             "--campaign": mission,
             "--no-pbox": not pbox,
             "--bake": flag("bake", bake),
             "--workers": workers,
             "--no-figures": not figures,
         }
-        # No command reads flights that are in memory.
+        # Only flights from files have a command that repeats the refinement.
         in_files = all(
             scratch.path not in file.parents for flights in files.values() for file in flights
         )
@@ -155,33 +170,34 @@ def refine(
 def _files(
     flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft, folder: Path
 ) -> tuple[Path, ...]:
-    """Files of the flights: their own, or ones in ``folder`` for flights that are in memory."""
+    """Return a file for each flight, writing those in memory into ``folder``."""
     several = [flights] if isinstance(flights, str | PathLike | FlightRecord | Flight) else flights
-    given = list(
+    flight_list = list(
         instance(
             "flights", several, Iterable, "a path, a FlightRecord, a Flight or several of them"
         )
     )
-    loose = [flight for flight in given if not isinstance(flight, str | PathLike)]
-    known = given_flights(loose, aircraft) if loose else []
-    written = iter(
-        [folder / f"{name}.parquet" for name in renamed([flight.name for flight in known])]
+    in_memory = [flight for flight in flight_list if not isinstance(flight, str | PathLike)]
+    records = flights_of(in_memory, aircraft) if in_memory else []
+    new_files = iter(
+        [folder / f"{name}.parquet" for name in unique_names([flight.name for flight in records])]
     )
     folder.mkdir()
-    found = [
-        Path(flight) if isinstance(flight, str | PathLike) else next(written) for flight in given
+    files = [
+        Path(flight) if isinstance(flight, str | PathLike) else next(new_files)
+        for flight in flight_list
     ]
-    for file, flight in zip((p for p in found if p.parent == folder), known, strict=True):
+    for file, flight in zip((p for p in files if p.parent == folder), records, strict=True):
         flight.record.write(file)
-    if not found:
+    if not files:
         raise BadInputError("refine needs at least one flight to train on and one to test on")
-    return tuple(found)
+    return tuple(files)
 
 
 def _command(
     aircraft: AnyAircraft, files: Mapping[str, Sequence[Path]], options: Mapping[str, object]
 ) -> tuple[str, ...]:
-    """The command that does the same: files by name alone, no option at its default."""
+    """Return the equivalent command: file names only, no option at its default."""
     words = [
         "uqharness",
         "refine",

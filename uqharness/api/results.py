@@ -1,7 +1,9 @@
-"""Commands in Python whose result is a document: margins, differences, campaigns checked, studies, pages, dossiers.
+"""Commands in Python whose result is a document: margins, differences, campaign folders, studies,
+pages, dossiers.
 
-They return what the command's ``--json`` prints. Those that load an aircraft or write a page run the command in a process of its
-own; those that read a folder of results call the library.
+They return what the command prints with ``--json``. Those that load an aircraft or write a page run
+the command in a separate process, which an invalid aircraft cannot take down; those that only read
+results call the library.
 """
 
 from __future__ import annotations
@@ -49,7 +51,8 @@ def margins(
     Returns
     -------
     dict
-        ``loops``: of each loop the gain [dB], phase [deg] and delay [s] margins, crossovers [rad/s] and the modulus margin [-].
+        ``loops``: of each loop the gain [dB], phase [deg] and delay [s] margins, crossovers [rad/s]
+        and the modulus margin [-].
 
     Raises
     ------
@@ -114,7 +117,8 @@ def diff(
     Returns
     -------
     dict
-        ``differ``, the ``differences`` of channels, the likeliest cause first, ``terms`` of the XML that differ, ``flights``.
+        ``differ``, the ``differences`` of channels, the likeliest cause first, ``terms`` of the XML
+        that differ, ``flights``.
 
     Raises
     ------
@@ -159,7 +163,8 @@ def check_campaign(
     Returns
     -------
     dict
-        ``flights``, ``flight_hours`` [h], ``expected_s`` [s], ``disk_bytes``, ``engine`` and why, ``bounds_hold_at``.
+        ``flights``, ``flight_hours`` [h], ``expected_s`` [s], ``disk_bytes``, ``engine`` and why,
+        ``bounds_hold_at``.
 
     Raises
     ------
@@ -223,7 +228,8 @@ def campaign_status(folder: AnyPath) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``state`` (complete, running or interrupted), ``cases``, ``done``, ``failed``, ``statuses``, ``engine`` and ``answers``.
+        ``state`` (complete, running or interrupted), ``cases``, ``done``, ``failed``, ``statuses``,
+        ``engine`` and ``answers``.
 
     Raises
     ------
@@ -257,7 +263,8 @@ def campaign_report(folder: AnyPath, *, tracks: bool = True) -> dict[str, Any]:
     folder : str or Path
         Folder of a campaign.
     tracks : bool
-        Whether the worst and the median flight of a short campaign are flown again for the ground track.
+        Whether the worst and the median flight of a short campaign are flown again for the ground
+        track.
 
     Returns
     -------
@@ -286,7 +293,8 @@ def campaign_report(folder: AnyPath, *, tracks: bool = True) -> dict[str, Any]:
 
 
 def merge_campaign(folder: AnyPath) -> dict[str, Any]:
-    """Bring the shards of a campaign together and write its tables, as ``uqharness campaign merge`` does.
+    """Bring the shards of a campaign together and write its tables, as ``uqharness campaign merge``
+    does.
 
     Parameters
     ----------
@@ -296,8 +304,8 @@ def merge_campaign(folder: AnyPath) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``cases``, ``done``, ``missing``, ``statuses`` and ``shards``. Flights are missing where ``missing`` is not 0: fly the
-        shards that lack, then merge again.
+        ``cases``, ``done``, ``missing``, ``statuses`` and ``shards``. Flights are missing where
+        ``missing`` is not 0: fly the shards that lack, then merge again.
 
     Raises
     ------
@@ -317,7 +325,8 @@ def merge_campaign(folder: AnyPath) -> dict[str, Any]:
 
 
 def rerun_case(folder: AnyPath, case: str) -> dict[str, Any]:
-    """Fly one case of a campaign again with full output and a plot, as ``uqharness campaign rerun`` does.
+    """Fly one case of a campaign again with full output and a plot, as ``uqharness campaign rerun``
+    does.
 
     Parameters
     ----------
@@ -329,7 +338,8 @@ def rerun_case(folder: AnyPath, case: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``case_id``, ``status``, ``reason``, ``same_as_stored`` (None: not flown before), ``differences`` and ``files``.
+        ``case_id``, ``status``, ``reason``, ``same_as_stored`` (None: not flown before),
+        ``differences`` and ``files``.
 
     Raises
     ------
@@ -361,7 +371,8 @@ def salvage_campaign(
     workers: int | None = None,
     yes: bool = False,
 ) -> dict[str, Any]:
-    """Repair a damaged campaign, as ``uqharness campaign salvage`` does: keep sound flights, fly the others again.
+    """Repair a damaged campaign, as ``uqharness campaign salvage`` does: keep sound flights, fly
+    the others again.
 
     Parameters
     ----------
@@ -379,7 +390,8 @@ def salvage_campaign(
     Returns
     -------
     dict
-        ``kept``, ``flown`` and ``missing`` flights, ``statuses``, files ``rewritten`` and put ``aside``, and the same of ``shards``.
+        ``kept``, ``flown`` and ``missing`` flights, ``statuses``, files ``rewritten`` and put
+        ``aside``, and the same of ``shards``.
 
     Raises
     ------
@@ -408,7 +420,8 @@ def salvage_campaign(
 def campaign_convergence(
     folder: AnyPath, *, repeats: int = 10, metric: str | Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Study the convergence of a campaign over flights and epistemic samples, as ``uqharness campaign convergence`` does.
+    """Study the convergence of a campaign over flights and epistemic samples, as ``uqharness
+    campaign convergence`` does.
 
     Parameters
     ----------
@@ -455,7 +468,8 @@ def campaign_convergence(
 def campaign_area(
     folder: AnyPath, *, flight: AnyPath | None = None, value: Mapping[str, float] | None = None
 ) -> dict[str, Any]:
-    """Compare real flights with a campaign's p-boxes by the area metric, as ``uqharness campaign area`` does.
+    """Compare real flights with a campaign's p-boxes by the area metric, as ``uqharness campaign
+    area`` does.
 
     Parameters
     ----------
@@ -469,8 +483,9 @@ def campaign_area(
     Returns
     -------
     dict
-        ``table``, the path of area.csv, and ``rows``: of each metric and condition the ``area`` by which the flights lie outside
-        the p-box in the metric's unit, ``beyond_chance`` and the ``verdict``.
+        ``table``, the path of area.csv, and ``rows``: of each metric and condition the ``area`` by
+        which the flights lie outside the p-box in the metric's unit, ``beyond_chance`` and the
+        ``verdict``.
 
     Raises
     ------
@@ -479,7 +494,8 @@ def campaign_area(
 
     References
     ----------
-    S. Ferson, W. L. Oberkampf, L. Ginzburg, Model validation and predictive capability for the thermal challenge problem, 2008.
+    S. Ferson, W. L. Oberkampf, L. Ginzburg, Model validation and predictive capability for the
+    thermal challenge problem, 2008.
 
     Examples
     --------
@@ -512,7 +528,8 @@ def sensitivity(
     repeats: int = 10,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Rank uncertain coefficients by the width they give to the p-box, as ``uqharness sensitivity`` does.
+    """Rank uncertain coefficients by the width they give to the p-box, as ``uqharness sensitivity``
+    does.
 
     `uqharness.sensitivity` is the package too: ``uq.sensitivity.run_study`` takes any function.
 
@@ -521,7 +538,8 @@ def sensitivity(
     folder : str or Path, optional
         Folder of a finished campaign of corners.
     interior : str or Path, optional
-        A campaign of levels between the bounds, to check that its flights lie inside the corners' p-box.
+        A campaign of levels between the bounds, to check that its flights lie inside the corners'
+        p-box.
     modal : {"as_corrected", "as_published"}, optional
         The dissertation's modal example, in place of a folder.
     repeats : int
@@ -537,7 +555,8 @@ def sensitivity(
     Raises
     ------
     BadInputError
-        For a folder that is no finished campaign of corners, and where both or neither of folder and modal are given.
+        For a folder that is no finished campaign of corners, and where both or neither of folder
+        and modal are given.
 
     References
     ----------
@@ -550,6 +569,7 @@ def sensitivity(
     Traceback (most recent call last):
     uqharness.errors.BadInputError: missing
     """
+    # The command checks which arguments may be combined.
     words = ["sensitivity"] + ([] if folder is None else [str(path("folder", folder))])
     words += _files(interior=interior)
     words += [] if modal is None else ["--modal", modal]
@@ -637,7 +657,8 @@ def study(study: AnyPath, out: AnyPath, *, workers: int | None = None) -> dict[s
     Returns
     -------
     dict
-        The content of study.json: ``question``, ``answer``, ``stages`` with their exit codes, and ``report``, the page's path.
+        The content of study.json: ``question``, ``answer``, ``stages`` with their exit codes, and
+        ``report``, the page's path.
 
     Raises
     ------
@@ -685,7 +706,8 @@ def next_flight(
     bounds : str or Path, optional
         model-form.json; by default the bounds that the campaign flew.
     metric, coefficient : str, optional
-        Column of the campaign's table, and coefficient; by default the one to which the metric is most sensitive.
+        Column of the campaign's table, and coefficient; by default the one to which the metric is
+        most sensitive.
     minutes : float
         Length of the flight at most [min].
     speeds : sequence of float
@@ -697,7 +719,8 @@ def next_flight(
     occupancy, flights : sequence of paths
         Records of the mission in place of campaign flights; flights that the bounds were made from.
     redone : str or Path, optional
-        Bounds that include the new flight: they are compared with the old ones and nothing is planned.
+        Bounds that include the new flight: they are compared with the old ones and nothing is
+        planned.
     seed : int
         Of the simulated flights.
     figures : bool
@@ -776,14 +799,16 @@ def dossier(folder: AnyPath, *, out: AnyPath | None = None) -> dict[str, Any]:
     Parameters
     ----------
     folder : str or Path
-        Results of study, refine, run_campaign, identify or compare, or a folder with several of them.
+        Results of study, refine, run_campaign, identify or compare, or a folder with several of
+        them.
     out : str or Path, optional
         File to write; by default dossier.html in the folder.
 
     Returns
     -------
     dict
-        ``dossier``, the page's path; ``missing``, what the folder lacks; ``tests``, ``not_in_the_data`` and ``sources``.
+        ``dossier``, the page's path; ``missing``, what the folder lacks; ``tests``,
+        ``not_in_the_data`` and ``sources``.
 
     Raises
     ------
@@ -807,16 +832,17 @@ def dossier(folder: AnyPath, *, out: AnyPath | None = None) -> dict[str, Any]:
 
 
 def _aircraft(aircraft: AnyAircraft) -> str:
+    """Return the word that names an aircraft on a command line."""
     return str(aircraft.folder if isinstance(aircraft, Aircraft) else path("aircraft", aircraft))
 
 
 def _several(values: Any) -> list[Any]:
-    """One value or several."""
+    """Return one value or several as a list."""
     return [values] if isinstance(values, str | Path) else list(values)
 
 
 def _files(**files: AnyPath | None) -> list[str]:
-    """Options that name files."""
+    """Return the words of options that name files."""
     pairs = {
         f"--{name.replace('_', '-')}": file for name, file in files.items() if file is not None
     }
@@ -826,13 +852,18 @@ def _files(**files: AnyPath | None) -> list[str]:
 
 
 def _document(words: Sequence[str]) -> dict[str, Any]:
-    """Run a command in a process of its own, which no aircraft file can end this one through; the document that it prints."""
+    """Run a command in a separate process; return the document that it prints.
+
+    Raises BadInputError with the command's message.
+    """
     with notebook_line(f"uqharness {words[0]}"):
         code, printed, errors = run_command([*words, "--json"])
+    # Exit code 1 is an answer, with a document of its own.
     if code in (0, 1) and printed.strip():
         document: dict[str, Any] = json.loads(printed)
         return document
     if code in (130, 143):
         raise TerminatedError
+    # The last line of the command is its error message.
     lines = errors.strip().splitlines() or [f"uqharness {words[0]} ended with {code}"]
     raise BadInputError(lines[-1].removeprefix("uqharness: error: "))

@@ -1,4 +1,8 @@
-"""``uqharness bounds``: what a model does not know, from flights it was not made from."""
+"""``uqharness bounds``: bounds of a model's error, from flights that it was not made from.
+
+The command reads flights, cuts them where all channels of residual coefficients are present, fits
+the bounds (`uqharness.identification.bounds`) and writes the model form, its evidence and a page.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,7 @@ from uqharness.cli.options import (
     number,
     results_folder,
 )
-from uqharness.cli.progress import say_warnings, working
+from uqharness.cli.progress import print_warnings, working
 from uqharness.errors import BadInputError
 from uqharness.files import check_output_folder, write_bytes, write_json, write_text
 from uqharness.identification import (
@@ -42,25 +46,29 @@ from uqharness.report.pages import RESIDUALS, slice_section, variation_section
 
 _EXAMPLE = """
   uqharness bounds espaaro --flight flight2.parquet --out bounds
-  uqharness bounds identified/aircraft --flight flight2.bin --manoeuvres manoeuvres.csv --roll-terms --out bounds
-  uqharness bounds espaaro --flight f.csv --states CX=V,alpha,q --terms "Cm=1,alpha,q,p^2" --outside clamp --out bounds
+  uqharness bounds identified/aircraft --flight flight2.bin --roll-terms --out bounds
+  uqharness bounds espaaro --flight f.csv --terms "Cm=1,alpha,q,p^2" --outside clamp --out bounds
 
-DIR/model-form.json (read by validate-bounds, instrument and campaigns), DIR/model-form.xml (the same as a JSBSim system),
-DIR/report.html and DIR/figures/*.svg, drawn from DIR/bounds.json and DIR/residuals.parquet.
+Writes DIR/model-form.json (read by validate-bounds, instrument and campaigns), DIR/model-form.xml
+(the same as a JSBSim system), DIR/report.html and DIR/figures/*.svg, drawn from DIR/bounds.json and
+DIR/residuals.parquet.
 --as-published keeps noise and model error together, for comparison with the dissertation.
 States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``bounds``."""
-    text = "Fit intervals of the model's error as functions of the flight state, sensor noise removed (see docs/model-form.md)."
+    """Add the arguments of ``bounds``."""
+    text = (
+        "Fit intervals of the model's error as functions of the flight state, sensor noise removed"
+        " (see docs/model-form.md)."
+    )
     describe(parser, _run, text, _EXAMPLE)
     add_aircraft(parser)
     add_flights(parser)
     add_out(parser)
     add_log_options(parser)
     confidence = number(
-        "--confidence", "a probability such as 0.95", above=0.0, most=math.nextafter(1.0, 0.0)
+        "--confidence", "a probability such as 0.95", above=0.0, maximum=math.nextafter(1.0, 0.0)
     )
     parser.add_argument(
         "--confidence",
@@ -104,12 +112,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--as-published",
         action="store_true",
-        help="the dissertation's interval of a measured sample, sensor noise included (default: the model's error alone)",
+        help=(
+            "the dissertation's interval of a measured sample, sensor noise included (default: the"
+            " model's error alone)"
+        ),
     )
     parser.add_argument(
         "--sample-size",
         choices=("effective", "all"),
-        help="with --as-published: count all samples (default), or the effective sample size, which allows for autocorrelation",
+        help=(
+            "with --as-published: count all samples (default), or the effective sample size, which"
+            " allows for autocorrelation"
+        ),
     )
     parser.add_argument(
         "--outside",
@@ -123,7 +137,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--airspeed-cutoff-hz",
             2.0,
             "low-pass of the airspeed, Hz (default 2; 0: none)",
-            {"least": 0.0},
+            {"minimum": 0.0},
         ),
         (
             "--walk-cutoff-hz",
@@ -144,11 +158,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _options(args: argparse.Namespace) -> BoundsOptions:
+    """Collect the options of the fit. Raises BadInputError for a combination that has no
+    meaning.
+    """
     if args.sample_size is not None and not args.as_published:
         raise BadInputError(
-            f"--sample-size {args.sample_size} belongs to --as-published: bounds of the model's error know how their samples "
-            "hang together; leave it out, or ask for the published interval"
+            f"--sample-size {args.sample_size} requires --as-published: bounds of the model error"
+            " account for autocorrelation already; omit it, or add --as-published"
         )
+    # 0 on the command line means no low-pass of the airspeed.
     return BoundsOptions(
         designs=parse_designs(args.states, args.terms, args.order, args.roll_terms),
         fit=FitOptions(
@@ -165,44 +183,49 @@ def _options(args: argparse.Namespace) -> BoundsOptions:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Fit the bounds and write all files; return the exit code."""
     aircraft = aircraft_with_card(args.aircraft)
     check_output_folder(args.out)
     options = _options(args)
-    with working("bounds") as stage:
-        stage("reading the flights")
+    with working("bounds") as callback:
+        callback("reading the flights")
         flights, measured = read_bounds_flights(
             args.flight, aircraft, args.manoeuvres, args.map, args.flight_number
         )
         if args.servos == "auto":
-            stage("servos: the card's or ideal ones")
+            callback("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos)
-        flights, options = servos.noted(flights), replace(options, ideal_servos=servos.ideal)
-        found = make_bounds(
-            aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, stage
+        flights, options = servos.with_note(flights), replace(options, ideal_servos=servos.ideal)
+        bounds = make_bounds(
+            aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, callback
         )
-        system = model_form_xml(found.form, aircraft)
+        # Render the XML before anything is written: it may refuse the aircraft.
+        system = model_form_xml(bounds.form, aircraft)
         out = results_folder(args.out)
-        document = bounds_document(found)
+        document = bounds_document(bounds)
         write_bytes(out / "model-form.xml", system)
-        kept = document | {"command": command_as_given(args), "version": __version__}
-        write_json(out / "bounds.json", kept)
-        write_residuals(found.form, found.residuals, ", ".join(f.name for f in flights), out)
-        write_text(out / "model-form.json", found.form.to_json())
-        stage("report")
+        # The provenance is stored in the folder, but is no part of ``--json``.
+        stored = document | {"command": command_as_given(args), "version": __version__}
+        write_json(out / "bounds.json", stored)
+        write_residuals(bounds.form, bounds.residuals, ", ".join(f.name for f in flights), out)
+        write_text(out / "model-form.json", bounds.form.to_json())
+        callback("report")
         report = write_report(out, not args.no_figures)
         if not args.no_figures:
-            _more_figures(found, out)
-    say_warnings(found.warnings)
+            _more_figures(bounds, out)
+    print_warnings(bounds.warnings)
     print(json.dumps(document) if args.json else report.text)
     return 0
 
 
-def _more_figures(found: MadeBounds, out: Path) -> None:
-    """Drawings of what the folder does not keep: the levels' changes, and the bounds of the usual states beside others."""
+def _more_figures(bounds: MadeBounds, out: Path) -> None:
+    """Draw what the folder does not store: the changes of levels, and the bounds with default
+    states.
+    """
 
-    sections = [variation_section(found.variations)]
-    if found.baseline:
+    sections = [variation_section(bounds.variations)]
+    if bounds.baseline:
         sections.append(
-            slice_section(found.form, read_histories(out / RESIDUALS), baseline=found.baseline)
+            slice_section(bounds.form, read_histories(out / RESIDUALS), baseline=bounds.baseline)
         )
-    write_figures(out, sections, f"Model-form bounds of {found.form.aircraft.name}")
+    write_figures(out, sections, f"Model-form bounds of {bounds.form.aircraft.name}")

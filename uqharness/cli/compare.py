@@ -1,4 +1,4 @@
-"""``uqharness compare``: how far the model is from a flight, channel by channel, coefficient by coefficient."""
+"""``uqharness compare``: the gap between a model and a flight, by channel and coefficient."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 
 from uqharness.cli.options import (
+    DEFAULT_WORKERS,
     FLIGHT_FILE,
-    MOST_WORKERS,
     add_aircraft,
     add_log_options,
     add_no_figures,
@@ -29,15 +29,16 @@ from uqharness.report import document_of, write_report, write_tables
 
 _EXAMPLE = """
   uqharness compare espaaro --flight doublets.parquet --out gap
-  uqharness compare identified/aircraft --flight flight3.bin --manoeuvres manoeuvres.csv --servos ideal --out gap
+  uqharness compare identified/aircraft --flight flight3.bin --servos ideal --out gap
 
-DIR/compare.json, DIR/channels.csv, coefficients.csv, manoeuvres.csv, moments.csv, DIR/histories.parquet,
-DIR/report.html and DIR/figures/*.svg. The model reaches the noise floor where the rms of measured minus model is at most 1.15
-times the noise in all of V, alpha, beta, phi, theta, p, q, r, ax, ay, az (as far as the record has them)."""
+Writes DIR/compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv,
+histories.parquet, report.html and figures/*.svg. The model reaches the noise floor where the rms of
+measured minus model is at most 1.15 times the noise in all recorded channels among V, alpha, beta,
+phi, theta, p, q, r, ax, ay, az."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``compare``."""
+    """Add the arguments of ``compare``."""
     text = "Replay a flight by segment and measure the gap to the model against the sensors' noise."
     describe(
         parser, _run, text, _EXAMPLE, done="the model reaches the noise floor", no="it does not"
@@ -47,29 +48,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_out(parser)
     add_log_options(parser)
     add_replay_options(parser)
-    add_workers(parser, MOST_WORKERS)
+    add_workers(parser, DEFAULT_WORKERS)
     add_no_figures(parser)
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Compare and write the results; return exit code 1 above the noise floor."""
     aircraft = aircraft_with_card(args.aircraft)
     biases, delays = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays"))
     check_output_folder(args.out)
-    with working("compare", lambda: counter["segments"]) as stage:
-        stage("reading the flight")
+    with working("compare", lambda: counter["segments"]) as callback:
+        callback("reading the flight")
         flights, measured = read_flights(
             [args.flight],
             aircraft,
             args.manoeuvres,
             args.map,
+            # Late channels stay late: their delays are estimated and reported.
             align=False,
             flight_numbers=args.flight_number,
         )
         if args.servos == "auto":
-            stage("servos: the card's or ideal ones")
+            callback("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos, args.workers)
-        flights = servos.noted(flights)
-        found = compare(
+        flights = servos.with_note(flights)
+        comparison = compare(
             aircraft,
             flights[0],
             measured,
@@ -77,12 +80,12 @@ def _run(args: argparse.Namespace) -> int:
             delays=delays,
             ideal_servos=servos.ideal,
             workers=args.workers,
-            on_stage=stage,
+            callback=callback,
         )
-        stage("report")
+        callback("report")
         out = results_folder(args.out)
-        document = document_of(found) | {"command": command_as_given(args)}
-        write_tables(found, document, out)
+        document = document_of(comparison) | {"command": command_as_given(args)}
+        write_tables(comparison, document, out)
         report = write_report(out, not args.no_figures)
     print(json.dumps(document) if args.json else report.text)
-    return 0 if found.reached else 1
+    return 0 if comparison.reached else 1

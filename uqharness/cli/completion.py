@@ -1,4 +1,7 @@
-"""``uqharness completion``: a script that makes a shell complete commands, options, files and aircraft."""
+"""``uqharness completion``: a shell script that completes commands, options, files and aircraft.
+
+shtab writes the script from the parser of all commands.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,9 @@ _EXAMPLE = """
   uqharness completion bash > ~/.local/share/bash-completion/completions/uqharness
   uqharness completion zsh > ~/.zfunc/_uqharness
 
-bash reads its file at the next start. zsh needs `fpath+=~/.zfunc; autoload -U compinit; compinit` in ~/.zshrc. Completing runs
-none of this program; write the file again after an update."""
+bash reads its file at the next start. zsh needs in ~/.zshrc:
+fpath+=~/.zfunc; autoload -U compinit; compinit
+Completion does not run this program; write the file again after an update."""
 _AIRCRAFT: Mapping[str, str] = {
     "bash": '_uqharness_aircraft() {{ compgen -W {names} -- "$1"; compgen -d -- "$1"; }}',
     "zsh": "_uqharness_aircraft() {{ compadd -- {words}; _files -/; }}",
@@ -28,36 +32,39 @@ _AIRCRAFT: Mapping[str, str] = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``completion``."""
+    """Add the arguments of ``completion``."""
     describe(parser, _run, "Print a script that completes uqharness in a shell.", _EXAMPLE)
     parser.add_argument("shell", choices=SHELLS, help="the shell")
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Print the script; return the exit code."""
     text = script(args.complete_parser(), args.shell)
     print(json.dumps({"shell": args.shell, "script": text}) if args.json else text)
     return 0
 
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
-    """The script for ``bash`` or ``zsh`` from the parser of all commands."""
+    """Return the completion script of ``bash`` or ``zsh`` for a parser."""
     for action in _actions(parser):
-        found = _completer(action)
-        if found is not None:
-            action.complete = found  # type: ignore[attr-defined]
+        completer = _completer(action)
+        if completer is not None:
+            action.complete = completer  # type: ignore[attr-defined]
+    # The script lists the aircraft at the time it is written.
     names = " ".join(shlex.quote(name) for name in known_aircraft())
     preamble = _AIRCRAFT[shell].format(names=shlex.quote(names), words=names)
-    given: Any = {shell: preamble}  # the library's annotation knows texts alone
-    return str(shtab.complete(parser, shell, preamble=given)).rstrip("\n")
+    preambles: Any = {shell: preamble}  # the library's annotation knows texts alone
+    return str(shtab.complete(parser, shell, preamble=preambles)).rstrip("\n")
 
 
 def known_aircraft() -> list[str]:
-    """Names under aircraft/."""
+    """Return the names of the aircraft under aircraft/."""
     folder = PROJECT_ROOT / "aircraft"
     return sorted(path.name for path in folder.iterdir() if (path / f"{path.name}.xml").is_file())
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """Yield the arguments of a parser and of all its commands."""
     for action in parser._actions:
         if not isinstance(action, argparse._SubParsersAction):
             yield action
@@ -66,10 +73,10 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
 
 
 def _completer(action: argparse.Action) -> Mapping[str, str] | None:
-    """What the shell offers for an argument; None where that is nothing or the argument's choices."""
+    """Return the completion of an argument by shell; None where its choices are enough."""
     if action.metavar in ("AIRCRAFT", "A", "B"):
         return dict.fromkeys(SHELLS, "_uqharness_aircraft")
     if action.type is not Path:
         return None
-    known = shtab.DIRECTORY if str(action.metavar).startswith("DIR") else shtab.FILE
-    return {shell: str(known[shell]) for shell in SHELLS}
+    completion = shtab.DIRECTORY if str(action.metavar).startswith("DIR") else shtab.FILE
+    return {shell: str(completion[shell]) for shell in SHELLS}

@@ -1,4 +1,4 @@
-"""``uqharness dossier``: the evidence of a folder of results as one document."""
+"""``uqharness dossier``: the evidence of a folder of results as one printable document."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ _EXAMPLE = """
   uqharness dossier results
   uqharness dossier refined --out evidence.html --json
 
-DIR is the --out of study, refine, campaign run, identify or compare, or a folder that holds several of them. Writes
-DIR/dossier.html, one file that can be printed. It lays out evidence and claims no compliance with any regulation or standard."""
+DIR is the --out of study, refine, campaign run, identify or compare, or a folder that holds several
+of them. Writes DIR/dossier.html, one file that can be printed. It presents evidence and claims no
+compliance with any regulation or standard."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``dossier``."""
+    """Add the arguments of ``dossier``."""
     text = (
-        "Write the evidence for a model as one document: provenance, proof of match, credibility, claims, validity envelope, "
-        "sources (see docs/dossier.md). Nothing is flown or fitted."
+        "Write the evidence for a model as one document: provenance, proof of match, credibility,"
+        " claims, validity envelope, sources (see docs/dossier.md). Nothing is flown or fitted."
     )
     describe(
         parser,
@@ -47,13 +48,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Write the dossier; return exit code 1 where evidence is missing."""
     path = args.folder / DOSSIER if args.out is None else args.out
+    # Other formats would be HTML under a wrong name.
     if path.suffix not in (".html", ".htm"):
         raise BadInputError(f"--out {path}: a file whose name ends with .html is needed")
-    with working("dossier") as stage:
-        stage("reading results")
+    with working("dossier") as callback:
+        callback("reading results")
         evidence = read_evidence(args.folder)
-        stage("judging and writing")
+        callback("judging and writing")
         dossier = dossier_of(evidence)
         write_html(path, dossier.page)
     if args.json:
@@ -77,14 +80,18 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _match(dossier: Dossier) -> dict[str, Any]:
-    """Tests and segments, as a program reads them."""
+    """Return the tests of the match, and those whose data are missing, for --json."""
     if dossier.source is None:
         return {"tests": [], "not_in_the_data": {}}
     match = dossier.source.match
-    return {"tests": [_judged(j) for j in match.results], "not_in_the_data": dict(match.missing)}
+    return {
+        "tests": [_test_document(j) for j in match.results],
+        "not_in_the_data": dict(match.missing),
+    }
 
 
-def _judged(judged: SegmentResult) -> dict[str, Any]:
+def _test_document(outcome: SegmentResult) -> dict[str, Any]:
+    """Return one test with its segment and rows for --json."""
     rows = [
         {
             "quantity": r.quantity,
@@ -94,18 +101,18 @@ def _judged(judged: SegmentResult) -> dict[str, Any]:
             "answer": r.answer,
             "share_inside": None if math.isnan(r.share) else r.share,
         }
-        for r in judged.rows
+        for r in outcome.rows
     ]
-    segment = judged.segment
-    found = {
-        "test": judged.test.entry,
-        "title": judged.test.title,
+    segment = outcome.segment
+    document = {
+        "test": outcome.test.entry,
+        "title": outcome.test.title,
         "flight": segment.flight,
         "manoeuvre": segment.manoeuvre,
         "from_s": float(segment.time_s[0]),
-        "answer": judged.answer,
-        "why": judged.reason,
+        "answer": outcome.answer,
+        "why": outcome.reason,
         "rows": rows,
     }
-    out: dict[str, Any] = finite(found)
+    out: dict[str, Any] = finite(document)
     return out

@@ -1,4 +1,4 @@
-"""``uqharness fly``: one flight of a script, recorded as a flight log."""
+"""``uqharness fly``: fly a run script once and record it as a flight log."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from uqharness.cli.options import (
     add_page,
     add_seed,
     aircraft_with_card,
-    as_data,
     command_as_given,
     describe,
+    gains_document,
     gains_of,
     number,
-    tell_gains,
+    print_gains,
 )
 from uqharness.errors import BadInputError
 from uqharness.files import check_output_path, check_page_path, scratch_folder
@@ -54,14 +54,14 @@ from uqharness.simulator import (
 
 _EXAMPLE = """
   uqharness fly espaaro --script scripts/doublet-elevator.xml --out doublet.csv
-  uqharness fly espaaro --duration-s 600 --wind-mps 3 --wind-from-deg 270 --turbulence moderate --seed 7 --noise --out x.parquet
+  uqharness fly espaaro --duration-s 600 --wind-mps 3 --turbulence moderate --noise --out x.parquet
   uqharness fly c172p --mission doublets --speed-mps 50 --noise --seed 1 --out doublets.parquet
-  uqharness fly espaaro --autopilot my-plane.param --duration-s 300 --wind-mps 3 --turbulence moderate --out mine.csv
-  uqharness fly espaaro --set aero/Cm_q=-10 --set uq/active=1 --set uq/CX/level=1 --out changed.csv"""
+  uqharness fly espaaro --autopilot my-plane.param --duration-s 300 --wind-mps 3 --out mine.csv
+  uqharness fly espaaro --set aero/Cm_q=-10 --set uq/active=1 --set uq/CX/level=1 --out new.csv"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``fly``."""
+    """Add the arguments of ``fly``."""
     text = (
         "Fly a run script once and write the flight record (SI, body axes; see docs/commands.md)."
     )
@@ -82,26 +82,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--speed-mps",
-        type=number("--speed-mps", above=0.0, most=1000.0),
+        type=number("--speed-mps", above=0.0, maximum=1000.0),
         metavar="V",
         help="true airspeed of --mission, m/s",
     )
     parser.add_argument(
         "--altitude-m",
-        type=number("--altitude-m", above=0.0, most=30_000.0),
+        type=number("--altitude-m", above=0.0, maximum=30_000.0),
         default=200.0,
         metavar="H",
         help="height of --mission above flat ground at sea level, m (default %(default)g)",
     )
     parser.add_argument(
         "--duration-s",
-        type=number("--duration-s", above=0.0, most=1e6),
+        type=number("--duration-s", above=0.0, maximum=1e6),
         metavar="T",
         help="length of the flight, s (default: the script's end)",
     )
     parser.add_argument(
         "--wind-mps",
-        type=number("--wind-mps", least=0.0, most=100.0),
+        type=number("--wind-mps", minimum=0.0, maximum=100.0),
         default=0.0,
         metavar="W",
         help="steady wind, m/s (default 0)",
@@ -142,7 +142,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_autopilot(parser)
     parser.add_argument(
         "--rate-hz",
-        type=number("--rate-hz", above=0.0, most=1e5),
+        type=number("--rate-hz", above=0.0, maximum=1e5),
         default=50.0,
         metavar="R",
         help="rows per second (default 50)",
@@ -158,10 +158,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Check the options and fly; return the exit code."""
     if args.out.suffix not in FORMATS:
         raise BadInputError(
             f"--out {args.out}: the format follows the name's ending, {', '.join(FORMATS)}"
         )
+    # Fail before the flight if the record cannot be written.
     check_output_path(args.out)
     if args.page is not None:
         check_page_path(args.page, "--page")
@@ -174,35 +176,46 @@ def _run(args: argparse.Namespace) -> int:
         return _fly(args, aircraft, aircraft, find_script(args.script))
     if args.speed_mps is None:
         raise BadInputError(
-            f"--mission {args.mission}: give --speed-mps V, at which {aircraft.name} trims (uqharness modes)"
+            f"--mission {args.mission}: give --speed-mps V, at which {aircraft.name} trims"
+            " (uqharness modes)"
         )
-    # Initial conditions lie in the aircraft's folder, and that is not ours to write to.
+    # Initial conditions must lie in the aircraft's folder, so a mission flies a copy.
     with scratch_folder("fly") as scratch:
         root = scratch.path
         copy_folder(aircraft.folder, root / "aircraft" / aircraft.folder.name)
         copy_shared_parts(aircraft, root, engine.default_root())
         copy = with_fine_step(find_aircraft(root / "aircraft" / aircraft.folder.name))
         start = StartSection(V_mps=args.speed_mps, altitude_m=args.altitude_m)
+        # The mission restarts its second-order integrators at control steps, unless the user sets
+        # others.
         chosen = SECOND_ORDER.keys() & parse_settings(args.settings).keys()
         path, _ = write_own_mission(copy, start, args.mission, restarting=not chosen)
         return _fly(args, aircraft, copy, path)
 
 
-def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Path) -> int:
-    """Fly ``flown``, which is ``aircraft`` or its copy with initial conditions, and write the record."""
+def _fly(
+    args: argparse.Namespace, aircraft: Aircraft, flight_aircraft: Aircraft, path: Path
+) -> int:
+    """Fly ``flight_aircraft``, the aircraft or its copy with initial conditions, and write the
+    record.
+    """
     script = read_script(path)
-    gains = gains_of(args.autopilot, flown, path)
+    gains = gains_of(args.autopilot, flight_aircraft, path)
     record, recorded = recorded_flight(
-        flown, script, _spec(args, flown, script, gains.properties if gains else {})
+        flight_aircraft,
+        script,
+        _spec(args, flight_aircraft, script, gains.properties if gains else {}),
     )
+    # Without a card there are no units for the controls.
     if not aircraft.has_card:
         print(
-            f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are JSBSim's fcs/...-cmd-norm",
+            f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are"
+            " JSBSim's fcs/...-cmd-norm",
             file=sys.stderr,
         )
     left_out = write_record(record, args.out, aircraft, start_position(recorded))
     if args.page is not None:
-        asked = FlightRequest(
+        request = FlightRequest(
             aircraft.name,
             args.mission or path.stem,
             _conditions(args),
@@ -210,7 +223,7 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
             command_as_given(args),
         )
         columns = {name: record[name].to_numpy() for name in record.columns}
-        write_html(args.page, flight_page(asked, columns, recorded.status, recorded.reason))
+        write_html(args.page, flight_page(request, columns, recorded.status, recorded.reason))
     summary = {
         "status": recorded.status,
         "reason": recorded.reason,
@@ -218,19 +231,20 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
         "rows": len(record),
         "out": str(args.out),
         "left_out": list(left_out),
-        "autopilot": as_data(gains),
+        "autopilot": gains_document(gains),
     }
     if args.json:
         print(json.dumps(summary))
     else:
-        tell_gains(args.autopilot, gains)
+        print_gains(args.autopilot, gains)
         end = "" if recorded.status == "ok" else f", {recorded.status}: {recorded.reason}"
-        lost = f"; DataFlash has no message for {', '.join(left_out)}" if left_out else ""
-        print(f"{args.out}: {len(record)} rows, {recorded.flown_s:.1f} s{end}{lost}")
+        unsupported = f"; DataFlash has no message for {', '.join(left_out)}" if left_out else ""
+        print(f"{args.out}: {len(record)} rows, {recorded.flown_s:.1f} s{end}{unsupported}")
     return 0 if recorded.status == "ok" else 1
 
 
 def _conditions(args: argparse.Namespace) -> str:
+    """Describe air, noise and settings for the page."""
     wind = (
         f"Wind {args.wind_mps:g} m/s from {args.wind_from_deg:g} deg"
         if args.wind_mps
@@ -250,6 +264,7 @@ def _conditions(args: argparse.Namespace) -> str:
 def _spec(
     args: argparse.Namespace, aircraft: Aircraft, script: Script, gains: Mapping[str, float]
 ) -> FlightSpec:
+    """Return the specification of the flight."""
     spec = FlightSpec(
         aircraft=aircraft.folder,
         script=script.path,
@@ -266,7 +281,11 @@ def _spec(
 
 
 def parse_settings(settings: list[str]) -> dict[str, float]:
-    """``PROP=VALUE`` pairs as a dict. Raises BadInputError for anything else."""
+    """Parse ``PROP=VALUE`` pairs. Raises BadInputError.
+
+    >>> parse_settings(["aero/Cm_q=-10"])
+    {'aero/Cm_q': -10.0}
+    """
     parsed: dict[str, float] = {}
     for text in settings:
         name, equals, value = text.partition("=")
@@ -276,7 +295,8 @@ def parse_settings(settings: list[str]) -> dict[str, float]:
             number = math.nan
         if not equals or not name or not math.isfinite(number):
             raise BadInputError(
-                f"--set {text}: PROP=VALUE with a finite number is needed, such as --set aero/Cm_q=-10"
+                f"--set {text}: PROP=VALUE with a finite number is needed, such as --set"
+                " aero/Cm_q=-10"
             )
         parsed[name] = number
     return parsed

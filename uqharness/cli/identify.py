@@ -1,4 +1,8 @@
-"""``uqharness identify``: flights in, an aircraft with estimated parameters out."""
+"""``uqharness identify``: estimate an aircraft's parameters from flights.
+
+The command reads flights, chooses the servos, estimates the parameters
+(`uqharness.identification.identify`) and writes an aircraft with the estimates, tables and a page.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ import sys
 
 from sysid.digests import file_sha256
 from uqharness.cli.options import (
-    MOST_WORKERS,
+    DEFAULT_WORKERS,
     add_aircraft,
     add_flights,
     add_log_options,
@@ -32,21 +36,25 @@ from uqharness.report.pages.identify import write_results
 
 _EXAMPLE = """
   uqharness identify espaaro --flight doublets.parquet --out identified
-  uqharness identify espaaro --flight flight1.bin --manoeuvres manoeuvres.csv --servos ideal --out identified
-  uqharness identify espaaro --flight a.csv b.csv --params aero/Cm_q,aero/Cm_de --start initial --out identified
+  uqharness identify espaaro --flight flight1.bin --servos ideal --out identified
+  uqharness identify espaaro --flight a.csv b.csv --params aero/Cm_q,aero/Cm_de --out identified
 
-Writes DIR/fit.json, DIR/report.html, DIR/parameters.csv, DIR/figures/*.svg, and DIR/aircraft, an AIRCRAFT with the estimates."""
+Writes DIR/fit.json, DIR/report.html, DIR/parameters.csv, DIR/figures/*.svg, and DIR/aircraft, an
+AIRCRAFT with the estimates."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``identify``."""
-    text = "Estimate an aircraft's parameters from flight logs or records by output error (see docs/identification.md)."
+    """Add the arguments of ``identify``."""
+    text = (
+        "Estimate an aircraft's parameters from flight logs or records by output error, or by"
+        " filter error in turbulence (see docs/identification.md)."
+    )
     describe(
         parser,
         _run,
         text,
         _EXAMPLE,
-        no="the estimation did not converge, or no parameter could be identified",
+        no="not converged, or no parameter identified",
     )
     add_aircraft(parser)
     add_flights(parser)
@@ -56,56 +64,68 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--params",
         metavar="P,P",
-        help="JSBSim properties to estimate (default: those of the card's [parameters] that the flights excite)",
+        help=(
+            "JSBSim properties to estimate (default: the card's [parameters] that the flights"
+            " excite)"
+        ),
     )
     parser.add_argument(
         "--outputs",
         metavar="C,C",
-        help="channels that are fitted, such as q,alpha,az (default: all; without --params those that the parameters act on)",
+        help=(
+            "channels to fit, such as q,alpha,az (default: all; without --params those on which a"
+            " parameter acts)"
+        ),
     )
     parser.add_argument(
         "--start",
         choices=("initial", "current"),
         default="current",
-        help="start from the card's initial values or from the XML's (default %(default)s)",
+        help="start values: the card's (initial) or the XML's (current) (default %(default)s)",
     )
     parser.add_argument(
         "--method",
         choices=("auto", "output-error", "filter-error"),
         default="auto",
-        help="auto: filter error where output error's residuals show turbulence (default)",
+        help=(
+            "auto: output error, then filter error if its residuals show turbulence (default"
+            " %(default)s)"
+        ),
     )
-    add_workers(parser, MOST_WORKERS)
+    add_workers(parser, DEFAULT_WORKERS)
     add_no_figures(parser)
 
 
-def _tell(text: str) -> None:
+def _note(text: str) -> None:
+    """Print a note to standard error, also in a pipe."""
     print(f"uqharness: note: {text}", file=sys.stderr, flush=True)
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Estimate the parameters and write the results; return the exit code."""
     aircraft = aircraft_with_card(args.aircraft)
     parameters = (
         None if args.params is None else [p.strip() for p in args.params.split(",") if p.strip()]
     )
     if parameters == []:
         raise BadInputError(
-            "--params is empty; name properties such as aero/Cm_q,aero/Cm_de, or leave it out"
+            "--params is empty; give properties such as aero/Cm_q,aero/Cm_de, or omit the option"
         )
     biases, delays, outputs = (
         parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays", "outputs")
     )
+    # Fail before the estimation if results cannot be written.
     check_output_folder(args.out)
-    with working("identify", lambda: counter["segments"]) as stage:
-        stage("reading the flights")
+    with working("identify", lambda: counter["segments"]) as callback:
+        callback("reading the flights")
         flights, measured = read_flights(
             args.flight, aircraft, args.manoeuvres, args.map, flight_numbers=args.flight_number
         )
         if args.servos == "auto":
-            stage("servos: the card's or ideal ones")
+            callback("comparing the card's servos with ideal ones")
         servos = choose_servos(aircraft, flights, measured, args.servos, args.workers)
-        flights = servos.noted(flights)
-        found = identify(
+        flights = servos.with_note(flights)
+        result = identify(
             aircraft,
             flights,
             measured,
@@ -117,20 +137,21 @@ def _run(args: argparse.Namespace) -> int:
             ideal_servos=servos.ideal,
             method=args.method,
             workers=args.workers,
-            on_stage=stage,
-            tell=_tell,
+            callback=callback,
+            message_callback=_note,
         )
-        stage("report")
+        callback("report")
         out = results_folder(args.out)
+        # Digests identify the flights, so that `bounds` can warn of their reuse.
         hashes = [file_sha256(p) for p in args.flight]
         document = write_results(
-            found, aircraft, [p.name for p in args.flight], command_words(args), out, hashes
+            result, aircraft, [p.name for p in args.flight], command_words(args), out, hashes
         )
         report = write_report(out, not args.no_figures)
     if args.json:
         print(json.dumps(document))
     else:
         notes = [f"note: {n}" for f in flights for n in f.notes]
-        speed = [] if found.speed is None else [found.speed.text()]
+        speed = [] if result.speed is None else [result.speed.text()]
         print("\n".join([*notes, report.text, *speed]))
-    return 0 if found.converged and found.identified else 1
+    return 0 if result.converged and result.identified else 1

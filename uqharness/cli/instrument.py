@@ -1,4 +1,4 @@
-"""``uqharness instrument``: the model-form plugin for any JSBSim aircraft, and back."""
+"""``uqharness instrument``: add the model-form plugin to a JSBSim aircraft, or remove it."""
 
 from __future__ import annotations
 
@@ -39,20 +39,24 @@ from uqharness.text_tables import text_table
 _EXAMPLE = """
   uqharness instrument c172x --out aircraft/c172x
   uqharness instrument c172x --out aircraft/c172x --constant CX=0.01,CZ=-0.05:0.08,Cm=0.02
-  uqharness instrument identified/aircraft --bounds bounds/model-form.json --out bounded --page bounds.html
+  uqharness instrument identified/aircraft --bounds bounds/model-form.json --out bounded
   uqharness instrument c172x --out mine --mass-kg 998 --iyy-kgm2 1700 --cg-x-m 1.03
   uqharness instrument c172x --out aircraft/c172x --undo
 
-DIR becomes a copy of the aircraft's folder with the plugin in it (DIR may be that folder itself), and a record
-that --undo goes by."""
+DIR becomes a copy of the aircraft's folder with the plugin (DIR may be that folder itself), and a
+record that --undo reads."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``instrument``."""
-    text = "Add bounded increments (uq/...) of the six coefficients to an aircraft of any axes; see docs/instrument.md."
+    """Add the arguments of ``instrument``."""
+    text = (
+        "Add bounded increments (uq/...) of the six coefficients to an aircraft of any axes; see"
+        " docs/instrument.md."
+    )
     no = (
-        "the check failed: with uq/active 0 the result does not fly bit for bit like the original, or its increments are wrong; "
-        "or a control could not be measured, so that its part of airframe.toml is assumed"
+        "the check failed: with uq/active 0 the result does not fly bit for bit like the original,"
+        " or its increments are wrong; or a control could not be measured, so that its part of"
+        " airframe.toml is assumed"
     )
     describe(parser, _run, text, _EXAMPLE, no=no)
     add_aircraft(parser)
@@ -89,7 +93,10 @@ _MASS = {
     "ixx_kgm2": "moment of inertia about x, body axes at the centre of gravity, kg m2",
     "iyy_kgm2": "about y",
     "izz_kgm2": "about z",
-    "ixz_kgm2": "product of inertia, the integral of x z over the mass; JSBSim's inertia/ixz-slugs_ft2 is minus this",
+    "ixz_kgm2": (
+        "product of inertia, the integral of x z over the mass; JSBSim's inertia/ixz-slugs_ft2 is"
+        " minus this"
+    ),
     "cg_x_m": "centre of gravity in the XML's structural frame, aft, m",
     "cg_y_m": "to the right",
     "cg_z_m": "up",
@@ -97,6 +104,7 @@ _MASS = {
 
 
 def _add_mass(parser: argparse.ArgumentParser) -> None:
+    """Add the options that replace mass properties."""
     group = parser.add_argument_group("mass properties, in place of the XML's")
     for name, text in _MASS.items():
         option, unit = f"--{name.replace('_', '-')}", name.rpartition("_")[2]
@@ -106,13 +114,18 @@ def _add_mass(parser: argparse.ArgumentParser) -> None:
 
 
 def parse_constant(text: str) -> dict[str, tuple[float, float]]:
-    """``CX=0.008,CZ=-0.05:0.08`` as lower and upper bounds. Raises BadInputError."""
+    """Parse ``CX=0.008,CZ=-0.05:0.08`` to lower and upper bounds. Raises BadInputError.
+
+    >>> parse_constant("CX=0.008,CZ=-0.05:0.08")
+    {'CX': (-0.008, 0.008), 'CZ': (-0.05, 0.08)}
+    """
     out = {}
     for part in text.split(","):
         name, equals, number = part.strip().partition("=")
         if not equals or name not in COEFFICIENTS:
             raise BadInputError(
-                f"--constant {part.strip()!r}: C=B with C one of {', '.join(COEFFICIENTS)} is needed"
+                f"--constant {part.strip()!r}: C=B with C one of {', '.join(COEFFICIENTS)} is"
+                " needed"
             )
         if name in out:
             raise BadInputError(f"--constant: {name} is given twice")
@@ -125,17 +138,20 @@ def parse_constant(text: str) -> dict[str, tuple[float, float]]:
             ) from None
         if not (all(math.isfinite(b) for b in bounds) and bounds[0] <= 0.0 <= bounds[1]):
             raise BadInputError(
-                f"--constant {part.strip()!r}: lower must be <= 0 and upper >= 0, so that the model lies inside"
+                f"--constant {part.strip()!r}: lower must be <= 0 and upper >= 0, so that the model"
+                " lies inside"
             )
         out[name] = (bounds[0] + 0.0, bounds[1])
     return out
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Instrument an aircraft, or undo it; return the exit code."""
     if args.page is not None:
         if args.undo or args.dry_run:
             raise BadInputError(
-                f"--page {args.page}: a page is of bounds that are written; leave out --undo and --dry-run"
+                f"--page {args.page}: a page is of bounds that are written; leave out --undo and"
+                " --dry-run"
             )
         check_page_path(args.page, "--page")
     mass = MassProperties(**{name: getattr(args, name) for name in _MASS})
@@ -147,9 +163,10 @@ def _run(args: argparse.Namespace) -> int:
     check_output_folder(args.out)
     form = None if args.bounds is None else read_model_form(args.bounds)
     bounds = Bounds(form, {} if args.constant is None else parse_constant(args.constant))
+    # A dry run writes nothing that could be flown.
     checked = not (args.no_check or args.dry_run)
-    with working("instrument") as stage:
-        stage("flights of 1 s or less beside the original" if checked else "writing")
+    with working("instrument") as callback:
+        callback("comparing short flights with the original" if checked else "writing")
         done = instrument_aircraft(
             aircraft,
             bounds,
@@ -160,12 +177,13 @@ def _run(args: argparse.Namespace) -> int:
             mass=mass,
         )
     report = _report(aircraft, done, args)
+    # JSON has no NaN.
     if done.verdict is not None:
         report["check"] = {k: None if v != v else v for k, v in asdict(done.verdict).items()}
     if args.page is not None:
         _write_page(args, aircraft, done, bounds)
-    wrong = done.verdict is not None and done.verdict.status == "wrong"
-    code = 1 if wrong or done.unmeasured else 0
+    is_wrong = done.verdict is not None and done.verdict.status == "wrong"
+    code = 1 if is_wrong or done.unmeasured else 0
     print(json.dumps(report, indent=1) if args.json else _text(report))
     return code
 
@@ -173,22 +191,27 @@ def _run(args: argparse.Namespace) -> int:
 def _write_page(
     args: argparse.Namespace, aircraft: Aircraft, done: Instrumented, bounds: Bounds
 ) -> None:
+    """Write the page of the bounds, with the result of the check."""
     check = None
     if done.verdict is not None and done.verdict.status == "works":
-        text = f"Flown beside the untouched aircraft: {done.verdict.properties} properties bit-identical with uq/active 0."
+        text = (
+            f"Compared with the original aircraft: {done.verdict.properties} properties"
+            " bit-identical with uq/active 0."
+        )
         check = (True, text)
     elif done.verdict is not None:
         check = (
             False,
-            f"Flown beside the untouched aircraft, {done.verdict.status}: {done.verdict.reason}.",
+            f"Compared with the original aircraft, {done.verdict.status}: {done.verdict.reason}.",
         )
-    what = Instrumentation(
+    page_data = Instrumentation(
         aircraft.name, done.planned.rows, tuple(done.notes), check, command_as_given(args)
     )
-    write_html(args.page, instrument_page(what, bounds.form, bounds.constant))
+    write_html(args.page, instrument_page(page_data, bounds.form, bounds.constant))
 
 
 def _undo(args: argparse.Namespace) -> int:
+    """Remove the plugin; return the exit code."""
     folder = args.out if (args.out / FILE_NAME).is_file() else find_folder(args.aircraft)
     if args.dry_run:
         raise BadInputError(
@@ -205,8 +228,10 @@ def _undo(args: argparse.Namespace) -> int:
 
 
 def _report(aircraft: Aircraft, done: Instrumented, args: argparse.Namespace) -> dict[str, Any]:
+    """Return what was done, for --json and the text."""
     planned, files = done.planned, []
     for name, change in sorted(planned.changes.items()):
+        # Edited files keep their own text but for the insertions.
         kind = "edited" if change.edited else "added" if not change.before else "replaced"
         lines = (
             sum(i.text.count(b"\n") for i in change.insertions)
@@ -230,6 +255,7 @@ def _report(aircraft: Aircraft, done: Instrumented, args: argparse.Namespace) ->
 
 
 def _text(report: dict[str, Any]) -> str:
+    """Return what was done as text."""
     axes = report["axes"]
     state = (
         f"the copy in {report['out']} has"
@@ -237,7 +263,10 @@ def _text(report: dict[str, Any]) -> str:
         else f"the copy in {report['out']} would have"
     )
     lines = [
-        f"{report['aircraft']}: {state} bounded increments of {len(report['coefficients'])} coefficients.",
+        (
+            f"{report['aircraft']}: {state} bounded increments of {len(report['coefficients'])}"
+            " coefficients."
+        ),
         f"The aircraft's forces are in {axes['force']} axes, its moments in {axes['moment']} axes.",
         "",
         "Increments, and where the XML adds them.",
@@ -283,12 +312,15 @@ def _text(report: dict[str, Any]) -> str:
 
 
 def _check_lines(check: dict[str, Any] | None) -> list[str]:
+    """Describe the result of the check flights."""
     if check is None:
         return []
     if check["status"] == "works":
-        same = f"beside the original, {check['properties']} properties are bit-identical with uq/active 0"
-        return [
-            f"Check: {same}; increments of force and moment have relative errors of {check['worst']:.0e} at most."
-        ]
-    what = "WRONG" if check["status"] == "wrong" else "not made, because the original fails"
-    return [f"Check: {what}: {check['reason']}."]
+        properties, worst = check["properties"], check["worst"]
+        text = (
+            f"Check: {properties} properties are bit-identical to the original with uq/active 0;"
+            f" relative errors of force and moment increments: at most {worst:.0e}."
+        )
+        return [text]
+    outcome = "WRONG" if check["status"] == "wrong" else "not made, because the original fails"
+    return [f"Check: {outcome}: {check['reason']}."]

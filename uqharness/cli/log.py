@@ -1,4 +1,9 @@
-"""``uqharness log info``, ``map`` and ``import``: what a flight log holds, its signal map, and a flight record from it."""
+"""``uqharness log info | map | import | export``: contents of a flight log, its signal map, and
+records made from it.
+
+`info` checks a log and lists the purposes it serves, `map` proposes a signal map for an unknown
+table, `import` writes a flight record, and `export` writes files that FlightGear plays back.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +45,10 @@ if TYPE_CHECKING:
     from sysid.logs import LogInfo
     from sysid.record import Boot, FlightRecord, Loiter
 
-_LOG_HELP = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a flight record in Parquet or CSV"
+_LOG_HELP = (
+    "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a flight record in Parquet"
+    " or CSV"
+)
 _IMPORT_NOTES = ("servo-table", "sensor-choice", "clock-restart")
 VERBS: Table = {
     "info": ("log:add_info", "contents and findings of a log, and the purposes it serves"),
@@ -51,7 +59,7 @@ VERBS: Table = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Give ``log`` its verbs."""
+    """Add the verbs of ``log``."""
     parser.description = (
         "Check a flight log, convert it to a flight record, or export it to FlightGear."
     )
@@ -59,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_info(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``log info``."""
+    """Add the arguments of ``log info``."""
     text, no = (
         "List the contents and findings of a log, and the purposes it serves.",
         "the log serves no purpose",
@@ -74,7 +82,7 @@ def add_info(parser: argparse.ArgumentParser) -> None:
 
 
 def add_map_proposal(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``log map``."""
+    """Add the arguments of ``log map``."""
     text, no = (
         "Propose a signal map for a log by names, units and statistics, to be read and edited.",
         "no signal was recognised",
@@ -91,15 +99,16 @@ def add_map_proposal(parser: argparse.ArgumentParser) -> None:
 
 
 def _map(args: argparse.Namespace) -> int:
-    """0 when a signal was recognised, 1 when none was."""
+    """Propose a map; return 0 when a signal was recognised, 1 when none was."""
     from sysid.logs import propose_map
 
+    # A proposed map is meant to be edited, so it is never overwritten.
     if args.out.exists():
         raise BadInputError(
             f"{args.out}: exists, and may have been edited; give another name or remove it"
         )
-    with _ProgressLine(args.log.name) as progress:
-        proposal = propose_map(args.log, _card_of(args), callback=progress)
+    with _ProgressLine(args.log.name) as callback:
+        proposal = propose_map(args.log, _card_of(args), callback=callback)
     write_text(args.out, proposal.to_toml())
     if args.json:
         rows = {
@@ -127,7 +136,7 @@ def _map(args: argparse.Namespace) -> int:
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``log import``."""
+    """Add the arguments of ``log import``."""
     text = "Turn a log into a flight record (Parquet or CSV by the suffix of --out)."
     describe(
         parser,
@@ -146,6 +155,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_log(parser: argparse.ArgumentParser) -> None:
+    """Add the log and the options by which it is read."""
     parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP)
     add_map(parser)
     add_flight_number(parser)
@@ -162,7 +172,7 @@ def _add_log(parser: argparse.ArgumentParser) -> None:
 
 
 def _info(args: argparse.Namespace) -> int:
-    """0 when the log serves a purpose, 1 when it serves none."""
+    """Print the contents of a log; return 0 when it serves a purpose, 1 when it serves none."""
     # Imported here, as below: `uqharness --help` should not wait for the numerical libraries.
     from sysid.logs import log_info
 
@@ -179,6 +189,7 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _write_page(args: argparse.Namespace, info: LogInfo, record: FlightRecord) -> None:
+    """Write the page of a log, with manoeuvres from a table or as found in the commands."""
     from sysid.logs import label_from_commands, with_manoeuvres
     from uqharness.report import write_html
     from uqharness.report.pages import log_page
@@ -191,6 +202,7 @@ def _write_page(args: argparse.Namespace, info: LogInfo, record: FlightRecord) -
 
 
 def _import(args: argparse.Namespace) -> int:
+    """Write a flight record, by default of free flight alone; return the exit code."""
     if args.out.suffix.lower() not in (".parquet", ".csv"):
         raise LogError(
             f"--out ends in '{args.out.suffix}'; allowed are .parquet and .csv", args.out
@@ -200,10 +212,11 @@ def _import(args: argparse.Namespace) -> int:
         from sysid.logs import with_manoeuvres
 
         record = with_manoeuvres(record, args.manoeuvres, args.log.stem)
-    kept = whole = (float(record["time_s"][0]), float(record["time_s"][-1]))
+    kept_s = log_s = (float(record["time_s"][0]), float(record["time_s"][-1]))
+    # A flight record has been cut before.
     if not args.whole and record.metadata.free_flight_s and record.metadata.dialect != "record":
-        kept = record.metadata.free_flight_s[0]
-        record = record.between(*kept)
+        kept_s = record.metadata.free_flight_s[0]
+        record = record.between(*kept_s)
     try:
         args.out.parent.mkdir(parents=True, exist_ok=True)
         record.write(args.out)
@@ -213,37 +226,38 @@ def _import(args: argparse.Namespace) -> int:
         "out": str(args.out),
         "rows": len(record),
         "grid_hz": record.metadata.grid_hz,
-        "kept_s": list(kept),
-        "log_s": list(whole),
+        "kept_s": list(kept_s),
+        "log_s": list(log_s),
         "columns": list(record.columns),
         "findings": [f.as_dict() for f in record.metadata.findings],
     }
     print(
         json.dumps(finite(report), indent=2)
         if args.json
-        else _import_text(record, args.out, kept, whole)
+        else _import_text(record, args.out, kept_s, log_s)
     )
     return 0
 
 
 def _read(args: argparse.Namespace) -> FlightRecord:
+    """Import the log with its progress on a terminal."""
     from sysid.logs import import_log
 
     card = _card_of(args)
     cache = None if args.no_cache else (args.cache or default_cache())
-    with _ProgressLine(args.log.name) as progress:
+    with _ProgressLine(args.log.name) as callback:
         return import_log(
             args.log,
             args.map,
             card,
             flight_number=args.flight_number,
             cache=cache,
-            callback=progress,
+            callback=callback,
         )
 
 
 def _card_of(args: argparse.Namespace) -> Path | None:
-    """The card that --aircraft names, or the folder that holds it."""
+    """Return the card that ``--aircraft`` names, or the folder that holds it."""
     if args.aircraft is None:
         return None
     card = Path(args.aircraft)
@@ -251,7 +265,7 @@ def _card_of(args: argparse.Namespace) -> Path | None:
 
 
 class _ProgressLine:
-    """A percentage on a terminal's standard error; silent in a pipe."""
+    """Context for a percentage on a terminal's standard error; silent in a pipe."""
 
     def __init__(self, title: str) -> None:
         self._title, self._shown = title, -1
@@ -264,6 +278,7 @@ class _ProgressLine:
             cursor_stream(sys.stderr).write("\r\x1b[K")
 
     def _show(self, share: float) -> None:
+        """Print a new percentage over the old one."""
         percent = int(100 * share)
         if percent != self._shown:
             self._shown = percent
@@ -272,13 +287,17 @@ class _ProgressLine:
 
 
 def _info_text(info: LogInfo) -> str:
+    """Return the contents of a log as text."""
     flight = (
         "none" if info.flight_s is None else f"{info.flight_s[0]:.1f} to {info.flight_s[1]:.1f} s"
     )
     lines = [
         f"{info.source}  ({info.dialect})",
         f"vehicle      {info.vehicle or 'not said'}",
-        f"duration     {info.duration_s:.1f} s from {info.start_s:.1f} s, grid {info.grid_hz:.1f} Hz",
+        (
+            f"duration     {info.duration_s:.1f} s from {info.start_s:.1f} s, grid"
+            f" {info.grid_hz:.1f} Hz"
+        ),
         f"free flight  {flight}",
     ]
     if info.flights:
@@ -306,6 +325,7 @@ def _info_text(info: LogInfo) -> str:
 
 
 def _boot_text(boot: Boot, read: int) -> str:
+    """Describe one boot of the autopilot."""
     span = boot.free_flight_s
     flight = "no free flight" if span is None else f"free flight {span[0]:.1f} to {span[1]:.1f} s"
     mark = "  <- read here" if boot.number == read else ""
@@ -313,34 +333,40 @@ def _boot_text(boot: Boot, read: int) -> str:
 
 
 def _loiter_text(loiter: Loiter) -> str:
+    """Describe one commanded loiter."""
     sense = "clockwise" if loiter.clockwise else "anticlockwise"
     return (
-        f"{loiter.start_s:.1f} to {loiter.end_s:.1f} s, radius {loiter.radius_m:g} m {sense} about {loiter.north_m:.1f} m north,"
-        f" {loiter.east_m:.1f} m east of the start ({loiter.source})"
+        f"{loiter.start_s:.1f} to {loiter.end_s:.1f} s, radius {loiter.radius_m:g} m {sense} about"
+        f" {loiter.north_m:.1f} m north, {loiter.east_m:.1f} m east of the start ({loiter.source})"
     )
 
 
 def _import_text(
-    record: FlightRecord, out: Path, kept: tuple[float, float], whole: tuple[float, float]
+    record: FlightRecord, out: Path, kept_s: tuple[float, float], log_s: tuple[float, float]
 ) -> str:
-    span = f"{kept[0]:.2f} to {kept[1]:.2f} s of {whole[0]:.2f} to {whole[1]:.2f} s"
+    """Describe the written record."""
+    span = f"{kept_s[0]:.2f} to {kept_s[1]:.2f} s of {log_s[0]:.2f} to {log_s[1]:.2f} s"
     lines = [
         f"{out}: {len(record)} rows at {record.metadata.grid_hz:g} Hz, {span}",
         f"columns: {', '.join(record.columns)}",
     ]
-    told = [f for f in record.metadata.findings if f.severity != "info" or f.code in _IMPORT_NOTES]
-    return "\n".join(lines + _condensed(told))
+    notes = [f for f in record.metadata.findings if f.severity != "info" or f.code in _IMPORT_NOTES]
+    return "\n".join(lines + _condensed(notes))
 
 
 def _condensed(findings: Sequence[Finding]) -> list[str]:
-    """By code and severity: the first message, further channels of which it can be said, what errors spoil and what mends them."""
+    """Group findings by severity and code.
+
+    Each group has its first message, the other channels that it applies to, and for errors what
+    they spoil and what repairs them.
+    """
     groups: dict[tuple[str, str], list[Finding]] = {}
     for f in findings:
         groups.setdefault((f.severity, f.code), []).append(f)
     lines = []
     for (severity, code), members in groups.items():
-        others = [f.channel for f in members[1:] if f.channel]
-        more = f" (also: {', '.join(others)})" if others else ""
+        other_channels = [f.channel for f in members[1:] if f.channel]
+        more = f" (also: {', '.join(other_channels)})" if other_channels else ""
         lines.append(f"{severity:8} {code}: {members[0].message}{more}")
         if severity == "error":
             lines += [
@@ -354,20 +380,21 @@ def _condensed(findings: Sequence[Finding]) -> list[str]:
     return lines
 
 
-# ``uqharness log export``: a flight that FlightGear shows.
+# ``uqharness log export``: files for FlightGear.
 
 FORMATS = ("flightgear",)
 LINES, PROTOCOL = "playback.csv", "uqharness-playback.xml"
 _EXAMPLE = f"""
   uqharness log export flight1.bin --aircraft espaaro --out shown
-  uqharness log export loiter.csv --aircraft espaaro --lat-deg 37.2 --lon-deg -80.4 --alt-m 630 --out shown
+  uqharness log export loiter.csv --aircraft espaaro --lat-deg 37.2 --lon-deg -80.4 --out shown
 
-DIR/{LINES} and DIR/{PROTOCOL}. Copy the latter to Protocol/ of FlightGear's data folder, then
+Writes DIR/{LINES} and DIR/{PROTOCOL}. Copy the latter to Protocol/ of FlightGear's
+data folder, then
   fgfs --fdm=null --generic=file,in,30,shown/{LINES},uqharness-playback"""
 
 
 def add_export(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``log export``."""
+    """Add the arguments of ``log export``."""
     text = "Write a flight as files that FlightGear plays back: position, attitude, airspeed."
     describe(parser, _run, text, _EXAMPLE)
     parser.add_argument("log", type=Path, metavar="LOG", help=FLIGHT_FILE)
@@ -383,12 +410,15 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     add_out(parser)
     add_map(parser)
     add_flight_number(parser)
-    for option, what, most in (("--lat-deg", "latitude", 90.0), ("--lon-deg", "longitude", 180.0)):
+    for option, quantity, limit in (
+        ("--lat-deg", "latitude", 90.0),
+        ("--lon-deg", "longitude", 180.0),
+    ):
         parser.add_argument(
             option,
-            type=number(option, f"a {what} in degrees", least=-most, most=most),
+            type=number(option, f"a {quantity} in degrees", minimum=-limit, maximum=limit),
             metavar="DEG",
-            help=f"{what} of the start point, deg (default: the log's)",
+            help=f"{quantity} of the start point, deg (default: the log's)",
         )
     parser.add_argument(
         "--alt-m",
@@ -398,7 +428,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--rate-hz",
-        type=number("--rate-hz", "a rate in 1/s", above=0.0, most=1000.0),
+        type=number("--rate-hz", "a rate in 1/s", above=0.0, maximum=1000.0),
         default=30.0,
         metavar="R",
         help="rows per second (default %(default)g)",
@@ -406,6 +436,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Write the files of an export; return the exit code."""
     check_output_folder(args.out)
     record = read_flight(args.log, find_aircraft(args.aircraft), None, args.map, args.flight_number)
     rows = playback_rows(record, _start(args, record.metadata.start), args.rate_hz)
@@ -437,16 +468,21 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _start(args: argparse.Namespace, known: Mapping[str, float]) -> dict[str, float]:
-    """The start point: what was given, then what the log says. Raises BadInputError where neither has a position."""
-    given = {"lat_deg": args.lat_deg, "lon_deg": args.lon_deg, "alt_m": args.alt_m}
-    found = {
-        name: known.get(name, math.nan) if value is None else value for name, value in given.items()
+def _start(args: argparse.Namespace, logged: Mapping[str, float]) -> dict[str, float]:
+    """Return the start point from the options, or else from the log.
+
+    Raises BadInputError where neither has a position.
+    """
+    options = {"lat_deg": args.lat_deg, "lon_deg": args.lon_deg, "alt_m": args.alt_m}
+    start = {
+        name: logged.get(name, math.nan) if value is None else value
+        for name, value in options.items()
     }
-    if math.isnan(found["alt_m"]):
-        found["alt_m"] = 0.0
-    if any(math.isnan(value) for value in found.values()):
+    # Without an altitude FlightGear shows the flight at sea level.
+    if math.isnan(start["alt_m"]):
+        start["alt_m"] = 0.0
+    if any(math.isnan(value) for value in start.values()):
         raise BadInputError(
-            f"{args.log}: the log does not say where it began; give --lat-deg and --lon-deg"
+            f"{args.log}: the log has no start position; give --lat-deg and --lon-deg"
         )
-    return found
+    return start

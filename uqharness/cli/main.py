@@ -1,7 +1,8 @@
-"""The command line: which commands there are, and errors as one line and an exit code.
+"""The command line: its commands, and errors as one line and an exit code.
 
-Exit codes: 0 done, 1 ran but the answer is no, 2 bad input, 130 interrupted (Ctrl-C), 143 ended by a signal (SIGTERM).
-A command's module is loaded when the command is named: ``uqharness --help`` waits for no numerical library.
+Exit codes: 0 done, 1 ran but the answer is no, 2 bad input, 130 interrupted (Ctrl-C), 143 ended by
+a signal (SIGTERM). A command's module is loaded when the command is named, so ``uqharness --help``
+loads no numerical library.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ _EXAMPLE = """examples:
 
 uqharness COMMAND --help gives the options."""
 
-_SELDOM = 5_000, 10, 10
-"""Objects made until Python looks for those that refer to each other, and how many young looks until an older one: with the usual
-700 a command looks through its libraries' objects, which all stay, for a twentieth of its time."""
+_GC_THRESHOLDS = 5_000, 10, 10
+"""Thresholds of the garbage collector. With Python's 700 a command spends a twentieth of its time
+scanning the objects of its libraries, none of which is ever freed."""
 
 COMMANDS: Table = {
     "fly": ("fly", "one flight, recorded"),
@@ -58,7 +59,7 @@ COMMANDS: Table = {
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The parser of the whole command line."""
+    """Return the parser of the whole command line."""
     parser = argparse.ArgumentParser(
         prog="uqharness",
         description="From flight logs and a JSBSim model to p-boxes of the aircraft's performance.",
@@ -73,12 +74,12 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def complete_parser() -> argparse.ArgumentParser:
-    """The same with every command's arguments: for documentation and checks."""
+    """Return the parser with the arguments of every command, for documentation and checks."""
     parser = build_parser()
-    found = list(commands_of(parser).values())
-    for command in found:  # grows on the way
+    parsers = list(commands_of(parser).values())
+    for command in parsers:  # grows on the way
         command.complete()
-        found += commands_of(command).values()
+        parsers += commands_of(command).values()
     return parser
 
 
@@ -92,7 +93,7 @@ def load_command(words: Sequence[str]) -> None:
 
 
 def run_words(words: Sequence[str] | None) -> int:
-    """Run one command in this process; its exit code. Bad input raises BadInputError."""
+    """Run one command in this process; return its exit code. Raises BadInputError."""
     try:
         arguments = build_parser().parse_args(words)
         return int(arguments.handler(arguments))
@@ -101,37 +102,38 @@ def run_words(words: Sequence[str] | None) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; the process's exit code."""
-    gc.set_threshold(*_SELDOM)
+    """Run one command; return the process's exit code."""
+    gc.set_threshold(*_GC_THRESHOLDS)
     with clean_terminal(), heartbeat(_command_name(sys.argv[1:] if argv is None else argv)):
         return _run(argv)
 
 
 def _command_name(words: Sequence[str]) -> str:
-    """Return ``campaign run`` of a command's words."""
+    """Return the name of the command among the words, such as ``campaign run``."""
     names = [word for word in words[:2] if word.replace("-", "").isalpha()]
     length = 2 if names and names[0] in ("campaign", "log") else 1
     return " ".join(["uqharness", *names[:length]])
 
 
 def _resumes(words: str) -> bool:
-    """Whether a command goes on where it was interrupted; others keep nothing of what they began."""
+    """Check whether a command resumes after an interruption; others keep nothing."""
     return words.startswith(
         ("uqharness campaign run ", "uqharness campaign salvage ", "uqharness study ")
     )
 
 
 class _Notes(logging.Handler):
-    """Notes of the program, a line each on standard error."""
+    """Prints notes of the program to standard error, one a line."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print it, in place of a line that moves."""
+        """Print a note, overwriting a progress line."""
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=cursor_stream(sys.stderr))
         print(f"note: {hide_scratch_paths(record.getMessage())}", file=sys.stderr)
 
 
 def _run(argv: Sequence[str] | None) -> int:
+    """Run one command; convert exceptions to a line on standard error and an exit code."""
     logger = logging.getLogger("uqharness")
     if not any(isinstance(handler, _Notes) for handler in logger.handlers):
         logger.addHandler(_Notes())
@@ -153,11 +155,12 @@ def _run(argv: Sequence[str] | None) -> int:
             file=sys.stderr,
         )
         words = shlex.join(["uqharness", *(sys.argv[1:] if argv is None else argv)])
-        again = "resumes" if _resumes(words) else "begins anew"
-        print(f"uqharness: this command {again}: {words}", file=sys.stderr)
+        outcome = "resumes" if _resumes(words) else "begins anew"
+        print(f"uqharness: this command {outcome}: {words}", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        # The reader of our output has left (head, less): that is no error, but flushing at exit would complain.
+        # The reader of the output has closed it (head, less). That is no error, but flushing at
+        # exit would raise again, so standard output is redirected.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except MemoryError:

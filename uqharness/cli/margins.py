@@ -1,4 +1,6 @@
-"""``uqharness margins``: gain, phase and delay margins of the autopilot's loops, measured in flight."""
+"""``uqharness margins``: gain, phase and delay margins of the autopilot's loops, measured in
+flight.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +13,11 @@ from uqharness.cli.options import (
     add_aircraft,
     add_autopilot,
     add_page,
-    as_data,
     command_as_given,
     describe,
+    gains_document,
     gains_of,
-    tell_gains,
+    print_gains,
 )
 from uqharness.cli.progress import counting
 from uqharness.errors import BadInputError
@@ -40,8 +42,11 @@ _EXAMPLE = """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``margins``."""
-    text = "Measure the autopilot's stability margins in flight, loop by loop, by injecting a multisine at each controller's output."
+    """Add the arguments of ``margins``."""
+    text = (
+        "Measure the autopilot's stability margins in flight, loop by loop, by injecting a"
+        " multisine at each controller's output."
+    )
     describe(parser, _run, text, _EXAMPLE)
     add_aircraft(parser)
     parser.add_argument(
@@ -67,6 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Measure the loops and print their margins; return the exit code."""
     if args.out is not None:
         check_page_path(args.out)
     aircraft = find_aircraft(args.aircraft)
@@ -74,9 +80,10 @@ def _run(args: argparse.Namespace) -> int:
     names = args.loop or list(LOOPS)
     script = find_script(args.script)
     gains = gains_of(args.autopilot, aircraft, script)
+    # Gains of a parameter file replace those of the aircraft.
     condition = {**condition, **(gains.properties if gains else {})}
     with StagedMission(aircraft, script) as mission:
-
+        # Each measurement needs instances of its own, at the same condition.
         def make_fdm() -> Any:
             fdm = mission.open()
             needed = [name for loop in LOOPS.values() for name in loop.properties]
@@ -85,14 +92,14 @@ def _run(args: argparse.Namespace) -> int:
 
         try:
             measured: list[LoopMargins] = []
-            with counting("loops measured") as progress:
+            with counting("loops measured") as callback:
 
-                def tell(share: float) -> None:
-                    progress(len(measured) + share, len(names))
+                def update(share: float) -> None:
+                    callback(len(measured) + share, len(names))
 
                 for name in names:
                     measured.append(
-                        measure_loop(make_fdm, LOOPS[name], condition=condition, on_progress=tell)
+                        measure_loop(make_fdm, LOOPS[name], condition=condition, on_progress=update)
                     )
         except ValueError as error:
             raise BadInputError(f"margins of {aircraft.name}: {error}") from None
@@ -106,21 +113,23 @@ def _run(args: argparse.Namespace) -> int:
                 {
                     "flight": args.flight,
                     "loops": {item.loop: _as_json(item) for item in measured},
-                    "autopilot": as_data(gains),
+                    "autopilot": gains_document(gains),
                 }
             )
         )
     else:
-        tell_gains(args.autopilot, gains)
+        print_gains(args.autopilot, gains)
         print(_as_text(aircraft.name, args.flight, measured))
     return 0
 
 
 def _number(value: float) -> float | None:
+    """Return a finite value, None otherwise."""
     return value if math.isfinite(value) else None
 
 
 def _as_json(item: LoopMargins) -> dict[str, object]:
+    """Return one loop's margins for --json."""
     m = item.margins
     return {
         "gain_up_dB": _number(m.gain_up_dB),
@@ -135,31 +144,42 @@ def _as_json(item: LoopMargins) -> dict[str, object]:
 
 
 def _as_text(name: str, flight: str, measured: list[LoopMargins]) -> str:
+    """Return the table of margins."""
+
     def show(value: float, digits: int = 1) -> str:
         return f"{value:.{digits}f}" if math.isfinite(value) else "none"
 
-    head = f"  {'loop':<10}{'gain up, dB':>12}{'gain down, dB':>15}{'phase, deg':>12}{'delay, ms':>11}{'min |1+L|':>11}"
+    head = (
+        f"  {'loop':<10}{'gain up, dB':>12}{'gain down, dB':>15}{'phase, deg':>12}"
+        f"{'delay, ms':>11}{'min |1+L|':>11}"
+    )
     lines = [
-        f"Stability margins of {name}'s autopilot ({flight}, calm air). Each loop is opened at its controller's output.",
+        (
+            f"Stability margins of {name}'s autopilot ({flight}, calm air). Each loop is opened at"
+            " its controller's output."
+        ),
         f"{head}   gain crossover, rad/s",
     ]
     for item in measured:
         m = item.margins
         crossover = ", ".join(f"{w:.2f}" for w in m.gain_crossovers_radps) or "none"
         lines.append(
-            f"  {item.loop:<10}{show(m.gain_up_dB):>12}{show(m.gain_down_dB):>15}{show(m.phase_deg):>12}"
-            f"{show(1000 * m.delay_s, 0):>11}{m.modulus:>11.2f}   {crossover}"
+            f"  {item.loop:<10}{show(m.gain_up_dB):>12}{show(m.gain_down_dB):>15}"
+            f"{show(m.phase_deg):>12}{show(1000 * m.delay_s, 0):>11}{m.modulus:>11.2f}"
+            f"   {crossover}"
         )
-    lines += [text for item in measured if (text := _not_read(item))]
+    lines += [text for item in measured if (text := _unread_note(item))]
     return "\n".join(lines)
 
 
-def _not_read(item: LoopMargins) -> str:
+def _unread_note(item: LoopMargins) -> str:
+    """Describe the frequencies that were discarded; empty where all were used."""
     dropped = item.frequency_radps[~item.reliable]
     if not dropped.size:
         return ""
     share = f"{100 * MAX_SCATTER:.0f} %"
     return (
-        f"  {item.loop}: {dropped.size} of {item.reliable.size} frequencies, {dropped.min():.2g} to {dropped.max():.2g} rad/s, are "
-        f"not used: the loop's response there differs by more than {share} between the two signs of the injection"
+        f"  {item.loop}: {dropped.size} of {item.reliable.size} frequencies, {dropped.min():.2g} to"
+        f" {dropped.max():.2g} rad/s, are not used: the loop's response there differs by more than"
+        f" {share} between the two signs of the injection"
     )

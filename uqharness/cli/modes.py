@@ -40,8 +40,11 @@ _EXAMPLE = """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``modes``."""
-    text = "Trim the aircraft in steady flight, linearise the JSBSim model about it, and name its modes."
+    """Add the arguments of ``modes``."""
+    text = (
+        "Trim the aircraft in steady flight, linearise the JSBSim model about it, and name its"
+        " modes."
+    )
     describe(parser, _run, text, _EXAMPLE, no="no trim was found")
     add_aircraft(parser)
     speed = number("--speed-mps", "a true airspeed in m/s", above=0.0)
@@ -63,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "W",
             0.0,
             "steady wind, m/s; moves the path only",
-            number("--wind-mps", least=0.0),
+            number("--wind-mps", minimum=0.0),
         ),
         (
             "--wind-from-deg",
@@ -104,11 +107,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _angle(option: str, below: float) -> Callable[[str], float]:
-    return number(option, "an angle in degrees", above=-below, most=math.nextafter(below, 0.0))
+    """Return a reader of an angle of less than ``below`` degrees either way."""
+    return number(option, "an angle in degrees", above=-below, maximum=math.nextafter(below, 0.0))
 
 
 class Speeds(NamedTuple):
-    """Ends of a range of true airspeeds [m/s], written as they are given."""
+    """Range of true airspeeds [m/s], printed as it is written on the command line."""
 
     low: float
     high: float
@@ -118,6 +122,7 @@ class Speeds(NamedTuple):
 
 
 def _speeds(text: str) -> Speeds:
+    """Parse ``LO:HI``. Raises BadInputError."""
     low, colon, high = text.partition(":")
     speed = number("--speeds", "LO:HI, two true airspeeds in m/s,", above=0.0)
     if not colon:
@@ -131,10 +136,12 @@ def _speeds(text: str) -> Speeds:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Trim, linearise and print; return exit code 1 without a trim."""
     if args.out is not None:
         check_page_path(args.out)
     elif args.speeds is not None:
         raise BadInputError("--speeds: belongs to the page; give --out FILE.html too")
+    # The wind blows towards the opposite of the direction it comes from.
     toward = math.radians(args.wind_from_deg + 180.0)
     wind = (args.wind_mps * math.cos(toward), args.wind_mps * math.sin(toward), 0.0)
     aircraft = find_aircraft(args.aircraft)
@@ -147,6 +154,7 @@ def _run(args: argparse.Namespace) -> int:
         wind,
     )
     trim = find_trim(aircraft, condition)
+    # No trim is an answer, not an error.
     if not trim.converged:
         print(
             json.dumps({"trim": None, "reason": trim.reason, "modes": []})
@@ -155,13 +163,13 @@ def _run(args: argparse.Namespace) -> int:
         )
         return 1
     point = locus_point(linearise(aircraft, trim), args.category, args.aircraft_class)
-    found, levels = list(point.modes), list(point.levels)
+    modes, levels = list(point.modes), list(point.levels)
     if args.out is not None:
         _write(args, aircraft, trim, condition, point)
     print(
-        json.dumps(_as_json(aircraft, trim, found, levels))
+        json.dumps(_as_json(aircraft, trim, modes, levels))
         if args.json
-        else _as_text(aircraft.name, trim, found, levels)
+        else _as_text(aircraft.name, trim, modes, levels)
     )
     return 0
 
@@ -173,35 +181,37 @@ def _write(
     condition: SteadyCondition,
     point: LocusPoint,
 ) -> None:
-    """Trim at the page's other speeds, and write it."""
+    """Trim at the other speeds of the page, and write it."""
     speeds = default_speeds(args.speed_mps, *(args.speeds or ()))
-    # Only a page takes time enough for a line that moves, and its library is slow to load.
+    # Only a page takes long enough for a progress line, whose library is slow to load.
     from uqharness.cli.progress import counting
 
-    with counting("speeds trimmed") as progress:
+    with counting("speeds trimmed") as callback:
         locus = root_locus(
-            aircraft, condition, speeds, args.category, args.aircraft_class, first=point, callback=progress
+            aircraft, condition, speeds, args.category, args.aircraft_class, first=point, callback=callback
         )
-    _, *said = [line.strip() for line in _trim_lines(aircraft.name, trim)]
+    _, *trim_lines = [line.strip() for line in _trim_lines(aircraft.name, trim)]
     altitude = f"{condition.altitude_m:g} m above sea level"
-    facts = [("Altitude", altitude), ("Attitude", said[0]), ("Controls", said[1])]
-    facts += [("Velocity" if "ground" in line else "Path", line) for line in said[2:]]
-    asked = ModesRequest(
+    facts = [("Altitude", altitude), ("Attitude", trim_lines[0]), ("Controls", trim_lines[1])]
+    facts += [("Velocity" if "ground" in line else "Path", line) for line in trim_lines[2:]]
+    request = ModesRequest(
         aircraft.name, args.category, args.aircraft_class, tuple(facts), command_as_given(args)
     )
-    write_html(args.out, modes_page(asked, point, locus))
+    write_html(args.out, modes_page(request, point, locus))
 
 
 def _as_json(
-    aircraft: Aircraft, trim: Trim, found: list[Mode], levels: list[Assessment]
+    aircraft: Aircraft, trim: Trim, modes: list[Mode], levels: list[Assessment]
 ) -> dict[str, object]:
+    """Return trim, modes and levels for --json."""
+
     def number(value: float) -> float | None:
         return value if math.isfinite(value) else None
 
     controls: dict[str, float | None] = {
         f"{name}_{aircraft.card.inputs[name].unit}": value for name, value in trim.controls.items()
     }
-    # A normalised command says nothing of an angle; the surface itself may.
+    # A normalised command has no angle; the surface position may have one.
     controls.setdefault("elevator_deg", trim.positions_deg.get("elevator"))
     if "throttle_norm" in controls:
         controls["throttle_pct"] = 100.0 * trim.controls["throttle"]
@@ -229,7 +239,7 @@ def _as_json(
                 "wn_radps": m.wn_radps,
                 "zeta": number(m.zeta),
             }
-            for m in found
+            for m in modes
         ],
         "levels": [
             {
@@ -245,23 +255,31 @@ def _as_json(
     }
 
 
-def _measured(found: Assessment) -> str:
-    """The criterion with its value; no time to double amplitude is a mode that is stable."""
-    if math.isinf(found.value):
+def _measured(assessment: Assessment) -> str:
+    """Describe a criterion's value; a mode without time to double amplitude is stable."""
+    if math.isinf(assessment.value):
         return "stable"
-    if math.isnan(found.value):
-        return f"{found.criterion} undefined"
-    return f"{found.criterion} {found.value:.3g} {'' if found.unit == '1' else found.unit}".rstrip()
+    if math.isnan(assessment.value):
+        return f"{assessment.criterion} undefined"
+    return (
+        f"{assessment.criterion} {assessment.value:.3g}"
+        f" {'' if assessment.unit == '1' else assessment.unit}".rstrip()
+    )
 
 
 def _trim_lines(name: str, trim: Trim) -> list[str]:
+    """Return the lines that describe a trim."""
     north, east, down = trim.velocity_ned_mps
     attitude = (
-        f"  alpha {math.degrees(trim.alpha_rad):8.3f} deg   beta {math.degrees(trim.beta_rad):8.3f} deg"
-        f"   pitch {math.degrees(trim.theta_rad):8.3f} deg   turn {math.degrees(trim.turn_rate_radps):.3f} deg/s"
+        f"  alpha {math.degrees(trim.alpha_rad):8.3f} deg   beta {math.degrees(trim.beta_rad):8.3f}"
+        f" deg   pitch {math.degrees(trim.theta_rad):8.3f} deg   turn"
+        f" {math.degrees(trim.turn_rate_radps):.3f} deg/s"
     )
     return [
-        f"{name}, {trim.condition.V_mps:g} m/s true airspeed, {trim.condition.altitude_m:g} m above sea level",
+        (
+            f"{name}, {trim.condition.V_mps:g} m/s true airspeed, {trim.condition.altitude_m:g} m"
+            " above sea level"
+        ),
         attitude,
         "  "
         + "   ".join(f"{key} {value:.3f}" for key, value in trim.controls.items())
@@ -276,20 +294,24 @@ def _trim_lines(name: str, trim: Trim) -> list[str]:
     ]
 
 
-def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment]) -> str:
+def _as_text(name: str, trim: Trim, modes: list[Mode], levels: list[Assessment]) -> str:
+    """Return trim, modes and levels as a table."""
     lines = [
         *_trim_lines(name, trim),
         "",
-        f"  {'mode':<14}{'real, 1/s':>11}{'imag, 1/s':>11}{'wn, rad/s':>11}{'zeta':>9}   MIL-F-8785C",
+        (
+            f"  {'mode':<14}{'real, 1/s':>11}{'imag, 1/s':>11}{'wn, rad/s':>11}{'zeta':>9}  "
+            " MIL-F-8785C"
+        ),
     ]
-    named: set[str] = set()
-    for mode in found:
+    listed: set[str] = set()
+    for mode in modes:
         remarks = [
             f"Level {a.level}" + (" (worse than 3)" if a.level == 4 else "") + f" {_measured(a)}"
             for a in levels
-            if a.mode == mode.name and _belongs(a, mode, first=mode.name not in named)
+            if a.mode == mode.name and _belongs(a, mode, first=mode.name not in listed)
         ]
-        named.add(mode.name)
+        listed.add(mode.name)
         lines.append(
             f"  {mode.name:<14}{mode.real:>11.4f}{mode.imag:>11.4f}{mode.wn_radps:>11.4f}"
             f"{mode.zeta:>9.3f}   {'; '.join(remarks)}".rstrip()
@@ -298,7 +320,9 @@ def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment])
 
 
 def _belongs(assessment: Assessment, mode: Mode, first: bool) -> bool:
-    """Whether a criterion is printed in a mode's row: a divergence at its root, others once."""
+    """Check whether a criterion is printed in a mode's row: a divergence at its root,
+    others once.
+    """
     if assessment.paragraph != DIVERGENCE:
         return first
     return mode.real > 0.0 and math.isclose(assessment.value, math.log(2.0) / mode.real)

@@ -1,4 +1,9 @@
-"""``uqharness next-flight``: where more flight data would narrow the interval that matters most, and what to fly for it."""
+"""``uqharness next-flight``: the test flight that would narrow the most important interval.
+
+The sensitivity of a campaign selects the coefficient, the mission's flight states weight its
+interval, and `uqharness.next_flight` searches for test points. Exit code 1 means that no flight of
+the allowed length is worth flying.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +21,11 @@ from uqharness.cli.options import (
     add_seed,
     command_as_given,
     describe,
+    integer,
     number,
     results_folder,
-    whole,
 )
-from uqharness.cli.progress import say_warnings, working
+from uqharness.cli.progress import print_warnings, working
 from uqharness.errors import BadInputError
 from uqharness.files import check_output_folder, write_bytes, write_json
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
@@ -48,26 +53,30 @@ from uqharness.report import document, points_csv, write_page
 from uqharness.report.pages import next_flight_page, uncertainty_figures
 from uqharness.simulator import Aircraft
 
-Stage = Callable[[str], None]
+Callback = Callable[[str], None]
 DOCUMENT, SCRIPT, TABLE = "next-flight.json", "next-flight.xml", "test-points.csv"
 
 _EXAMPLE = """
   uqharness next-flight results --bounds bounds/model-form.json --out next
-  uqharness next-flight results --bounds bounds/model-form.json --metric altitude_median_m --minutes 3 --turbulence light --out next
+  uqharness next-flight results --metric altitude_median_m --minutes 3 --out next
   uqharness fly espaaro --script next/next-flight.xml --noise --seed 1 --out rehearsal.parquet
-  uqharness next-flight results --bounds bounds/model-form.json --redone both/model-form.json --out next
+  uqharness next-flight results --redone both/model-form.json --out next
 
-DIR/next-flight.json, DIR/next-flight.xml (a run script), DIR/test-points.csv, DIR/report.html and DIR/figures/next-flight.svg.
-With --redone nothing is planned: the bounds before and after a flight are compared."""
+Writes DIR/next-flight.json, DIR/next-flight.xml (a run script), DIR/test-points.csv,
+DIR/report.html and DIR/figures/next-flight.svg. With --redone nothing is planned: the bounds before
+and after a flight are compared."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``next-flight``."""
+    """Add the arguments of ``next-flight``."""
     text = (
-        "Plan the test flight that most narrows the interval of the coefficient to which the mission is most sensitive, in the "
-        "flight states of the mission (see docs/next-flight.md)."
+        "Plan the test flight that most narrows the interval of the coefficient to which the"
+        " mission is most sensitive, in the flight states of the mission (see docs/next-flight.md)."
     )
-    no = "no flight of that length narrows the interval by 5 % in the mission's flight states; the text says what would"
+    no = (
+        "no flight of that length narrows the interval by 5 % in the mission's flight states; the"
+        " text says what would"
+    )
     describe(parser, _run, text, _EXAMPLE, no=no)
     parser.add_argument(
         "folder", type=Path, metavar="CAMPAIGN", help="folder of a finished corner campaign"
@@ -90,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--minutes",
-        type=number("--minutes", "a time in minutes", above=0.0, most=120.0),
+        type=number("--minutes", "a time in minutes", above=0.0, maximum=120.0),
         default=5.0,
         metavar="N",
         help="length of the flight at most, min (default 5)",
@@ -110,10 +119,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--cases",
-        type=whole("--cases", 1),
+        type=integer("--cases", 1),
         default=6,
         metavar="N",
-        help="campaign flights that are repeated to record the mission's flight states (default %(default)s)",
+        help=(
+            "campaign flights that are repeated to record the mission's flight states (default"
+            " %(default)s)"
+        ),
     )
     parser.add_argument(
         "--occupancy",
@@ -128,13 +140,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="FILE",
-        help="flights from which the bounds were made; searched for terms that the polynomial lacks",
+        help=(
+            "flights from which the bounds were made; searched for terms that the polynomial lacks"
+        ),
     )
     parser.add_argument(
         "--redone",
         type=Path,
         metavar="MODEL-FORM.json",
-        help="bounds that include the new flight: compares them with the old ones and plans nothing",
+        help=(
+            "bounds that include the new flight: compares them with the old ones and plans nothing"
+        ),
     )
     add_seed(parser, "the simulated flights", default=1)
     add_no_figures(parser)
@@ -142,6 +158,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _speeds(text: str) -> tuple[float, ...]:
+    """Parse true airspeeds. Raises BadInputError."""
     try:
         speeds = tuple(float(v) for v in text.split(","))
     except ValueError:
@@ -152,23 +169,26 @@ def _speeds(text: str) -> tuple[float, ...]:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Print the plan; return the exit code."""
     check_output_folder(args.out)
-    with working("next-flight") as stage:
-        text, code = _answer(args, stage)
+    with working("next-flight") as callback:
+        text, code = _answer(args, callback)
     print(text)
     return code
 
 
-def _answer(args: argparse.Namespace, stage: Stage) -> tuple[str, int]:
-    """What is printed, and the exit code."""
-    stage("sensitivity")
+def _answer(args: argparse.Namespace, callback: Callback) -> tuple[str, int]:
+    """Return what is printed, and the exit code."""
+    callback("sensitivity")
     winner = find_winner(args.folder, args.metric, args.coefficient)
     campaign = open_campaign(args.folder)
     path = args.bounds or bounds_of(campaign, args.folder, winner.coefficient)
+    # The bounds must belong to the aircraft of the campaign and bound the coefficient.
     form = load_form(path)
     aircraft = aircraft_of(campaign)
     check_form(form, aircraft, winner.coefficient, str(path))
-    stage("the mission's flight states")
+    callback("the mission's flight states")
+    # Flight states of the mission weigh the interval.
     mission = (
         recorded_mission(args.occupancy, aircraft, form.filtering.cutoff_hz)
         if args.occupancy
@@ -177,8 +197,8 @@ def _answer(args: argparse.Namespace, stage: Stage) -> tuple[str, int]:
     if args.redone is not None:
         after = load_form(args.redone)
         check_form(after, aircraft, winner.coefficient, str(args.redone))
-        return _redone(args, form, after, mission, winner.coefficient)
-    return _plan(args, form, path, aircraft, campaign, mission, winner, stage)
+        return _compare_redone(args, form, after, mission, winner.coefficient)
+    return _plan(args, form, path, aircraft, campaign, mission, winner=winner, callback=callback)
 
 
 def _plan(
@@ -188,23 +208,26 @@ def _plan(
     aircraft: Aircraft,
     campaign: CampaignMission,
     mission: Occupancy,
+    *,
     winner: Winner,
-    stage: Stage,
+    callback: Callback,
 ) -> tuple[str, int]:
+    """Plan a flight and write its files; return the text and the exit code."""
     flight = flight_of(campaign, aircraft, form, args.turbulence)
-    found = plan_flight(
+    plan = plan_flight(
         form,
         winner.coefficient,
         mission,
         flight,
         Options(args.minutes, args.speeds, args.seed),
-        stage,
+        callback,
     )
     missing = None
+    # Flights behind the bounds may show terms that the polynomial lacks.
     if args.flight:
-        stage("missing terms")
+        callback("missing terms")
         missing = missing_in(form, aircraft, winner.coefficient, args.flight)
-    stage("report")
+    callback("report")
     units = {c: card.unit for c, card in aircraft.card.inputs.items()}
     air = {
         "aircraft": {"name": aircraft.name, "sha256": form.aircraft.sha256},
@@ -219,10 +242,11 @@ def _plan(
     warnings = warnings_of(
         form, campaign, flight, args.bounds, args.flight, flown=not args.occupancy
     )
-    doc = document(found, winner, mission, missing, air, units, warnings)
+    doc = document(plan, winner, mission, missing, air, units, warnings)
     out = results_folder(args.out)
-    points = [p.point for p in found.plan]
-    purpose = f"Flight for {found.coefficient}"
+    # The run script repeats the plan in simulation, as a rehearsal.
+    points = [p.point for p in plan.plan]
+    purpose = f"Flight for {plan.coefficient}"
     write_bytes(
         out / SCRIPT,
         script_text(
@@ -235,28 +259,29 @@ def _plan(
             purpose,
         ),
     )
-    write_bytes(out / TABLE, points_csv(found, units))
+    write_bytes(out / TABLE, points_csv(plan, units))
     write_json(out / DOCUMENT, doc)
     figures = []
     if not args.no_figures:
-        bounds = form.coefficients[found.coefficient]
-        flown = mission.of(bounds.states)
+        bounds = form.coefficients[plan.coefficient]
+        mission_states = mission.of(bounds.states)
         figures = uncertainty_figures(
-            bounds, found.bounds_then, flown, found.states, form.outside, found.coefficient
+            bounds, plan.bounds_then, mission_states, plan.states, form.outside, plan.coefficient
         )
-    page = next_flight_page(found, doc, figures, command_as_given(args))
+    page = next_flight_page(plan, doc, figures, command_as_given(args))
     report = write_page(out, page, page if figures else None)
-    say_warnings(warnings)
-    return json.dumps(doc) if args.json else report.text, 0 if found.worth_flying else 1
+    print_warnings(warnings)
+    return json.dumps(doc) if args.json else report.text, 0 if plan.worth_flying else 1
 
 
-def _redone(
+def _compare_redone(
     args: argparse.Namespace,
     before: ModelForm,
     after: ModelForm,
     mission: Occupancy,
     coefficient: str,
 ) -> tuple[str, int]:
+    """Compare the bounds before and after the new flight; return the text and the exit code."""
     rows = achieved(before, after, mission, args.out / DOCUMENT)
     text = (
         json.dumps({"coefficient": coefficient, "achieved": rows}) if args.json else as_text(rows)

@@ -1,6 +1,7 @@
-"""Progress of a command: a bar on a terminal, a line now and then in a pipe.
+"""Progress of a command: a bar on a terminal, an occasional line in a pipe.
 
-`working`, `counting` and `ProgressView` draw on a terminal, and tell `uqharness.heartbeat` the stage, which it writes elsewhere.
+`working`, `counting` and `ProgressView` draw on a terminal and set the stage of
+`uqharness.heartbeat`, which prints it elsewhere.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ if TYPE_CHECKING:
 
 
 class _Counted(ProgressColumn):
-    """How many of something are done since the line began, asked for at each drawing; empty before the first."""
+    """Column with the count since the line began; empty before the first."""
 
     def __init__(self, count: Callable[[], int], unit: str) -> None:
         super().__init__()
         self._count, self._unit, self._before = count, unit, count()
 
     def render(self, task: Task) -> Text:
-        """The number and its unit."""
+        """Return the number and its unit."""
         done = self._count() - self._before
         return Text(f"{done:,} {self._unit}" if done else "")
 
@@ -57,50 +58,62 @@ def working(
     keep: bool = False,
     console: Console | None = None,
 ) -> Iterator[Callable[[str], None]]:
-    """A line that moves while a command works: its stage, the time since the command began, and a count.
+    """Context that shows the stage, the elapsed time and a count while a command works.
 
     Parameters
     ----------
-    command
-        What the line begins with.
-    count, unit
-        Gives a number that grows with the work; None shows none.
-    keep
-        Whether each finished stage leaves a line with the time that it took.
-    console
+    command : str
+        Prefix of the line.
+    count, unit : callable and str
+        A number that grows with the work; None shows none.
+    keep : bool
+        Whether each finished stage leaves a line with its duration.
+    console : Console, optional
         Where to draw; by default standard error.
 
-    Yields a function that is told each stage.
+    Yields
+    ------
+    callable
+        Called with the name of each stage.
     """
-    shown = console or Console(stderr=True, file=cursor_stream(sys.stderr))
-    if not shown.is_terminal:
+    console_used = console or Console(stderr=True, file=cursor_stream(sys.stderr))
+    # In a pipe the heartbeat prints the stage now and then.
+    if not console_used.is_terminal:
 
-        def tell(text: str) -> None:
+        def set_stage(text: str) -> None:
             number = 0 if count is None else count()
             STATE.stage = f"{text}, {number:,} {unit}" if number and text else text
 
-        yield tell
+        yield set_stage
         STATE.stage = ""
         return
     columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()]
     columns += [] if count is None else [_Counted(count, unit)]
-    # Other output is not drawn through the bar: it may hold a log's own words, and those pass the terminal's filter alone.
+    # Other output is not redirected through the bar: it may contain text of a log, which must pass
+    # the terminal's filter.
     with (
         bar_drawn(),
         Bar(
-            *columns, console=shown, transient=True, redirect_stdout=False, redirect_stderr=False
+            *columns,
+            console=console_used,
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
         ) as bar,
     ):
         task = bar.add_task(command, total=None)
-        current, begun = "", time.monotonic()
+        current, stage_start_s = "", time.monotonic()
 
         def stage(text: str) -> None:
-            nonlocal current, begun
+            nonlocal current, stage_start_s
+            # A new stage, not a new count.
             if _without_numbers(text) != _without_numbers(current):
                 if keep and current:
-                    line = f"{command}: {visible(current)} ({clock(time.monotonic() - begun)})"
+                    line = (
+                        f"{command}: {visible(current)} ({clock(time.monotonic() - stage_start_s)})"
+                    )
                     bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
-                begun = time.monotonic()
+                stage_start_s = time.monotonic()
             current = text
             bar.update(
                 task, description=f"{command}: {visible(text)}" if text else command, refresh=True
@@ -111,18 +124,18 @@ def working(
 
 
 def _without_numbers(text: str) -> str:
-    """A stage that only counts on is the same stage."""
+    """Remove numbers: a stage that only counts on is the same stage."""
     return re.sub(r"\d+", "", text)
 
 
-def say_line(text: object) -> None:
-    """A line of its own."""
+def print_line(text: object) -> None:
+    """Print a line on a terminal only."""
     if sys.stderr.isatty():
         print(text, file=sys.stderr)
 
 
-def say_warnings(warnings: Iterable[str]) -> None:
-    """A line each on standard error, in a pipe too; on a terminal in place of a line that moves."""
+def print_warnings(warnings: Iterable[str]) -> None:
+    """Print warnings to standard error, one a line, overwriting a progress line."""
     for text in warnings:
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=cursor_stream(sys.stderr))
@@ -130,14 +143,17 @@ def say_warnings(warnings: Iterable[str]) -> None:
 
 
 @contextmanager
-def counting(what: str) -> Iterator[Callable[[float, int], None]]:
-    """A counter with an estimate of the time to go: call it with how many are done, parts included, and how many there are."""
+def counting(title: str) -> Iterator[Callable[[float, int], None]]:
+    """Context for a counter with the remaining time.
+
+    Yields a function of the amount done, fractions included, and the total.
+    """
     terminal, rate = sys.stderr.isatty(), Rate()
 
     def update(done: float, total: int) -> None:
-        left = rate.seconds_left(done, total)
-        text = f"{visible(what)}: {math.floor(done)} of {total}"
-        text += "" if left is None else f", {clock(left)} to go"
+        remaining_s = rate.seconds_left(done, total)
+        text = f"{visible(title)}: {math.floor(done)} of {total}"
+        text += "" if remaining_s is None else f", {clock(remaining_s)} to go"
         STATE.stage = text
         if terminal:
             print(f"\r\x1b[K{text}", end="", file=cursor_stream(sys.stderr), flush=True)
@@ -150,10 +166,13 @@ def counting(what: str) -> Iterator[Callable[[float, int], None]]:
 
 
 class ProgressView:
-    """Context whose ``update`` is a campaign's ``on_progress``: finished cases, time to go, speed, failures so far."""
+    """Context whose ``update`` is the progress callback of a campaign.
+
+    It shows finished cases, remaining time, speed and failures.
+    """
 
     def __init__(self, console: Console | None = None) -> None:
-        # The bar moves the cursor itself; what it writes beside it holds no text of anybody's.
+        # The bar moves the cursor itself; its texts contain no foreign input.
         self._console = console or Console(stderr=True, file=cursor_stream(sys.stderr))
         self._bar: Bar | None = None
         self._task: TaskID | None = None
@@ -175,11 +194,12 @@ class ProgressView:
         return self
 
     def update(self, progress: Progress) -> None:
-        """Show a state; counts only what is on the disk."""
-        left = self._rate.seconds_left(
+        """Show the progress; only stored flights count."""
+        remaining_s = self._rate.seconds_left(
             progress.done - progress.done_before, progress.cases - progress.done_before
         )
-        note = describe(progress, left)
+        note = describe(progress, remaining_s)
+        # The tables of a large campaign take a while after the last flight.
         ready = "; writing the tables" if progress.done == progress.cases else ""
         STATE.stage = f"{progress.done} of {progress.cases} flights, {note}{ready}"
         if self._bar is not None and self._task is not None:
@@ -198,7 +218,9 @@ class ProgressView:
 
 
 def describe(progress: Progress, eta: float | None = None) -> str:
-    """What stands beside the bar; ``eta`` is the time to go [s], by default at the mean rate of the run."""
+    """Describe the progress; ``eta`` is the remaining time [s], by default at the mean rate of the
+    run.
+    """
     eta = progress.eta_s if eta is None else eta
     parts = ["" if eta is None or progress.done == progress.cases else f"{clock(eta)} to go"]
     if progress.flown_s > 0:

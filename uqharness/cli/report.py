@@ -1,4 +1,4 @@
-"""``uqharness report``: the page of any folder of results."""
+"""``uqharness report``: the page of a folder of results."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ _EXAMPLE = """
   uqharness report results
   uqharness report refined --json
 
-DIR is the --out of study, campaign run, identify, compare, bounds, validate-bounds or refine. Writes DIR/report.html: one file that
-needs no network, for a screen, a phone or a printer."""
+DIR is the --out of study, campaign run, identify, compare, bounds, validate-bounds or refine.
+Writes DIR/report.html, one file that needs no network, for a screen, a phone or a printer."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``report``."""
-    text = "Write the page of a folder of results from its files; nothing is flown or fitted again (see docs/report.md)."
+    """Add the arguments of ``report``."""
+    text = (
+        "Write the page of a folder of results from its files; nothing is flown or fitted again"
+        " (see docs/report.md)."
+    )
     describe(parser, _run, text, _EXAMPLE, no="files of the folder are not as they were written")
     parser.add_argument(
         "folder", type=Path, metavar="DIR", help="folder that another command wrote"
@@ -28,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    """Write the page; return the exit code."""
     kind = kind_of(args.folder)
     report = write_report(args.folder)
     path = report.path
@@ -40,10 +44,10 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def note_damage(folder: Path, report: Report) -> int:
-    """Print which files were not as they had been written; exit code 1 where some still are not."""
+    """Print which files are damaged; return exit code 1 where some could not be restored."""
     for name in report.rewritten:
         print(
-            f"note: {folder / name} was not as it had been written; it is written again",
+            f"note: {folder / name} had changed since it was written; it is restored",
             file=sys.stderr,
         )
     for fault in report.damaged:

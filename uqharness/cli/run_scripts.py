@@ -1,4 +1,6 @@
-"""Write the run scripts of the identification flights again: ``python -m uqharness.cli.run_scripts scripts``."""
+"""Write the run scripts of the identification flights: ``python -m uqharness.cli.run_scripts
+scripts``.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from uqharness.simulator import PLANS, script
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the scripts of the plans; the process's exit code."""
+    """Write one script a plan; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="where to write flight-*.xml")
     folder = parser.parse_args(arguments).folder

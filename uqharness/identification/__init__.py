@@ -1,4 +1,6 @@
-"""Identification on JSBSim replays: parameters, comparison with flights, intervals and their validation."""
+"""Identification on JSBSim replays: parameters, comparison with flights, intervals and their
+validation.
+"""
 
 import lazy_loader
 

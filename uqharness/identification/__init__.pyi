@@ -11,7 +11,7 @@ from .bounds import validate as validate
 from .bounds import verdicts as verdicts
 from .compare import LIMIT as LIMIT
 from .compare import Comparison as Comparison
-from .excitation import excited_alone as excited_alone
+from .excitation import restrict_to_excited as restrict_to_excited
 from .replay_fit import BIASES as BIASES
 from .replay_fit import OUTPUTS as OUTPUTS
 from .replay_fit import Identification as Identification
@@ -19,7 +19,7 @@ from .replay_fit import Observed as Observed
 from .replay_fit import coefficient_gaps as coefficient_gaps
 from .replay_fit import equation_error_start as equation_error_start
 from .replay_fit import fit_replays as fit_replays
-from .replay_fit import jumping_in as jumping_in
+from .replay_fit import jumping_flights as jumping_flights
 from .replay_fit import parse_channels as parse_channels
 from .servos import SERVOS as SERVOS
 from .servos import choose_servos as choose_servos

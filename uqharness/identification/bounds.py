@@ -1,4 +1,10 @@
-"""What a flight's residual coefficients hold beside the model's error: noise of its sensors, and the air's own rotation."""
+"""Model-form bounds of a JSBSim aircraft from flights, and their validation on other flights.
+
+Residual coefficients (demanded minus predicted) are corrected for sensor noise and for the rotation
+of the air, then bounded as functions of the flight state (`sysid.model_form`). `make_bounds` fits
+the bounds with their evidence, `validate` counts how much of a new flight lies inside, and
+`parse_designs` reads the polynomials of the command line. Nothing is written.
+"""
 
 from __future__ import annotations
 
@@ -66,32 +72,43 @@ VANES = ("alpha_rad", "beta_rad")
 def noise_sizes(
     flight: Flight, stated: Mapping[str, float], cutoffs: Cutoffs
 ) -> dict[str, NoiseSize]:
-    """White noise of each channel: what the flight's samples show above the filter's cut-off, the card's figure as prior.
+    """Estimate the white noise of each channel from samples above the filter's cut-off.
 
-    stated: channel -> standard deviation that the card gives.
+    ``stated`` are the card's standard deviations by channel, used as priors.
     """
     record = flight.record
     out = {}
     for name in NOISY:
         if name not in record:
             continue
+        # Pieces with gaps have no spectrum above the cut-off.
         pieces = [np.asarray(record[name][p.rows], dtype=float) for p in flight.pieces]
-        found = noise_size(
+        size = noise_size(
             [x for x in pieces if np.isfinite(x).all()],
             record.dt_s,
             cutoffs.all_hz,
             stated.get(name),
         )
-        if found is not None:
-            out[name] = found
+        if size is not None:
+            out[name] = size
     return out
 
 
 @dataclass(frozen=True)
 class NoisyFlight:
-    """A flight's residuals with the noise that its own sensors have put in, and what tells of the air's rotation.
+    """A flight's residuals with the noise of its sensors.
 
-    std   channel -> of its noise        air   none where alpha or beta come from an estimator, which feels no gusts
+    Attributes
+    ----------
+    residuals : Residuals
+        Residual coefficients with their noise.
+    std : Mapping
+        Standard deviation of the noise by channel.
+    air : sequence of AirPiece, optional
+        Data on the air's rotation; None where alpha or beta come from an estimator, which does not
+        sense gusts.
+    arm_m : tuple
+        Position of the accelerometers from the CG [m].
     """
 
     residuals: Residuals
@@ -103,12 +120,12 @@ class NoisyFlight:
     def of(
         pair: ReplayPair, flight: Flight, residuals: Residuals, aircraft: Aircraft
     ) -> NoisyFlight:
-        """Asks the model for what noise and rotation would change."""
+        """Evaluate the model for the effect of sensor noise and of the air's rotation."""
         sizes = noise_sizes(flight, aircraft.card.sensors.noise_std, residuals.cutoffs)
-        std = {c: found.std for c, found in sizes.items()}
-        # Rates moved by noise's probe and by rotation's are the same states: asked once.
-        model, arm = pair.around(flight), tuple(aircraft.accelerometer_m)
-        pair.ahead_near(flight, offset_records(flight.record, residuals.cutoffs), flight.pieces)
+        std = {c: size.std for c, size in sizes.items()}
+        # The probes of noise and of rotation perturb the same states, which are evaluated once.
+        model, arm = pair.model_near(flight), tuple(aircraft.accelerometer_m)
+        pair.prefetch_near(flight, offset_records(flight.record, residuals.cutoffs), flight.pieces)
         noisy = with_sensor_noise(
             residuals,
             flight.record,
@@ -116,18 +133,21 @@ class NoisyFlight:
             model,
             arm,
             std,
-            {c: found.spread for c, found in sizes.items()},
+            {c: size.spread for c, size in sizes.items()},
         )
-        felt = not set(VANES) & set(flight.record.metadata.estimates)
+        # Angles of an estimator do not contain the rotation of gusts.
+        measures_wind_angles = not set(VANES) & set(flight.record.metadata.estimates)
         air = (
             air_pieces(flight.record, flight.pieces, model, residuals.cutoffs.airspeed_hz)
-            if felt
+            if measures_wind_angles
             else None
         )
         return NoisyFlight(noisy, std, air, arm)
 
     def in_still_air(self, residuals: Residuals) -> tuple[Residuals, AirFound | None]:
-        """Residuals of the flight behind any filter, with noise, without the rotation of the air."""
+        """Return residuals of any filter with noise and without the air's rotation, and the
+        rotation found.
+        """
         return (
             (residuals, None)
             if self.air is None
@@ -138,27 +158,48 @@ class NoisyFlight:
 def noisy_residuals(
     pair: ReplayPair, flight: Flight, residuals: Residuals, aircraft: Aircraft
 ) -> Residuals:
-    """A flight's residuals with the noise of its sensors and of the air's rolling, without the air's rotation."""
+    """Return residuals with the noise of sensors and of the air's rolling, without the air's
+    rotation.
+    """
     noisy = NoisyFlight.of(pair, flight, residuals, aircraft)
     return noisy.in_still_air(noisy.residuals)[0]
 
 
-def said_of_air(flight: Flight, air: AirFound) -> str:
-    """What was taken for the air's."""
+def air_note(flight: Flight, air: AirFound) -> str:
+    """Describe the rotation of the air that was removed."""
     return (
-        f"{flight.name}: {100.0 * air.share:.0f} ± {100.0 * air.std:.0f} % of the rotation that frozen gusts have is in the "
-        "residuals; it is the air's, not the model's, and was taken out"
+        f"{flight.name}: the residuals contain {100.0 * air.share:.0f} ± {100.0 * air.std:.0f} %"
+        " of the rotation of frozen gusts; it is an effect of the air, not a model error, and is"
+        " removed"
     )
 
 
-# Model-form bounds of a JSBSim aircraft: flights in, a ModelForm and all that is needed to
-# judge it out. Writes nothing.
+# Fitting of bounds.
 
 
 @dataclass(frozen=True)
 class BoundsOptions:
-    """How bounds are made. outside: what the intervals do beyond the data; checks: noise floor, leave-one-out, other cut-offs.
-    values: of properties that are not to be as in the aircraft's XML."""
+    """Options of `make_bounds`.
+
+    Attributes
+    ----------
+    designs : Mapping
+        Polynomial of each coefficient.
+    fit : FitOptions
+        Confidence, sample size, selection and treatment of noise.
+    cutoffs : Cutoffs
+        Filters of the residual coefficients [Hz].
+    walk_cutoff_hz : float
+        Low-pass for the rate of variation [Hz].
+    outside : {"grow", "clamp"}
+        What the bounds do beyond the data.
+    ideal_servos : bool
+        Whether surfaces follow their commands at once.
+    checks : bool
+        Whether leave-one-out and other filters are computed.
+    values : Mapping
+        Properties that differ from the aircraft's XML.
+    """
 
     designs: Mapping[str, Design] = field(default_factory=default_designs)
     fit: FitOptions = field(default_factory=FitOptions)
@@ -172,7 +213,7 @@ class BoundsOptions:
 
 @dataclass(frozen=True)
 class CutoffRow:
-    """One other filter: its cut-offs, and per coefficient the mean width."""
+    """Mean widths by coefficient with another filter."""
 
     cutoffs: Cutoffs
     width: Mapping[str, float]
@@ -182,9 +223,28 @@ class CutoffRow:
 class MadeBounds(TabularResult):
     """A model form with its evidence.
 
-    widths       coefficient -> mean width of the bounds over the data         noise  -> rms of the sensors' noise in a sample
-    baseline     the default states' bounds where other states were asked for, for comparison
-    left_out     manoeuvre -> coefficient -> share inside the bounds of the others        cutoffs  other filters
+    Attributes
+    ----------
+    form : ModelForm
+        The bounds.
+    residuals : Residuals
+        What they were fitted to.
+    fitted : Mapping
+        Fit of each coefficient.
+    baseline : Mapping
+        Bounds with the default states, where other states were requested.
+    variations : Mapping
+        Rate of variation by coefficient.
+    widths : Mapping
+        Mean width of the bounds over the data [-].
+    noise : Mapping
+        Rms of the sensors' noise in a sample [-].
+    left_out : Mapping
+        Manoeuvre to coefficient to the share inside the bounds of the other manoeuvres.
+    cutoffs : tuple of CutoffRow
+        Widths with other filters.
+    notes, warnings : tuple of str
+        Sentences for the user.
     """
 
     form: ModelForm
@@ -203,7 +263,9 @@ class MadeBounds(TabularResult):
         return f"MadeBounds({self.form!r}, {len(self.warnings)} warnings)"
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table of coefficients: samples, effective ones, standard deviation, mean width, noise, walk rate, parts."""
+        """Return the table of coefficients: samples, standard deviation, mean width, noise, walk
+        rate, parts.
+        """
         import pandas as pd
 
         rows = {
@@ -222,7 +284,9 @@ class MadeBounds(TabularResult):
 
 
 def _parts_of(bounds: CoefficientBounds) -> dict[str, float]:
-    """Sizes of the parts [-]; none where noise and model error were kept together."""
+    """Return the parts of the model error [-]; empty where noise and model error were kept
+    together.
+    """
     p = bounds.parts
     if p is None:
         return {}
@@ -241,41 +305,73 @@ def make_bounds(
     measured: Sequence[str],
     hashes: Sequence[str],
     options: BoundsOptions,
-    say: Callable[[str], object] = lambda stage: None,
+    callback: Callable[[str], object] = lambda stage: None,
 ) -> MadeBounds:
-    """Fit the intervals. hashes: SHA-256 of each flight's file; ``say`` is told each stage.
+    """Fit model-form bounds to flights.
 
-    Raises BadInputError when the flights are too short for any fit.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The model.
+    flights : sequence of Flight
+        Flights that the model was not identified from.
+    measured : sequence of str
+        Surfaces whose columns are positions.
+    hashes : sequence of str
+        SHA-256 of each flight's file.
+    options : BoundsOptions
+        What is fitted.
+    callback : callable
+        Called with the name of each stage.
+
+    Returns
+    -------
+    MadeBounds
+        The model form and its evidence.
+
+    Raises
+    ------
+    BadInputError
+        When the flights are too short for any fit.
     """
+    # Ideal servos move at once; their commands are delayed as the smoothed rates are.
     arm = aircraft.accelerometer_m
-    flights = [f.with_commands_as_felt() for f in flights] if options.ideal_servos else flights
+    flights = [f.with_smoothing_delay() for f in flights] if options.ideal_servos else flights
     with prediction_of(aircraft, measured, options.ideal_servos, options.values) as pair:
-        say("residual coefficients")
+        callback("residual coefficients")
+        # 1: demanded minus predicted coefficients of every flight.
         parts = [flight_residuals(pair, f, arm, options.cutoffs) for f in flights]
-        say("sensor noise")
+        callback("sensor noise")
+        # 2: sensor noise in each sample, by probing the model.
         noisy = [NoisyFlight.of(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)]
-        still = (
+        # 3: remove the rotation of the air, unless noise and model error are kept together.
+        calm_residuals = (
             [n.in_still_air(n.residuals) for n in noisy]
             if options.fit.noise == "apart"
             else [(n.residuals, None) for n in noisy]
         )
-        residuals = together([r for r, _ in still])
-        say("model error apart from noise" if options.fit.noise == "apart" else "intervals")
+        residuals = together([r for r, _ in calm_residuals])
+        callback("model error apart from noise" if options.fit.noise == "apart" else "intervals")
+        # 4: bounds as functions of the flight state.
         fitted = _fit(residuals, options.designs, options.fit)
-        table = []
+        cutoff_rows = []
         if options.checks:
-            say("other filters")
-            table = [
-                _other(pair, flights, noisy, arm, c, options)
+            callback("other filters")
+            cutoff_rows = [
+                _with_cutoffs(pair, flights, noisy, arm, c, options)
                 for c in _other_cutoffs(options.cutoffs)
             ]
+    # Rates of variation of the residuals within their bounds, for walks between levels.
     walks = {
         c: variation(residuals, c, f.bounds, options.walk_cutoff_hz, options.outside)
         for c, f in fitted.items()
     }
+    # The form records what is needed to repeat the fit: flights, filters, confidence.
     form = ModelForm(
         aircraft=AircraftReference(aircraft.name, content_hash(aircraft)),
-        flights=tuple(_used(f, r, h) for f, r, h in zip(flights, parts, hashes, strict=True)),
+        flights=tuple(
+            _flight_used(f, r, h) for f, r, h in zip(flights, parts, hashes, strict=True)
+        ),
         filtering=Filtering(
             options.cutoffs.all_hz,
             options.cutoffs.airspeed_hz,
@@ -286,15 +382,15 @@ def make_bounds(
         outside=options.outside,
         coefficients=with_walk_rates(fitted, {c: w.rate for c, w in walks.items()}),
     )
-    say("leaving manoeuvres out")
+    callback("leaving manoeuvres out")
     left_out = (
         leave_one_out(residuals, options.designs, options.fit, options.outside, fitted)
         if options.checks
         else {}
     )
-    said = [
-        said_of_air(f, air)
-        for f, (_, air) in zip(flights, still, strict=True)
+    air_notes = [
+        air_note(f, air)
+        for f, (_, air) in zip(flights, calm_residuals, strict=True)
         if air is not None and air.level > 0.0
     ]
     return MadeBounds(
@@ -304,12 +400,12 @@ def make_bounds(
         baseline=_baseline(residuals, options),
         variations=walks,
         widths=mean_widths(form, residuals),
-        noise=_forced(together([n.residuals for n in noisy])),
+        noise=_noise_rms(together([n.residuals for n in noisy])),
         left_out=left_out,
-        cutoffs=tuple(table),
+        cutoffs=tuple(cutoff_rows),
         notes=(
             *(n for f in flights for n in f.notes),
-            *said,
+            *air_notes,
             *_notes_of(fitted),
         ),
         warnings=tuple(_warnings(aircraft, flights, hashes, form, walks, options.cutoffs)),
@@ -317,7 +413,7 @@ def make_bounds(
 
 
 def _notes_of(fitted: Mapping[str, FittedBounds]) -> list[str]:
-    """Return the notes of all coefficients; one that several share names them and stands once."""
+    """Return the notes of all coefficients; one that several share names all of them."""
     coefficients: dict[str, list[str]] = {}
     for c, f in fitted.items():
         for note in f.notes:
@@ -328,6 +424,7 @@ def _notes_of(fitted: Mapping[str, FittedBounds]) -> list[str]:
 def _fit(
     residuals: Residuals, designs: Mapping[str, Design], options: FitOptions
 ) -> dict[str, FittedBounds]:
+    """Fit the intervals. Raises BadInputError for too little data."""
     try:
         return fit_bounds(residuals, designs, options)
     except ValueError as error:
@@ -335,8 +432,11 @@ def _fit(
 
 
 def _baseline(residuals: Residuals, options: BoundsOptions) -> dict[str, CoefficientBounds]:
-    """Default bounds of the coefficients whose states or terms were chosen by the user (Fig 2.10's blue lines)."""
+    """Return default bounds of the coefficients whose states or terms the user chose (Hale, Fig
+    2.10).
+    """
     usual = default_designs()
+    # Only coefficients with other states or terms than the default need a second fit.
     changed = {c: usual[c] for c, d in options.designs.items() if d != usual[c]}
     try:
         return (
@@ -349,14 +449,14 @@ def _baseline(residuals: Residuals, options: BoundsOptions) -> dict[str, Coeffic
 
 
 def mean_widths(form: ModelForm, residuals: Residuals) -> dict[str, float]:
-    """Mean width of the bounds over a flight's own states."""
+    """Return the mean width of the bounds over a flight's states [-]."""
     return {
         c: float(np.mean(high - low)) for c, (low, high) in form.bounds(residuals.states).items()
     }
 
 
-def _forced(residuals: Residuals) -> dict[str, float]:
-    """Root mean square of the sensors' noise in each coefficient's samples [-]."""
+def _noise_rms(residuals: Residuals) -> dict[str, float]:
+    """Return the rms of the sensors' noise in each coefficient's samples [-]."""
     variance = np.concatenate(
         [noise_variance(p.noise) for p in residuals.pieces if p.noise is not None]
     )
@@ -364,7 +464,7 @@ def _forced(residuals: Residuals) -> dict[str, float]:
 
 
 def _other_cutoffs(used: Cutoffs) -> list[Cutoffs]:
-    """Half and twice the filter, and the airspeed at half, twice and without its low-pass."""
+    """Return half and twice the filter, and half, twice and no low-pass of the airspeed."""
     return [
         Cutoffs(0.5 * used.all_hz, used.airspeed_hz),
         Cutoffs(2.0 * used.all_hz, used.airspeed_hz),
@@ -373,7 +473,7 @@ def _other_cutoffs(used: Cutoffs) -> list[Cutoffs]:
     ]
 
 
-def _other(
+def _with_cutoffs(
     pair: ReplayPair,
     flights: Sequence[Flight],
     used: Sequence[NoisyFlight],
@@ -381,6 +481,7 @@ def _other(
     cutoffs: Cutoffs,
     options: BoundsOptions,
 ) -> CutoffRow:
+    """Fit the bounds with another filter; NaN widths where that fails."""
     try:
         parts = [
             with_noise_of(flight_residuals(pair, f, arm, cutoffs), u.residuals)
@@ -390,12 +491,14 @@ def _other(
             parts = [u.in_still_air(r)[0] for u, r in zip(used, parts, strict=True)]
         residuals = together(parts)
         fitted = fit_bounds(residuals, options.designs, options.fit)
+    # A filter may leave too few samples; that is a result, not an error.
     except (ValueError, BadInputError):
         return CutoffRow(cutoffs, dict.fromkeys(options.designs, float("nan")))
     return CutoffRow(cutoffs, {c: _mean_width(f.bounds, residuals) for c, f in fitted.items()})
 
 
 def _mean_width(bounds: CoefficientBounds, residuals: Residuals) -> float:
+    """Return the mean width of one coefficient's bounds over the residuals' states [-]."""
     low, high = bounds.bounds(residuals.states)
     return float(np.mean(high - low))
 
@@ -403,11 +506,14 @@ def _mean_width(bounds: CoefficientBounds, residuals: Residuals) -> float:
 def mean_left_out(
     residuals: Residuals, left_out: Mapping[str, Mapping[str, float]]
 ) -> dict[str, float]:
-    """Share inside when manoeuvres are left out, over all samples; NaN without a second manoeuvre."""
+    """Return the leave-one-manoeuvre-out coverage over all samples; NaN without a second
+    manoeuvre.
+    """
     if not left_out:
         return dict.fromkeys(COEFFICIENTS, float("nan"))
-    named = told_apart(residuals)
-    n = {label: sum(named.only([label]).lengths) for label in left_out}
+    by_manoeuvre = told_apart(residuals)
+    # Weigh each manoeuvre by its samples.
+    n = {label: sum(by_manoeuvre.only([label]).lengths) for label in left_out}
     names = next(iter(left_out.values()))
     return {
         c: float(np.average([left_out[m][c] for m in left_out], weights=[n[m] for m in left_out]))
@@ -415,7 +521,8 @@ def mean_left_out(
     }
 
 
-def _used(flight: Flight, residuals: Residuals, sha256: str) -> FlightUsed:
+def _flight_used(flight: Flight, residuals: Residuals, sha256: str) -> FlightUsed:
+    """Describe a flight for the model form."""
     seconds = sum(p.time_s[-1] - p.time_s[0] for p in residuals.pieces)
     estimates = tuple(c for c in flight.record.metadata.estimates if c in NOISY)
     return FlightUsed(
@@ -431,25 +538,31 @@ def _warnings(
     walks: Mapping[str, Variation],
     cutoffs: Cutoffs,
 ) -> list[str]:
+    """Collect warnings about flights and bounds."""
     out = [*flight_warnings(flights, form, cutoffs), *_identified_from(aircraft, flights, hashes)]
     short = [c for c, w in walks.items() if not np.isfinite(w.rate)]
     if short:
         out.append(
-            f"no piece is long enough for a rate of variation of {', '.join(short)} at {form.filtering.walk_cutoff_hz:g} Hz"
+            f"no piece is long enough for a rate of variation of {', '.join(short)} at"
+            f" {form.filtering.walk_cutoff_hz:g} Hz"
         )
     return out
 
 
 def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs) -> list[str]:
-    """What weakens these flights' residuals: estimated angles, channels slower than the filter, other rates than the form's."""
+    """Return what weakens the residuals of flights: estimated angles, slow channels, another sample
+    rate.
+    """
     out = []
     for flight in flights:
         record = flight.record
         estimated = [c for c in record.metadata.estimates if c in NOISY]
         if estimated:
             out.append(
-                f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor: its errors are in the intervals"
+                f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor; the"
+                " intervals include its errors"
             )
+        # Nyquist with a margin; the airspeed has its own, lower cut-off.
         slow = [
             c
             for c, hz in record.metadata.native_hz.items()
@@ -457,13 +570,15 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
         ]
         if slow:
             out.append(
-                f"{flight.name}: {', '.join(slow)} were logged too slowly for a filter at {cutoffs.all_hz:g} Hz; lower --cutoff-hz"
+                f"{flight.name}: {', '.join(slow)} were logged too slowly for a filter at"
+                f" {cutoffs.all_hz:g} Hz; lower --cutoff-hz"
             )
+        # Noise variance after the filter depends on the sample rate.
         rate = 1.0 / record.dt_s
         if abs(rate / form.filtering.rate_hz - 1.0) > 0.1:
             out.append(
-                f"{flight.name}: {rate:.0f} samples a second, the form's first flight had {form.filtering.rate_hz:.0f}: the same "
-                "cut-off passes another share of the noise"
+                f"{flight.name}: {rate:.0f} samples a second, the form's first flight had"
+                f" {form.filtering.rate_hz:.0f}: the same cut-off passes another share of the noise"
             )
     return out
 
@@ -471,26 +586,31 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
 def _identified_from(
     aircraft: Aircraft, flights: Sequence[Flight], hashes: Sequence[str]
 ) -> list[str]:
-    """Flights that the aircraft's parameters were estimated from, by the fit.json beside an identified aircraft."""
+    """Warn of flights from which the model was identified, by the fit.json of an identified
+    aircraft.
+    """
+    # The file is optional and may be of any origin: unreadable content is ignored.
     path = aircraft.folder.parent / "fit.json"
     try:
         document = parse_json(read_regular(path))
-        known, names = document.get("flights_sha256", []), document.get("flights", [])
-        known, names = ([text for text in row if isinstance(text, str)] for row in (known, names))
+        digests, names = document.get("flights_sha256", []), document.get("flights", [])
+        digests, names = (
+            [text for text in row if isinstance(text, str)] for row in (digests, names)
+        )
     except (OSError, ValueError, AttributeError, TypeError):
         return []
     out = []
     for flight, sha256 in zip(flights, hashes, strict=True):
-        if sha256 in known or (not known and any(Path(n).stem == flight.name for n in names)):
+        # Older files have names only.
+        if sha256 in digests or (not digests and any(Path(n).stem == flight.name for n in names)):
             out.append(
-                f"{flight.name}: {path} says that the model was identified from this flight; its residuals are too small for "
-                "bounds. Use another flight"
+                f"{flight.name}: the model was identified from this flight ({path}); its residuals"
+                " are too small for bounds. Use another flight"
             )
     return out
 
 
-# How the polynomials of bounds are written on the command line: --states, --terms, --order,
-# --roll-terms.
+# Polynomials on the command line: --states, --terms, --order, --roll-terms.
 
 _SHORT = {
     "V": "V_mps",
@@ -511,7 +631,11 @@ _SHORT = {
 def parse_designs(
     states: Sequence[str], terms: Sequence[str], order: int, roll_terms: bool
 ) -> dict[str, Design]:
-    """Designs from --states, --terms, --order and --roll-terms. Raises BadInputError."""
+    """Parse --states, --terms, --order and --roll-terms to designs. Raises BadInputError.
+
+    >>> parse_designs(["CX=V,alpha"], [], 1, False)["CX"].states
+    ('V_mps', 'alpha_rad')
+    """
     from sysid.aerodynamics import parse_term
     from sysid.aerodynamics.coefficients import STATES
     from sysid.model_form import Design, default_designs
@@ -524,56 +648,71 @@ def parse_designs(
         unknown = [n for n in names if _SHORT.get(n, n) not in STATES]
         if unknown or len(set(names)) < len(names):
             raise BadInputError(
-                f"--states {text}: {f'unknown state {unknown[0]}' if unknown else 'a state is named twice'}; "
-                f"allowed are {', '.join(_SHORT)}"
+                f"--states {text}:"
+                f" {f'unknown state {unknown[0]}' if unknown else 'a state is named twice'};"
+                f" allowed are {', '.join(_SHORT)}"
             )
         designs[coefficient] = Design(tuple(_SHORT.get(n, n) for n in names), None, order)
     for text in terms:
         coefficient, names = _assignment("--terms", text, list(designs))
-        written = ["*".join(_long(f) for f in name.split("*")) for name in names]
+        long_names = ["*".join(_long_name(f) for f in name.split("*")) for name in names]
+        # States of the terms, in canonical order.
         used = tuple(
             s
             for s in STATES
-            if any(s == f.split("^")[0] for name in written for f in name.split("*"))
+            if any(s == f.split("^")[0] for name in long_names for f in name.split("*"))
         )
         try:
-            chosen = tuple(parse_term(name, used) for name in written)
+            chosen = tuple(parse_term(name, used) for name in long_names)
         except ValueError as error:
             raise BadInputError(
                 f"--terms {text}: {error}; states are {', '.join(_SHORT)}"
             ) from None
         if len(set(chosen)) < len(chosen) or not used:
             raise BadInputError(
-                f"--terms {text}: {'a term is named twice' if used else 'no term depends on a state'}"
+                f"--terms {text}:"
+                f" {'a term is named twice' if used else 'no term depends on a state'}"
             )
         designs[coefficient] = Design(used, chosen)
     return designs
 
 
-def _long(factor: str) -> str:
+def _long_name(factor: str) -> str:
+    """Expand the short state of a factor such as ``alpha^2``."""
     state, caret, power = factor.strip().partition("^")
     return f"{_SHORT.get(state, state)}{caret}{power}"
 
 
-def _assignment(option: str, text: str, known: list[str]) -> tuple[str, list[str]]:
-    coefficient, equals, rest = text.partition("=")
-    names = [n.strip() for n in rest.split(",") if n.strip()]
-    if not equals or not names or coefficient not in known:
+def _assignment(option: str, text: str, coefficients: list[str]) -> tuple[str, list[str]]:
+    """Parse ``C=name,name``. Raises BadInputError."""
+    coefficient, equals, names_text = text.partition("=")
+    names = [n.strip() for n in names_text.split(",") if n.strip()]
+    if not equals or not names or coefficient not in coefficients:
         raise BadInputError(
-            f"{option} {text}: C=name,name with C one of {', '.join(known)} is needed, such as {option} CX=V,alpha"
+            f"{option} {text}: C=name,name with C one of {', '.join(coefficients)} is needed, such"
+            f" as {option} CX=V,alpha"
         )
     return coefficient, names
 
 
-# Bounds held against flights that they have not seen.
+# Validation on other flights.
 
 
 @dataclass(frozen=True)
 class Validation:
-    """Coverage of a form on flights it has not seen. warnings: why it may mean less than it seems to.
+    """Coverage of a model form on flights that it was not made from.
 
-    flight_std: coefficient -> standard deviation of model error from flight to flight [-], NaN: not estimable from the flights
-    behind the form.
+    Attributes
+    ----------
+    coverage : Mapping
+        Coverage of each coefficient's intervals.
+    residuals : Residuals
+        Residual coefficients of the flights.
+    notes, warnings : tuple of str
+        Sentences for the user; warnings weaken the coverage.
+    flight_std : Mapping
+        Standard deviation of the model error from flight to flight [-], NaN where it cannot be
+        estimated.
     """
 
     coverage: Mapping[str, Coverage]
@@ -597,26 +736,51 @@ def validate(
     flights: Sequence[Flight],
     measured: Sequence[str],
     hashes: Sequence[str],
+    *,
     ideal_servos: bool = False,
     values: Mapping[str, float] | None = None,
 ) -> Validation:
-    """Filter the flights as the form's own were, and count. Raises BadInputError for another aircraft's form and missing states.
+    """Count the residuals of flights that lie inside a form's bounds.
 
-    values: of properties that are not to be as in the aircraft's XML.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The model of the bounds.
+    form : ModelForm
+        The bounds; the flights are filtered as its own were.
+    flights, measured, hashes
+        As for `make_bounds`.
+    ideal_servos : bool
+        Whether surfaces follow their commands at once.
+    values : Mapping, optional
+        Properties that differ from the aircraft's XML.
+
+    Returns
+    -------
+    Validation
+        Coverage, residuals and warnings.
+
+    Raises
+    ------
+    BadInputError
+        For bounds of another aircraft, and for flights without the states of the bounds.
     """
     if form.aircraft.name != aircraft.name:
         raise BadInputError(
-            f"the bounds belong to aircraft '{form.aircraft.name}', not to '{aircraft.name}': residuals of one model "
-            "say nothing about another; make bounds for this one (uqharness bounds)"
+            f"the bounds belong to aircraft '{form.aircraft.name}', not to '{aircraft.name}':"
+            " residuals of one model say nothing about another; make bounds for this one"
+            " (uqharness bounds)"
         )
+    # Coverage is meaningful only with the filters of the form.
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
     arm = aircraft.accelerometer_m
-    flights = [f.with_commands_as_felt() for f in flights] if ideal_servos else flights
+    flights = [f.with_smoothing_delay() for f in flights] if ideal_servos else flights
     with prediction_of(aircraft, measured, ideal_servos, values) as pair:
         parts = [flight_residuals(pair, f, arm, cutoffs) for f in flights]
         residuals = together(
             [noisy_residuals(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)]
         )
+    # Bounds cannot be evaluated without their states.
     missing = [s for s in form.states if s not in residuals.states]
     if missing:
         raise BadInputError(
@@ -625,12 +789,14 @@ def validate(
     warnings = flight_warnings(flights, form, cutoffs)
     if form.aircraft.sha256 != content_hash(aircraft):
         warnings.append(
-            f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was"
+            f"aircraft '{aircraft.name}' has changed since the bounds were made; they belong to the"
+            " earlier model"
         )
     for flight, sha256 in zip(flights, hashes, strict=True):
         if sha256 in {f.sha256 for f in form.flights}:
             warnings.append(
-                f"{flight.name}: the bounds were made from this flight; coverage on it validates nothing"
+                f"{flight.name}: the bounds were made from this flight; coverage on it validates"
+                " nothing"
             )
     std = {
         c: b.parts.flight if b.parts is not None else float("nan")
@@ -645,11 +811,13 @@ def validate(
     )
 
 
-def verdicts(found: Validation) -> dict[str, Verdict]:
-    """Coefficient -> whether its 95 % bounds hold on these flights."""
-    return {c: verdict(row.share[0.95], row.error[0.95], 0.95) for c, row in found.coverage.items()}
+def verdicts(validation: Validation) -> dict[str, Verdict]:
+    """Return, by coefficient, whether its 95 % bounds hold on these flights."""
+    return {
+        c: verdict(row.share[0.95], row.error[0.95], 0.95) for c, row in validation.coverage.items()
+    }
 
 
-def failed(found: Validation) -> tuple[str, ...]:
-    """Coefficients whose 95 % bounds do not hold."""
-    return tuple(c for c, said in verdicts(found).items() if said == "fails")
+def failed(validation: Validation) -> tuple[str, ...]:
+    """Return the coefficients whose 95 % bounds do not hold."""
+    return tuple(c for c, outcome in verdicts(validation).items() if outcome == "fails")

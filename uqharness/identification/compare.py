@@ -1,7 +1,9 @@
-"""A flight beside the model: replay by segment, gap per channel, coefficient and manoeuvre, and what the gap looks like.
+"""Comparison of a flight with the model: gap by channel, coefficient and manoeuvre.
 
-The aerodynamics stay as they are. Start states of the segments and constant sensor biases are estimated, because a replay from a
-start wrong by the sensors' noise misses the flight whatever the model.
+The flight is replayed by segment with the aerodynamics unchanged. Start states of the segments,
+constant sensor biases and delays are estimated, because a replay from a start that is wrong by the
+sensors' noise misses the flight with any model. Each channel's residual is set against its noise,
+and sign, scale and delay are stated where the flight determines them.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from uqharness.identification.replay_fit import (
     Observed,
     coefficient_gaps,
     fit_replays,
-    jumping_in,
+    jumping_flights,
 )
 from uqharness.replay import (
     CHANNELS,
@@ -54,27 +56,38 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-# How a measured channel answers the model's: sign, scale and delay, each stated only where the
-# flight determines it. Pure.
+# Relation of a measured channel to the modelled one: sign, scale and delay, each only where the
+# flight determines it.
 
 MOTION_SIGMA = 1.0
-"""Standard deviations of the sensor's noise that the model's motion must have, rms about a straight line, before sign, scale or
-delay are looked for: below, what noise and start states have in common passes for a scale of hundreds."""
-MOST_DELAY_S = 0.2
-"""Delays are looked for up to this, either way."""
-DELAY_STD_S = 0.25 * MOST_DELAY_S
-"""Standard error above which a delay is undefined: two of them on either side are the whole range that is looked through."""
-SAME = 0.33
-"""By how much a channel may be larger or smaller than the model's before its unit is doubted: derivatives are that wrong."""
+"""Smallest modelled motion, rms about a straight line in units of the noise, for which sign, scale
+and delay are determined. Below, the correlation of noise and start states passes for a huge scale.
+"""
+MAX_DELAY_S = 0.2
+"""Largest delay that is searched for, either way [s]."""
+DELAY_STD_S = 0.25 * MAX_DELAY_S
+"""Standard error above which a delay is undefined [s]: its 95 % interval would span the search
+range.
+"""
+SCALE_MARGIN = 0.33
+"""Deviation of the scale from 1 that errors of derivatives can explain; more suggests a
+wrong unit.
+"""
 _ANSWER_HZ = (0.1, 2.5)
 _NO_RELATION = Relation(math.nan, math.nan, math.nan, math.inf, 0.0, 0)
 
 
 @dataclass(frozen=True)
-class Answer:
-    """relation: the measured channel as a multiple of the model's, without evidence where the model hardly moves.
+class ChannelResponse:
+    """How a measured channel follows the modelled one.
 
-    shift: delay of the measured channel, NaN where ``undefined`` says why there is none.
+    Attributes
+    ----------
+    relation : Relation
+        The measured channel as a multiple of the modelled one; without evidence where the model
+        hardly moves.
+    shift : Shift
+        Delay of the measured channel, NaN where ``undefined`` gives a reason.
     """
 
     relation: Relation
@@ -82,48 +95,71 @@ class Answer:
     undefined: str = ""
 
 
-def slip_of(answer: Relation) -> str:
-    """Sign or scale that is wrong for sure, in words; "" when it cannot be told or is right."""
-    if not answer.evident or answer.allows(1.0, SAME):
+def describe_slip(answer: Relation) -> str:
+    """Describe a sign or scale that is certainly wrong; "" where it is right or undetermined."""
+    if not answer.evident or answer.allows(1.0, SCALE_MARGIN):
         return ""
     size = f"{answer.scale:.2f} times the model's (between {answer.low:.2f} and {answer.high:.2f})"
     return f"reversed: {size}" if answer.scale < 0.0 else f"out of scale: {size}"
 
 
 def motion(modelled: Sequence[FloatArray]) -> float:
-    """Rms of the model's channel about a straight line in each segment (n,); NaN without a segment that was flown through."""
+    """Return the rms of a modelled channel about a straight line in each segment (n,).
+
+    NaN where no segment was flown to its end.
+    """
     squares = []
     for y in modelled:
+        # Short or diverged segments say nothing about the motion.
         if len(y) >= 8 and np.isfinite(y).all():
             at = np.arange(len(y), dtype=float)
             squares.append((y - np.polynomial.Polynomial.fit(at, y, 1)(at)) ** 2)
     return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else math.nan
 
 
-def answer_of(
+def channel_response(
     measured: Sequence[FloatArray], modelled: Sequence[FloatArray], noise: float, dt_s: float
-) -> Answer:
-    """What a channel's segments [(n,)], measured (NaN between logged samples) and modelled, say of sign, scale and delay.
+) -> ChannelResponse:
+    """Determine sign, scale and delay of a channel.
 
-    noise: standard deviation of the measured channel, its own unit
+    Parameters
+    ----------
+    measured, modelled : sequence of ndarray
+        (n,) by segment; measured is NaN between logged samples.
+    noise : float
+        Standard deviation of the measured channel, in its unit.
+    dt_s : float
+        Sample time [s].
+
+    Returns
+    -------
+    Answer
+        Without evidence or delay where they are undetermined.
     """
-    moved = motion(modelled)
-    if not moved >= MOTION_SIGMA * noise:
-        return Answer(_NO_RELATION, _no_shift(), _too_little(moved / noise))
+    # Order of the tests: enough motion, right sign and scale, a defined delay.
+    rms_motion = motion(modelled)
+    if not rms_motion >= MOTION_SIGMA * noise:
+        return ChannelResponse(_NO_RELATION, _no_shift(), _motion_note(rms_motion / noise))
     relation = _relation(measured, modelled, dt_s)
-    if slip := slip_of(relation):
-        return Answer(relation, _no_shift(), slip.split(":")[0])
-    shift = time_shift(measured, modelled, dt_s, MOST_DELAY_S)
+    if slip := describe_slip(relation):
+        return ChannelResponse(relation, _no_shift(), slip.split(":")[0])
+    shift = time_shift(measured, modelled, dt_s, MAX_DELAY_S)
     if not math.isfinite(shift.seconds):
-        return Answer(relation, _no_shift(), "the model does not move")
+        return ChannelResponse(relation, _no_shift(), "the model does not move")
+    # NaN must fail too, hence the negation.
     if not shift.std <= DELAY_STD_S:
-        return Answer(relation, _no_shift(), f"its standard error is {1e3 * shift.std:.0f} ms")
-    if abs(shift.seconds) >= MOST_DELAY_S:
-        return Answer(relation, _no_shift(), f"no minimum within {1e3 * MOST_DELAY_S:.0f} ms")
-    return Answer(relation, shift)
+        return ChannelResponse(
+            relation, _no_shift(), f"its standard error is {1e3 * shift.std:.0f} ms"
+        )
+    if abs(shift.seconds) >= MAX_DELAY_S:
+        return ChannelResponse(
+            relation, _no_shift(), f"no minimum within {1e3 * MAX_DELAY_S:.0f} ms"
+        )
+    return ChannelResponse(relation, shift)
 
 
-def _too_little(sigma: float) -> str:
+def _motion_note(sigma: float) -> str:
+    """Describe a motion that is too small."""
     return (
         f"the model moves {sigma:.1f} sigma" if math.isfinite(sigma) else "the model does not move"
     )
@@ -136,38 +172,53 @@ def _no_shift() -> Shift:
 def _relation(
     measured: Sequence[FloatArray], modelled: Sequence[FloatArray], dt_s: float
 ) -> Relation:
-    """Where the channel was logged, straight lines between samples."""
+    """Relate measured to modelled values; logged samples are connected linearly."""
     x, y = [], []
     for z, m in zip(measured, modelled, strict=True):
-        at, good = np.arange(len(z)), np.isfinite(z)
-        if good.sum() > 0.1 * len(z) and np.isfinite(m).all() and good.sum() > 8:
-            x.append(np.interp(at, at[good], m[good]))
-            y.append(np.interp(at, at[good], z[good]))
+        at, logged = np.arange(len(z)), np.isfinite(z)
+        # Sparse channels would be mostly interpolation.
+        if logged.sum() > 0.1 * len(z) and np.isfinite(m).all() and logged.sum() > 8:
+            x.append(np.interp(at, at[logged], m[logged]))
+            y.append(np.interp(at, at[logged], z[logged]))
     return relate(x, y, dt_s, *_ANSWER_HZ)
 
 
 LIMIT = NOISE_FLOOR
-"""The noise floor is reached when no judged channel's rms is above this many times its noise."""
-_SURE = 2.0
-"""Standard errors by which the controls' delay must pass its limit before the record counts as not aligned."""
-_WORST = 20
-_ANSWERS = {
+"""Ratio of rms to noise up to which a judged channel counts as at the noise floor."""
+_DELAY_SIGMA = 2.0
+"""Standard errors by which the controls' delay must exceed its limit for a record to count as
+shifted.
+"""
+_MAX_MOMENTS = 20
+_RESPONSES = {
     "elevator": {"q_radps", "alpha_rad", "az_mps2", "theta_rad"},
     "aileron": {"p_radps", "phi_rad"},
     "rudder": {"r_radps", "beta_rad", "ay_mps2"},
 }
-"""Channels that show a control's effect first."""
+"""Channels that show the effect of a control first."""
 
 
 @dataclass(frozen=True)
 class ChannelGap:
-    """One channel over all segments: rms of measured minus model, noise, delay of the measured channel, Theil's coefficient.
+    """Gap of one channel over all segments.
 
-    rms is what is left after the delay that was allowed for (``allowed_s``, 0 where none was estimated); shift is on top of it.
-
-    answer is the measured channel as a multiple of the model's, without evidence where the model hardly moves; the delay is NaN
-    where the flight does not determine it, and ``undefined`` says why. ``judged`` channels decide the verdict; height and heading
-    do not (integrals of others, drifting sensors).
+    Attributes
+    ----------
+    rms, noise : float
+        Rms of measured minus modelled, after the estimated delay, and noise, in the channel's unit.
+    judged : bool
+        Whether it decides the verdict. Height and heading do not: they are integrals of others and
+        drift.
+    allowed_s : float
+        Estimated delay that was allowed for [s], 0 where none was estimated.
+    shift : Shift
+        Remaining delay [s]; NaN where the flight does not determine it.
+    theil : Theil
+        Inequality coefficient with its shares.
+    answer : Relation
+        The measured channel as a multiple of the modelled one.
+    undefined : str
+        Why the delay is NaN.
     """
 
     rms: float
@@ -181,18 +232,18 @@ class ChannelGap:
 
     @property
     def slip(self) -> str:
-        """What is wrong with sign or scale of the measured channel against the model's, "" when nothing is for sure."""
-        return slip_of(self.answer)
+        """Describe a wrong sign or scale of the measured channel; "" where nothing is certain."""
+        return describe_slip(self.answer)
 
     @property
     def ratio(self) -> float:
-        """Rms of measured minus model over the channel's noise; 1 is the noise floor."""
+        """Return the rms over the channel's noise; 1 is the noise floor."""
         return self.rms / self.noise
 
 
 @dataclass(frozen=True)
 class CoefficientGap:
-    """One coefficient: rms of demanded minus model, rms that sensor noise alone would give, mean difference."""
+    """Gap of one coefficient: rms of demanded minus predicted, rms by sensor noise alone, mean."""
 
     rms: float
     noise: float
@@ -201,7 +252,7 @@ class CoefficientGap:
 
 @dataclass(frozen=True)
 class Moment:
-    """One of the worst moments: where, how large, in units of noise."""
+    """One of the largest residuals: time [s], channel, manoeuvre, size, and size over noise."""
 
     time_s: float
     channel: str
@@ -214,9 +265,29 @@ class Moment:
 class Comparison(TabularResult):
     """All gaps of one flight.
 
-    manoeuvres  label -> channel -> rms over noise        demanded, predicted  coefficients (n, 6), one array a segment
-    controls_late_s  how late the controls act, estimated, and its standard error, NaN where the flight does not determine it;
-    late_limit_s  what a record allows, infinite for a log, whose channels are stamped when they are written
+    Attributes
+    ----------
+    aircraft, flight : str
+        What was compared.
+    channels, coefficients : Mapping
+        Gaps by name.
+    manoeuvres, manoeuvre_coefficients : Mapping
+        Label to name to rms over noise.
+    moments : tuple of Moment
+        The largest residuals.
+    segments, outputs, measured, modelled
+        Segments, channels and their (n, m) arrays, one a segment.
+    demanded, predicted : list of ndarray
+        Coefficients (n, 6), one array a segment.
+    nuisance : Mapping
+        Estimated start states, biases and delays.
+    notes : tuple of str
+        Sentences for the user.
+    controls_late_s, controls_late_std_s : float
+        Delay of the controls and its standard error [s], NaN where the flight does not determine
+        it.
+    late_limit_s : float
+        Delay that a record allows [s]; infinite for a log, whose channels are stamped when written.
     """
 
     aircraft: str
@@ -239,7 +310,10 @@ class Comparison(TabularResult):
     controls_late_std_s: float = 0.0
 
     def __repr__(self) -> str:
-        return f"Comparison({self.aircraft!r}, {self.flight!r}, above: {', '.join(self.above) or 'none'})"
+        return (
+            f"Comparison({self.aircraft!r}, {self.flight!r}, above:"
+            f" {', '.join(self.above) or 'none'})"
+        )
 
     def _facts(self) -> Mapping[str, object]:
         return {
@@ -249,38 +323,48 @@ class Comparison(TabularResult):
 
     @property
     def aligned(self) -> bool:
-        """The record's commands act when it says they do. A row of difference would otherwise pass for a lag in every servo."""
-        return not abs(self.controls_late_s) - _SURE * self.controls_late_std_s > self.late_limit_s
+        """Check that the commands of the record act when it says.
+
+        A shift of one row would otherwise pass for a lag of every servo.
+        """
+        return (
+            not abs(self.controls_late_s) - _DELAY_SIGMA * self.controls_late_std_s
+            > self.late_limit_s
+        )
 
     @property
     def slips(self) -> tuple[str, ...]:
-        """Judged channels whose sign or scale is not the model's, in words, and the control that explains it where one does."""
-        wrong = {c: g.slip for c, g in self.channels.items() if g.judged and g.slip}
-        reversed_ = {c for c, text in wrong.items() if text.startswith("reversed")}
-        said = [
-            f"the {control} is reversed: {' and '.join(sorted(reversed_ & answers))} answer it with the opposite sign"
-            for control, answers in _ANSWERS.items()
+        """Describe judged channels of wrong sign or scale, and the control that explains them."""
+        slips = {c: g.slip for c, g in self.channels.items() if g.judged and g.slip}
+        # Two channels that reverse with one control point at the control, not at the sensors.
+        reversed_ = {c for c, text in slips.items() if text.startswith("reversed")}
+        reversed_controls = [
+            f"the {control} is reversed: {' and '.join(sorted(reversed_ & answers))} answer it with"
+            " the opposite sign"
+            for control, answers in _RESPONSES.items()
             if len(reversed_ & answers) >= 2
         ]
-        return (*said, *(f"{c} is {text}" for c, text in wrong.items()))
+        return (*reversed_controls, *(f"{c} is {text}" for c, text in slips.items()))
 
     @property
     def reached(self) -> bool:
-        """Every judged channel's rms is within LIMIT times its noise, and the controls are where the record puts them."""
+        """Check that the controls are aligned and every judged channel is within LIMIT of its
+        noise.
+        """
         return self.aligned and all(
             gap.ratio <= LIMIT for gap in self.channels.values() if gap.judged
         )
 
     @property
     def above(self) -> tuple[str, ...]:
-        """Judged channels above the limit, the worst first."""
-        found = [
+        """Return the judged channels above the limit, the worst first."""
+        ratios = [
             (g.ratio, c) for c, g in self.channels.items() if g.judged and not g.ratio <= LIMIT
         ]
-        return tuple(c for _, c in sorted(found, reverse=True))
+        return tuple(c for _, c in sorted(ratios, reverse=True))
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table of channels: rms of measured minus model, noise, their ratio, whether it is judged, and the delay [s]."""
+        """Return the table of channels: rms, noise, ratio, whether judged, and delay [s]."""
         import pandas as pd
 
         rows = {
@@ -296,7 +380,9 @@ class Comparison(TabularResult):
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
 
     def histories(self) -> list[History]:
-        """Each segment's channels as measured and, ending in ``_model``, as replayed: what ``plot_overlay`` draws."""
+        """Return the channels of each segment as measured and, ending in ``_model``, as
+        replayed.
+        """
         return [
             History(
                 number,
@@ -323,47 +409,94 @@ def compare(
     delays: Sequence[str] | None = None,
     ideal_servos: bool = False,
     workers: int | None = None,
-    on_stage: Callable[[str], None] = lambda stage: None,
+    callback: Callable[[str], None] = lambda stage: None,
 ) -> Comparison:
-    """Replay a flight and measure the gap; ``on_stage`` is told what is being done.
+    """Replay a flight and measure its gap to the model.
 
-    Raises BadInputError when the model cannot fly any segment.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The model.
+    flight : Flight
+        Ready for replay.
+    measured : sequence of str
+        Surfaces whose columns are positions.
+    biases : sequence of str
+        Channels with a constant sensor bias.
+    delays : sequence of str, optional
+        Channels whose delay is estimated; by default as in `identify`.
+    ideal_servos : bool
+        Whether surfaces and throttle follow their commands at once.
+    workers : int, optional
+        Processes.
+    callback : callable
+        Called with the name of each stage.
+
+    Returns
+    -------
+    Comparison
+        All gaps.
+
+    Raises
+    ------
+    BadInputError
+        When the model cannot fly any segment.
     """
     arm = aircraft.accelerometer_m
-    cut = segments(flight, measured, arm)
+    cut_segments = segments(flight, measured, arm)
+    # All recorded channels are compared, but only OUTPUTS decide the verdict.
     present = tuple(
         c for c in CHANNELS if c in flight.record and np.isfinite(flight.record[c]).any()
     )
-    judged = tuple(c for c in OUTPUTS if c in present)
+    judged_channels = tuple(c for c in OUTPUTS if c in present)
     data = measured_outputs(flight, present)
     noise = channel_noise(data, present, aircraft.card.sensors.noise_std)
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
-        on_stage("start states, biases and delays")
-        with replay_pool(workers) as spread:
-            wanted = [b for b in biases if b in judged]
-            late = delayed([flight], judged, delays)
-            theta, layout_names, kept, notes, late_std_s = _starts(
-                model, cut, judged, data, present, wanted, late, spread
+        callback("start states, biases and delays")
+        # Fit the nuisance parameters to the judged channels only.
+        with replay_pool(workers) as pool:
+            fitted_biases = [b for b in biases if b in judged_channels]
+            late = delayed([flight], judged_channels, delays)
+            theta, layout_names, flyable, notes, late_std_s = _fit_starts(
+                model,
+                cut_segments,
+                judged_channels,
+                data,
+                present,
+                fitted_biases,
+                late=late,
+                pool=pool,
             )
-        replay = Replay(model, cut, layout_names, present, uuid.uuid4().hex)
+        # Replay all channels with the estimated nuisance parameters.
+        replay = Replay(model, cut_segments, layout_names, present, uuid.uuid4().hex)
         modelled = replay(theta)
-        on_stage("coefficients")
-        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
-            demand, said, floor = _coefficients(
-                model, straight, flight, cut, noise, _control_delay_s(layout_names, theta)
+        callback("coefficients")
+        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model:
+            demand, predicted, floor = _coefficients(
+                model,
+                direct_model,
+                flight,
+                cut_segments,
+                noise,
+                _control_delay_s(layout_names, theta),
             )
-    data = [d for d, ok in zip(data, kept, strict=True) if ok]
-    modelled = [y for y, ok in zip(modelled, kept, strict=True) if ok]
-    cut = [s for s, ok in zip(cut, kept, strict=True) if ok]
-    demand = [d for d, ok in zip(demand, kept, strict=True) if ok]
-    said = [d for d, ok in zip(said, kept, strict=True) if ok]
+    # Drop the segments that the model cannot fly.
+    data = [d for d, ok in zip(data, flyable, strict=True) if ok]
+    modelled = [y for y, ok in zip(modelled, flyable, strict=True) if ok]
+    cut_segments = [s for s, ok in zip(cut_segments, flyable, strict=True) if ok]
+    demand = [d for d, ok in zip(demand, flyable, strict=True) if ok]
+    predicted = [d for d, ok in zip(predicted, flyable, strict=True) if ok]
+    # Everything below is statistics of measured minus modelled.
     gaps = [z - y for z, y in zip(data, modelled, strict=True)]
-    estimates = [c for c in judged if c in flight.record.metadata.estimates]
+    estimates = [c for c in judged_channels if c in flight.record.metadata.estimates]
     if estimates:
-        # A vane's noise says nothing of an angle that a filter computed from other sensors.
-        notes = [*notes, f"estimates of the log, listed and not judged: {', '.join(estimates)}"]
-        judged = tuple(c for c in judged if c not in estimates)
+        # A vane's noise does not apply to an angle that a filter computed from other sensors.
+        notes = [
+            *notes,
+            f"estimates of the log, listed but not in the verdict: {', '.join(estimates)}",
+        ]
+        judged_channels = tuple(c for c in judged_channels if c not in estimates)
     missing = [c for c in OUTPUTS if c not in present]
     if missing:
         notes = [*notes, f"not in the record and not compared: {', '.join(missing)}"]
@@ -371,117 +504,144 @@ def compare(
         aircraft=aircraft.name,
         flight=flight.name,
         channels={
-            c: _channel(
+            c: _channel_gap(
                 k,
                 c,
                 data,
                 modelled,
                 gaps,
-                cut,
-                noise,
-                c in judged,
-                _allowed(layout_names, theta, c),
+                cut_segments,
+                noise=noise,
+                judged=c in judged_channels,
+                allowed_s=_allowed_delay_s(layout_names, theta, c),
             )
             for k, c in enumerate(present)
         },
-        coefficients={c: _coefficient(k, demand, said, floor) for k, c in enumerate(COEFFICIENTS)},
-        manoeuvres=_by_manoeuvre(cut, gaps, present, noise),
+        coefficients={
+            c: _coefficient_gap(k, demand, predicted, floor) for k, c in enumerate(COEFFICIENTS)
+        },
+        manoeuvres=_by_manoeuvre(cut_segments, gaps, present, noise),
         manoeuvre_coefficients=_by_manoeuvre(
-            cut,
-            [d - s for d, s in zip(demand, said, strict=True)],
+            cut_segments,
+            [d - s for d, s in zip(demand, predicted, strict=True)],
             COEFFICIENTS,
             dict(zip(COEFFICIENTS, floor, strict=True)),
         ),
-        moments=_moments(cut, gaps, judged, present, noise),
-        segments=tuple(cut),
+        moments=_moments(cut_segments, gaps, judged_channels, present, noise),
+        segments=tuple(cut_segments),
         outputs=present,
         measured=data,
         modelled=modelled,
         demanded=demand,
-        predicted=said,
+        predicted=predicted,
         nuisance=dict(zip(layout_names, theta.tolist(), strict=True)),
         notes=(*flight.notes, *notes),
         controls_late_s=_control_delay_s(layout_names, theta),
-        late_limit_s=late_limit_s(flight, cut[0].command_s),
+        late_limit_s=late_limit_s(flight, cut_segments[0].command_s),
         controls_late_std_s=late_std_s,
     )
 
 
-def _starts(
+def _fit_starts(
     model: ReplayModel,
-    cut: list[Segment],
-    judged: Sequence[str],
+    segments: list[Segment],
+    judged_channels: Sequence[str],
     data: list[FloatArray],
     present: Sequence[str],
     biases: Sequence[str],
+    *,
     late: Mapping[str, Sequence[str]],
-    spread: Any,
+    pool: Any,
 ) -> tuple[FloatArray, tuple[str, ...], list[bool], list[str], float]:
-    """Start states and biases (and their names) that bring the replay nearest; which segments the model can fly; notes; standard
-    error of the controls' delay [s], NaN where the flight does not determine it."""
-    columns = [list(present).index(c) for c in judged]
-    layout = nuisance_layout((), (), cut, biases, judged, late, jumping_in(model, cut, late))
+    """Estimate start states, biases and delays.
+
+    Returns theta and its names, flags of the segments that the model can fly, notes, and the
+    standard error of the controls' delay [s], NaN where the flight does not determine it.
+    """
+    columns = [list(present).index(c) for c in judged_channels]
+    layout = nuisance_layout(
+        (),
+        (),
+        segments,
+        biases,
+        judged_channels,
+        late=late,
+        jumping=jumping_flights(model, segments, late),
+    )
     token = uuid.uuid4().hex
-    plain = Replay(model, cut, (), judged, token)
-    kept = [bool(np.isfinite(y).all()) for y in plain(np.zeros(0))]
-    if not any(kept):
+    # A replay without nuisance parameters shows which segments can be flown.
+    plain = Replay(model, segments, (), judged_channels, token)
+    flyable = [bool(np.isfinite(y).all()) for y in plain(np.zeros(0))]
+    if not any(flyable):
         raise BadInputError(
-            "the model leaves the flight in every segment (its state is no longer finite); check its XML and the controls' signs"
+            "the model leaves the flight in every segment (its state is no longer finite); check"
+            " its XML and the controls' signs"
         )
     notes = [
-        f"{s.label} at {s.time_s[0]:.1f} s was left out: the model's state is no longer finite there"
-        for s, ok in zip(cut, kept, strict=True)
+        f"{s.label} at {s.time_s[0]:.1f} s is left out: the model's state diverges there"
+        for s, ok in zip(segments, flyable, strict=True)
         if not ok
     ]
-    flown = [s for s, ok in zip(cut, kept, strict=True) if ok]
-    wanted = [z[:, columns] for z, ok in zip(data, kept, strict=True) if ok]
+    flyable_segments = [s for s, ok in zip(segments, flyable, strict=True) if ok]
+    flyable_data = [z[:, columns] for z, ok in zip(data, flyable, strict=True) if ok]
+    # No parameter is free: this is output error of the nuisance parameters alone.
     fitted = fit_replays(
-        model, Observed(flown, tuple(judged), wanted, biases, late), (), [np.zeros(0)], (), spread
+        model,
+        Observed(flyable_segments, tuple(judged_channels), flyable_data, biases, late),
+        (),
+        [np.zeros(0)],
+        (),
+        pool,
     )
-    fit, inner = fitted.found, fitted.layout
+    fit, inner = fitted.fit, fitted.layout
     if not fit.converged:
         notes.append("start states and biases did not converge: the gaps may be too large")
-    # Numbers of the segments flown back to numbers of all segments.
-    number = [i for i, ok in enumerate(kept) if ok]
+    # Renumber the start states: the fit counts flyable segments only.
+    number = [i for i, ok in enumerate(flyable) if ok]
     theta = np.zeros(len(layout.names))
     for name, value in zip(inner.names, fit.theta, strict=True):
         if name.startswith("start/"):
             _, k, state = name.split("/")
             name = f"start/{number[int(k)]}/{state}"
         theta[layout.names.index(name)] = value
+    # Standard error of the controls' delay, if it was estimated.
     errors = [
         s for n, s in zip(inner.names, fit.std, strict=True) if n.endswith(f"/{CONTROL_DELAY}")
     ]
-    return theta, layout.names, kept, notes, float(errors[0]) if errors else math.nan
+    return theta, layout.names, flyable, notes, float(errors[0]) if errors else math.nan
 
 
 def _coefficients(
     model: ReplayModel,
-    straight: ReplayModel,
+    direct_model: ReplayModel,
     flight: Flight,
-    cut: Sequence[Segment],
+    segments: Sequence[Segment],
     noise: Mapping[str, float],
     late_s: float,
 ) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
-    """Demanded and predicted coefficients (n, 6) by segment, and the rms (6,) that the sensors' noise alone gives.
+    """Return demanded and predicted coefficients (n, 6) by segment, and the rms (6,) by noise
+    alone.
 
-    The latter by experiment: noise is added once more, to what the flight demanded and to the states the model was asked at.
+    The latter is an experiment: noise is added once more to the measured channels and states.
     """
+    # A fixed seed: equal input gives equal output.
     rng = np.random.default_rng(1)
-    every = [states(flight, piece) for piece in flight.pieces]
-    found = coefficient_gaps(model, straight, cut, every, noise, rng, late_s=late_s)
-    demand, said, change = (list(part) for part in zip(*found, strict=True))
-    return demand, said, floor_of([np.concatenate(change)])
+    channels = [states(flight, piece) for piece in flight.pieces]
+    gaps = coefficient_gaps(model, direct_model, segments, channels, noise, rng, late_s=late_s)
+    demand, predicted, change = (list(part) for part in zip(*gaps, strict=True))
+    return demand, predicted, floor_of([np.concatenate(change)])
 
 
 def _control_delay_s(names: Sequence[str], theta: FloatArray) -> float:
-    """Read the estimate of how late the controls of the flight act; 0 where none was estimated."""
+    """Return the estimated delay of the controls [s]; 0 where none was estimated."""
     ends = zip(names, theta.tolist(), strict=True)
     return float(sum(v for n, v in ends if n.endswith(f"/{CONTROL_DELAY}")))
 
 
-def _allowed(names: Sequence[str], theta: FloatArray, channel: str) -> float:
-    """How late, s, the channel was let come after the commands: the controls' delay and its own sensor's."""
+def _allowed_delay_s(names: Sequence[str], theta: FloatArray, channel: str) -> float:
+    """Return the estimated delay of a channel after the commands [s]: the controls' and its
+    sensor's.
+    """
     ends = (f"/{CONTROL_DELAY}", f"/{SENSOR_OF.get(channel, channel)}")
     return float(
         sum(
@@ -492,19 +652,21 @@ def _allowed(names: Sequence[str], theta: FloatArray, channel: str) -> float:
     )
 
 
-def _channel(
+def _channel_gap(
     k: int,
     name: str,
     data: list[FloatArray],
     modelled: list[FloatArray],
     gaps: list[FloatArray],
-    cut: list[Segment],
+    segments: list[Segment],
+    *,
     noise: Mapping[str, float],
     judged: bool,
     allowed_s: float,
 ) -> ChannelGap:
+    """Compute the gap of one channel."""
     z, y = [d[:, k] for d in data], [m[:, k] for m in modelled]
-    answer = answer_of(z, y, noise[name], cut[0].dt_s)
+    answer = channel_response(z, y, noise[name], segments[0].dt_s)
     return ChannelGap(
         rms(np.concatenate([g[:, k] for g in gaps])),
         noise[name],
@@ -517,38 +679,44 @@ def _channel(
     )
 
 
-def _coefficient(
-    k: int, demand: list[FloatArray], said: list[FloatArray], floor: FloatArray
+def _coefficient_gap(
+    k: int, demand: list[FloatArray], predicted: list[FloatArray], floor: FloatArray
 ) -> CoefficientGap:
-    gap = np.concatenate([d[:, k] - s[:, k] for d, s in zip(demand, said, strict=True)])
+    """Compute the gap of one coefficient."""
+    gap = np.concatenate([d[:, k] - s[:, k] for d, s in zip(demand, predicted, strict=True)])
     return CoefficientGap(rms(gap), float(floor[k]), float(np.nanmean(gap)))
 
 
 def _by_manoeuvre(
-    cut: Sequence[Segment],
+    segments: Sequence[Segment],
     gaps: Sequence[FloatArray],
     names: Sequence[str],
     noise: Mapping[str, float],
 ) -> dict[str, dict[str, float]]:
+    """Return rms over noise by manoeuvre and name."""
     out = {}
-    for label in dict.fromkeys(s.label for s in cut):
-        together = np.concatenate([g for s, g in zip(cut, gaps, strict=True) if s.label == label])
-        out[label] = {c: rms(together[:, k]) / noise[c] for k, c in enumerate(names)}
+    for label in dict.fromkeys(s.label for s in segments):
+        pooled = np.concatenate(
+            [g for s, g in zip(segments, gaps, strict=True) if s.label == label]
+        )
+        out[label] = {c: rms(pooled[:, k]) / noise[c] for k, c in enumerate(names)}
     return out
 
 
 def _moments(
-    cut: Sequence[Segment],
+    segments: Sequence[Segment],
     gaps: Sequence[FloatArray],
-    judged: Sequence[str],
+    judged_channels: Sequence[str],
     present: Sequence[str],
     noise: Mapping[str, float],
 ) -> tuple[Moment, ...]:
-    found = []
-    for segment, gap in zip(cut, gaps, strict=True):
-        for channel in judged:
+    """Return the largest residuals of the judged channels."""
+    moments = []
+    for segment, gap in zip(segments, gaps, strict=True):
+        for channel in judged_channels:
+            # At most three moments of a channel and segment, one second apart.
             for at, size in worst(
                 gap[:, list(present).index(channel)], segment.time_s, noise[channel], 3, 1.0
             ):
-                found.append(Moment(at, channel, segment.label, size, abs(size) / noise[channel]))
-    return tuple(sorted(found, key=lambda m: -m.noises)[:_WORST])
+                moments.append(Moment(at, channel, segment.label, size, abs(size) / noise[channel]))
+    return tuple(sorted(moments, key=lambda m: -m.noises)[:_MAX_MOMENTS])

@@ -1,8 +1,9 @@
-"""Identification of a JSBSim aircraft's parameters from flights: equation error to come near, output error by replay to settle.
+"""Identification of a JSBSim aircraft's parameters from flights.
 
-Output error takes a replay of every segment for its simulation; start states of the segments and sensor biases are estimated
-beside the parameters. Where the residuals show process noise (turbulence), filter error on one-step predictions takes over, and the
-result says so.
+Equation error gives start values, output error on replays of every segment gives the estimates;
+start states of the segments and sensor biases are estimated with them. Where the residuals show
+process noise (turbulence), filter error on one-step predictions follows, and the result says so. A
+fit that has not converged or does not explain its flights identifies no parameter.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from sysid.estimation import (
     rms,
 )
 from uqharness.errors import BadInputError
-from uqharness.identification.excitation import excited_alone
+from uqharness.identification.excitation import restrict_to_excited
 from uqharness.identification.replay_fit import (
     BIASES,
     OUTPUTS,
@@ -49,20 +50,20 @@ from uqharness.replay import (
     counter,
     delayed,
     measured_outputs,
-    misplaced,
     replay_pool,
+    shifted_command_warnings,
     shown_channel,
 )
 from uqharness.replay.flights import segments
 from uqharness.simulator import MEMS_NOISE_STD, Aircraft
 
-# Whether a fit explains its flights at all. One that does not gives the nearest values of a
-# wrong model, and identifies none.
+# Fits that do not explain their flights: their estimates are the best values of a wrong model.
 
 UNEXPLAINED_SIGMA = 10.0
-"""Residual in sigma above which a channel may count as unexplained: small missing terms, which `refine` names, leave some 4."""
+"""Residual in units of the noise above which a channel may count as unexplained. Small missing
+terms, which `refine` finds, leave about 4."""
 UNEXPLAINED_SHARE = 0.1
-"""Share of a channel's variance left over above which it does: a third of the motion's size."""
+"""Residual share of a channel's variance above which it does: a third of the motion's amplitude."""
 
 
 def unexplained(
@@ -71,111 +72,157 @@ def unexplained(
     outputs: Sequence[str],
     noise: Mapping[str, float],
 ) -> dict[str, tuple[float, float]]:
-    """Channels that a fit does not explain: rms of the residual in sigma, and its share of the channel's variance.
+    """Find the channels that a fit does not explain.
 
-    residual, measured  [(n, m)] by segment, NaN where nothing was logged; the variance is about each segment's mean
-    noise               by channel, its own unit; a record cleaner than a small MEMS unit is judged by that unit's noise
+    Parameters
+    ----------
+    residual, measured : sequence of ndarray
+        (n, m) by segment, NaN where nothing was logged; variances are about each segment's mean.
+    outputs : sequence of str
+        Their channels.
+    noise : Mapping
+        Standard deviation by channel, in the channel's unit; a record cleaner than a small MEMS
+        unit is judged by that unit's noise.
+
+    Returns
+    -------
+    dict
+        Channel to the residual's rms in units of the noise, and to its share of the variance.
     """
     out = {}
     for k, channel in enumerate(outputs):
-        left, moved, samples = 0.0, 0.0, 0
+        residual_square, motion_square, samples = 0.0, 0.0, 0
         for r, z in zip(residual, measured, strict=True):
-            good = np.isfinite(r[:, k]) & np.isfinite(z[:, k])
-            if good.any():
-                left += float(np.sum(r[good, k] ** 2))
-                moved += float(np.sum((z[good, k] - z[good, k].mean()) ** 2))
-                samples += int(good.sum())
+            logged = np.isfinite(r[:, k]) & np.isfinite(z[:, k])
+            if logged.any():
+                residual_square += float(np.sum(r[logged, k] ** 2))
+                motion_square += float(np.sum((z[logged, k] - z[logged, k].mean()) ** 2))
+                samples += int(logged.sum())
+        # A very clean record must not fail for residuals that any real sensor would hide.
         size = max(noise[channel], MEMS_NOISE_STD.get(channel, 0.0))
         if not samples or not size > 0.0:
             continue
-        sigma = float(np.sqrt(left / samples)) / size
-        share = left / moved if moved > 0.0 else np.inf
+        sigma = float(np.sqrt(residual_square / samples)) / size
+        share = residual_square / motion_square if motion_square > 0.0 else np.inf
+        # Both tests must fail: a large ratio alone may be a small missing term in a clean channel.
         if sigma > UNEXPLAINED_SIGMA and share > UNEXPLAINED_SHARE:
             out[channel] = (sigma, share)
     return out
 
 
-def withdrawn(found: Identification) -> Identification:
-    """``found`` itself where it converged and explains its flights; else the same with no parameter identified, each at its start,
-    and why: neither values nor standard errors hold of a fit that has not ended, or of a model that is not the aircraft's."""
-    why = _why_withdrawn(found) if found.identified else ""
-    if not why:
-        return found
-    advice = "check units, signs, mass, inertia and servos with compare, or let refine look for a missing effect"
+def withdraw_invalid(result: Identification) -> Identification:
+    """Return the result unchanged, or without any identified parameter if it is not valid.
+
+    A fit that has not ended, or whose model is not the aircraft's, has neither meaningful values
+    nor standard errors: each parameter returns to its start value with the reason.
+    """
+    reason = _invalid_reason(result) if result.identified else ""
+    if not reason:
+        return result
+    advice = (
+        "check units, signs, mass, inertia and servos with compare, or let refine look for a"
+        " missing effect"
+    )
+    # Keep everything that describes the fit, so that the user can see why it failed.
     return replace(
-        found,
-        theta=found.initial.copy(),
-        std=np.full(len(found.names), np.nan),
-        std_crb=np.full(len(found.names), np.nan),
-        status=dict.fromkeys(found.names, "not-identified"),
+        result,
+        theta=result.initial.copy(),
+        std=np.full(len(result.names), np.nan),
+        std_crb=np.full(len(result.names), np.nan),
+        status=dict.fromkeys(result.names, "not-identified"),
         reason={
-            n: why if found.status[n] == "identified" else found.reason[n] for n in found.names
+            n: reason if result.status[n] == "identified" else result.reason[n]
+            for n in result.names
         },
         cov=np.zeros((0, 0)),
-        warnings=(f"no parameter is identified: {why}; {advice}", *found.warnings),
+        warnings=(f"no parameter is identified: {reason}; {advice}", *result.warnings),
     )
 
 
-def _why_withdrawn(found: Identification) -> str:
-    """Empty where the estimates stand."""
-    wrong = unexplained(found.residual, found.measured, found.outputs, found.noise)
-    if wrong:
-        channel = max(wrong, key=lambda c: wrong[c][1])
-        sigma, share = wrong[channel]
-        others = (
-            f" ({', '.join(c for c in wrong if c != channel)} as well)" if len(wrong) > 1 else ""
+def _invalid_reason(result: Identification) -> str:
+    """Return why no parameter is identified; empty where the estimates are valid."""
+    unexplained_channels = unexplained(
+        result.residual, result.measured, result.outputs, result.noise
+    )
+    if unexplained_channels:
+        # Name the channel that is explained worst.
+        channel = max(unexplained_channels, key=lambda c: unexplained_channels[c][1])
+        sigma, share = unexplained_channels[channel]
+        other_channels = (
+            f" ({', '.join(c for c in unexplained_channels if c != channel)} as well)"
+            if len(unexplained_channels) > 1
+            else ""
         )
         return (
-            f"the model does not explain the flights: the residual of {channel} is {sigma:.0f} sigma, "
-            f"{100.0 * share:.0f} % of its variance{others}"
+            f"the model does not explain the flights: the residual of {channel} is {sigma:.0f}"
+            f" sigma, {100.0 * share:.0f} % of its variance{other_channels}"
         )
-    return "" if found.converged else "not converged; values unchanged"
+    return "" if result.converged else "not converged; values unchanged"
 
 
-# What is said of an estimation's course: its iteration, how far it has to go, and about how
-# long that takes.
+# Progress of an estimation: its iteration, the length of the step, and the remaining time.
 
 
 @dataclass
-class Descent:
-    """Told each iteration (`sysid.estimation.gauss_newton.Told`), tells ``on_stage`` a sentence.
+class DescentProgress:
+    """Callback of an estimator that reports each iteration and the remaining time.
 
-    Steps become shorter by about a constant factor from one iteration to the next: the time left is that of the iterations until
-    they are ``tolerance`` standard errors long, at most of all that are allowed (``most``). Descents that follow one another count
+    Steps shorten by about a constant factor, so the remaining time is that of the iterations until
+    they are ``tolerance`` standard errors long, at most ``max_iterations``. A second descent starts
     anew.
+
+    Attributes
+    ----------
+    method : str
+        Name of the estimator.
+    callback : callable
+        Receives one sentence an iteration.
+    tolerance : float
+        Step in standard errors below which the search ends.
+    max_iterations : int
+        Largest number of iterations.
+    clock : callable
+        Time [s].
     """
 
-    what: str
-    on_stage: Callable[[str], None]
+    method: str
+    callback: Callable[[str], None]
     tolerance: float
-    most: int
+    max_iterations: int
     clock: Callable[[], float] = time.monotonic
-    _begun: float = 0.0
+    _start_s: float = 0.0
     _lengths: list[float] = field(default_factory=list)
 
     def __call__(self, iteration: int, length: float) -> None:
-        """An iteration begins from which the next step would be ``length`` standard errors long."""
+        """Report that an iteration begins, whose step would be ``length`` standard errors long."""
+        # A new descent starts its own clock.
         if iteration == 1 or not self._lengths:
-            self._begun, self._lengths = self.clock(), []
+            self._start_s, self._lengths = self.clock(), []
         self._lengths.append(length)
-        text = f"{self.what}: iteration {iteration}"
+        text = f"{self.method}: iteration {iteration}"
         if math.isfinite(length):
-            text += f", {length:.2g} standard errors to go"
-        left = self.seconds_left(iteration)
-        self.on_stage(text if left is None else f"{text}, about {max(1, round(left))} s left")
+            text += f", next step {length:.2g} standard errors (stops below {self.tolerance:g})"
+        remaining_s = self.seconds_left(iteration)
+        self.callback(
+            text if remaining_s is None else f"{text}, about {max(1, round(remaining_s))} s left"
+        )
 
     def seconds_left(self, iteration: int) -> float | None:
-        """None in the first iterations of a descent."""
+        """Estimate the remaining time [s]; None in the first iterations of a descent."""
         done = len(self._lengths) - 1
         if done < 2:
             return None
-        wanted = max(float(self.most - iteration), 1.0)
+        # Without convergence all allowed iterations may be needed.
+        iterations_left = max(float(self.max_iterations - iteration), 1.0)
         first, last = self._lengths[0], self._lengths[-1]
+        # Geometric extrapolation of the step length down to the tolerance.
         if 0.0 < last < first and last > self.tolerance:
-            wanted = min(wanted, math.log(last / self.tolerance) * done / math.log(first / last))
+            iterations_left = min(
+                iterations_left, math.log(last / self.tolerance) * done / math.log(first / last)
+            )
         elif last <= self.tolerance:
-            wanted = 1.0
-        return wanted * (self.clock() - self._begun) / done
+            iterations_left = 1.0
+        return iterations_left * (self.clock() - self._start_s) / done
 
 
 def identify(
@@ -191,180 +238,288 @@ def identify(
     ideal_servos: bool = False,
     method: str = "auto",
     workers: int | None = None,
-    on_stage: Callable[[str], None] = lambda stage: None,
-    tell: Callable[[str], None] | None = None,
+    callback: Callable[[str], None] = lambda stage: None,
+    message_callback: Callable[[str], None] | None = None,
 ) -> Identification:
     """Estimate JSBSim properties from flights.
 
-    measured    surfaces whose columns are positions (`read_flights` says which)
-    parameters  properties; default: those of the card's [parameters] that the flights excite (see excited.py)
-    start       "initial": the card's first guesses; "current": the values in the XML
-    biases      channels with a constant sensor bias, one a flight
-    delays      channels whose delay after the commands is estimated, one a flight; None: all, of flights that come from a log
-    outputs     channels that are fitted; default: all of OUTPUTS that are recorded; where parameters follow from the flights,
-                without those that say nothing of any
-    ideal_servos  surfaces and throttle follow their commands at once, whatever actuators the XML has
-    method      "auto" | "output-error" | "filter-error"
-    on_stage    told what is being done
-    tell        called with a sentence for each route that is taken, output error or filter error: why, and how much there is to do
-    Raises BadInputError for unknown parameters and for a model that cannot fly the segments.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The model.
+    flights : sequence of Flight
+        Flights ready for replay.
+    measured : sequence of str
+        Surfaces whose columns are positions, as `read_flights` returns them.
+    parameters : sequence of str, optional
+        Properties to estimate; by default those of the card's [parameters] that the flights excite.
+    start : {"current", "initial"}
+        Start from the values in the XML, or from the card's first guesses.
+    biases : sequence of str
+        Channels with a constant sensor bias in each flight.
+    delays : sequence of str, optional
+        Channels whose delay after the commands is estimated for each flight; by default the
+        controls, and all channels of a log.
+    outputs : sequence of str, optional
+        Fitted channels; by default all recorded ones of OUTPUTS, without ``parameters`` those on
+        which a parameter acts.
+    ideal_servos : bool
+        Whether surfaces and throttle follow their commands at once.
+    method : {"auto", "output-error", "filter-error"}
+        ``auto`` uses filter error where the residuals of output error show turbulence.
+    workers : int, optional
+        Processes.
+    callback : callable
+        Called with the name of each stage.
+    message_callback : callable, optional
+        Called with a sentence for each choice of a method: the reason, and the amount of work.
+
+    Returns
+    -------
+    Identification
+        Estimates, standard errors, residuals and notes.
+
+    Raises
+    ------
+    BadInputError
+        For unknown parameters, and for a model that cannot fly the segments.
     """
+    # Commands pass the actuators unless the servos are ideal; measured positions never do.
     names = _parameter_names(aircraft, parameters)
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
         arm = aircraft.accelerometer_m
-        cut = [s for f in flights for s in segments(f, measured, arm)]
+        cut_segments = [s for f in flights for s in segments(f, measured, arm)]
         initial = _initial(aircraft, model, names, start)
         limits = _limits(aircraft, names, initial)
-        begun = time.perf_counter()
-        on_stage("equation error")
-        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
-            near, notes = equation_error_start(
-                model, straight, flights, cut, names, initial, limits
+        # Stage 1: equation error, linear and fast, gives start values.
+        start_s = time.perf_counter()
+        callback("equation error")
+        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model:
+            equation_error_theta, notes = equation_error_start(
+                model, direct_model, flights, cut_segments, names, initial, limits=limits
             )
+        # Observations: fitted channels of every segment, with biases and delays to estimate.
         channels = _outputs(flights, outputs)
         data = [block for f in flights for block in measured_outputs(f, channels)]
         observed = Observed(
-            cut,
+            cut_segments,
             channels,
             data,
             [b for b in biases if b in channels],
             delayed(flights, channels, delays),
         )
+        # The noise scales residuals until output error estimates its own.
         noise = channel_noise(data, channels, aircraft.card.sensors.noise_std)
-        bare, flown, started = bare_rate(model, cut[0]), counter["rows"], time.perf_counter()
-        with replay_pool(workers) as spread:
+        # Speed of the bare loop and number of simulated rows, for the report on speed.
+        bare_flight_s_per_s, rows_before, fit_start_s = (
+            bare_rate(model, cut_segments[0]),
+            counter["rows"],
+            time.perf_counter(),
+        )
+        with replay_pool(workers) as pool:
+            # Stage 2: by default fix what the manoeuvres do not excite.
             if parameters is None:
-                on_stage("what the flights excite")
-                observed, more = excited_alone(
-                    model, observed, names, initial, limits, noise, spread, outputs is None
+                callback("parameters that the flights excite")
+                observed, channel_notes = restrict_to_excited(
+                    model,
+                    observed,
+                    names,
+                    initial,
+                    limits,
+                    noise,
+                    pool=pool,
+                    choose=outputs is None,
                 )
-                notes = [*notes, *more]
-            on_stage("output error")
-            if tell is not None:
-                tell(_why_output_error(observed, names, method))
-            descent = Descent("output error", on_stage, OUTPUT_TOLERANCE, OUTPUT_ITERATIONS)
+                notes = [*notes, *channel_notes]
+            # Stage 3: output error.
+            callback("output error")
+            if message_callback is not None:
+                message_callback(_output_error_message(observed, names, method))
+            descent = DescentProgress("output error", callback, OUTPUT_TOLERANCE, OUTPUT_ITERATIONS)
+            # Start from equation error, and from the initial values if the model cannot fly with
+            # those.
             fitted = fit_replays(
-                model, observed, names, (near, initial), limits, spread, told=descent
+                model,
+                observed,
+                names,
+                (equation_error_theta, initial),
+                limits,
+                pool,
+                callback=descent,
             )
-        fit = fitted.found
-        taken = time.perf_counter() - started
-        seconds = time.perf_counter() - begun
-        flown_s = (counter["rows"] - flown) * cut[0].dt_s
-        speed = Speed(fit.n_simulations / taken, flown_s / taken, process_count(workers), bare)
-        found = _assemble(aircraft, names, initial, fitted, observed, noise, notes, seconds, speed)
-        found = replace(found, warnings=(*misplaced(flights, cut, found.nuisance), *found.warnings))
-        gusty = process_noise_shown(*_sensed(found))
+        fit = fitted.fit
+        fit_s = time.perf_counter() - fit_start_s
+        seconds = time.perf_counter() - start_s
+        flown_s = (counter["rows"] - rows_before) * cut_segments[0].dt_s
+        speed = Speed(
+            fit.n_simulations / fit_s, flown_s / fit_s, process_count(workers), bare_flight_s_per_s
+        )
+        # Assemble the result of output error, then choose the method by its residuals.
+        result = _assemble(
+            aircraft,
+            names,
+            initial,
+            fitted,
+            observed,
+            noise,
+            notes=notes,
+            seconds=seconds,
+            speed=speed,
+        )
+        result = replace(
+            result,
+            warnings=(
+                *shifted_command_warnings(flights, cut_segments, result.nuisance),
+                *result.warnings,
+            ),
+        )
+        gusty = process_noise_shown(*_inertial_channels(result))
         if method == "output-error" or (method == "auto" and not gusty):
-            if tell is not None:
-                tell(_why_it_stays(method, gusty))
-            return withdrawn(found if gusty else _in_calm_air(found))
-        if tell is not None:
-            tell(_why_filter_error(found, method))
+            if message_callback is not None:
+                message_callback(_no_filter_message(method, gusty))
+            return withdraw_invalid(result if gusty else _in_calm_air(result))
+        if message_callback is not None:
+            message_callback(_filter_error_message(result, method))
+        # Imported here: most flights need no filter.
         from uqharness.identification.linearised.gusts import TOLERANCE as FILTER_TOLERANCE
         from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
-        from uqharness.identification.turbulence import Asked, filter_route, filter_setup
+        from uqharness.identification.turbulence import (
+            FilterRequest,
+            filter_setup,
+            identify_in_turbulence,
+        )
 
-        on_stage("filter error")
+        callback("filter error")
+        # Stage 4: filter error. The simulations of output error are no longer needed.
         fitted.replay.forget()
         setup = filter_setup(
-            aircraft, flights, Asked(outputs, biases, delays, measured, ideal), found
+            aircraft, flights, FilterRequest(outputs, biases, delays, measured, ideal), result
         )
         with (
-            ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight,
-            worker_map(workers) as map_,
+            ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model,
+            worker_map(workers) as worker_pool,
         ):
-            descent = Descent("filter error", on_stage, FILTER_TOLERANCE, FILTER_ITERATIONS)
-            return withdrawn(
-                filter_route(
-                    found, fitted, (model, straight), setup, limits, observed.held, map_, descent
+            descent = DescentProgress("filter error", callback, FILTER_TOLERANCE, FILTER_ITERATIONS)
+            return withdraw_invalid(
+                identify_in_turbulence(
+                    result,
+                    fitted,
+                    (model, direct_model),
+                    setup,
+                    limits,
+                    observed.fixed,
+                    pool=worker_pool,
+                    callback=descent,
                 )
             )
 
 
-def _in_calm_air(found: Identification) -> Identification:
-    """Return the result with warnings of coloured residuals that no longer suspect turbulence."""
-    coloured = [w for w in found.warnings if w.startswith("coloured residuals")]
+def _in_calm_air(result: Identification) -> Identification:
+    """Reword the warnings of coloured residuals of a flight that shows no turbulence."""
+    coloured = [w for w in result.warnings if w.startswith("coloured residuals")]
     if not coloured:
-        return found
-    tint = colour(found.residual, found.modelled)
-    text = colour_warnings(tint, found.std, found.std_crb, "output error", calm_air=True)
-    others = tuple(w for w in found.warnings if w not in coloured)
-    return replace(found, warnings=(*others, *by_channel(text, found.outputs)))
+        return result
+    tint = colour(result.residual, result.modelled)
+    text = colour_warnings(tint, result.std, result.std_crb, "output error", calm_air=True)
+    remaining_warnings = tuple(w for w in result.warnings if w not in coloured)
+    return replace(result, warnings=(*remaining_warnings, *by_channel(text, result.outputs)))
 
 
-def _outputs(flights: Sequence[Flight], asked: Sequence[str] | None) -> tuple[str, ...]:
-    """Channels that some flight has. Raises BadInputError for one asked for that none has."""
-    there = tuple(
+def _outputs(flights: Sequence[Flight], requested: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the fitted channels that some flight has.
+
+    Raises BadInputError for a requested channel that none has.
+    """
+    # A channel counts as recorded if any flight has finite values.
+    available = tuple(
         c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights)
     )
-    missing = [] if asked is None else [c for c in asked if c not in there]
-    if missing or asked == ():
-        raise BadInputError(
-            f"no flight has {', '.join(missing) or 'the outputs asked for: none'}; there are {', '.join(there)}"
-        )
-    return there if asked is None else tuple(c for c in there if c in asked)
+    missing = [] if requested is None else [c for c in requested if c not in available]
+    if missing or requested == ():
+        problem = f"no flight has {', '.join(missing)}" if missing else "no outputs are selected"
+        raise BadInputError(f"{problem}; the flights have {', '.join(available)}")
+    return available if requested is None else tuple(c for c in available if c in requested)
 
 
-def _why_output_error(observed: Observed, names: Sequence[str], method: str) -> str:
-    seconds = sum(float(s.time_s[-1] - s.time_s[0]) for s in observed.cut)
-    free = len(names) - len(observed.held)
-    why = {
+def _output_error_message(observed: Observed, names: Sequence[str], method: str) -> str:
+    """Describe the output error estimation: its size and the reason for it."""
+    seconds = sum(float(s.time_s[-1] - s.time_s[0]) for s in observed.segments)
+    free = len(names) - len(observed.fixed)
+    reason = {
         "auto": "assumes calm air; its residuals are then checked for turbulence",
         "output-error": "requested by --method",
         "filter-error": "start of filter error, requested by --method",
     }[method]
-    return f"output error: {len(observed.cut)} segments, {seconds:.0f} s, {free} parameters ({why})"
+    return (
+        f"output error: {len(observed.segments)} segments, {seconds:.0f} s, {free} parameters"
+        f" ({reason})"
+    )
 
 
-def _why_it_stays(method: str, gusty: bool) -> str:
+def _no_filter_message(method: str, gusty: bool) -> str:
+    """Explain why the result of output error is kept."""
     sign = "show turbulence; estimates may be biased" if gusty else "show no sign of turbulence"
     requested = " (requested by --method)" if method == "output-error" else ""
     return f"keeping output error{requested}: the rate and acceleration residuals {sign}"
 
 
-def _why_filter_error(found: Identification, method: str) -> str:
-    residual, _, noise = _sensed(found)
-    channels = [c for c in found.outputs if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
+def _filter_error_message(result: Identification, method: str) -> str:
+    """Explain why filter error follows, and how large the problem is."""
+    residual, _, noise = _inertial_channels(result)
+    # The test for process noise uses the inertial channels only, so the message does too.
+    channels = [c for c in result.outputs if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
+    # Only channels above their noise are named.
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = {c: rms(np.concatenate(residual)[:, k]) / noise[k] for k, c in enumerate(channels)}
-    left = ", ".join(
+    ratios_text = ", ".join(
         f"{shown_channel(c)[0]} {r:.2f}" for c, r in ratio.items() if np.isfinite(r) and r > 1.0
     )
-    why = "requested by --method"
+    reason = "requested by --method"
     if method != "filter-error":
-        why = f"the residuals of output error show turbulence; rms over noise: {left or 'none above 1'}"
+        reason = (
+            "the residuals of output error show turbulence; rms over noise:"
+            f" {ratios_text or 'none above 1'}"
+        )
     rows = sum(len(r) for r in residual)
     return (
-        f"filter error after {found.seconds:.0f} s of output error ({why}): {rows} samples, "
-        f"{len(found.names)} parameters; --method output-error skips it"
+        f"filter error after {result.seconds:.0f} s of output error ({reason}): {rows} samples, "
+        f"{len(result.names)} parameters; --method output-error skips it"
     )
 
 
-def _sensed(found: Identification) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
-    """Residual, motion and noise of the channels that sensors measure directly.
+def _inertial_channels(
+    result: Identification,
+) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
+    """Return residuals, modelled motion and noise of the channels that sensors measure directly.
 
-    An estimator's attitude or wind angles have coloured errors of their own, which say nothing of the air.
+    Attitudes and wind angles from an estimator have coloured errors of their own, which say nothing
+    of the air.
     """
     columns = [
-        k for k, c in enumerate(found.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
+        k for k, c in enumerate(result.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
     ]
     return (
-        [r[:, columns] for r in found.residual],
-        [y[:, columns] for y in found.modelled],
-        np.array([found.noise[found.outputs[k]] for k in columns]),
+        [r[:, columns] for r in result.residual],
+        [y[:, columns] for y in result.modelled],
+        np.array([result.noise[result.outputs[k]] for k in columns]),
     )
 
 
-def _parameter_names(aircraft: Aircraft, asked: Sequence[str] | None) -> tuple[str, ...]:
-    known = list(aircraft.card.parameters)
-    if asked is None:
-        if not known:
+def _parameter_names(aircraft: Aircraft, requested: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the properties to estimate, those of the card by default.
+
+    Raises BadInputError where there are none, and for a name given twice.
+    """
+    declared = list(aircraft.card.parameters)
+    if requested is None:
+        if not declared:
             raise BadInputError(
-                f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters]; name some with --params aero/Cm_q,..."
+                f"aircraft '{aircraft.name}': airframe.toml has no [parameters]; name parameters"
+                " with --params aero/Cm_q,..."
             )
-        return tuple(known)
-    names = tuple(n if "/" in n else f"aero/{n}" for n in asked)
+        return tuple(declared)
+    names = tuple(n if "/" in n else f"aero/{n}" for n in requested)
     if len(set(names)) < len(names):
         raise BadInputError(f"--params names {max(names, key=names.count)} twice")
     return names
@@ -373,8 +528,10 @@ def _parameter_names(aircraft: Aircraft, asked: Sequence[str] | None) -> tuple[s
 def _initial(
     aircraft: Aircraft, model: ReplayModel, names: Sequence[str], start: str
 ) -> FloatArray:
+    """Return the start values (k,), from the XML or from the card's guesses where it has any."""
     from uqharness.simulator import engine
 
+    # Values of the XML are read from JSBSim, which also checks that the properties exist.
     fdm = model.open(aircraft.dt_s)
     engine.require(fdm, names)
     current = np.array([fdm[name] for name in names])
@@ -388,8 +545,13 @@ def _initial(
 def _limits(
     aircraft: Aircraft, names: Sequence[str], initial: FloatArray
 ) -> list[tuple[float, float]]:
+    """Return the card's bounds of each parameter, infinite by default.
+
+    Raises BadInputError for a start value outside its bounds.
+    """
     out = []
     for name, value in zip(names, initial, strict=True):
+        # Parameters that the card does not list are unbounded.
         card = aircraft.card.parameters.get(name)
         low, high = (
             card.bounds if card is not None and card.bounds is not None else (-np.inf, np.inf)
@@ -402,21 +564,22 @@ def _limits(
     return out
 
 
-def _left_over(
+def _noise_warning(
     residual: Sequence[FloatArray], outputs: Sequence[str], noise: Mapping[str, float]
 ) -> list[str]:
-    """A sentence when a channel is left further off than its noise explains although nothing looks coloured."""
-    whole = np.concatenate(residual)
-    ratio = {c: rms(whole[:, k]) / noise[c] for k, c in enumerate(outputs) if noise[c] > 0.0}
+    """Return a warning where residuals exceed the noise although nothing looks coloured."""
+    # All segments together: a single one may exceed the limit by chance.
+    pooled = np.concatenate(residual)
+    ratio = {c: rms(pooled[:, k]) / noise[c] for k, c in enumerate(outputs) if noise[c] > 0.0}
     above = {c: r for c, r in ratio.items() if r > NOISE_FLOOR}
     if not above:
         return []
     return [
-        "residuals above the noise: "
+        "residuals exceed the sensor noise: "
         + ", ".join(f"{c} {r:.2f} times" for c, r in above.items())
-        + "; something acted that the "
-        "replay does not have (commands between rows while an autopilot flew, gusts, a missing term), and estimates may be off by "
-        "more than std: label the manoeuvres, record surface positions or log faster"
+        + ". The replay lacks something (autopilot commands between rows, gusts or a model"
+        " term), and errors of the estimates may exceed std. Label the manoeuvres, log surface"
+        " positions, or log faster"
     ]
 
 
@@ -427,25 +590,29 @@ def _assemble(
     fitted: ReplayFit,
     observed: Observed,
     noise: Mapping[str, float],
+    *,
     notes: Sequence[str],
     seconds: float,
     speed: Speed,
 ) -> Identification:
-    k, fit, outputs = len(names), fitted.found, observed.outputs
+    """Collect the result of output error."""
+    k, fit, outputs = len(names), fitted.fit, observed.outputs
+    # The covariance has only the identified parameters.
     identified = [i for i in range(k) if fit.status[names[i]] == "identified"]
-    hidden = {
+    nuisance = {
         n: (float(fit.theta[i]), float(fit.std[i]))
         for i, n in enumerate(fitted.layout.names)
         if i >= k
     }
-    # A start state that two channels cannot tell apart is nobody's concern; a parameter is.
-    mine = [
+    # Warnings of nuisance parameters do not concern the user.
+    parameter_warnings = [
         w for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/", f"{UNSEEN}/"))
     ]
-    warnings = by_channel(mine, outputs)
+    warnings = by_channel(parameter_warnings, outputs)
     assert isinstance(fit.residual, list)
+    # Coloured residuals are the more specific warning and include this one.
     if not any(w.startswith("coloured") for w in warnings):
-        warnings += _left_over(fit.residual, outputs, noise)
+        warnings += _noise_warning(fit.residual, outputs, noise)
     return Identification(
         aircraft=aircraft.name,
         names=names,
@@ -456,9 +623,9 @@ def _assemble(
         status={n: fit.status[n] for n in names},
         reason={n: fit.reason[n] for n in names},
         cov=fit.cov[np.ix_(identified, identified)],
-        nuisance=hidden,
+        nuisance=nuisance,
         outputs=outputs,
-        segments=tuple(observed.cut),
+        segments=tuple(observed.segments),
         measured=list(observed.data),
         modelled=fitted.replay(fit.theta),
         residual=fit.residual,

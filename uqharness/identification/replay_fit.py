@@ -1,7 +1,9 @@
-"""The one fit of a model to flights: output error on replays, by which models are identified, compared and refined.
+"""Output error on replays: the one fit by which models are identified, compared and refined.
 
-Beside the parameters it estimates what no model knows: start states of the segments, biases of the gyros, delays, of the
-controls above all. The noise of the channels is what the fit leaves of them.
+With the parameters it estimates the nuisance parameters of the flights: start states of the
+segments, biases of the gyros, and delays, above all those of the controls. The noise of each
+channel is its residual. The module also computes equation-error start values and residual
+coefficients at measured states.
 """
 
 from __future__ import annotations
@@ -31,8 +33,8 @@ from uqharness.replay import (
     Replay,
     ReplayModel,
     Segment,
+    SegmentStates,
     Speed,
-    StatesOf,
     altitudes,
     force_all,
     nuisance_layout,
@@ -47,46 +49,74 @@ if TYPE_CHECKING:
 
 MAX_ITERATIONS = 40
 TOLERANCE = 0.05
-"""Standard errors: a shorter step ends the search."""
+"""Length of a step in standard errors below which the search ends."""
 
 
 @dataclass(frozen=True)
 class Observed:
-    """What replays are compared with: segments, and data [(n, m)] of the channels ``outputs`` in them.
+    """What replays are compared with.
 
-    biases  channels with a constant bias, one a flight       late  flight -> sensors, or CONTROL_DELAY, whose delay is estimated
-    late_s  channel -> time by which it is known to come late besides
-    properties  values of properties in all replays      held  parameters that are not estimated, and why
-    begin   values of biases, delays and shares, by their names in the layout, from which they are sought; 0 for the others
+    Attributes
+    ----------
+    segments : sequence of Segment
+        The segments.
+    outputs : tuple of str
+        Fitted channels.
+    data : sequence of ndarray
+        (n, m) of the outputs, one a segment; NaN where nothing was logged.
+    biases : sequence of str
+        Channels with a constant bias in each flight.
+    late : Mapping
+        Flight to the sensors, or CONTROL_DELAY, whose delay is estimated.
+    late_s : Mapping
+        Channel to a known further delay [s].
+    properties : Mapping
+        Properties set in all replays.
+    fixed : Mapping
+        Parameters that are not estimated, with reasons.
+    begin : Mapping
+        Start values of biases, delays and shares by their names in the layout; 0 by default.
     """
 
-    cut: Sequence[Segment]
+    segments: Sequence[Segment]
     outputs: tuple[str, ...]
     data: Sequence[FloatArray]
     biases: Sequence[str]
     late: Mapping[str, Sequence[str]]
     late_s: Mapping[str, float] = field(default_factory=dict)
     properties: Mapping[str, float] = field(default_factory=dict)
-    held: Mapping[str, str] = field(default_factory=dict)
+    fixed: Mapping[str, str] = field(default_factory=dict)
     begin: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class ReplayFit:
-    """Where output error ended; theta of ``found`` is the layout's. lost: parameters that the flights do not determine, held."""
+    """Result of output error.
 
-    found: OutputErrorFit
+    Attributes
+    ----------
+    fit : OutputErrorFit
+        Its theta follows the layout.
+    layout : Layout
+        Names and bounds of theta.
+    replay : Replay
+        The simulation.
+    undetermined : tuple of str
+        Parameters that the flights do not determine, fixed at their start values.
+    """
+
+    fit: OutputErrorFit
     layout: Layout
     replay: Replay
-    lost: tuple[str, ...]
+    undetermined: tuple[str, ...]
 
     def values(self) -> dict[str, float]:
-        """Estimates of everything by name."""
-        return dict(zip(self.layout.names, self.found.theta.tolist(), strict=True))
+        """Return all estimates by name."""
+        return dict(zip(self.layout.names, self.fit.theta.tolist(), strict=True))
 
     def starts(self) -> list[FloatArray]:
-        """(9,) start state of every segment."""
-        return [start for start, *_ in self.replay.starts_at(self.found.theta)]
+        """Return the start state (9,) of every segment."""
+        return [start for start, *_ in self.replay.starts_at(self.fit.theta)]
 
 
 def fit_replays(
@@ -95,30 +125,62 @@ def fit_replays(
     names: Sequence[str],
     tries: Sequence[FloatArray],
     limits: Sequence[tuple[float, float]],
-    map_: Callable[..., Any],
+    pool: Callable[..., Any],
+    *,
     errors: bool = True,
-    told: Callable[[int, float], None] | None = None,
+    callback: Callable[[int, float], None] | None = None,
 ) -> ReplayFit:
-    """Fit properties ``names`` of a model, and everything that is estimated beside them.
+    """Fit properties of a model and all nuisance parameters.
 
-    tries   values to begin from, the first that can be flown counts; what the flights do not determine stays at the last
-    map_    as `replay_pool` or `spread_over` gives it      errors  False for estimates alone, without standard errors
-    told    is told each iteration's number and the length of the next step in standard errors
-    What ``observed`` holds stays at the last of ``tries``.
-    Raises BadInputError when the model cannot fly the segments.
+    Parameters
+    ----------
+    model : ReplayModel
+        The aircraft.
+    observed : Observed
+        What is fitted.
+    names : sequence of str
+        Properties to estimate.
+    tries : sequence of ndarray
+        (k,) start values; the first that can be flown is used. Fixed and undetermined parameters
+        keep the last.
+    limits : sequence
+        Bounds of the parameters.
+    pool : callable
+        A `map` as `replay_pool` or `batched_pool` returns it.
+    errors : bool
+        False for estimates without standard errors.
+    callback : callable, optional
+        Called with the number of each iteration and the length of its step in standard errors.
+
+    Returns
+    -------
+    ReplayFit
+        The estimates.
+
+    Raises
+    ------
+    BadInputError
+        When the model cannot fly the segments.
     """
-    jumping = jumping_in(model, observed.cut, observed.late)
+    jumping = jumping_flights(model, observed.segments, observed.late)
+    # theta: the parameters, then biases, delays, shares and start states.
     layout = nuisance_layout(
-        names, limits, observed.cut, observed.biases, observed.outputs, observed.late, jumping
+        names,
+        limits,
+        observed.segments,
+        observed.biases,
+        observed.outputs,
+        late=observed.late,
+        jumping=jumping,
     )
     replay = Replay(
         model,
-        observed.cut,
+        observed.segments,
         layout.names,
         observed.outputs,
         uuid.uuid4().hex,
-        observed.properties,
-        observed.late_s,
+        base=observed.properties,
+        late_s=observed.late_s,
     )
 
     def fit_within(
@@ -131,19 +193,19 @@ def fit_replays(
             names=layout.names,
             bounds=bounds,
             free=list(free),
-            map=map_,
+            map=pool,
             tolerance=TOLERANCE,
             max_iterations=MAX_ITERATIONS,
             differences="secant",
             errors=errors,
-            told=told,
+            told=callback,
         )
 
     def fit_from(theta: FloatArray, free: Sequence[str]) -> OutputErrorFit:
         fit = fit_within(layout.bounds, theta, free)
         kinked = _kinked_delays(model, layout, fit)
-        # At a row where a surface jumps the rates have a kink: as functions of the delay they have it at zero. A descent that
-        # crosses it to and fro settles on neither side, so each side is searched by itself, from and up to zero.
+        # Where a surface jumps, the rates as functions of the delay have a kink at zero. A descent
+        # that crosses it repeatedly does not converge, so each side is searched separately.
         for side in (0.0, -np.inf) if kinked else ():
             places = [k for k in kinked if side == 0.0 or fit.theta[k] == 0.0]
             if not places:
@@ -152,45 +214,55 @@ def fit_replays(
             for k in kinked:
                 low, high = layout.bounds[k]
                 bounds[k] = (0.0, high) if fit.theta[k] > 0.0 or side == 0.0 else (low, 0.0)
-            begin = _with(fit.theta, np.zeros(len(fit.theta)), places)
-            again = fit_within(bounds, begin, free)
-            fit = replace(again, n_simulations=fit.n_simulations + again.n_simulations)
+            begin = _with_values(fit.theta, np.zeros(len(fit.theta)), places)
+            one_sided = fit_within(bounds, begin, free)
+            fit = replace(one_sided, n_simulations=fit.n_simulations + one_sided.n_simulations)
         return fit
 
-    held = observed.held
-    tries = [_with(values, tries[-1], [list(names).index(n) for n in held]) for values in tries]
-    free = [n for n in layout.names if n not in held]
-    rest = np.array([observed.begin.get(n, 0.0) for n in layout.names[len(names) :]])
-    begun = [np.concatenate([values, rest]) for values in tries]
-    fit = _first_that_flies(lambda theta: fit_from(theta, free), begun)
+    # Start vectors: fixed parameters take the last of the tries, nuisance parameters their start.
+    fixed = observed.fixed
+    tries = [
+        _with_values(values, tries[-1], [list(names).index(n) for n in fixed]) for values in tries
+    ]
+    free = [n for n in layout.names if n not in fixed]
+    nuisance = np.array([observed.begin.get(n, 0.0) for n in layout.names[len(names) :]])
+    starts = [np.concatenate([values, nuisance]) for values in tries]
+    fit = _fit_first_flyable(lambda theta: fit_from(theta, free), starts)
     fit = replace(
         fit,
-        status={**fit.status, **dict.fromkeys(held, "not-identified")},
-        reason={**fit.reason, **held},
+        status={**fit.status, **dict.fromkeys(fixed, "not-identified")},
+        reason={**fit.reason, **fixed},
     )
-    lost = tuple(n for n in names if fit.status[n] == "not-identified" and n not in held)
-    if lost:
-        # What the data do not determine goes back to where it was, so that the rest is estimated beside values that will be flown.
-        # What was estimated beside a value far from there, at a bound, may fit worse than what the estimate began with.
-        places = [layout.names.index(n) for n in lost]
-        options = [_with(theta, begun[-1], places) for theta in (fit.theta, *begun)]
-        nearest = min(options, key=lambda theta: _misfit(observed.data, replay(theta)))
-        again = fit_from(nearest, [n for n in free if n not in lost])
-        status = {**again.status, **dict.fromkeys((*lost, *held), "not-identified")}
-        reason = {**again.reason, **{n: fit.reason[n] for n in (*lost, *held)}}
-        kept = [w for w in fit.warnings if any(w.startswith(f"{n} not identified") for n in lost)]
+    # Parameters that the information matrix cannot resolve.
+    undetermined = tuple(n for n in names if fit.status[n] == "not-identified" and n not in fixed)
+    if undetermined:
+        # Undetermined parameters return to their start values, with which the model will be flown,
+        # and the others are estimated again. Estimates that belong to a value at a bound may fit
+        # worse than the start values, so the best of all candidates is the new start.
+        places = [layout.names.index(n) for n in undetermined]
+        options = [_with_values(theta, starts[-1], places) for theta in (fit.theta, *starts)]
+        nearest = min(options, key=lambda theta: _neg2_log_likelihood(observed.data, replay(theta)))
+        refit = fit_from(nearest, [n for n in free if n not in undetermined])
+        status = {**refit.status, **dict.fromkeys((*undetermined, *fixed), "not-identified")}
+        reason = {**refit.reason, **{n: fit.reason[n] for n in (*undetermined, *fixed)}}
+        warnings = [
+            w
+            for w in fit.warnings
+            if any(w.startswith(f"{n} not identified") for n in undetermined)
+        ]
         fit = replace(
-            again,
+            refit,
             status=status,
             reason=reason,
-            warnings=kept + again.warnings,
-            n_simulations=fit.n_simulations + again.n_simulations,
+            warnings=warnings + refit.warnings,
+            n_simulations=fit.n_simulations + refit.n_simulations,
         )
-    return ReplayFit(fit, layout, replay, (*lost, *held))
+    return ReplayFit(fit, layout, replay, (*undetermined, *fixed))
 
 
 def _kinked_delays(model: ReplayModel, layout: Layout, fit: OutputErrorFit) -> list[int]:
-    """Find the controls' delays that a descent may have crossed zero by to and fro: of surfaces that jump, shorter than a run."""
+    """Find control delays near zero of a fit that did not converge, where surfaces jump."""
+    # Only surfaces without a lag make a kink.
     if fit.converged or not model.jumping:
         return []
     return [
@@ -202,99 +274,122 @@ def _kinked_delays(model: ReplayModel, layout: Layout, fit: OutputErrorFit) -> l
     ]
 
 
-def _misfit(data: Sequence[FloatArray], flown: Sequence[FloatArray]) -> float:
-    """Minus twice the log likelihood of data [(n, m)], but for a constant, each channel's noise what is left of it; infinite where
-    replays fail."""
-    left = np.concatenate(data) - np.concatenate(flown)
+def _neg2_log_likelihood(data: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> float:
+    """Return -2 log L of data (n, m) up to a constant, each channel's noise its own residual.
+
+    Infinite where replays fail.
+    """
+    residual = np.concatenate(data) - np.concatenate(outputs)
     measured = np.isfinite(np.concatenate(data))
-    if not np.isfinite(left[measured]).all():
+    if not np.isfinite(residual[measured]).all():
         return float("inf")
     return float(
         sum(
-            known.sum() * np.log(np.mean(part[known] ** 2))
-            for part, known in zip(left.T, measured.T, strict=True)
+            logged.sum() * np.log(np.mean(part[logged] ** 2))
+            for part, logged in zip(residual.T, measured.T, strict=True)
         )
     )
 
 
-def _with(values: FloatArray, fixed: FloatArray, places: Sequence[int]) -> FloatArray:
-    """(k,) values, those of some places as in ``fixed``."""
+def _with_values(values: FloatArray, fixed: FloatArray, places: Sequence[int]) -> FloatArray:
+    """Return values (k,) with those at some places replaced."""
     out = np.array(values, dtype=float)
     out[list(places)] = np.asarray(fixed)[list(places)]
     return out
 
 
-def jumping_in(
-    model: ReplayModel, cut: Sequence[Segment], late: Mapping[str, Sequence[str]]
+def jumping_flights(
+    model: ReplayModel, segments: Sequence[Segment], late: Mapping[str, Sequence[str]]
 ) -> list[str]:
-    """Flights in which some control jumps with its command and no sensor is late: in them a row says what it has seen of that."""
-    flights = dict.fromkeys(s.flight for s in cut) if model.jumping else {}
+    """Return the flights in which a control jumps with its command and no sensor is late.
+
+    Only in these does a row determine which share of a jump its accelerometers have seen.
+    """
+    flights = dict.fromkeys(s.flight for s in segments) if model.jumping else {}
     return [f for f in flights if not set(late.get(f, ())) - {CONTROL_DELAY}]
 
 
-def _first_that_flies(
+def _fit_first_flyable(
     fit_from: Callable[[FloatArray], OutputErrorFit], tries: Sequence[FloatArray]
 ) -> OutputErrorFit:
-    """The fit from the first of some values at which the segments can be flown."""
+    """Fit from the first start values with which the segments can be flown.
+
+    Raises BadInputError where there are none.
+    """
     failure: ValueError | None = None
     for theta in tries:
         try:
             return fit_from(theta)
         except ValueError as error:
+            # Any other error would occur with all start values.
             failure = error
             if "fails at theta0" not in str(error):
                 raise BadInputError(str(error)) from None
     raise BadInputError(
-        f"the model cannot fly these segments: {failure}; give other start values (--start)"
+        f"the model cannot fly these segments: {failure}; use other start values (--start)"
     )
 
 
-# Where output error starts: equation error at the measured states, with the model forced to
-# them.
+# Start values by equation error: the model evaluated at the measured states.
 
 
 def equation_error_start(
     model: ReplayModel,
-    straight: ReplayModel,
+    direct_model: ReplayModel,
     flights: Sequence[Flight],
-    cut: Sequence[Segment],
+    segments: Sequence[Segment],
     names: Sequence[str],
     initial: FloatArray,
+    *,
     limits: Sequence[tuple[float, float]],
 ) -> tuple[FloatArray, list[str]]:
-    """Parameters (k,) at which the model's forces at the measured states come nearest to those the flight demanded.
+    """Find the parameters (k,) at which the model's coefficients at the measured states fit the
+    flights.
 
-    Only parameters that are coefficient terms by name move; the others, and those that the flights do not tell apart, stay.
+    Only parameters that are named as coefficient terms move; those, and parameters that the flights
+    cannot separate, keep their values. Returns them with notes.
     """
     theta = initial.copy()
     groups: dict[str, list[int]] = {}
+    terms: dict[int, str] = {}
     for i, name in enumerate(names):
         parsed = split_name(name)
         if parsed is not None:
-            groups.setdefault(parsed[0], []).append(i)
+            coefficient, terms[i] = parsed
+            groups.setdefault(coefficient, []).append(i)
     if not groups:
-        return theta, ["equation error was left out: no parameter is a coefficient term by name"]
+        return theta, [
+            "equation error was skipped: no parameter has the name of a coefficient term"
+        ]
     notes: list[str] = []
-    demand, said, base = [], [], []
-    every = [states(flight, piece) for flight in flights for piece in flight.pieces]
-    found = forced_at(model, straight, cut, every, dict(zip(names, initial, strict=True)))
-    for segment, channels, forced in zip(cut, every, found, strict=True):
-        demand.append(demand_of(channels, forced[0], segment))
-        said.append(smooth(forced[0].coefficients, segment.dt_s))
+    demand, predicted, base = [], [], []
+    channels_of = [states(flight, piece) for flight in flights for piece in flight.pieces]
+    forced_models = forced_at(
+        model, direct_model, segments, channels_of, dict(zip(names, initial, strict=True))
+    )
+    # Demanded and predicted coefficients pass the same filter, and so do the regressors.
+    for segment, channels, forced in zip(segments, channels_of, forced_models, strict=True):
+        demand.append(demanded_coefficients(channels, forced[0], segment))
+        predicted.append(smooth(forced[0].coefficients, segment.dt_s))
         base.append({k: smooth(v, segment.dt_s) for k, v in forced[1].items()})
+    # Linear least squares, one coefficient at a time: demanded minus predicted on the term
+    # regressors.
     order = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
     for coefficient, members in groups.items():
         column = order.index(coefficient)
-        y = np.concatenate([d[:, column] - s[:, column] for d, s in zip(demand, said, strict=True)])
-        x = np.column_stack(
-            [np.concatenate([regressor(split_name(names[i])[1], b) for b in base]) for i in members]  # type: ignore[index]
+        y = np.concatenate(
+            [d[:, column] - s[:, column] for d, s in zip(demand, predicted, strict=True)]
         )
+        x = np.column_stack(
+            [np.concatenate([regressor(terms[i], b) for b in base]) for i in members]
+        )
+        # Parameters that the data cannot separate are left at their values.
         gate = assess(x.T @ x, tuple(names[i] for i in members))
-        moved = [i for i, ok in zip(members, gate.identified, strict=True) if ok]
+        identified = [i for i, ok in zip(members, gate.identified, strict=True) if ok]
         delta = np.linalg.lstsq(x[:, gate.identified], y, rcond=None)[0]
-        for i, d in zip(moved, delta, strict=True):
+        for i, d in zip(identified, delta, strict=True):
             low, high = limits[i]
-            # A hair inside, so that output error does not start on a bound.
+            # Slightly inside, so that output error does not start on a bound.
             margin = 1e-6 * (high - low) if np.isfinite(high - low) else 0.0
             theta[i] = float(np.clip(initial[i] + d, low + margin, high - margin))
     return theta, notes
@@ -302,19 +397,23 @@ def equation_error_start(
 
 def forced_at(
     model: ReplayModel,
-    straight: ReplayModel,
-    cut: Sequence[Segment],
-    every: Sequence[Mapping[str, FloatArray]],
+    direct_model: ReplayModel,
+    segments: Sequence[Segment],
+    channels_of: Sequence[Mapping[str, FloatArray]],
     properties: Mapping[str, float],
 ) -> list[tuple[ForcedModel, dict[str, FloatArray]]]:
-    """Of each segment the model forced to its measured channels, and the variables of its coefficient terms there."""
-    stood = surface_positions(model, cut, CONTROLS, properties)
+    """Evaluate the model at the measured channels of each segment, and the variables of its
+    coefficient terms.
+    """
+    positions = surface_positions(model, segments, CONTROLS, properties)
     parts = [
-        StatesOf(segment, channels, controls, altitudes(model, segment, channels["h_m"]))
-        for segment, channels, controls in zip(cut, every, stood, strict=True)
+        SegmentStates(segment, channels, controls, altitudes(model, segment, channels["h_m"]))
+        for segment, channels, controls in zip(segments, channels_of, positions, strict=True)
     ]
     out = []
-    for part, forced in zip(parts, force_all(straight, parts, properties), strict=True):
+    for part, forced in zip(parts, force_all(direct_model, parts, properties), strict=True):
+        # Variables of the terms: surface positions and motion, made dimensionless by the mass's
+        # lengths.
         de, da, dr = (
             part.controls[:, model.controls.index(c)] for c in ("elevator", "aileron", "rudder")
         )
@@ -330,49 +429,84 @@ def forced_at(
 
 def coefficient_gaps(
     model: ReplayModel,
-    straight: ReplayModel,
-    cut: Sequence[Segment],
-    every: Sequence[Mapping[str, FloatArray]],
+    direct_model: ReplayModel,
+    segments: Sequence[Segment],
+    channels_of: Sequence[Mapping[str, FloatArray]],
     noise_std: Mapping[str, float],
     rng: np.random.Generator,
+    *,
     properties: Mapping[str, float] | None = None,
     late_s: float = 0.0,
     half_way: bool = False,
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Of each segment, (n, 6) each: coefficients demanded, those said at the measured states with what sampling makes of them, and
-    how noise added once more changes the first less the second. late_s: by how much the controls act late; half_way: commands
-    stand half-way at the row of a jump, which makes up for sampling."""
-    noisy = [with_noise(channels, noise_std, rng) for channels in every]
-    given = [*zip(cut, every, strict=True), *zip(cut, noisy, strict=True)]
+    """Compare demanded and predicted coefficients of each segment.
+
+    Parameters
+    ----------
+    model, direct_model : ReplayModel
+        With actuators, and with controls passed through.
+    segments : sequence of Segment
+        The segments.
+    channels_of : sequence of Mapping
+        Measured channels of each.
+    noise_std : Mapping
+        Standard deviation of each channel's noise.
+    rng : Generator
+        Draws a second realisation of the noise.
+    properties : Mapping, optional
+        Properties in force.
+    late_s : float
+        Delay of the controls [s].
+    half_way : bool
+        Whether commands are half-way at the row of a jump, which compensates for sampling.
+
+    Returns
+    -------
+    list of tuple
+        (n, 6) each: demanded coefficients; predicted ones including sampling errors; change of
+        demanded minus predicted by the second noise.
+    """
+    # A second realisation of the noise shows its effect on the coefficients.
+    noisy = [with_noise(channels, noise_std, rng) for channels in channels_of]
+    plain_and_noisy = [*zip(segments, channels_of, strict=True), *zip(segments, noisy, strict=True)]
     forced = forced_at(
-        model, straight, [s for s, _ in given], [c for _, c in given], properties or {}
+        model,
+        direct_model,
+        [s for s, _ in plain_and_noisy],
+        [c for _, c in plain_and_noisy],
+        properties or {},
     )
-    found = [
-        (demand_of(channels, said, segment), smooth(said.coefficients, segment.dt_s))
-        for (segment, channels), (said, _) in zip(given, forced, strict=True)
+    coefficients = [
+        (
+            demanded_coefficients(channels, model_at, segment),
+            smooth(model_at.coefficients, segment.dt_s),
+        )
+        for (segment, channels), (model_at, _) in zip(plain_and_noisy, forced, strict=True)
     ]
-    stood = surface_positions(model, cut, CONTROLS, properties or {})
+    positions = surface_positions(model, segments, CONTROLS, properties or {})
     parts = [
         MeasuredSegment(
             segment, channels, controls, altitudes(model, segment, channels["h_m"]), late_s
         )
-        for segment, channels, controls in zip(cut, every, stood, strict=True)
+        for segment, channels, controls in zip(segments, channels_of, positions, strict=True)
     ]
+    # Half-way commands are the first-order correction of sampling.
     if half_way:
         sampled = [np.zeros((len(part.positions), 6)) for part in parts]
     else:
-        sampled = sampling_errors(model, straight, parts, properties or {})
-    both = zip(found[: len(cut)], found[len(cut) :], sampled, strict=True)
+        sampled = sampling_errors(model, direct_model, parts, properties or {})
+    # The first half belongs to the measured states, the second half to the noisy ones.
+    pairs = zip(coefficients[: len(segments)], coefficients[len(segments) :], sampled, strict=True)
     return [
-        (demand, said + error, (demand_again - said_again) - (demand - said))
-        for (demand, said), (demand_again, said_again), error in both
+        (demand, predicted + error, (noisy_demand - noisy_predicted) - (demand - predicted))
+        for (demand, predicted), (noisy_demand, noisy_predicted), error in pairs
     ]
 
 
-def demand_of(
+def demanded_coefficients(
     channels: Mapping[str, FloatArray], forced: ForcedModel, segment: Segment
 ) -> FloatArray:
-    """(n, 6) coefficients that the flight demanded in a piece."""
+    """Return the coefficients (n, 6) that the flight demanded in a piece."""
     return demanded(
         np.column_stack([channels[f"a{a}_mps2"] for a in "xyz"]),
         np.column_stack([channels[f"{a}_radps"] for a in "pqr"]),
@@ -385,7 +519,7 @@ def demand_of(
     )
 
 
-# Channels that identification compares, and their names as options give them.
+# Fitted channels, and their names in options.
 
 OUTPUTS = (
     "V_mps",
@@ -400,15 +534,20 @@ OUTPUTS = (
     "ay_mps2",
     "az_mps2",
 )
-"""Channels that are compared. Height and heading follow from the others and drift in real sensors."""
+"""Channels that are fitted; height and heading are integrals of the others and drift in real
+sensors.
+"""
 BIASES = ("p_radps", "q_radps", "r_radps")
 """Channels whose sensors have a constant bias in each flight."""
 
 
 def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
-    """Channel names of an option; short forms p, alpha, ax stand for p_radps, alpha_rad, ax_mps2; None where it was not given.
+    """Parse the channel names of an option; None where it was not given.
 
-    Raises BadInputError.
+    Short forms p, alpha, ax mean p_radps, alpha_rad, ax_mps2. Raises BadInputError.
+
+    >>> parse_channels("--biases", "p, q_radps")
+    ('p_radps', 'q_radps')
     """
     from uqharness.replay import CONTROL_DELAY
 
@@ -418,28 +557,53 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
         return ()
     short = {c.split("_")[0]: c for c in OUTPUTS}
     names = [short.get(n.strip(), n.strip()) for n in text.split(",")]
-    further = (CONTROL_DELAY,) if option == "--delays" else ()
-    unknown = [n for n in names if n not in (*OUTPUTS, *further)]
+    # Only delays apply to the controls.
+    extra_names = (CONTROL_DELAY,) if option == "--delays" else ()
+    unknown = [n for n in names if n not in (*OUTPUTS, *extra_names)]
     if unknown:
         raise BadInputError(
-            f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join((*further, *short))}"
+            f"{option} {text}: unknown channel {unknown[0]}; allowed are none,"
+            f" {', '.join((*extra_names, *short))}"
         )
     return tuple(dict.fromkeys(names))
 
 
-# What an identification found.
+# Result of an identification.
 
 
 @dataclass(frozen=True)
 class Identification(TabularResult):
-    """What was estimated, how, and how well it fits.
+    """Estimated parameters, their uncertainty, and the fit to the flights.
 
-    names, initial, theta, std, std_crb, status, reason  over the parameters asked for (JSBSim properties)
-    cov (k, k)        of the identified ones, in the order of ``identified``
-    nuisance          biases and start states: name -> (value, std)
-    outputs, measured, modelled  channels and their [(n, m)] arrays, one a segment; modelled includes biases
-    residual          measured minus model of the method used (innovations for filter error), one a segment
-    method            "output error" | "filter error"; simulations: replays of all segments, seconds: wall time they took
+    Attributes
+    ----------
+    aircraft : str
+        Name of the model.
+    names, initial, theta, std, std_crb, status, reason
+        (k,) over the requested parameters (JSBSim properties): start values, estimates, standard
+        errors corrected for coloured residuals, Cramer-Rao bounds, "identified" or
+        "not-identified", and why not.
+    cov : ndarray
+        (k, k) of the identified ones, ordered as ``identified``.
+    nuisance : Mapping
+        Biases, delays and start states by name: (value, std).
+    outputs : tuple of str
+        Fitted channels.
+    segments, measured, modelled, residual
+        One a segment, (n, m) arrays; modelled includes biases, residual is measured minus modelled,
+        the innovations for filter error.
+    whiteness : ndarray
+        (m,) p-values of the test for white residuals.
+    noise : Mapping
+        Standard deviation by channel, in its unit.
+    method : str
+        "output error" or "filter error".
+    converged : bool
+        Whether the search ended by its tolerance.
+    warnings, notes : tuple of str
+        Sentences for the user.
+    simulations, seconds, speed
+        Replays of all segments, wall time [s], and speed of the replays.
     """
 
     aircraft: str
@@ -468,18 +632,23 @@ class Identification(TabularResult):
     speed: Speed | None = None
 
     def __repr__(self) -> str:
-        return f"Identification({self.aircraft!r}, {len(self.identified)} of {len(self.names)} identified by {self.method})"
+        return (
+            f"Identification({self.aircraft!r}, {len(self.identified)} of {len(self.names)}"
+            f" identified by {self.method})"
+        )
 
     def _facts(self) -> Mapping[str, object]:
         return {"method": self.method, "converged": "yes" if self.converged else "no"}
 
     @property
     def identified(self) -> tuple[str, ...]:
-        """Names of the parameters that the data determined."""
+        """Return the names of the parameters that the data determine."""
         return tuple(n for n in self.names if self.status[n] == "identified")
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table of parameters: one row a property, with what it began at, estimate, standard error, bound and status."""
+        """Return the table of parameters: start value, estimate, standard error, Cramer-Rao bound,
+        status.
+        """
         import pandas as pd
 
         columns = {
@@ -488,15 +657,21 @@ class Identification(TabularResult):
             "std": self.std,
             "std_crb": self.std_crb,
         }
-        told = {
+        verdict_columns = {
             "status": [self.status[n] for n in self.names],
             "reason": [self.reason[n] for n in self.names],
         }
-        return pd.DataFrame({**columns, **told}, index=pd.Index(self.names, name="parameter"))
+        return pd.DataFrame(
+            {**columns, **verdict_columns}, index=pd.Index(self.names, name="parameter")
+        )
 
 
 def by_channel(sentences: Sequence[str], outputs: Sequence[str]) -> list[str]:
-    """Sentences that speak of outputs by number, by the channels' names."""
+    """Replace output numbers in sentences by channel names.
+
+    >>> by_channel(["output 1 is coloured"], ("p_radps", "q_radps"))
+    ['q_radps is coloured']
+    """
     return [
-        re.sub(r"\boutput (\d+)", lambda found: outputs[int(found[1])], text) for text in sentences
+        re.sub(r"\boutput (\d+)", lambda match: outputs[int(match[1])], text) for text in sentences
     ]

@@ -1,8 +1,10 @@
-"""Servos by likelihood: whether commands reach the surfaces through the card's actuators or at once.
+"""Servos by likelihood: whether commands reach the surfaces through the card's actuators or at
+once.
 
-A log of commands does not say how its servos moved. Both answers are fitted to the segments in which the surfaces are
-moved most, by output error with linearised sensitivities, everything estimated beside them (parameters, biases, delays, start
-states). The larger likelihood decides, the noise of each channel at its own maximum-likelihood value.
+A log of commands does not show how its servos moved. Both alternatives are fitted, by output error
+with linearised sensitivities, to the segments in which the surfaces move most; parameters, biases,
+delays and start states are estimated in each. The larger likelihood decides, with the noise of each
+channel at its own maximum-likelihood value.
 """
 
 from __future__ import annotations
@@ -32,29 +34,35 @@ from uqharness.replay import CONTROLS, LATE_ROWS, Flight, control_columns
 from uqharness.simulator import Aircraft, engine
 
 SERVOS = ("auto", "card", "ideal")
-"""What may be asked: by likelihood, the card's actuators, or surfaces that follow their commands at once."""
+"""Choices: by likelihood, the card's actuators, or surfaces that follow their commands at once."""
 SURFACES = CONTROLS[:3]
-PER_SURFACE = 2
-"""Windows fitted for each surface, those in which it travels most a second."""
-LONGEST_S = 12.0
-"""Longest window."""
+WINDOWS_PER_SURFACE = 2
+"""Fitted windows a surface, those in which it moves fastest on average."""
+MAX_WINDOW_S = 12.0
+"""Longest window [s]."""
 
 
 @dataclass(frozen=True)
 class ServoChoice:
     """Servos with which flights are replayed.
 
-    ideal       whether commands are passed straight through
-    gain        log likelihood of the choice less that of the other; NaN where they were not compared
-    note        sentence for the results; empty where nothing was compared
+    Attributes
+    ----------
+    ideal : bool
+        Whether commands are passed through.
+    gain : float
+        Log likelihood of the choice minus that of the alternative; NaN where they were not
+        compared.
+    note : str
+        Sentence for the results; empty where nothing was compared.
     """
 
     ideal: bool
     gain: float = math.nan
     note: str = ""
 
-    def noted(self, flights: Sequence[Flight]) -> list[Flight]:
-        """The flights, the first with the note."""
+    def with_note(self, flights: Sequence[Flight]) -> list[Flight]:
+        """Return the flights, the first with the note."""
         if not self.note:
             return list(flights)
         return [replace(flights[0], notes=(*flights[0].notes, self.note)), *flights[1:]]
@@ -79,24 +87,29 @@ def choose_servos(
     Returns
     -------
     ServoChoice
-        The card's where no commanded surface has an actuator with a lag, and where neither can be flown. Records of a
-        simulation that hold no logged rates (``native_hz``) keep the card's as well: they were flown with the card's servos.
+        The card's where no commanded surface has an actuator with a lag, and where neither can be
+        flown. Records of a simulation that hold no logged rates (``native_hz``) keep the card's as
+        well: they were flown with the card's servos.
     """
     if request != "auto":
         return ServoChoice(request == "ideal")
+    # Without logged rates the flights are simulations, flown with the card's servos.
     logged = [f for f in flights if f.record.metadata.native_hz]
     moved = [c for c in SURFACES if c in aircraft.card.inputs and c not in measured]
     if not logged or not moved:
         return ServoChoice(False)
+    # One flight is enough: servos are a property of the aircraft.
     busiest = [_busiest(f, moved, measured) for f in logged[:1]]
-    everything = tuple(c for c in CONTROLS if c not in measured)
-    with worker_map(workers) as map_:
-        card = _fit(aircraft, busiest, measured, (), map_)
+    unmeasured = tuple(c for c in CONTROLS if c not in measured)
+    with worker_map(workers) as pool:
+        card = _fit(aircraft, busiest, measured, (), pool)
+        # Actuators without a lag are ideal already.
         if card is not None and not card.lagging:
             return ServoChoice(False)
-        ideal = _fit(aircraft, busiest, measured, everything, map_)
+        ideal = _fit(aircraft, busiest, measured, unmeasured, pool)
     if card is None and ideal is None:
         return ServoChoice(False)
+    # A model that cannot fly has log likelihood minus infinity.
     gain = (ideal.log_likelihood if ideal else -math.inf) - (
         card.log_likelihood if card else -math.inf
     )
@@ -105,26 +118,27 @@ def choose_servos(
     assert best is not None
     option = "card" if gain > 0.0 else "ideal"
     margin = (
-        f"log likelihood {abs(gain):,.0f} above that with {other} servos"
+        f"log likelihood {abs(gain):,.0f} higher than with {other} servos"
         if math.isfinite(gain)
         else f"the flights cannot be replayed with {other} servos"
     )
     note = (
-        f"{logged[0].name}: {chosen} servos were taken ({margin}, {len(busiest[0].pieces)} segments, everything else "
-        f"estimated with each); --servos {option} takes the other"
+        f"{logged[0].name}: using {chosen} servos ({margin}, {len(busiest[0].pieces)} segments, all"
+        f" other parameters estimated for both); --servos {option} selects the alternative"
     )
+    # A delay of all channels is not an effect of the servos.
     if abs(best.common_s) > LATE_ROWS * logged[0].record.dt_s:
         note += (
-            f"; with them all channels come {1e3 * abs(best.common_s):.0f} ms "
-            f"{'after' if best.common_s > 0.0 else 'before'} the commands by one common time: a clock or a transport delay, "
-            "which is estimated and taken out"
+            f"; all channels {'lag' if best.common_s > 0.0 else 'lead'} the commands by"
+            f" {1e3 * abs(best.common_s):.0f} ms, a clock offset or transport delay, which is"
+            " estimated and removed"
         )
     return ServoChoice(gain > 0.0, abs(gain), note)
 
 
 @dataclass(frozen=True)
 class _ServoFit:
-    """lagging: surfaces whose commands go through a lag; common_s: time by which all sensors come after the commands."""
+    """Log likelihood of a fit, surfaces with a lag, and the delay common to all sensors [s]."""
 
     log_likelihood: float
     lagging: tuple[str, ...]
@@ -132,22 +146,24 @@ class _ServoFit:
 
 
 def _busiest(flight: Flight, surfaces: Sequence[str], measured: Sequence[str]) -> Flight:
-    """The flight with the windows of its pieces in which each of the surfaces travels most a second."""
+    """Return the flight reduced to the windows in which each surface moves fastest."""
     columns = dict(zip(CONTROLS, control_columns(measured), strict=True))
-    rows = math.ceil(LONGEST_S / flight.record.dt_s)
+    rows = math.ceil(MAX_WINDOW_S / flight.record.dt_s)
     windows = [w for piece in flight.pieces for w in _windows(flight, piece, rows)]
+    # A window may serve several surfaces, but counts once.
     picked: set[int] = set()
     for surface in surfaces:
         values = flight.record[columns[surface]]
         rate = [float(np.nanmean(np.abs(np.diff(values[w.rows])))) for w in windows]
         order = [k for k in np.argsort(rate)[::-1].tolist() if k not in picked]
-        picked |= set(order[:PER_SURFACE])
+        picked |= set(order[:WINDOWS_PER_SURFACE])
     return replace(flight, pieces=tuple(windows[k] for k in sorted(picked)))
 
 
 def _windows(flight: Flight, piece: Piece, rows: int) -> list[Piece]:
-    """A piece cut into equal windows of so many rows at most."""
+    """Divide a piece into equal windows of at most ``rows`` rows."""
     n = piece.rows.stop - piece.rows.start
+    # Equal lengths: a short remainder would carry little information.
     edges = np.linspace(piece.rows.start, piece.rows.stop, math.ceil(n / rows) + 1).astype(int)
     time = flight.record["time_s"]
     return [
@@ -161,9 +177,9 @@ def _fit(
     flights: Sequence[Flight],
     measured: Sequence[str],
     ideal: Sequence[str],
-    map_: Processes,
+    pool: Processes,
 ) -> _ServoFit | None:
-    """Fit the flights with servos of one kind; None where the model cannot fly them."""
+    """Fit the flights with one kind of servos; None where the model cannot fly them."""
     names = tuple(aircraft.card.parameters)
     limits = {
         n: c.bounds if c.bounds is not None else (-math.inf, math.inf)
@@ -177,49 +193,55 @@ def _fit(
         engine.require(fdm, names)
         current = np.array([fdm[n] for n in names])
         del fdm
-        near, _ = equation_error_start(
+        equation_error_theta, _ = equation_error_start(
             bench.model,
-            bench.straight,
+            bench.direct_model,
             flights,
             setup.segments,
             names,
             current,
-            [limits[n] for n in names],
+            limits=[limits[n] for n in names],
         )
         starts = tuple(s.start.copy() for s in setup.segments)
+        # Start from equation error, or from the values of the XML if these fly better.
         points = [
             Point(
                 dict(zip(names, values.tolist(), strict=True)),
                 dict.fromkeys(setup.nuisance, 0.0),
                 starts,
             )
-            for values in (near, current)
+            for values in (equation_error_theta, current)
         ]
         try:
-            best = best_flown(bench.model, setup, points, map_)
-            fit = refit(bench.model, bench.straight, setup, best.point, names, limits, map_)
+            best = best_flown(bench.model, setup, points, pool)
+            fit = refit(bench.model, bench.direct_model, setup, best.point, names, limits, pool)
         except np.linalg.LinAlgError:
             return None
     return _ServoFit(_log_likelihood(setup, fit.flown), lagging, _common_s(setup, fit.flown.point))
 
 
-def _log_likelihood(setup: Setup, flown: Flown) -> float:
-    """Log likelihood of replays but for a constant, each channel's noise what is left of it."""
-    left = np.concatenate([z - y for z, y in zip(setup.measured, flown.outputs, strict=True)])
-    count = np.isfinite(left).sum(axis=0)
-    square = np.nansum(left**2, axis=0) / np.maximum(count, 1)
-    # A channel of no error at all has the noise of rounding.
+def _log_likelihood(setup: Setup, replays: Flown) -> float:
+    """Return the log likelihood of replays up to a constant, each channel's noise its own
+    residual.
+    """
+    residual = np.concatenate([z - y for z, y in zip(setup.measured, replays.outputs, strict=True)])
+    count = np.isfinite(residual).sum(axis=0)
+    square = np.nansum(residual**2, axis=0) / np.maximum(count, 1)
+    # Floor for channels without any error, whose log likelihood would be infinite.
     floor = (1e-6 * setup.noise) ** 2
     return -0.5 * float(np.sum(count * np.log(np.maximum(square, floor))))
 
 
 def _common_s(setup: Setup, point: Point) -> float:
-    """Time [s] by which every inertial sensor comes after the commands, 0 where some come before and some after."""
+    """Return the time by which every inertial sensor lags the commands [s]; 0 where signs
+    differ.
+    """
     delays = [
         value
         for name, value in point.nuisance.items()
         if name.startswith("delay/") and name.endswith(("/rates", "/accelerations", "/attitude"))
     ]
+    # Delays of both signs have no common part.
     if not delays or min(delays) * max(delays) <= 0.0:
         return 0.0
     return min(delays, key=abs)

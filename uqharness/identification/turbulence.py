@@ -1,5 +1,8 @@
-"""The way through turbulence: filter error by one-step predictions of the JSBSim model linearised along the flights, as `refine`
-judges them, the gusts' intensities and the sensors' noise found beside the parameters.
+"""Identification in turbulence by filter error.
+
+One-step predictions of the JSBSim model, linearised along the flights, replace replays. Intensities
+of the gusts and noise of the sensors are estimated with the parameters, as in `refine`. The fit
+starts from the result of output error.
 """
 
 from __future__ import annotations
@@ -25,23 +28,34 @@ from uqharness.identification.linearised.types import (
     setup_in_gusts,
 )
 from uqharness.identification.replay_fit import Identification, ReplayFit, by_channel
-from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, misplaced
+from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, shifted_command_warnings
 from uqharness.simulator import Aircraft
 
 CONVERGED, ITERATIONS = 2.0, 16
-"""Length of the last step, in standard errors of all parameters together, up to which an estimation has converged, for the step
-itself is taken: a sensor hardly late or early has other slopes on either side, between which the last steps may hop. Most
-iterations."""
-NO_AIR = (
-    "filter error finds no air that moves across the flight path, as turbulence does: without process noise it is output error, "
-    "whose estimates these are"
+"""Length of the last step, in standard errors of all parameters together, below which the
+estimation has converged, and largest number of iterations. The last step is taken too; it may stay
+this long where a sensor's delay is near zero, because slopes differ on either side."""
+NO_TURBULENCE = (
+    "filter error finds no air motion across the flight path, so there is no turbulence: these are"
+    " the estimates of output error"
 )
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What identification is asked to compare and to estimate beside the parameters: outputs, delays (None: by default), biases;
-    measured: surfaces whose positions the record has; ideal: controls that are passed straight through."""
+class FilterRequest:
+    """Options of filter error.
+
+    Attributes
+    ----------
+    outputs, delays : sequence of str, optional
+        Fitted channels, and channels with a delay; None for the defaults.
+    biases : sequence of str
+        Channels with a constant bias.
+    measured : sequence of str
+        Surfaces whose positions the record has.
+    ideal : sequence of str
+        Controls that are passed through.
+    """
 
     outputs: Sequence[str] | None
     biases: Sequence[str]
@@ -51,15 +65,17 @@ class Asked:
 
 
 def filter_setup(
-    aircraft: Aircraft, flights: Sequence[Flight], asked: Asked, found: Identification
+    aircraft: Aircraft, flights: Sequence[Flight], request: FilterRequest, result: Identification
 ) -> Setup:
-    """The flights as filter error takes them: as `refine` does, but that delays are those that output error estimates.
+    """Prepare the flights for filter error: as `refine` does, but with the delays of output error.
 
-    found: output error's result, which tells how uncertain channels are that an estimator computed and no sensor measured.
+    ``result`` is that of output error; its residuals bound the uncertainty of channels that an
+    estimator computed.
     """
-    setup = make_setup(aircraft, flights, asked.measured, asked.ideal)
-    if asked.outputs is not None:
-        columns = [k for k, c in enumerate(setup.outputs) if c in asked.outputs]
+    setup = make_setup(aircraft, flights, request.measured, request.ideal)
+    # Keep the requested channels only.
+    if request.outputs is not None:
+        columns = [k for k, c in enumerate(setup.outputs) if c in request.outputs]
         outputs = tuple(setup.outputs[k] for k in columns)
         setup = replace(
             setup,
@@ -67,152 +83,200 @@ def filter_setup(
             measured=tuple(z[:, columns] for z in setup.measured),
             noise=setup.noise[columns],
         )
-    # By default a log's sensors are late against its gyros, and its controls late as well: a filter finds where commands act far
-    # sooner than by how much all sensors are late together.
-    late = delayed(flights, setup.outputs, asked.delays)
+    # By default the sensors of a log are late relative to its gyros, and so are its controls: the
+    # instant at which commands act is determined much better than a delay common to all sensors.
+    late = delayed(flights, setup.outputs, request.delays)
     timed = tuple(f for f, names in late.items() if CONTROL_DELAY in names)
     sensors = {f: [n for n in names if n != CONTROL_DELAY] for f, names in late.items()}
     setup = replace(setup, timed=timed, late={f: names for f, names in sensors.items() if names})
     setup = setup_in_gusts(
-        aircraft, replace(setup, biased=tuple(b for b in asked.biases if b in setup.outputs))
+        aircraft, replace(setup, biased=tuple(b for b in request.biases if b in setup.outputs))
     )
-    left = {c: rms(r) for c, r in zip(found.outputs, np.concatenate(found.residual).T, strict=True)}
-    return replace(setup, noise=noise_left(setup, left))
+    # Residuals of output error limit the noise of channels that were estimated on board.
+    residual_rms = {
+        c: rms(r) for c, r in zip(result.outputs, np.concatenate(result.residual).T, strict=True)
+    }
+    return replace(setup, noise=noise_left(setup, residual_rms))
 
 
-def filter_route(
-    found: Identification,
+def identify_in_turbulence(
+    result: Identification,
     fitted: ReplayFit,
     models: tuple[ReplayModel, ReplayModel],
     setup: Setup,
     limits: Sequence[tuple[float, float]],
-    held: Mapping[str, str],
-    map_: Processes,
-    told: Callable[[int, float], None] | None = None,
+    fixed: Mapping[str, str],
+    *,
+    pool: Processes,
+    callback: Callable[[int, float], None] | None = None,
 ) -> Identification:
-    """Output error's result replaced by filter error's, started from it; with a note saying so.
+    """Replace output error's result by that of filter error, with a note.
 
-    models  the aircraft as it flies and with every control straight through      held  parameters that stay, and why
-    told    is told each iteration's number and the length of the next step in standard errors
-    Without air that moves across the path the result stays output error's, and a note says so.
-    Raises BadInputError where no filter follows the flights.
+    Parameters
+    ----------
+    result, fitted
+        Result and fit of output error, the start.
+    models : tuple of ReplayModel
+        The aircraft with its actuators, and with every control passed through.
+    setup : Setup
+        Flights as `filter_setup` prepares them.
+    limits : sequence
+        Bounds of the parameters.
+    fixed : Mapping
+        Parameters that stay, with reasons.
+    pool : callable
+        Parallel `map`.
+    callback : callable, optional
+        Called with the number of each iteration and the length of its step in standard errors.
+
+    Returns
+    -------
+    Identification
+        That of output error where no transverse air motion is found.
+
+    Raises
+    ------
+    BadInputError
+        Where no filter follows the flights.
     """
-    begun = time.perf_counter()
-    free = [n for n in found.names if n not in held]
-    bounds = dict(zip(found.names, limits, strict=True))
+    start_s = time.perf_counter()
+    free = [n for n in result.names if n not in fixed]
+    bounds = dict(zip(result.names, limits, strict=True))
 
-    def fit_from(setup: Setup, point: Point, near: Gusts | None = None) -> GustFit:
+    def fit_from(setup: Setup, point: Point, gusts: Gusts | None = None) -> GustFit:
         try:
             return gust_refit(
-                *models, setup, point, free, bounds, map_, near, ITERATIONS, tune=True, told=told
+                *models,
+                setup,
+                point,
+                free,
+                bounds,
+                pool,
+                gusts,
+                ITERATIONS,
+                tune=True,
+                told=callback,
             )
         except np.linalg.LinAlgError as error:
             raise BadInputError(
-                f"filter error: no filter follows these flights ({error}); use --method output-error"
+                f"filter error: no filter follows these flights ({error}); use --method"
+                " output-error"
             ) from None
 
-    fit = fit_from(setup, point_of(fitted, setup, found.names))
+    # Start at the estimates of output error.
+    fit = fit_from(setup, point_of(fitted, setup, result.names))
     if not fit.gusts.air:
-        return replace(found, notes=(*found.notes, NO_AIR))
-    values, cov, crb, reason = _judged(fit, free, bounds)
-    if lost := {n: text for n, text in reason.items() if text}:
-        # What the flights do not determine goes back to where it was, and the rest is estimated beside values that will be flown.
+        return replace(result, notes=(*result.notes, NO_TURBULENCE))
+    values, cov, crb, reason = _estimates(fit, free, bounds)
+    if undetermined := {n: text for n, text in reason.items() if text}:
+        # Undetermined parameters return to their start values, and the others are estimated again.
         free, initial = (
-            [n for n in free if n not in lost],
-            dict(zip(found.names, found.initial.tolist(), strict=True)),
+            [n for n in free if n not in undetermined],
+            dict(zip(result.names, result.initial.tolist(), strict=True)),
         )
         point = replace(
             fit.fit.flown.point,
-            values={**fit.fit.flown.point.values, **{n: initial[n] for n in lost}},
+            values={**fit.fit.flown.point.values, **{n: initial[n] for n in undetermined}},
         )
         fit = fit_from(fit.setup, point, fit.gusts)
-        values, cov, crb, reason = _judged(fit, free, bounds)
-    kept = [n for n in free if not reason[n]]
-    where = [free.index(n) for n in kept]
-    reason = {**reason, **lost, **held}
+        values, cov, crb, reason = _estimates(fit, free, bounds)
+    # Assemble the result by the names of the request.
+    identified = [n for n in free if not reason[n]]
+    where = [free.index(n) for n in identified]
+    reason = {**reason, **undetermined, **fixed}
     std, std_crb = (
-        _of_names(found.names, kept, np.sqrt(np.diagonal(c)[where])) for c in (cov, crb)
+        _of_names(result.names, identified, np.sqrt(np.diagonal(c)[where])) for c in (cov, crb)
     )
     outputs, modelled = fit.setup.outputs, _one_ahead(fit)
+    # Innovations: measured minus predicted one sample ahead.
     residual = [z - y for z, y in zip(fit.setup.measured, modelled, strict=True)]
-    white = [np.where(w.there, w.residual, np.nan) for w in fit.fit.evidence.white]
-    tint = colour(white)
+    # Standardised innovations must be white if model and noise are right.
+    standardised = [np.where(w.there, w.residual, np.nan) for w in fit.fit.evidence.white]
+    residual_colour = colour(standardised)
     warnings = [
-        f"{n} not identified: {reason[n]}" for n in found.names if reason[n] and n not in held
+        f"{n} not identified: {reason[n]}" for n in result.names if reason[n] and n not in fixed
     ]
-    warnings += by_channel(colour_warnings(tint, std, std_crb, "filter error"), outputs)
-    warnings += _moments_left(fit.gusts)
+    warnings += by_channel(colour_warnings(residual_colour, std, std_crb, "filter error"), outputs)
+    warnings += _moment_warnings(fit.gusts)
     nuisance = _nuisance(fit, cov, len(free))
-    warnings = [*misplaced(setup.flights, setup.segments, nuisance), *warnings]
+    warnings = [*shifted_command_warnings(setup.flights, setup.segments, nuisance), *warnings]
     converged = fit.length < CONVERGED
     if not converged:
         warnings.insert(0, f"not converged: the last step is {fit.length:.2g} standard errors long")
     note = (
-        "the residuals of output error showed process noise (turbulence), which it does not allow for: these are the estimates of "
-        f"filter error, by one-step predictions ({fit.gusts.gain:.4g} more in twice the log likelihood than calm air; "
-        f"{fit.gusts.words}); time histories show its one-step predictions"
+        "estimated by filter error, because the residuals of output error showed turbulence"
+        f" (twice the log likelihood is {fit.gusts.gain:.4g} above that of calm air;"
+        f" {fit.gusts.words}); time histories show one-step predictions"
     )
     return replace(
-        found,
+        result,
         theta=np.array(
             [
-                values[n] if n in kept else i
-                for n, i in zip(found.names, found.initial.tolist(), strict=True)
+                values[n] if n in identified else i
+                for n, i in zip(result.names, result.initial.tolist(), strict=True)
             ]
         ),
         std=std,
         std_crb=std_crb,
-        status={n: "identified" if n in kept else "not-identified" for n in found.names},
-        reason={n: reason[n] for n in found.names},
+        status={n: "identified" if n in identified else "not-identified" for n in result.names},
+        reason={n: reason[n] for n in result.names},
         cov=cov[np.ix_(where, where)],
         nuisance=nuisance,
         outputs=outputs,
         measured=list(fit.setup.measured),
         modelled=modelled,
         residual=residual,
-        whiteness=tint.p_value,
+        whiteness=residual_colour.p_value,
         noise=dict(zip(outputs, fit.setup.noise.tolist(), strict=True)),
         method="filter error",
         converged=converged,
         warnings=tuple(warnings),
-        notes=(*found.notes, note),
-        seconds=found.seconds + time.perf_counter() - begun,
+        notes=(*result.notes, note),
+        seconds=result.seconds + time.perf_counter() - start_s,
     )
 
 
-def _moments_left(gusts: Gusts) -> list[str]:
-    """A sentence for each axis about which moments act that the model does not explain: the filter takes them for noise."""
+def _moment_warnings(gusts: Gusts) -> list[str]:
+    """Return a warning for each axis with moments that the model does not explain.
+
+    The filter treats them as process noise.
+    """
     gains = zip(("roll", "pitch", "yaw"), gusts.moments.tolist(), strict=True)
     return [
-        f"moments act about the {axis} axis that the model does not explain: allowing for them gains {gain:.0f} in twice the log "
-        "likelihood. A term is missing, or the air is stronger than its model is good for; refine looks for it"
+        f"moments act about the {axis} axis that the model does not explain: including them raises"
+        f" twice the log likelihood by {gain:.0f}. A term is missing, or the turbulence exceeds the"
+        " range of its model; refine searches for the term"
         for axis, gain in gains
         if gain > CERTAIN_T**2
     ]
 
 
-def _of_names(names: Sequence[str], kept: Sequence[str], values: FloatArray) -> FloatArray:
-    """(k,) values of those ``kept`` among the names, NaN of the others."""
-    known = dict(zip(kept, values.tolist(), strict=True))
-    return np.array([known.get(n, np.nan) for n in names])
+def _of_names(names: Sequence[str], identified: Sequence[str], values: FloatArray) -> FloatArray:
+    """Return the values (k,) of the identified parameters, NaN of the others."""
+    by_name = dict(zip(identified, values.tolist(), strict=True))
+    return np.array([by_name.get(n, np.nan) for n in names])
 
 
-def _judged(
+def _estimates(
     fit: GustFit, free: Sequence[str], bounds: Mapping[str, tuple[float, float]]
 ) -> tuple[dict[str, float], FloatArray, FloatArray, dict[str, str]]:
-    """Of the parameters ``free``: values, and why one is not identified (empty: it is); covariance (K, K) and Cramer-Rao bound of
-    these and the nuisance, in the fit's order, the last step taken."""
+    """Return values and reasons of the free parameters, covariance (K, K) and Cramer-Rao bound.
+
+    An empty reason means identified. The covariance includes nuisance parameters in the fit's
+    order; the last step is applied.
+    """
     evidence, at = fit.fit.evidence, fit.fit.flown.point.values
     names = list(evidence.names)
     gate = assess(evidence.everything[0], tuple(names))
-    found = corrected_each(evidence, names, names)
-    # Standard errors corrected for colour, by the correlation of the plain ones.
-    wider = [found[n][1] / found[n][2] for n in names]
+    steps = corrected_each(evidence, names, names)
+    # Scale the covariance by standard errors corrected for coloured residuals; correlations stay.
+    wider = [steps[n][1] / steps[n][2] for n in names]
     values, reason = {}, dict.fromkeys(free, "")
     cov = gate.inverse * np.outer(wider, wider)
+    # Reasons in order: collinear, at a bound, a bound wider than the data, no effect.
     for n in free:
         k, (low, high) = names.index(n), bounds[n]
-        value = float(at[n] + found[n][0])
+        value = float(at[n] + steps[n][0])
         values[n] = float(np.clip(value, low, high))
         reason[n] = gate.reason[k] or (at_bound(value, low, high) if not low < value < high else "")
         reason[n] = reason[n] or idle_bound(float(np.sqrt(cov[k, k])), high - low)
@@ -222,8 +286,11 @@ def _judged(
 
 
 def _nuisance(fit: GustFit, cov: FloatArray, first: int) -> dict[str, tuple[float, float]]:
-    """Biases, delays and shares with their standard errors, from column ``first`` on, by the names that output error has."""
+    """Return biases, delays and shares with standard errors, by output error's names, from column
+    ``first`` on.
+    """
     names, point = list(fit.fit.evidence.names), fit.fit.flown.point
+    # The last step is taken, as for the parameters.
     step, std = fit.fit.evidence.step()[0], np.sqrt(np.diagonal(cov))
     return {
         n.replace("lateness/", "delay/"): (point.nuisance[n] + float(step[k]), float(std[k]))
@@ -233,15 +300,21 @@ def _nuisance(fit: GustFit, cov: FloatArray, first: int) -> dict[str, tuple[floa
 
 
 def _one_ahead(fit: GustFit) -> list[FloatArray]:
-    """[(n, m)] outputs predicted one sample ahead, from the start states that fit best, where the record has them: those of sensors
-    late by whole rows that much later."""
-    setup, point, own = fit.setup, fit.fit.flown.point, fit.fit
-    followed = follow(own.steps, in_step(setup, point), setup.which, setup.noise, fit.gusts.process)
-    delta = own.evidence.step()[0]
+    """Return the outputs (n, m) predicted one sample ahead from the best start states, by segment.
+
+    Outputs of sensors that are late by whole rows are shifted accordingly.
+    """
+    setup, point, gust_fit = fit.setup, fit.fit.flown.point, fit.fit
+    # Run the filter with the estimated process noise.
+    followed = follow(
+        gust_fit.steps, in_step(setup, point), setup.which, setup.noise, fit.gusts.process
+    )
+    delta = gust_fit.evidence.step()[0]
     out = []
     for segment, steps, one, w in zip(
-        setup.segments, own.steps, followed, own.evidence.white, strict=True
+        setup.segments, gust_fit.steps, followed, gust_fit.evidence.white, strict=True
     ):
+        # State estimates are linear in the start state and the last step.
         path = one.path_from(w.start[:, 0] + w.start[:, 1:] @ delta)
         predicted = steps.y_ref[:, setup.which] + np.einsum(
             "nij,nj->ni", steps.H[:, setup.which], path

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sysid.effects import QUIETER, gather, whiten
 from sysid.parallel import Processes
-from uqharness.identification import equation_error_start, excited_alone, fit_replays
+from uqharness.identification import equation_error_start, fit_replays, restrict_to_excited
 from uqharness.identification.linearised import (
     PRIOR,
     Bench,
@@ -26,7 +26,7 @@ from uqharness.identification.linearised import (
     point_of,
     refit,
 )
-from uqharness.replay import spread_over
+from uqharness.replay import batched_pool
 from uqharness.simulator import Aircraft, engine
 
 ESTIMATOR_ROUNDS = 2
@@ -51,17 +51,32 @@ def base_fit_and_noise(
     del fdm
     bounds = [limits[n] for n in names]
     near, notes = equation_error_start(
-        bench.model, bench.straight, setup.flights, setup.segments, names, current, bounds
+        bench.model,
+        bench.direct_model,
+        setup.flights,
+        setup.segments,
+        names,
+        current,
+        limits=bounds,
     )
     noise = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
-    seen, _ = excited_alone(
-        bench.model, observed(setup), names, current, bounds, noise, spread_over(map_), choose=False
+    seen, _ = restrict_to_excited(
+        bench.model,
+        observed(setup),
+        names,
+        current,
+        bounds,
+        noise,
+        pool=batched_pool(map_),
+        choose=False,
     )
-    found = fit_replays(bench.model, seen, names, (near, current), bounds, spread_over(map_))
-    kept, excited = (tuple(n for n in names if n not in out) for out in (found.lost, seen.held))
+    found = fit_replays(bench.model, seen, names, (near, current), bounds, batched_pool(map_))
+    kept, excited = (
+        tuple(n for n in names if n not in out) for out in (found.undetermined, seen.fixed)
+    )
     found.replay.forget()
     flown = fly(bench.model, setup, point_of(found, setup, names), map_)
-    fit = fit_at(bench.model, bench.straight, setup, excited, flown, map_)
+    fit = fit_at(bench.model, bench.direct_model, setup, excited, flown, map_)
     guessed = estimated_channels(setup)
     if not guessed:
         lost = [n for n in excited if n not in kept]
@@ -70,7 +85,7 @@ def base_fit_and_noise(
     for _ in range(ESTIMATOR_ROUNDS):
         left = dict(zip(setup.outputs, _left_rms(setup, fit.flown).tolist(), strict=True))
         setup = replace(setup, noise=noise_left(setup, left))
-        fit = refit(bench.model, bench.straight, setup, fit.flown.point, kept, limits, map_)
+        fit = refit(bench.model, bench.direct_model, setup, fit.flown.point, kept, limits, map_)
     said = ", ".join(f"{c} {setup.noise[setup.outputs.index(c)]:.2g}" for c in guessed)
     text = (
         "computed by the autopilot's estimator, measured by no vane; taken to be as uncertain (one standard deviation) as the "

@@ -32,7 +32,7 @@ from uqharness.identification.linearised import (
     with_sensors_of,
 )
 from uqharness.refinement.round import Side
-from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, command_later, spread_over
+from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, batched_pool, delayed_command
 from uqharness.simulator import Aircraft
 
 
@@ -98,12 +98,12 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
         rng = np.random.default_rng(1)
         gaps = coefficient_gaps(
             bench.model,
-            bench.straight,
+            bench.direct_model,
             cut,
             setup.channels,
             noise_std,
             rng,
-            start.values,
+            properties=start.values,
             half_way=bool(setup.ideal),
         )
         if gusts is None:
@@ -115,7 +115,7 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
         else:
             try:
                 gust = gust_refit(
-                    bench.model, bench.straight, setup, start, (), {}, map_, gusts, known=True
+                    bench.model, bench.direct_model, setup, start, (), {}, map_, gusts, known=True
                 )
                 delta, _ = gust.fit.evidence.step()
                 reached, rows, filtered = (
@@ -126,7 +126,9 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
                 deviations, logdet = [w.deviation for w in filtered], [w.logdet for w in filtered]
             except np.linalg.LinAlgError:
                 # A model so far outside what it was made for that no filter follows it: what it says at the measured states.
-                reached, rows = unfiltered(bench.model, bench.straight, setup, start, map_, gusts)
+                reached, rows = unfiltered(
+                    bench.model, bench.direct_model, setup, start, map_, gusts
+                )
                 deviations = [setup.noise] * len(rows)
                 logdet = [float((np.isfinite(r) * np.log(setup.noise)).sum()) for r in rows]
             white = _as_recorded(setup, reached.point, rows)
@@ -149,9 +151,9 @@ def _replayed(
         return flown
     seen = replace(observed(setup, start.effects), properties=start.values)
     if near is not None and near.starts:
-        cut = [replace(s, start=own) for s, own in zip(seen.cut, near.starts, strict=True)]
-        seen = replace(seen, cut=cut, begin=begun_at(near))
-    fit = fit_replays(model, seen, (), [np.zeros(0)], (), spread_over(map_), errors=False)
+        cut = [replace(s, start=own) for s, own in zip(seen.segments, near.starts, strict=True)]
+        seen = replace(seen, segments=cut, begin=begun_at(near))
+    fit = fit_replays(model, seen, (), [np.zeros(0)], (), batched_pool(map_), errors=False)
     fit.replay.forget()
     return fly(
         model, setup, replace(point_of(fit, setup, (), start.effects), values=start.values), map_
@@ -199,7 +201,7 @@ def air_of(aircraft: Aircraft, setup: Setup, map_: Processes, at: Point, near: G
         start = replace(at, starts=tuple(s.start for s in setup.segments))
         try:
             return gust_refit(
-                bench.model, bench.straight, setup, start, (), {}, map_, near, iterations=2
+                bench.model, bench.direct_model, setup, start, (), {}, map_, near, iterations=2
             ).gusts
         except np.linalg.LinAlgError:
             speeds = [float(np.nanmean(c["V_mps"])) for c in setup.channels]
@@ -210,7 +212,7 @@ def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
     """The segment with commands of ideal servos as the smoothed rates felt them."""
     controls = segment.controls.copy()
     for k in (k for k, c in enumerate(CONTROLS) if c in ideal):
-        controls[:, k] = command_later(controls[:, k], segment.time_s, flight.felt_late_s())
+        controls[:, k] = delayed_command(controls[:, k], segment.time_s, flight.smoothing_delay_s())
     return replace(segment, controls=controls, commands=None)
 
 

@@ -89,12 +89,17 @@ def linearised(
         setup = with_jumps(with_sensors_of(setup, aircraft), bench.model)
         if side.air is None:
             fit = fit_at(
-                bench.model, bench.straight, setup, found.names, replace(flown, point=point), map_
+                bench.model,
+                bench.direct_model,
+                setup,
+                found.names,
+                replace(flown, point=point),
+                map_,
             )
             return setup, fit
         fitted = gust_refit(
             bench.model,
-            bench.straight,
+            bench.direct_model,
             setup,
             point,
             found.names,

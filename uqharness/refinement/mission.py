@@ -39,7 +39,7 @@ from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, write_bytes
 from uqharness.identification import BoundsOptions, make_bounds, validate
 from uqharness.parallel import usable_cores
-from uqharness.replay import Flight, recut
+from uqharness.replay import Flight, cut_for_residuals
 from uqharness.simulator import (
     STEADY,
     Aircraft,
@@ -292,7 +292,8 @@ def fit_intervals(job: IntervalJob) -> Intervals:
     form: ModelForm | None = None
     try:
         train, test = (
-            [recut(f, given.measured) for f in given.flights] for given in (job.train, job.test)
+            [cut_for_residuals(f, given.measured) for f in given.flights]
+            for given in (job.train, job.test)
         )
         options = BoundsOptions(ideal_servos=job.ideal_servos, checks=False, values=job.values)
         made = make_bounds(job.flown, train, job.train.measured, job.train.hashes, options).form
@@ -300,7 +301,13 @@ def fit_intervals(job: IntervalJob) -> Intervals:
             made, aircraft=AircraftReference(job.aircraft.name, content_hash(job.aircraft))
         )
         found = validate(
-            job.flown, made, test, job.test.measured, job.test.hashes, job.ideal_servos, job.values
+            job.flown,
+            made,
+            test,
+            job.test.measured,
+            job.test.hashes,
+            ideal_servos=job.ideal_servos,
+            values=job.values,
         )
     except (BadInputError, ValueError) as error:
         return Intervals(form, {}, str(error))

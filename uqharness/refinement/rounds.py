@@ -57,7 +57,7 @@ from uqharness.identification.linearised import fly as linearised_fly
 from uqharness.plugin import Estimate
 from uqharness.refinement.round import Round, Start, column_evidence, joint_point
 from uqharness.refinement.write_xml import Written, carrier, control_slopes, write_effects
-from uqharness.replay import CONTROLS, Flight, ReplayModel, runs_per_row, spread_over
+from uqharness.replay import CONTROLS, Flight, ReplayModel, batched_pool, runs_per_row
 from uqharness.simulator import Actuator, Aircraft, find_aircraft
 
 # Controls recorded late or early: one time for all of them looks like a lag in every servo, and
@@ -120,7 +120,7 @@ def joint_gain(evidence: Evidence, free: Sequence[str], keys: Sequence[str]) -> 
 
 def later(flights: Sequence[Flight], late_s: float) -> list[Flight]:
     """The flights with every command and position ``late_s`` seconds later; before the first row its value is held."""
-    return [f.with_commands_later(late_s) if late_s else f for f in flights]
+    return [f.with_delayed_commands(late_s) if late_s else f for f in flights]
 
 
 def words(late_s: float, std_s: float, dt_s: float) -> str:
@@ -371,7 +371,7 @@ def _flown(start: Start, selection: Selection, about: Round, folder: Path) -> Ro
             # What an effect did was noise to the sensors, and a filter that follows vanes late finds their scales and rates.
             found = gust_refit(
                 bench.model,
-                bench.straight,
+                bench.direct_model,
                 setup,
                 begin,
                 names,
@@ -385,7 +385,7 @@ def _flown(start: Start, selection: Selection, about: Round, folder: Path) -> Ro
             options = [begin, replace(start.before.flown.point, effects=written)]
             best = best_flown(bench.model, setup, options, start.map_)
             fit = refit(
-                bench.model, bench.straight, setup, best.point, names, start.limits, start.map_
+                bench.model, bench.direct_model, setup, best.point, names, start.limits, start.map_
             )
             cost = fit.flown.cost
     return _round_of(start, setup, fit, gusts, cost, written)
@@ -443,11 +443,11 @@ def fit_point(
         free,
         [np.array([properties[n] for n in free])],
         [limits.get(n, unlimited) for n in free],
-        spread_over(pool),
+        batched_pool(pool),
         errors=False,
     )
     result.replay.forget()
-    if not result.found.converged:
+    if not result.fit.converged:
         return None
     estimates = result.values()
     effects = {
@@ -482,7 +482,7 @@ def settled(start: Start, final: Round, folder: Path) -> Round:
         effects = flown.point.effects
         fit = fit_at(
             bench.model,
-            bench.straight,
+            bench.direct_model,
             setup,
             [*start.names, *written],
             flown,

@@ -39,7 +39,7 @@ from uqharness.refinement.rounds import later, write_copy, write_staged
 from uqharness.refinement.search import Found, Say, estimates_of, find_effects, remark
 from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, named_beside, offered
 from uqharness.refinement.write_xml import Written
-from uqharness.replay import CONTROLS, numbers_of_files, read_flights, renamed
+from uqharness.replay import CONTROLS, numbers_of_files, read_flights, unique_names
 from uqharness.simulator import (
     Aircraft,
     content_hash,
@@ -113,11 +113,11 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         request = replace(request, ideal_servos=servos.ideal)
         train = replace(
             train,
-            flights=tuple(servos.noted(train.flights)),
+            flights=tuple(servos.with_note(train.flights)),
             ideal=_ideal_controls(request, train.measured),
         )
     test = _read(request, request.test)
-    names = renamed([f.name for f in test.flights])
+    names = unique_names([f.name for f in test.flights])
     test = replace(
         test, flights=tuple(replace(f, name=n) for f, n in zip(test.flights, names, strict=True))
     )

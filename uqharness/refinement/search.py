@@ -401,7 +401,7 @@ def find_effects(
                 f"air{again}",
                 GustFit,
                 lambda: gust_refit(
-                    bench.model, bench.straight, gusty, at, excited, limits, map_, tune=True
+                    bench.model, bench.direct_model, gusty, at, excited, limits, map_, tune=True
                 ),
             )
             if air.gusts.air:

@@ -1,4 +1,11 @@
-"""Flights for replay: a log or record read, thinned, aligned in time and cut into segments with start states."""
+"""Flights for replay: a log or record read, thinned, aligned in time and cut into segments with
+start states.
+
+`read_flights` is the entry point. It reads free flight only, makes a throttle from thrust or
+propeller speed if need be, reduces records to at most 60 rows a second while keeping every command,
+moves channels that the log's findings call late, and cuts pieces in which all needed channels are
+present. `segments` turns pieces into replay segments.
+"""
 
 from __future__ import annotations
 
@@ -29,19 +36,31 @@ from sysid.logs import (
 from sysid.record import FlightRecord
 from sysid.units import FT_M, LBF_N
 from uqharness.errors import BadInputError
-from uqharness.replay.model import CONTROLS, ReplayFolder, control_setters, height_known, heights
+from uqharness.replay.model import (
+    CONTROLS,
+    ReplayFolder,
+    control_setters,
+    has_ground_heights,
+    heights,
+)
 from uqharness.replay.replay import CHANNELS, STATES
 from uqharness.replay.segments import Commands, Segment
 from uqharness.simulator import TRIM_LATITUDE_DEG, Aircraft, engine, with_start_altitude
 
-# Commands of a record on its rows: logged more slowly than the aircraft was told, or on more
-# rows than a replay takes.
+# Commands on the rows of a replay: logged more slowly than they were issued, or on more rows than
+# are compared.
 
 _AXIS = {"elevator_deg": "q_radps", "aileron_deg": "p_radps", "rudder_deg": "r_radps"}
 
 
 def mean_ahead(command: FloatArray, step: int) -> FloatArray:
-    """(n,) mean of each row and the step - 1 after it: a command between two rows that are kept acts as long as it did."""
+    """Return the mean (n,) of each row and the ``step - 1`` rows after it.
+
+    A command issued between two retained rows thus acts for its own duration.
+
+    >>> mean_ahead(np.array([0.0, 1.0, 1.0, 1.0]), 2)
+    array([0.5, 1. , 1. , 1. ])
+    """
     padded = np.append(command, np.repeat(command[-1], step - 1))
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, step).mean(axis=1))
 
@@ -49,103 +68,126 @@ def mean_ahead(command: FloatArray, step: int) -> FloatArray:
 def with_steps_placed(
     record: FlightRecord, columns: Sequence[str]
 ) -> tuple[FlightRecord, list[str], float]:
-    """Commands logged more slowly than the record's rows, their steps where the gyro saw them act, and by how much the gyro is
-    late [s]: the mean over the steps that are placed, 0 where there are none."""
-    found: dict[str, FloatArray] = {}
+    """Re-time the steps of slowly logged commands by the gyro.
+
+    Returns the record, notes, and the mean delay of the gyro over the placed steps [s], 0 without
+    steps.
+    """
+    placed_commands: dict[str, FloatArray] = {}
     notes, late, steps = [], 0.0, 0
     for column, rate in _AXIS.items():
+        # Only columns that were logged more slowly than the record's rows have misplaced steps.
         native = record.metadata.native_hz.get(column, 0.0)
         stride = round(1.0 / (record.dt_s * native)) if native > 0.0 else 1
         if column not in columns or stride < 2:
             continue
         command = np.asarray(record[column], dtype=float)
+        # The gyro of the control's axis shows when the step acted.
         noise = white_noise([record[rate]])
         placed = place_steps(
             command, logged_rows(command, stride), record[rate], noise, record.dt_s
         )
-        found[column] = placed.command
+        placed_commands[column] = placed.command
+        # The mean delay weighs each column by its number of placed steps.
         if placed.steps:
             late, steps = late + placed.steps * placed.late_s, steps + placed.steps
         notes.append(
-            f"{column} was logged at {native:.0f} Hz: {placed.steps} of its steps are where {rate} says that they happened, and "
-            "between other logged values it goes straight"
+            f"{column} was logged at {native:.0f} Hz: {placed.steps} of its steps were re-timed by"
+            f" {rate}; the rest is interpolated"
         )
-    return record.with_columns(found), notes, late / steps if steps else 0.0
+    return record.with_columns(placed_commands), notes, late / steps if steps else 0.0
 
 
-def command_later(command: FloatArray, time_s: FloatArray, late_s: float) -> FloatArray:
-    """(n,) a command ``late_s`` after its time; before the first row its value is held."""
+def delayed_command(command: FloatArray, time_s: FloatArray, late_s: float) -> FloatArray:
+    """Delay a command (n,) by ``late_s``; before the first row its value is held."""
     return np.interp(time_s - late_s, time_s, command)
 
 
-# Throttle of a record that has thrust or propeller speed in its place: the one at which the
-# model's own engines have the measured value at the measured airspeed, in their steady state.
-#
-# So the engines' torque and gyroscopic moments act as the model has them. How fast the engines
-# follow is the model's, too: a thrust that changes faster than they do comes late in a replay.
+# Throttle from measured thrust or propeller speed: the one at which the model's engines have the
+# measured value at the measured airspeed in steady state. Torque and gyroscopic moments then act as
+# modelled. The engines' response is the model's too, so faster changes of thrust come late.
 
 SOURCES = {"thrust_N": ("thrust", "N"), "rpm": ("propeller speed", "1/min")}
-"""Columns that can stand for the throttle, the better first."""
+"""Columns that can replace the throttle, the better one first."""
 THROTTLE = "throttle_pct"
 _THROTTLES, _SPEEDS = 21, 5
-"""Points of the engines' map: curves between 0 and 100 % and over the airspeeds of one flight are smooth."""
-_BEYOND, _BEYOND_SHARE = 0.02, 0.05
-"""Of the largest value: noise beyond the engines' range is cut off. Share of rows beyond it from which on it is not noise."""
+"""Points of the engine map over throttle and over airspeed; both dependences are smooth."""
+_NOISE_MARGIN, _MAX_OUTSIDE_SHARE = 0.02, 0.05
+"""Share of the largest value by which noise may exceed the engines' range; share of rows outside it
+above which the values are refused."""
 _CLEARANCE_M = 500.0
 
 
 def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[FlightRecord, str]:
-    """The record with throttle_pct [%] made of its thrust_N or rpm, and a sentence that says so; the record itself and "" where it
-    has a throttle, or none of them.
+    """Return the record with a throttle made from thrust_N or rpm, and a note.
 
-    Raises BadInputError where the model's engines cannot have the measured values at any throttle.
+    The record itself and "" where it has a throttle or neither column. Raises BadInputError where
+    the engines cannot produce the measured values at any throttle.
     """
-    if _has(record, THROTTLE) or "throttle" not in aircraft.card.inputs:
+    if _has_values(record, THROTTLE) or "throttle" not in aircraft.card.inputs:
         return record, ""
-    column = next((c for c in SOURCES if _has(record, c)), None)
-    if column is None or not _has(record, "V_mps"):
+    # Thrust is preferred: it acts on the motion directly, whereas rpm acts through the propeller
+    # map.
+    column = next((c for c in SOURCES if _has_values(record, c)), None)
+    if column is None or not _has_values(record, "V_mps"):
         return record, ""
-    V, wanted = record["V_mps"], record[column]
-    height = record["h_m"] if _has(record, "h_m") else np.zeros(1)
+    V, measured = record["V_mps"], record[column]
+    height = record["h_m"] if _has_values(record, "h_m") else np.zeros(1)
     altitude = float(record.metadata.start.get("alt_m", 0.0)) + float(np.nanmedian(height))
     speeds = np.linspace(
         float(np.nanmin(V)), max(float(np.nanmax(V)), float(np.nanmin(V)) + 1.0), _SPEEDS
     )
     throttles = np.linspace(0.0, 100.0, _THROTTLES)
+    # Tabulate the engines over the range of airspeeds of this flight, then invert row by row.
     curves = engine_map(aircraft, column, speeds, throttles, altitude)
-    what, unit = SOURCES[column]
+    quantity, unit = SOURCES[column]
     if not np.ptp(curves) > 0.0:
         raise BadInputError(
-            f"{name}: the record has {column} and no {THROTTLE}, and {aircraft.name}'s {what} does not change with its throttle; "
-            f"give the record {THROTTLE}"
+            f"{name}: the record has {column} and no {THROTTLE}, and {aircraft.name}'s {quantity}"
+            f" does not change with its throttle; give the record {THROTTLE}"
         )
-    throttle = throttle_at(V, wanted, speeds, throttles, curves)
+    throttle = throttle_at(V, measured, speeds, throttles, curves)
     low, high = float(curves.min()), float(curves.max())
-    known = np.isfinite(wanted) & np.isfinite(V)
-    margin = _BEYOND * high
-    outside = (wanted[known] > high + margin) | (wanted[known] < low - margin)
-    if outside.mean() > _BEYOND_SHARE:
+    finite = np.isfinite(measured) & np.isfinite(V)
+    # Values outside the range of the engines mean a wrong unit or engine, unless they are noise.
+    margin = _NOISE_MARGIN * high
+    outside = (measured[finite] > high + margin) | (measured[finite] < low - margin)
+    if outside.mean() > _MAX_OUTSIDE_SHARE:
         raise BadInputError(
-            f"{name}: {column} is {np.nanmin(wanted):.0f} to {np.nanmax(wanted):.0f} {unit}, and {aircraft.name}'s engines have "
-            f"{low:.0f} to {high:.0f} {unit} between no and full throttle at {speeds[0]:.0f} to {speeds[-1]:.0f} m/s; check its "
-            "unit and that it is of all engines together, or correct the engine in the aircraft's XML"
+            f"{name}: {column} is {np.nanmin(measured):.0f} to {np.nanmax(measured):.0f} {unit},"
+            f" and {aircraft.name}'s engines have {low:.0f} to {high:.0f} {unit} between no and"
+            f" full throttle at {speeds[0]:.0f} to {speeds[-1]:.0f} m/s; check its unit and that it"
+            " is of all engines together, or correct the engine in the aircraft's XML"
         )
-    return record.with_columns({THROTTLE: throttle}), (
-        f"{THROTTLE} was made of {column}: the throttle at which {aircraft.name}'s engines have the measured {what} at the "
-        f"measured airspeed, {np.nanmin(throttle):.0f} to {np.nanmax(throttle):.0f} %"
+    return (
+        record.with_columns({THROTTLE: throttle}),
+        (
+            f"{THROTTLE} was made of {column}: the throttle at which {aircraft.name}'s engines have"
+            f" the measured {quantity} at the measured airspeed, {np.nanmin(throttle):.0f} to"
+            f" {np.nanmax(throttle):.0f} %"
+        ),
     )
 
 
 def throttle_at(
-    V: FloatArray, wanted: FloatArray, speeds: FloatArray, throttles: FloatArray, curves: FloatArray
+    V: FloatArray,
+    measured: FloatArray,
+    speeds: FloatArray,
+    throttles: FloatArray,
+    curves: FloatArray,
 ) -> FloatArray:
-    """(n,) throttle at airspeeds V [m/s] and values wanted (n,), NaN where either is; curves (speeds, throttles), cut off at the
-    ends of the range."""
+    """Invert the engine map at airspeeds V (n,) [m/s] for measured values (n,); return the throttle
+    (n,) [%].
+
+    NaN where an input is NaN; clipped to the range of the throttle. ``curves`` is (speeds,
+    throttles).
+    """
+    # Interpolation needs curves that do not decrease with throttle.
     rising = np.maximum.accumulate(curves, axis=1)
     out = np.full(len(V), np.nan)
-    for k in np.flatnonzero(np.isfinite(V) & np.isfinite(wanted)):
+    for k in np.flatnonzero(np.isfinite(V) & np.isfinite(measured)):
         curve = np.array([np.interp(V[k], speeds, column) for column in rising.T])
-        out[k] = np.interp(wanted[k], curve, throttles)
+        out[k] = np.interp(measured[k], curve, throttles)
     return out
 
 
@@ -156,24 +198,31 @@ def engine_map(
     throttles_pct: FloatArray,
     altitude_m: float,
 ) -> FloatArray:
-    """(speeds, throttles) what the model's engines have in level, straight flight in their steady state: ``thrust_N``, the force
-    along x that is not aerodynamic, or ``rpm``, of the first engine. Raises BadInputError for an aircraft without propeller."""
+    """Evaluate the engines in level, straight flight in steady state, (speeds, throttles).
+
+    ``column`` is ``thrust_N``, the non-aerodynamic force along x [N], or ``rpm`` of the first
+    engine. Raises BadInputError for an aircraft without a propeller.
+    """
     out = np.empty((len(speeds_mps), len(throttles_pct)))
+    # Passing controls through makes the throttle independent of earlier values.
     with ReplayFolder(aircraft, ideal=CONTROLS) as model:
         fdm = model.open(aircraft.dt_s)
         read = [
             engine.handle(fdm, name).get_double_value
             for name in ("forces/fbx-total-lbs", "forces/fbx-aero-lbs")
         ]
+        # The card may name another output for the propeller speed.
         turning = aircraft.card.outputs.get("rpm", "propulsion/engine/propeller-rpm")
         if column == "rpm":
             if not fdm.get_property_manager().hasNode(turning):
                 raise BadInputError(
-                    f"the record has rpm, and {aircraft.name} has no propeller whose speed it could be"
+                    f"the record has rpm, and {aircraft.name} has no propeller whose speed it"
+                    " could be"
                 )
             read = [engine.handle(fdm, turning).get_double_value]
         setters = control_setters(fdm, model)[CONTROLS.index("throttle")]
         fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
+        # Keep the ground away: only the engines matter here.
         fdm["ic/terrain-elevation-ft"] = (altitude_m - _CLEARANCE_M) / FT_M
         for i, speed in enumerate(speeds_mps):
             for k, percent in enumerate(throttles_pct):
@@ -196,14 +245,15 @@ def engine_map(
     return out
 
 
-def _has(record: FlightRecord, column: str) -> bool:
+def _has_values(record: FlightRecord, column: str) -> bool:
+    """Check that a column exists and has finite values."""
     return column in record and bool(np.isfinite(record[column]).any())
 
 
 MAX_RATE_HZ = 60.0
-"""Most rows a second at which outputs are compared; controls act at the record's own."""
-LEAST_COMMAND_S = 0.005
-"""Shortest time that a command is held in a replay, MAX_STEP_S of a run: those of faster records are averaged over it."""
+"""Largest rate of compared outputs [1/s]; controls act at the record's own rate."""
+MIN_COMMAND_S = 0.005
+"""Shortest time for which a replay holds a command [s]; faster commands are averaged over it."""
 _NEEDED = (
     "V_mps",
     "phi_rad",
@@ -216,7 +266,8 @@ _NEEDED = (
     "az_mps2",
 )
 RUN_UP_S = 4.0
-"""Time before a segment whose commands say where its actuators stand: a hundred time constants of a servo, four of a slow one."""
+"""Time before a segment whose commands determine the initial actuator positions [s]: a hundred time
+constants of a servo, four of a slow one."""
 _COLUMN = {
     "elevator": "elevator_deg",
     "aileron": "aileron_deg",
@@ -226,25 +277,42 @@ _COLUMN = {
 _POSITION = {name: f"{name}_pos_deg" for name in ("elevator", "aileron", "rudder")}
 _JUMPING = ("ax_mps2", "ay_mps2", "az_mps2")  # with a step of a control
 LATE_S = 0.03
-"""By how much a log's accelerometers may be late."""
-_START_S, _LEAST_LINE = 0.4, 6
-_CHANCE = 0.01
-"""Probability by which noise about a straight line looks bent."""
+"""Largest delay of a log's accelerometers [s]."""
+_START_S, _MIN_LINE_ROWS = 0.4, 6
+_CURVED_BY_CHANCE = 0.01
+"""Probability that noise about a straight line passes for curvature."""
 MAX_GAP_SHARE = 0.5
-STANDING_MPS = 3.0
-"""Airspeed below which nothing flies: the smallest gliders need more."""
-AS_COMMANDED = 1e-3
-"""Of its command's range: a position that is never further off is no measurement beside it."""
+MIN_FLYING_MPS = 3.0
+"""Airspeed below which nothing flies [m/s]; the smallest gliders need more."""
+MAX_COMMAND_ERROR = 1e-3
+"""Share of a command's range within which a position is a copy of the command, not a
+measurement.
+"""
 
 
 @dataclass(frozen=True)
 class Flight:
-    """A record ready for replay: at most 60 Hz, channels moved to the time at which they were true. ``notes`` say what was done.
+    """A record ready for replay: at most 60 Hz, late channels aligned.
 
-    gyro_late_s: by how much the rates turn after slowly logged commands stepped.
-    commands: column -> controls with ``per_row`` values from row to row, where the record had more rows; none where it had not.
-    In ``record`` they are means from row to row.
-    half_way: whether a command stands half-way at the row of its jump, which makes up for what sampling does to it.
+    Attributes
+    ----------
+    name : str
+        For reports.
+    record : FlightRecord
+        The rows that are compared; its commands are means from row to row.
+    pieces : tuple of Piece
+        Stretches in which all needed channels are present.
+    notes : tuple of str
+        What was done to the record.
+    gyro_late_s : float
+        Delay of the rates after steps of slowly logged commands [s].
+    commands : Mapping
+        Column to controls with ``per_row`` values a row, where the record had more rows; else
+        empty.
+    per_row : int
+        Commands a row.
+    half_way : bool
+        Whether a command is half-way at the row of its jump, which compensates for sampling.
     """
 
     name: str
@@ -256,43 +324,50 @@ class Flight:
     per_row: int = 1
     half_way: bool = False
 
-    def felt_late_s(self) -> float:
-        """By how much a jumping surface's command comes late for what compares it with smoothed rates row by row: as late as the
-        gyro, and half a row, since at the row of its jump it stands half-way."""
+    def smoothing_delay_s(self) -> float:
+        """Return the delay of a jumping command for comparison with smoothed rates [s].
+
+        It is the gyro's delay plus half a row, for at the row of its jump a command is half-way.
+        """
         return self.gyro_late_s + 0.5 * self.record.dt_s
 
-    def with_commands_as_felt(self) -> Flight:
-        """The flight with its commands `felt_late_s` later."""
-        record, late_s = self.record, self.felt_late_s()
+    def with_smoothing_delay(self) -> Flight:
+        """Return the flight with its commands delayed by `smoothing_delay_s`."""
+        record, late_s = self.record, self.smoothing_delay_s()
         moved = {
-            c: command_later(record[c], record["time_s"], late_s)
+            c: delayed_command(record[c], record["time_s"], late_s)
             for c in _COLUMN.values()
             if c in record
         }
         record = record.with_columns(moved)
         return replace(self, record=record, commands={}, per_row=1, half_way=True)
 
-    def with_commands_later(self, late_s: float) -> Flight:
-        """The flight with every command and position so much later [s]; before the first row its value is held.
+    def with_delayed_commands(self, late_s: float) -> Flight:
+        """Return the flight with every command and position delayed by ``late_s``; the first value
+        is held.
 
-        A command is held until the next one wherever it begins: one that then begins between two rows stands between them in
-        ``commands``. A straight line from row to row would be a servo that is slower at first and faster then.
+        A command is held until the next one. If the delayed commands fall between two rows,
+        ``commands`` gets a finer grid that holds them there; linear interpolation from row to row
+        would act like a servo that is slower at first and faster later.
         """
-        own_s = float(self.record.dt_s) / self.per_row
-        whole = math.isclose(late_s / own_s, round(late_s / own_s), abs_tol=1e-6)
-        finer = 1 if whole else max(1, int(own_s / LEAST_COMMAND_S + 1e-6))
-        per_row, step_s = self.per_row * finer, own_s / finer
+        spacing_s = float(self.record.dt_s) / self.per_row
+        on_grid = math.isclose(late_s / spacing_s, round(late_s / spacing_s), abs_tol=1e-6)
+        # Refine the grid unless the delay is a multiple of its spacing.
+        finer = 1 if on_grid else max(1, int(spacing_s / MIN_COMMAND_S + 1e-6))
+        per_row, step_s = self.per_row * finer, spacing_s / finer
         between, moved = {}, {}
         for c in (*_COLUMN.values(), *_POSITION.values()):
             if c not in self.record:
                 continue
-            held = c in _COLUMN.values()
-            own = self.commands[c] if self.per_row > 1 else _filled(self.record[c])
-            fine = np.repeat(own, finer)[: (len(own) - 1) * finer + 1]
-            if not held:
-                fine = np.interp(np.arange(len(fine)), finer * np.arange(len(own)), own)
-            between[c] = command_later(fine, np.arange(0.0, len(fine)) * step_s, late_s)
-            rows = mean_ahead(between[c], per_row) if held else between[c]
+            is_command = c in _COLUMN.values()
+            values = self.commands[c] if self.per_row > 1 else _forward_filled(self.record[c])
+            # Commands are held on the finer grid, positions interpolated.
+            fine = np.repeat(values, finer)[: (len(values) - 1) * finer + 1]
+            if not is_command:
+                fine = np.interp(np.arange(len(fine)), finer * np.arange(len(values)), values)
+            between[c] = delayed_command(fine, np.arange(0.0, len(fine)) * step_s, late_s)
+            # The record itself holds means from row to row, for what compares row by row.
+            rows = mean_ahead(between[c], per_row) if is_command else between[c]
             moved[c] = rows[::per_row][: len(self.record)]
         return replace(
             self,
@@ -302,9 +377,12 @@ class Flight:
         )
 
     def commands_in(self, rows: slice, columns: Sequence[str]) -> FloatArray | None:
-        """(N, c) controls at some rows and between them, NaN of columns that it has not; None where the record had no more rows."""
+        """Return the controls (N, c) at some rows and between them, NaN of missing columns; None
+        where there are no more than rows.
+        """
         if self.per_row == 1:
             return None
+        # The last row has no commands after it that belong to the segment.
         fine = slice(rows.start * self.per_row, (rows.stop - 1) * self.per_row + 1)
         unknown = np.full(fine.stop - fine.start, np.nan)
         return np.column_stack(
@@ -319,15 +397,31 @@ def read_flight(
     map_path: Path | None = None,
     flight_number: int | None = None,
 ) -> FlightRecord:
-    """The record of a log or record file, free flight alone, manoeuvres labelled if a table is given. Raises BadInputError.
+    """Read the free flight of a log or record file, with manoeuvres labelled by a table if one is
+    given.
 
-    flight_number: which boot of a log that holds several, from 1; the one with the longest flight by default.
+    Parameters
+    ----------
+    path : Path
+        Log or record.
+    aircraft : Aircraft
+        Whose card converts servo outputs to angles.
+    manoeuvres, map_path : Path, optional
+        Table of manoeuvres, and signal map.
+    flight_number : int, optional
+        Which boot of a log that holds several, from 1; by default the one with the longest flight.
+
+    Raises
+    ------
+    BadInputError
+        For what is not the log of an aeroplane, never flew, or belongs to another aircraft.
     """
     try:
         card = aircraft.folder if (aircraft.folder / "airframe.toml").is_file() else None
         record = import_log(
             path, map_path, card, flight_number=flight_number, cache=default_cache()
         )
+        # Copters and rovers log the same messages.
         if refused := no_aeroplane(record):
             raise BadInputError(f"{path}: {refused}; give the log of an aeroplane")
         if manoeuvres is not None:
@@ -338,60 +432,73 @@ def read_flight(
 
 
 def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> FlightRecord:
-    """A record's free flight. Raises BadInputError, naming ``where``, where it is in degrees or another aircraft's."""
+    """Return the free flight of a record.
+
+    Raises BadInputError, naming ``where``, for angles in degrees and for another aircraft's record.
+    """
+    # Flight records are used as they are; logs contain taxi, tow and landing as well.
     if record.metadata.dialect != "record":
         if record.metadata.free_flight_s:
             record = record.between(*record.metadata.free_flight_s[0])
-        elif _stands(record):
+        elif _is_on_ground(record):
             phase = next((f for f in record.metadata.findings if f.code == "flight-phase"), None)
             raise BadInputError(
-                f"{where}: {phase.message if phase else 'it never flew'}; a log with free flight is needed "
-                "(uqharness log info shows it)"
+                f"{where}: {phase.message if phase else 'it never flew'}; a log with free flight is"
+                " needed (uqharness log info shows it)"
             )
-    wrong = next((f for f in record.metadata.findings if in_degrees(f)), None)
-    if wrong is not None and record.metadata.dialect == "record":
+    # A record in degrees would replay without an error and fit nothing.
+    degrees_finding = next((f for f in record.metadata.findings if in_degrees(f)), None)
+    if degrees_finding is not None and record.metadata.dialect == "record":
         raise BadInputError(
-            f"{where}: {wrong.message}; angles and rates of a flight record are in rad and rad/s"
+            f"{where}: {degrees_finding.message}; angles and rates of a flight record are in rad"
+            " and rad/s"
         )
-    named = record.metadata.aircraft
-    if named and named not in (aircraft.card.aircraft.name, aircraft.name):
+    # Surface angles were computed with the card of that aircraft.
+    aircraft_name = record.metadata.aircraft
+    if aircraft_name and aircraft_name not in (aircraft.card.aircraft.name, aircraft.name):
         raise BadInputError(
-            f"{where}: this record was made with the card of aircraft '{named}', not of '{aircraft.card.aircraft.name}'; "
-            "its surface angles follow that card: import the log again with --aircraft, or name that aircraft"
+            f"{where}: this record was made with the card of aircraft '{aircraft_name}', not of"
+            f" '{aircraft.card.aircraft.name}'; its surface angles follow that card: import the log"
+            " again with --aircraft, or name that aircraft"
         )
     return record
 
 
-def _stands(record: FlightRecord) -> bool:
-    """Whether a record's airspeed is that of an aircraft on the ground."""
+def _is_on_ground(record: FlightRecord) -> bool:
+    """Check whether the airspeed is that of an aircraft on the ground."""
     speed = record["V_mps"] if "V_mps" in record else np.empty(0)
     speed = speed[np.isfinite(speed)]
-    return bool(len(speed)) and float(np.quantile(speed, 0.9)) < STANDING_MPS
+    return bool(len(speed)) and float(np.quantile(speed, 0.9)) < MIN_FLYING_MPS
 
 
 def measured_surfaces(records: Sequence[FlightRecord]) -> tuple[str, ...]:
-    """Surfaces whose position every record carries, but for those that are their commands."""
+    """Return the surfaces whose positions every record carries, unless these copy the commands."""
+    # All records must carry a position: a mixture would need two models of the servo.
     return tuple(
         name
         for name, column in _POSITION.items()
         if all(column in r and np.isfinite(r[column]).mean() > MAX_GAP_SHARE for r in records)
-        and not all(_same(r, column, _COLUMN[name]) for r in records)
+        and not all(_equals_command(r, column, _COLUMN[name]) for r in records)
     )
 
 
-def _same(record: FlightRecord, position: str, command: str) -> bool:
-    """Whether a position is its command at every row: such a surface jumps, and does not go from row to row in a straight line."""
+def _equals_command(record: FlightRecord, position: str, command: str) -> bool:
+    """Check whether a position equals its command at every row.
+
+    Such a surface jumps, it does not move linearly from row to row.
+    """
     if command not in record:
         return False
-    asked = record[command]
-    apart = np.abs(record[position] - asked)
-    known = np.isfinite(apart)
-    travel = float(np.ptp(asked[known])) if known.any() else 0.0
-    return travel > 0.0 and bool(apart[known].max() <= AS_COMMANDED * travel)
+    commanded = record[command]
+    deviation = np.abs(record[position] - commanded)
+    finite = np.isfinite(deviation)
+    # Relative to the range of the command, because units differ between records.
+    travel = float(np.ptp(commanded[finite])) if finite.any() else 0.0
+    return travel > 0.0 and bool(deviation[finite].max() <= MAX_COMMAND_ERROR * travel)
 
 
 def control_columns(measured: Sequence[str]) -> tuple[str, ...]:
-    """The record's column of each of CONTROLS."""
+    """Return the record's column of each of CONTROLS."""
     return tuple(_POSITION[name] if name in measured else _COLUMN[name] for name in CONTROLS)
 
 
@@ -403,77 +510,115 @@ def prepare(
     max_s: float = MAX_S,
     align: bool = True,
 ) -> Flight:
-    """Check, thin, align and cut a record. Raises BadInputError naming the channel that is missing and what needs it.
+    """Check, thin, align and cut a record.
 
-    align: whether channels are moved that are surely late by the record's findings; False where a table is to show what sensors
-    do or who asks estimates it. The channels of an autopilot's log are aligned in any case.
+    Parameters
+    ----------
+    name : str
+        For reports.
+    record : FlightRecord
+        Free flight.
+    measured : sequence of str
+        Surfaces whose positions are used.
+    min_s, max_s : float
+        Length of pieces [s].
+    align : bool
+        Whether channels are moved that the record's findings call late for sure. False where a
+        table shows what sensors do, or delays are estimated. Channels of an autopilot's log are
+        always aligned.
+
+    Raises
+    ------
+    BadInputError
+        Naming a missing channel and what needs it, for fewer than 10 rows a second, and where no
+        piece is long enough.
     """
     columns = control_columns(measured)
+    # Report everything that is missing at once.
     missing = [
         c for c in (*_NEEDED, *columns) if c not in record or not np.isfinite(record[c]).any()
     ]
     if missing:
-        why = (
-            "without the surfaces' commands or positions nothing can be replayed (import the log with --aircraft, whose card "
-            "turns servo outputs into angles; thrust_N or rpm may stand for throttle_pct)"
+        reason = (
+            "without the surfaces' commands or positions nothing can be replayed (import the log"
+            " with --aircraft, whose card converts servo outputs to angles; thrust_N or rpm can"
+            " replace throttle_pct)"
             if set(missing) & set(columns)
-            else "a replay starts from them and is compared with them"
+            else "a replay needs them for its start and for the comparison"
         )
-        raise BadInputError(f"{name}: the record has no {', '.join(missing)}; {why}")
+        raise BadInputError(f"{name}: the record has no {', '.join(missing)}; {reason}")
     if len(record) < 2:
         raise BadInputError(f"{name}: the record has {len(record)} row(s)")
+    # Gaps in commands are held, gaps in measurements interpolated.
     commands = [c for c in columns if c not in _POSITION.values()]
-    record, bridged = bridge(record, (*_NEEDED, "alpha_rad", "beta_rad", *columns), commands)
-    record, placed, gyro_late_s = with_steps_placed(record, columns)
-    notes = [f"{name}: {text}" for text in (*bridged, *placed)]
-    together = max(1, int(LEAST_COMMAND_S / record.dt_s + 1e-6))
-    per_row = max(1, math.ceil(1.0 / (record.dt_s * together * MAX_RATE_HZ) - 1e-6))
+    record, gap_notes = bridge(record, (*_NEEDED, "alpha_rad", "beta_rad", *columns), commands)
+    record, step_notes, gyro_late_s = with_steps_placed(record, columns)
+    notes = [f"{name}: {text}" for text in (*gap_notes, *step_notes)]
+    # Two reductions: commands faster than MIN_COMMAND_S are averaged, rows beyond MAX_RATE_HZ
+    # dropped.
+    averaged_rows = max(1, int(MIN_COMMAND_S / record.dt_s + 1e-6))
+    per_row = max(1, math.ceil(1.0 / (record.dt_s * averaged_rows * MAX_RATE_HZ) - 1e-6))
     between: dict[str, FloatArray] = {}
-    if (step := together * per_row) > 1:
+    if (step := averaged_rows * per_row) > 1:
         notes.append(
-            f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used; controls act at all rows"
+            f"{name}: {1 / record.dt_s:.0f} Hz, 1 of {step} rows is compared; controls act at all"
+            " rows"
         )
-        record, between = _thinned(record, together, per_row)
+        record, between = _reduce_rows(record, averaged_rows, per_row)
+    # Short period and roll mode need 10 rows a second; slightly slower clocks are accepted.
     if 1.0 / record.dt_s < 9.5:
         raise BadInputError(
-            f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees neither short period nor roll"
+            f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10 to resolve"
+            " short period and roll mode"
         )
-    record, moved = _aligned(record, align or bool(record.metadata.native_hz))
-    notes += [f"{name}: {text}" for text in moved]
-    pieces, how = cut(record, (*_NEEDED, *columns), min_s, max_s)
+    record, alignment_notes = _align_channels(record, align or bool(record.metadata.native_hz))
+    notes += [f"{name}: {text}" for text in alignment_notes]
+    # Pieces need all channels without a gap; maximum length limits the divergence of replays.
+    pieces, cut_note = cut(record, (*_NEEDED, *columns), min_s, max_s)
     if not pieces:
         raise BadInputError(
-            f"{name}: no stretch of {min_s:g} s has all of {', '.join((*_NEEDED, *columns))} without a gap"
-            f"{_lost(record, columns)}; nothing can be replayed"
+            f"{name}: no stretch of {min_s:g} s has all of {', '.join((*_NEEDED, *columns))}"
+            f" without a gap{_describe_gaps(record, columns)}; nothing can be replayed"
         )
     notes.append(
-        f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s; {how}"
+        f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s;"
+        f" {cut_note}"
     )
     return Flight(name, record, tuple(pieces), tuple(notes), gyro_late_s, between, per_row)
 
 
-def _thinned(
-    record: FlightRecord, together: int, per_row: int
+def _reduce_rows(
+    record: FlightRecord, averaged_rows: int, per_row: int
 ) -> tuple[FlightRecord, dict[str, FloatArray]]:
-    """Rows at which outputs are compared, and the controls with ``per_row`` values from one to the next, each the mean of
-    ``together`` of the record's own (a position: its value)."""
+    """Return the compared rows, and the controls with ``per_row`` values between them.
+
+    Commands are means over ``averaged_rows`` of the record, positions its values.
+    """
     mask = np.zeros(len(record), dtype=bool)
-    mask[:: together * per_row] = True
+    mask[:: averaged_rows * per_row] = True
     commands = [c for c in _COLUMN.values() if c in record]
-    between = {c: _filled(mean_ahead(record[c], together)[::together]) for c in commands}
-    between |= {c: _filled(record[c][::together]) for c in _POSITION.values() if c in record}
-    held = {c: mean_ahead(record[c], together * per_row) for c in commands}
-    return record.with_columns(held).rows(mask), between
+    # Commands keep their mean over each averaging interval, so their area is preserved.
+    between = {
+        c: _forward_filled(mean_ahead(record[c], averaged_rows)[::averaged_rows]) for c in commands
+    }
+    between |= {
+        c: _forward_filled(record[c][::averaged_rows]) for c in _POSITION.values() if c in record
+    }
+    mean_commands = {c: mean_ahead(record[c], averaged_rows * per_row) for c in commands}
+    return record.with_columns(mean_commands).rows(mask), between
 
 
-def _filled(values: FloatArray) -> FloatArray:
-    """(n,) values, gaps held from before: a piece has none at its rows."""
+def _forward_filled(values: FloatArray) -> FloatArray:
+    """Fill gaps (n,) with the value before; a piece has none at its rows."""
     last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))
     return np.asarray(values[last], dtype=np.float64)
 
 
-def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
-    """What breaks a record up, in words: the channel that lacks most samples, and how many rows come late."""
+def _describe_gaps(record: FlightRecord, columns: Sequence[str]) -> str:
+    """Describe what interrupts a record: the channel that lacks most samples, the share of late
+    rows.
+    """
+    # The channel that is missing most often is the likeliest cause.
     share = {c: float(np.mean(~np.isfinite(record[c]))) for c in (*_NEEDED, *columns)}
     worst = max(share, key=lambda c: share[c])
     late = float(np.mean(np.diff(record["time_s"]) > 1.5 * record.dt_s))
@@ -486,8 +631,10 @@ def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
     return f" ({', '.join(texts)})" if texts else ""
 
 
-def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]]:
-    """Channels that the record's own findings call late for sure, moved to when they were true, or told of where not."""
+def _align_channels(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]]:
+    """Move channels that the record's findings call late for sure, or note them where ``align`` is
+    False.
+    """
     columns: dict[str, FloatArray] = {}
     notes = []
     for finding in record.metadata.findings:
@@ -498,12 +645,14 @@ def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]
         ):
             continue
         late, std = (finding.numbers.get(n, math.nan) for n in ("delay_s", "std_s"))
+        # Move channels only by delays that are significant: moving by noise would add an error.
         if not surely_late(late, std):
             continue
         if not align:
             notes.append(f"{finding.message}, by the log's findings; it stands as recorded")
             continue
         time = record["time_s"]
+        # Values beyond the end of the record become NaN, not a repetition of the last.
         moved = np.interp(
             time + late, time, _unwrapped(finding.channel, record[finding.channel]), right=np.nan
         )
@@ -517,18 +666,20 @@ def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]
 def segments(
     flight: Flight, measured: Sequence[str], arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> list[Segment]:
-    """Replay segments of a flight's pieces, each from the state that its first rows show (`_start`)."""
+    """Make replay segments of a flight's pieces, each from the state that its first rows show."""
     record = flight.record
     out = []
     for piece in flight.pieces:
         rows = piece.rows
         time = record["time_s"][rows]
+        # JSBSim steps uniformly; the grid keeps the first and the last time of the piece.
         grid = time[0] + (time[-1] - time[0]) / (len(time) - 1) * np.arange(len(time))
-        begins = [_start(record, name, rows) for name in STATES]
+        # The start state is estimated, because a single noisy row would be a poor start.
+        begins = [_estimate_start(record, name, rows) for name in STATES]
         h = float(states(flight, piece)["h_m"][0])
         between = flight.commands_in(rows, control_columns(measured))
-        asked = flight.commands_in(rows, [_COLUMN[c] for c in CONTROLS])
-        commands = None if between is None else Commands(flight.per_row, between, asked)
+        target_commands = flight.commands_in(rows, [_COLUMN[c] for c in CONTROLS])
+        commands = None if between is None else Commands(flight.per_row, between, target_commands)
         out.append(
             Segment(
                 piece.label,
@@ -539,8 +690,8 @@ def segments(
                 _altitude(record, rows, h),
                 h,
                 arm_m,
-                np.column_stack([_command(record, c, rows) for c in CONTROLS]),
-                height_known(record),
+                np.column_stack([_command_column(record, c, rows) for c in CONTROLS]),
+                has_ground_heights(record),
                 commands,
                 _commands_before(flight, rows.start, control_columns(measured)),
                 np.array([b.reach for b in begins]),
@@ -550,93 +701,111 @@ def segments(
 
 
 def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> FloatArray | None:
-    """(k, c) controls at the commands of RUN_UP_S before a row, from the last gap on; None where there are none."""
+    """Return the controls (k, c) of RUN_UP_S before a row, from the last gap on; None where there
+    are none.
+    """
     record = flight.record
     begin = max(0, first - round(RUN_UP_S / record.dt_s))
+    # A gap in time separates these commands from those before it.
     gaps = np.flatnonzero(np.diff(record["time_s"][begin : first + 1]) > 1.5 * record.dt_s)
     begin += int(gaps[-1]) + 1 if len(gaps) else 0
     between = flight.commands_in(slice(begin, first + 1), columns)
-    known = (
+    values = (
         np.column_stack([record[c][begin : first + 1] for c in columns])
         if between is None
         else between
     )
-    lost = np.flatnonzero(~np.isfinite(known[:-1]).all(axis=1))
-    known = known[lost[-1] + 1 if len(lost) else 0 : -1]
-    return known if len(known) else None
+    # Keep the commands after the last missing one.
+    missing_rows = np.flatnonzero(~np.isfinite(values[:-1]).all(axis=1))
+    values = values[missing_rows[-1] + 1 if len(missing_rows) else 0 : -1]
+    return values if len(values) else None
 
 
-def _command(record: FlightRecord, control: str, rows: slice) -> FloatArray:
+def _command_column(record: FlightRecord, control: str, rows: slice) -> FloatArray:
+    """Return the commands of a control, NaN where none were logged."""
     column = _COLUMN[control]
-    known = record[column][rows] if column in record else np.full(rows.stop - rows.start, np.nan)
-    return np.asarray(known, dtype=np.float64)
+    values = record[column][rows] if column in record else np.full(rows.stop - rows.start, np.nan)
+    return np.asarray(values, dtype=np.float64)
 
 
 def _unwrapped(name: str, values: FloatArray) -> FloatArray:
-    """A heading [rad] without its jumps at north: between its two ends nothing can be put, neither a line nor a mean."""
+    """Unwrap a heading [rad]: at north neither lines nor means make sense."""
     out = np.array(values, dtype=np.float64)
     if name == "psi_rad":
-        good = np.isfinite(out)
-        out[good] = np.unwrap(out[good])
+        finite = np.isfinite(out)
+        out[finite] = np.unwrap(out[finite])
     return out
 
 
 @dataclass(frozen=True)
-class _Start:
-    """Estimate of a channel at a segment's first row, and how far from it the channel is within the first rows."""
+class _StartEstimate:
+    """Estimate of a channel at a segment's first row, and its distance from the channel within the
+    first rows.
+    """
 
     value: float
     reach: float
 
 
-def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
-    """Estimate a channel at a piece's first row.
+def _estimate_start(record: FlightRecord, name: str, rows: slice) -> _StartEstimate:
+    """Estimate a channel at the first row of a piece.
 
-    A straight line through the first 0.4 s averages the noise, but a segment may begin with a fast mode, which bends within a few
-    rows. So the line is fitted to the longest beginning in which a cubic explains no more than chance would let it (likelihood
-    ratio of the two, Lepski's choice of a window), and without one the first value is taken.
+    A straight line through the first 0.4 s averages the noise, but a segment may begin with a fast
+    mode that curves within a few rows. The line is therefore fitted to the longest beginning in
+    which a cubic explains no more than chance (likelihood ratio; Lepski's choice of a window).
+    Without one the first value is taken.
     """
     if name not in record:
-        return _Start(0.0, 0.0)
+        return _StartEstimate(0.0, 0.0)
     values = _unwrapped(name, record[name][rows][: max(3, round(_START_S / record.dt_s))])
     at = np.flatnonzero(np.isfinite(values))
     if not len(at):
-        return _Start(0.0, 0.0)
+        return _StartEstimate(0.0, 0.0)
     first = values[at]
     value, n = float(first[0]), len(at)
-    while n >= _LEAST_LINE:
-        line, straight = _polynomial_at_zero(at[:n], first[:n], 1)
-        _, bent = _polynomial_at_zero(at[:n], first[:n], 3)
-        # Of F's distribution with 2 degrees of freedom above, n - 4 below.
-        if bent >= straight * _CHANCE ** (2.0 / (n - 4)):
+    # Halve the window until a straight line is as good as a cubic.
+    while n >= _MIN_LINE_ROWS:
+        line, line_sse = _polynomial_at_zero(at[:n], first[:n], 1)
+        _, cubic_sse = _polynomial_at_zero(at[:n], first[:n], 3)
+        # Quantile of the F distribution with 2 and n - 4 degrees of freedom, in closed form.
+        if cubic_sse >= line_sse * _CURVED_BY_CHANCE ** (2.0 / (n - 4)):
             value = line
             break
         n //= 2
-    return _Start(value, float(np.abs(first - value).max()))
+    return _StartEstimate(value, float(np.abs(first - value).max()))
 
 
 def _polynomial_at_zero(
     at: NDArray[np.intp], values: FloatArray, degree: int
 ) -> tuple[float, float]:
-    """Fit a polynomial; its value at row 0, and the sum of squares that it leaves."""
+    """Fit a polynomial; return its value at row 0 and the residual sum of squares."""
+    # Scale the rows to 1 for conditioning.
     basis = (at / at[-1])[:, None] ** np.arange(degree + 1)
     coefficients = np.linalg.lstsq(basis, values, rcond=None)[0]
-    left = values - basis @ coefficients
-    return float(coefficients[0]), float(left @ left)
+    residual = values - basis @ coefficients
+    return float(coefficients[0]), float(residual @ residual)
 
 
 def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
-    """Altitude above sea level at which the standard atmosphere has the record's density; else start's altitude plus height."""
+    """Return the altitude above sea level [m] at which the standard atmosphere has the recorded
+    density.
+
+    Without a density it is the start's altitude plus the height ``h``.
+    """
+    # Density decides the dynamic pressure, so it takes precedence over recorded heights.
     if "rho_kgpm3" in record and np.isfinite(record["rho_kgpm3"][rows]).any():
         rho = float(np.nanmedian(record["rho_kgpm3"][rows]))
+        # ISA below 11 km: rho = 1.225 (1 - 2.25577e-5 h)^4.25588.
         return float((1.0 - (rho / 1.225) ** (1.0 / 4.25588)) / 2.25577e-5)
     return float(record.metadata.start.get("alt_m", 0.0)) + h
 
 
 def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[FloatArray]:
-    """[(n, m)] the record's channels as logged (NaN between logged values), one array a piece; headings unwrapped.
+    """Return the recorded channels (n, m) of every piece, NaN between logged values; headings
+    unwrapped.
 
-    A log's accelerometers are late, and a piece may begin with a step: what they show of the time before it is NaN, too.
+    The accelerometers of a log are late, so their first samples, which belong to the time before
+    the piece, are NaN as well.
     """
     out = []
     before = math.ceil(LATE_S / flight.record.dt_s) if flight.record.metadata.native_hz else 0
@@ -645,16 +814,19 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[FloatArray
         for k, name in enumerate(channels):
             if name not in flight.record:
                 continue
+            # Interpolated samples carry no information and would count as measurements.
             values = as_logged(flight.record, name, piece.rows)
             if name == "psi_rad":
                 values = _unwrapped(name, values)
-                # Counted from the same turn as the start: the first logged value may lie on the other side of north.
+                # Count from the turn of the start: the first logged value may lie on the other side
+                # of north.
                 first = values[np.isfinite(values)][:1]
                 values -= (
                     2.0
                     * np.pi
                     * np.rint(
-                        (first - _start(flight.record, name, piece.rows).value) / (2.0 * np.pi)
+                        (first - _estimate_start(flight.record, name, piece.rows).value)
+                        / (2.0 * np.pi)
                     ).sum()
                 )
             block[:, k] = values
@@ -665,8 +837,9 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[FloatArray
 
 
 def states(flight: Flight, piece: Piece) -> Mapping[str, FloatArray]:
-    """Channels of a piece with every gap in alpha and beta filled by straight lines (0 where never measured), heights as
-    `ground.heights` has them."""
+    """Return the channels of a piece with gaps filled linearly, 0 where never measured, and
+    smoothed heights.
+    """
     out = {}
     for name in CHANNELS:
         values = (
@@ -674,18 +847,23 @@ def states(flight: Flight, piece: Piece) -> Mapping[str, FloatArray]:
             if name in flight.record
             else np.zeros(0)
         )
-        good = np.isfinite(values)
-        if not good.any():
+        finite = np.isfinite(values)
+        # Angles of attack and sideslip may be absent: then the model is evaluated at zero.
+        if not finite.any():
             values = np.zeros(piece.rows.stop - piece.rows.start)
-        elif not good.all():
+        elif not finite.all():
             at = np.arange(len(values))
-            values = np.interp(at, at[good], values[good])
+            values = np.interp(at, at[finite], values[finite])
         out[name] = values
     return {**out, "h_m": heights(out, flight.record.dt_s)} if out["h_m"].any() else out
 
 
-def renamed(names: Sequence[str]) -> list[str]:
-    """File stems made unique, so that reports distinguish every flight."""
+def unique_names(names: Sequence[str]) -> list[str]:
+    """Append numbers to repeated file stems, so that reports distinguish all flights.
+
+    >>> unique_names(["a", "b", "a"])
+    ['a', 'b', 'a-2']
+    """
     out: list[str] = []
     for name in names:
         stem, number = name, 2
@@ -700,18 +878,43 @@ def read_flights(
     aircraft: Aircraft,
     manoeuvres: Path | None = None,
     map_path: Path | None = None,
+    *,
     min_s: float = MIN_S,
     max_s: float = MAX_S,
     align: bool = True,
     flight_numbers: Sequence[int] = (),
 ) -> tuple[list[Flight], tuple[str, ...]]:
-    """Flights ready for replay, and the surfaces whose measured positions are used; align: as `prepare` has it. Raises
-    BadInputError.
+    """Read flights ready for replay.
 
-    flight_numbers: which boot of each file is read, one number for all files or one a file; the longest flight by default.
+    Parameters
+    ----------
+    paths : sequence of Path
+        Logs or records.
+    aircraft : Aircraft
+        The model that will replay them.
+    manoeuvres, map_path : Path, optional
+        Table of manoeuvres, and signal map.
+    min_s, max_s, align
+        As for `prepare`.
+    flight_numbers : sequence of int
+        Which boot of each file, one number for all files or one a file; by default the longest
+        flight.
+
+    Returns
+    -------
+    flights : list of Flight
+        One a file.
+    measured : tuple of str
+        Surfaces whose measured positions are used.
+
+    Raises
+    ------
+    BadInputError
+        As `read_flight` and `prepare`, and for a file given twice.
     """
     numbers = numbers_of_files(flight_numbers, len(paths))
-    refuse_twice(paths, [file_sha256(path) if path.is_file() else str(path) for path in paths])
+    # The same flight twice would count its noise as two independent measurements.
+    refuse_duplicates(paths, [file_sha256(path) if path.is_file() else str(path) for path in paths])
     records = [
         read_flight(path, aircraft, manoeuvres, map_path, number)
         for path, number in zip(paths, numbers, strict=True)
@@ -720,24 +923,33 @@ def read_flights(
 
 
 def numbers_of_files(flight_numbers: Sequence[int], files: int) -> list[int | None]:
-    """``--flight-number`` of each file. Raises BadInputError where there are neither one nor as many numbers as files."""
+    """Return ``--flight-number`` of each file.
+
+    Raises BadInputError unless there is one number, or one a file.
+
+    >>> numbers_of_files([2], 3)
+    [2, 2, 2]
+    """
     if not flight_numbers:
         return [None] * files
     if len(flight_numbers) not in (1, files):
         raise BadInputError(
-            f"--flight-number: received {len(flight_numbers)} numbers for {files} files; give one, or one a file"
+            f"--flight-number: received {len(flight_numbers)} numbers for {files} files; give one,"
+            " or one a file"
         )
     return [*flight_numbers] * (files if len(flight_numbers) == 1 else 1)
 
 
-def refuse_twice(names: Sequence[object], hashes: Sequence[str]) -> None:
-    """BadInputError for a flight that is given twice; ``names`` say which, ``hashes`` are of their content."""
-    twice = next(
+def refuse_duplicates(names: Sequence[object], hashes: Sequence[str]) -> None:
+    """Raise BadInputError for a flight given twice; ``names`` are for the message, ``hashes`` of
+    the contents.
+    """
+    duplicate = next(
         (name for name, digest in zip(names, hashes, strict=True) if hashes.count(digest) > 1), None
     )
-    if twice is not None:
+    if duplicate is not None:
         raise BadInputError(
-            f"flight {twice} is given more than once: its noise would count as if it were measured anew"
+            f"flight {duplicate} is given more than once: its noise would be counted as independent"
         )
 
 
@@ -749,24 +961,30 @@ def prepare_together(
     max_s: float = MAX_S,
     align: bool = True,
 ) -> tuple[list[Flight], tuple[str, ...]]:
-    """Records used together, ready for replay, and the surfaces whose measured positions are used. Raises BadInputError."""
+    """Prepare records that are used together; return flights and the surfaces with measured
+    positions.
+
+    Raises BadInputError.
+    """
+    # Surfaces that the model does not have are ignored.
     measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
     placed = [with_start_altitude(record, aircraft.folder) for record in records]
     flights = []
-    for name, (record, said) in zip(renamed(names), placed, strict=True):
-        driven, how = with_throttle(record, aircraft, name)
+    for name, (record, altitude_note) in zip(unique_names(names), placed, strict=True):
+        with_controls, throttle_note = with_throttle(record, aircraft, name)
+        # Choices of the importer affect the estimates and must appear in the results.
         choices = [
             f"{name}: {f.message}"
             for f in record.metadata.findings
             if f.code == "clock-restart" or (f.code == "sensor-choice" and f.severity != "info")
         ]
-        flight = prepare(name, driven, measured, min_s, max_s, align)
+        flight = prepare(name, with_controls, measured, min_s, max_s, align)
         flights.append(
             replace(
                 flight,
                 notes=(
                     *choices,
-                    *(f"{name}: {text}" for text in (said, how) if text),
+                    *(f"{name}: {text}" for text in (altitude_note, throttle_note) if text),
                     *flight.notes,
                 ),
             )

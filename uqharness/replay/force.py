@@ -1,4 +1,9 @@
-"""The model's own forces and moments at measured states: each state forced upon it, each answer read."""
+"""The model's forces and moments at measured states.
+
+Each state is imposed on JSBSim and the forces are read, by JSBSim itself or, for many states at
+once, by a compiled program of the batch engine. Residual coefficients, equation error and start
+values are made from them.
+"""
 
 from __future__ import annotations
 
@@ -23,40 +28,48 @@ from uqharness.replay.model import ReplayModel, control_setters, terrain_m
 from uqharness.replay.segments import Segment
 from uqharness.simulator import MAX_FRAMES, SETTLED_RADPS, TRIM_LATITUDE_DEG, body_velocity, engine
 
-# Forces at measured states by the batch engine, where it understands the aircraft and enough
-# states are asked for at once.
-#
-# A model's first states are answered by both engines, and JSBSim answers all others too where
-# they differ. What was asked before does not decide who answers: a run that goes on after an
-# interruption gets the same digits.
+# Forces at measured states by the batch engine, for many states of an aircraft that it understands.
+# Some states of each program are evaluated by JSBSim as well, and JSBSim evaluates all if the two
+# differ. Earlier requests do not decide which engine is used, so a resumed run is bit-identical.
 
 _LOG = logging.getLogger("uqharness")
-WORTH_ROWS = 2_000
-"""States asked for at once from which on the aircraft is translated and compiled, for which JSBSim answers some 12,000. Who asks
-for the states of a whole flight asks several times; tests, trims and start states ask for fewer."""
-AGREES = 1e-6
-"""Largest difference of a force or moment between the engines, in units of its largest size among the states compared."""
-_COMPARED, _KEPT, _LEVEL_M = 9, 8, 1000.0
+MIN_BATCH_STATES = 2_000
+"""Number of states from which the aircraft is compiled. Compiling takes as long as 12,000 states by
+JSBSim, but callers that evaluate a whole flight do so several times; trims and start states are
+fewer."""
+TOLERANCE = 1e-6
+"""Largest difference of a force or moment between the engines, relative to its largest size among
+the states compared."""
+_COMPARED_STATES, _MAX_PROGRAMS, _LEVEL_M = 9, 8, 1000.0
 
 
 @dataclass(frozen=True)
 class States:
-    """n states: motion by names of `replay.STATES` without the heading, each (n,); controls (n, c) in their properties' units;
-    altitude_m (n,) above sea level; terrain_m (n,) of the ground."""
+    """Flight states of n samples, ready to be imposed.
+
+    Attributes
+    ----------
+    motion : Mapping
+        Names of `replay.STATES` without the heading to (n,) values.
+    controls : ndarray
+        (n, c) in the units of their properties.
+    altitude_m, terrain_m : ndarray
+        (n,) altitude of the aircraft and of the ground, above sea level [m].
+    """
 
     motion: Mapping[str, FloatArray]
     controls: FloatArray
     altitude_m: FloatArray
     terrain_m: FloatArray
 
-    def some(self, rows: FloatArray) -> States:
-        """Those of some rows."""
+    def subset(self, rows: FloatArray) -> States:
+        """Select rows."""
         motion = {name: np.asarray(value)[rows] for name, value in self.motion.items()}
         return States(motion, self.controls[rows], self.altitude_m[rows], self.terrain_m[rows])
 
     @staticmethod
     def of(parts: Sequence[States]) -> States:
-        """Several sets of states as one."""
+        """Concatenate several sets of states."""
         if len(parts) == 1:
             return parts[0]
         motion = {
@@ -72,42 +85,52 @@ class States:
 
 
 @dataclass
-class _Known:
-    """program: None until it is worth one, and where JSBSim is to answer (``refused``)."""
+class _CachedProgram:
+    """A compiled program: None before the first large request, and ``refused`` where JSBSim has to
+    answer.
+    """
 
     program: StateProgram | None = None
     refused: bool = False
 
 
-_known: LRUCache[str, _Known] = LRUCache(_KEPT)
+_cached_programs: LRUCache[str, _CachedProgram] = LRUCache(_MAX_PROGRAMS)
 
 
 def by_batch(
     model: ReplayModel,
-    asked: States,
+    states: States,
     dt_s: float,
     properties: Mapping[str, float],
     records: Sequence[str],
     by_jsbsim: Callable[[States], FloatArray],
 ) -> FloatArray | None:
-    """(n, records) at the states, None where JSBSim is to answer. ``by_jsbsim`` answers for it."""
-    known = _known.setdefault(model.identity, _Known())
-    if known.refused or len(asked.controls) < WORTH_ROWS:
+    """Return the recorded properties at the states, (n, len(records)); None where JSBSim has to
+    answer.
+
+    ``by_jsbsim`` evaluates some of the states for comparison.
+    """
+    entry = _cached_programs.setdefault(model.identity, _CachedProgram())
+    # A refusal is final for this model.
+    if entry.refused or len(states.controls) < MIN_BATCH_STATES:
         return None
-    names = {*properties, *(known.program.given if known.program is not None else ())}
-    if known.program is None or not names <= set(known.program.given):
-        known.program = _judged(
-            model, asked, dt_s, properties, by_jsbsim, _made(model, dt_s, names, records)
+    # Recompile with the union of the properties, so that alternating sets do not recompile each
+    # time.
+    names = {*properties, *(entry.program.given if entry.program is not None else ())}
+    if entry.program is None or not names <= set(entry.program.given):
+        entry.program = _verified(
+            model, states, dt_s, properties, by_jsbsim, _compile(model, dt_s, names, records)
         )
-        known.refused = known.program is None
+        entry.refused = entry.program is None
     return (
-        None if known.program is None else _answered(known.program, model, asked, dt_s, properties)
+        None if entry.program is None else _evaluate(entry.program, model, states, dt_s, properties)
     )
 
 
-def _made(
+def _compile(
     model: ReplayModel, dt_s: float, names: set[str], records: Sequence[str]
 ) -> StateProgram | None:
+    """Translate and compile the aircraft; None where the engine cannot."""
     if batch.available() is not None:
         return None
     controls = [model.card.inputs[name].property for name in model.controls]
@@ -123,76 +146,93 @@ def _made(
             model.by_rates,
         )
     except BadInputError as error:
-        _LOG.info("states are forced upon JSBSim: %s", error)
+        _LOG.info("forces are evaluated by JSBSim, which is slower: %s", error)
         return None
 
 
-def _judged(
+def _verified(
     model: ReplayModel,
-    asked: States,
+    states: States,
     dt_s: float,
     properties: Mapping[str, float],
     by_jsbsim: Callable[[States], FloatArray],
     program: StateProgram | None,
 ) -> StateProgram | None:
-    """The program, if it answers as JSBSim does."""
+    """Return the program if it agrees with JSBSim at some of the states, None otherwise."""
     if program is None:
         return None
-    some = asked.some(np.unique(np.linspace(0, len(asked.controls) - 1, _COMPARED).astype(int)))
-    ours, theirs = _answered(program, model, some, dt_s, properties), by_jsbsim(some)
-    apart = float(np.max(np.abs(ours - theirs) / np.maximum(np.abs(theirs).max(axis=0), 1e-3)))
-    if apart <= AGREES:
+    # Compare states that are spread over the whole request.
+    subset = states.subset(
+        np.unique(np.linspace(0, len(states.controls) - 1, _COMPARED_STATES).astype(int))
+    )
+    from_batch, from_jsbsim = _evaluate(program, model, subset, dt_s, properties), by_jsbsim(subset)
+    difference = float(
+        np.max(np.abs(from_batch - from_jsbsim) / np.maximum(np.abs(from_jsbsim).max(axis=0), 1e-3))
+    )
+    if difference <= TOLERANCE:
         return program
     _LOG.warning(
-        "states are forced upon JSBSim: the batch engine differs by %.1g of a force's size", apart
+        "forces are evaluated by JSBSim, which is slower: the batch engine differs by %.1g of a"
+        " force's size",
+        difference,
     )
     return None
 
 
-def _answered(
+def _evaluate(
     program: StateProgram,
     model: ReplayModel,
-    asked: States,
+    states: States,
     dt_s: float,
     properties: Mapping[str, float],
 ) -> FloatArray:
+    """Evaluate a compiled program at the states."""
     V, alpha, beta = (
-        np.asarray(asked.motion[name], dtype=float) for name in ("V_mps", "alpha_rad", "beta_rad")
+        np.asarray(states.motion[name], dtype=float) for name in ("V_mps", "alpha_rad", "beta_rad")
     )
     n = len(V)
-    # At one latitude geodetic height goes with height above sea level in a straight line, to 1e-9 of it below 3 km.
+    # At one latitude geodetic height is linear in height above sea level, to 1e-9 below 3 km.
     (latitude, at_sea), (_, at_top) = (level_of(model, level) for level in (0.0, _LEVEL_M))
-    height = at_sea + (at_top - at_sea) / _LEVEL_M * asked.altitude_m
+    height = at_sea + (at_top - at_sea) / _LEVEL_M * states.altitude_m
     conditions = {
         "ic/lat-geod-rad": np.full(n, latitude),
         "ic/long-gc-rad": np.zeros(n),
         "ic/geod-alt-ft": height,
-        "ic/phi-rad": asked.motion["phi_rad"],
-        "ic/theta-rad": asked.motion["theta_rad"],
+        "ic/phi-rad": states.motion["phi_rad"],
+        "ic/theta-rad": states.motion["theta_rad"],
         "ic/psi-true-rad": np.zeros(n),
         "ic/u-fps": V * np.cos(alpha) * np.cos(beta) / FT_M,
         "ic/v-fps": V * np.sin(beta) / FT_M,
         "ic/w-fps": V * np.sin(alpha) * np.cos(beta) / FT_M,
-        "ic/p-rad_sec": asked.motion["p_radps"],
-        "ic/q-rad_sec": asked.motion["q_radps"],
-        "ic/r-rad_sec": asked.motion["r_radps"],
+        "ic/p-rad_sec": states.motion["p_radps"],
+        "ic/q-rad_sec": states.motion["q_radps"],
+        "ic/r-rad_sec": states.motion["r_radps"],
     }
     return batch.at_states(
-        program, conditions, asked.terrain_m / FT_M, dt_s, asked.controls, properties
+        program, conditions, states.terrain_m / FT_M, dt_s, states.controls, properties
     )
 
 
 _FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")
 _MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a in "lmn")
 _RECORDS = (*_FORCES, *_MOMENTS, "aero/qbar-psf")
-_WEIGHED = 8
+_MAX_MASSES = 8
 
 
 @dataclass(frozen=True)
 class ForcedModel:
-    """What the model says at n states: aerodynamic and other forces [N], moments about the CG [N m], (n, 3) each; qbar (n,) [Pa].
+    """Forces and moments of the model at n states, body axes at the centre of gravity.
 
-    ``other`` is everything but aerodynamics and gravity, thrust above all. ``coefficients`` (n, 6) CX CY CZ Cl Cm Cn.
+    Attributes
+    ----------
+    aero_force, aero_moment : ndarray
+        (n, 3) aerodynamic force [N] and moment about the CG [N m].
+    other_force, other_moment : ndarray
+        (n, 3) everything but aerodynamics and gravity, thrust above all.
+    qbar : ndarray
+        (n,) dynamic pressure [Pa].
+    mass : MassProperties
+        Mass, inertia and reference lengths.
     """
 
     aero_force: FloatArray
@@ -204,7 +244,7 @@ class ForcedModel:
 
     @property
     def coefficients(self) -> FloatArray:
-        """CX CY CZ Cl Cm Cn of the model at each sample, (n, 6), body axes at the centre of gravity."""
+        """Return CX CY CZ Cl Cm Cn of the model (n, 6), body axes at the centre of gravity."""
         pressure = self.qbar[:, None] * self.mass.S
         return np.hstack(
             [self.aero_force / pressure, self.aero_moment / (pressure * self.mass.lengths)]
@@ -212,19 +252,31 @@ class ForcedModel:
 
 
 @dataclass(frozen=True)
-class StatesOf:
-    """States of one segment to be forced: V, alpha, beta, phi, theta, p, q, r (n,) each; controls (n, c) [record units];
-    altitude_m (n,) above sea level, default the segment's throughout."""
+class SegmentStates:
+    """States of one segment to be imposed.
+
+    Attributes
+    ----------
+    segment : Segment
+        Where they belong.
+    states : Mapping
+        V, alpha, beta, phi, theta, p, q, r by channel name, (n,) each.
+    controls : ndarray
+        (n, c) in the record's units.
+    altitude_m : ndarray, optional
+        (n,) above sea level [m]; by default the segment's throughout.
+    """
 
     segment: Segment
     states: Mapping[str, FloatArray]
     controls: FloatArray
     altitude_m: FloatArray | None = None
 
-    def asked(self, model: ReplayModel) -> States:
-        """With controls in their properties' units, over ground that none of the states is below."""
+    def to_states(self, model: ReplayModel) -> States:
+        """Convert controls to their properties' units, over ground that lies below all states."""
         n = len(self.controls)
         height = np.full(n, self.segment.altitude_m) if self.altitude_m is None else self.altitude_m
+        # A state below the ground would meet ground reactions.
         terrain = min(terrain_m(model, self.segment), float(height.min()))
         return States(self.states, model.to_property(self.controls), height, np.full(n, terrain))
 
@@ -237,61 +289,84 @@ def force_states(
     properties: Mapping[str, float],
     altitude_m: FloatArray | None = None,
 ) -> ForcedModel:
-    """`force_all` of one segment's states."""
-    return force_all(model, [StatesOf(segment, states, controls, altitude_m)], properties)[0]
+    """Evaluate the states of one segment; see `force_all`."""
+    return force_all(model, [SegmentStates(segment, states, controls, altitude_m)], properties)[0]
 
 
 def force_all(
     model: ReplayModel,
-    parts: Sequence[StatesOf],
+    parts: Sequence[SegmentStates],
     properties: Mapping[str, float],
-    map_: Processes = SERIAL,
+    pool: Processes = SERIAL,
 ) -> list[ForcedModel]:
-    """What the model says of several sets of states, those of one time step asked for at once. Where JSBSim answers, ``map_``
-    spreads the sets.
+    """Evaluate several sets of states; those of one time step are evaluated together.
 
-    ``model`` must pass its controls straight through (`ReplayFolder` with every control ideal): a lag would remember the state
-    before. Raises BadInputError.
+    Parameters
+    ----------
+    model : ReplayModel
+        Must pass its controls through (`ReplayFolder` with every control ideal): a lag would depend
+        on the state before.
+    parts : sequence of SegmentStates
+        Sets of states.
+    properties : Mapping
+        JSBSim properties in force.
+    pool : callable
+        A `map` that distributes the sets where JSBSim evaluates them.
+
+    Returns
+    -------
+    list of ForcedModel
+        One a set.
+
+    Raises
+    ------
+    BadInputError
+        For a property that the model does not have.
     """
     out: dict[int, ForcedModel] = {}
-    # Steps of segments of one record differ by rounding.
+    # Time steps of segments of one record differ by rounding only.
     steps = [round(part.segment.dt_s, 9) for part in parts]
     for dt_s in dict.fromkeys(steps):
         places = [k for k, step in enumerate(steps) if step == dt_s]
         out |= zip(
             places,
-            _of_step(model, [parts[k].asked(model) for k in places], dt_s, properties, map_),
+            _force_step(model, [parts[k].to_states(model) for k in places], dt_s, properties, pool),
             strict=True,
         )
     return [out[k] for k in range(len(parts))]
 
 
-def _of_step(
+def _force_step(
     model: ReplayModel,
-    every: Sequence[States],
+    state_sets: Sequence[States],
     dt_s: float,
     properties: Mapping[str, float],
-    map_: Processes,
+    pool: Processes,
 ) -> list[ForcedModel]:
-    def by_jsbsim(some: States) -> FloatArray:
-        return _by_jsbsim((model, dt_s, properties, some))
+    """Evaluate sets of states of one time step together, and split the result."""
 
-    raw = by_batch(model, States.of(every), dt_s, properties, _RECORDS, by_jsbsim)
+    def by_jsbsim(subset: States) -> FloatArray:
+        return _by_jsbsim((model, dt_s, properties, subset))
+
+    raw = by_batch(model, States.of(state_sets), dt_s, properties, _RECORDS, by_jsbsim)
+    # Each set has an instance of its own, so sets can be evaluated in parallel.
     if raw is None:
         raw = np.concatenate(
-            list(map_(_by_jsbsim, [(model, dt_s, properties, states) for states in every]))
+            list(pool(_by_jsbsim, [(model, dt_s, properties, states) for states in state_sets]))
         )
     mass = _mass_of(model, dt_s, properties)
-    edges = np.cumsum([0, *(len(part.controls) for part in every)])
-    return [_said(raw[a:b], mass) for a, b in pairwise(edges.tolist())]
+    edges = np.cumsum([0, *(len(part.controls) for part in state_sets)])
+    return [_forced_model(raw[a:b], mass) for a, b in pairwise(edges.tolist())]
 
 
 def _by_jsbsim(job: tuple[ReplayModel, float, Mapping[str, float], States]) -> FloatArray:
+    """Evaluate one job in JSBSim; a function of one argument, for pools."""
     model, dt_s, properties, states = job
-    return _forced(_opened(model, dt_s, properties), model, states)
+    return _force_in_jsbsim(_open(model, dt_s, properties), model, states)
 
 
-def _said(raw: FloatArray, mass: MassProperties) -> ForcedModel:
+def _forced_model(raw: FloatArray, mass: MassProperties) -> ForcedModel:
+    """Convert recorded properties to SI units; other forces are total minus aerodynamic ones."""
     total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
     total_moment, aero_moment = raw[:, 6:9] * LBF_FT_NM, raw[:, 9:12] * LBF_FT_NM
     return ForcedModel(
@@ -299,7 +374,8 @@ def _said(raw: FloatArray, mass: MassProperties) -> ForcedModel:
     )
 
 
-def _opened(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> Any:
+def _open(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> Any:
+    """Open an instance of the model with properties set."""
     fdm = model.open(dt_s)
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
@@ -307,18 +383,18 @@ def _opened(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) ->
 
 
 @cached(
-    LRUCache(_WEIGHED),
+    LRUCache(_MAX_MASSES),
     key=lambda model, dt_s, properties: (model.identity, *sorted(properties.items())),
 )
 def _mass_of(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> MassProperties:
-    """Mass properties of a model."""
-    fdm = _opened(model, dt_s, properties)
+    """Return the mass properties of a model."""
+    fdm = _open(model, dt_s, properties)
     engine.run_ic(fdm)
     return mass_properties(fdm, model)
 
 
-def _forced(fdm: Any, model: ReplayModel, asked: States) -> FloatArray:
-    """(n, records) at n states, one after the other."""
+def _force_in_jsbsim(fdm: Any, model: ReplayModel, states: States) -> FloatArray:
+    """Impose n states one after the other; return the recorded properties (n, len(_RECORDS))."""
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
         engine.start_engines(fdm)
@@ -337,33 +413,34 @@ def _forced(fdm: Any, model: ReplayModel, asked: States) -> FloatArray:
         "q-rad_sec",
         "r-rad_sec",
     )
-    put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in names]
+    state_setters = [engine.handle(fdm, f"ic/{name}").set_double_value for name in names]
     get = [engine.handle(fdm, name).get_double_value for name in _RECORDS]
     rates = [
         engine.handle(fdm, f"aero/{name}dot-rad_sec").get_double_value for name in ("alpha", "beta")
     ]
-    raw, states = np.empty((len(asked.controls), len(get))), asked.motion
+    raw, motion = np.empty((len(states.controls), len(get))), states.motion
     for k in range(len(raw)):
-        for handles, value in zip(setters, asked.controls[k], strict=True):
+        for handles, value in zip(setters, states.controls[k], strict=True):
             for setter in handles:
                 setter(float(value))
         u, v, w = body_velocity(
-            float(states["V_mps"][k]), float(states["alpha_rad"][k]), float(states["beta_rad"][k])
+            float(motion["V_mps"][k]), float(motion["alpha_rad"][k]), float(motion["beta_rad"][k])
         )
         state = (
-            asked.altitude_m[k] / FT_M,
-            states["phi_rad"][k],
-            states["theta_rad"][k],
+            states.altitude_m[k] / FT_M,
+            motion["phi_rad"][k],
+            motion["theta_rad"][k],
             0.0,
             u / FT_M,
             v / FT_M,
             w / FT_M,
-            states["p_radps"][k],
-            states["q_radps"][k],
-            states["r_radps"][k],
+            motion["p_radps"][k],
+            motion["q_radps"][k],
+            motion["r_radps"][k],
         )
-        terrain(float(asked.terrain_m[k]) / FT_M)
-        for setter, value in zip(put, state, strict=True):
+        # Order matters: the ground first, then the state, then one initialisation.
+        terrain(float(states.terrain_m[k]) / FT_M)
+        for setter, value in zip(state_setters, state, strict=True):
             setter(float(value))
         if not fdm.run_ic():
             raise engine.RuntimeFailure(f"JSBSim could not take the state of sample {k}")
@@ -376,23 +453,29 @@ def _forced(fdm: Any, model: ReplayModel, asked: States) -> FloatArray:
 
 
 def _settle_rates(fdm: Any, alphadot: Callable[[], float], betadot: Callable[[], float]) -> None:
-    # JSBSim takes alphadot and betadot from the accelerations of the frame before: of another state, when states are forced.
-    before, moved = (alphadot(), betadot()), float("inf")
+    # JSBSim takes alphadot and betadot from the accelerations of the frame before, which belong to
+    # another state when states are imposed.
+    """Repeat the evaluation until the rates of alpha and beta belong to the imposed state."""
+    previous, change = (alphadot(), betadot()), float("inf")
     for _ in range(MAX_FRAMES):
         engine.renew_forces(fdm)
-        now, last = (alphadot(), betadot()), moved
-        moved = abs(now[0] - before[0]) + abs(now[1] - before[1])
-        # A force that outgrows the acceleration that it is a part of settles nowhere, and no frame of it is better than another.
-        if moved < SETTLED_RADPS or not moved < last:
+        current, last_change = (alphadot(), betadot()), change
+        change = abs(current[0] - previous[0]) + abs(current[1] - previous[1])
+        # The iteration diverges where a force exceeds the acceleration that it contributes to; then
+        # no frame is better than another.
+        if change < SETTLED_RADPS or not change < last_change:
             return
-        before = now
+        previous = current
 
 
 def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
-    """Mass, inertia and reference lengths of an initialised instance; the card's lengths win."""
+    """Read mass, inertia and reference lengths of an initialised instance; lengths of the card take
+    precedence.
+    """
     get = fdm.__getitem__
     unit = SLUG_KG * FT_M**2
-    # JSBSim publishes the elements of its inertia matrix: inertia/ixz is minus the product of inertia Ixz.
+    # JSBSim publishes the elements of its inertia matrix: inertia/ixz is minus the product of
+    # inertia Ixz.
     names = [["ixx", "ixy", "ixz"], ["ixy", "iyy", "iyz"], ["ixz", "iyz", "izz"]]
     inertia = unit * np.array([[get(f"inertia/{n}-slugs_ft2") for n in row] for row in names])
     reference = model.card.reference

@@ -1,6 +1,9 @@
-"""Replays by the batch engine, many at once; by JSBSim where the engine does not understand the aircraft, or is not there.
+"""Replays by the batch engine, many at once, with JSBSim as reference and fallback.
 
-A model's first replay is flown by both, and JSBSim flies all others too where they differ by more than rounding may.
+Estimators ask for hundreds of replays that differ in parameters alone. `fly_all` groups them by the
+program that can fly them, compiles each program once and flies its jobs in lanes. The first replay
+of a program is flown by JSBSim too; where the two differ by more than rounding, and where the
+engine cannot translate the aircraft, JSBSim flies all jobs.
 """
 
 from __future__ import annotations
@@ -27,19 +30,21 @@ if TYPE_CHECKING:
     from uqharness.batch import ReplayLane, ReplayProgram
 
 _LOG = logging.getLogger("uqharness")
-_KEPT, _LEVELS, _TIMINGS = 8, 512, 512
-FELT = ("ax_mps2", "ay_mps2", "az_mps2")
-"""Channels that jump with a control."""
-_AGREES = 1e-6
-"""Largest difference of a channel between the engines, in units of its largest size in the replay."""
-_OFF, _GROWN = 1e-7, 1e4
-"""By how much a start is moved [m/s, rad, rad/s] to see how far a flight can be foretold; where that has grown so many times it is
-not."""
+_MAX_PROGRAMS, _MAX_LEVELS, _MAX_CONTROLS = 8, 512, 512
+JUMPING_CHANNELS = ("ax_mps2", "ay_mps2", "az_mps2")
+"""Channels that jump with a step of a surface."""
+_TOLERANCE = 1e-6
+"""Largest difference of a channel between the engines, in units of its largest size in the
+replay.
+"""
+_START_OFFSET, _MAX_GROWTH = 1e-7, 1e4
+"""Offset of a start state [m/s, rad, rad/s] by which the predictability of a flight is measured,
+and the growth of that offset beyond which engines are no longer compared."""
 
 
 @dataclass(frozen=True)
 class ReplayJob:
-    """One replay that is wanted: arguments of ``fly_segment``."""
+    """One requested replay: the arguments of `replay.fly_segment`."""
 
     model: ReplayModel
     segment: Segment
@@ -51,10 +56,14 @@ class ReplayJob:
     unseen: float = 0.0
 
 
-def as_flown(job: ReplayJob, on_time: Sequence[str]) -> tuple[ReplayJob, ...]:
-    """The replays that make up one: with outputs between its rows, for sensors that are late, and where controls jump the rows by
-    themselves, for accelerometers among the channels ``on_time``: what a row has seen of a jump is a matter of that row alone."""
-    if not job.between or not job.model.jumping or not set(FELT) & set(on_time):
+def split_job(job: ReplayJob, on_time: Sequence[str]) -> tuple[ReplayJob, ...]:
+    """Split a job into the replays whose outputs make up its result.
+
+    Delayed sensors need outputs between the rows; accelerometers on time need a replay at the rows
+    alone where controls jump, because the seen share of a jump is defined at a row. ``on_time``
+    names the channels without a delay.
+    """
+    if not job.between or not job.model.jumping or not set(JUMPING_CHANNELS) & set(on_time):
         return (job,)
     return replace(job, unseen=0.0), replace(job, between=False)
 
@@ -69,83 +78,96 @@ def by_jsbsim(job: ReplayJob) -> FloatArray:
         job.segment,
         job.properties,
         job.start,
-        job.extra,
-        job.late_s,
-        job.between,
-        job.unseen,
+        extra=job.extra,
+        late_s=job.late_s,
+        between=job.between,
+        unseen=job.unseen,
     )
 
 
-def fly_all(jobs: Sequence[ReplayJob], map_: Map = map) -> list[FloatArray]:
-    """What ``fly_segment`` gives for each; ``map_`` spreads what JSBSim flies."""
-    found: dict[int, FloatArray] = {}
-    by_model: dict[_Alike, list[int]] = {}
+def fly_all(jobs: Sequence[ReplayJob], pool: Map = map) -> list[FloatArray]:
+    """Fly many replays and return the outputs of `fly_segment` for each.
+
+    ``pool`` is a `map` that distributes the replays that JSBSim flies.
+    """
+    outputs: dict[int, FloatArray] = {}
+    # Group by program, so that each is compiled once and flies its jobs in lanes.
+    by_program: dict[_ProgramKey, list[int]] = {}
     for k, job in enumerate(jobs):
-        by_model.setdefault(_alike(job), []).append(k)
-    for places in by_model.values():
-        some = [jobs[k] for k in places]
-        program = _program(some)
-        flown = map_(by_jsbsim, some) if program is None else _in_lanes(program, some)
-        found.update(zip(places, flown, strict=True))
-    return [found[k] for k in range(len(jobs))]
+        by_program.setdefault(_program_key(job), []).append(k)
+    for indices in by_program.values():
+        group = [jobs[k] for k in indices]
+        program = _program(group)
+        results = pool(by_jsbsim, group) if program is None else _fly_batch(program, group)
+        outputs.update(zip(indices, results, strict=True))
+    return [outputs[k] for k in range(len(jobs))]
 
 
 @dataclass
 class _Program:
+    """A compiled aircraft: the properties that its jobs may set, and those that it records."""
+
     replay: ReplayProgram
     names: frozenset[str]
     extra: tuple[str, ...]
 
 
-_Alike = tuple[str, tuple[str, ...], int]
-"""What jobs that one program flies have in common: the aircraft, what is recorded, the runs between two outputs."""
-_programs: LRUCache[_Alike, _Program | None] = LRUCache(_KEPT)
+_ProgramKey = tuple[str, tuple[str, ...], int]
+"""What the jobs of one program share: the aircraft, the recorded properties, the runs per
+output.
+"""
+_programs: LRUCache[_ProgramKey, _Program | None] = LRUCache(_MAX_PROGRAMS)
 
 
 def forget_programs() -> None:
-    """Translate, compile and check anew what is replayed next, for benchmarks."""
+    """Clear the compiled programs, so that benchmarks measure translation and compilation."""
     _programs.clear()
 
 
-def _alike(job: ReplayJob) -> _Alike:
-    extra = () if set(job.extra) <= set(_stood(job)) else job.extra
+def _program_key(job: ReplayJob) -> _ProgramKey:
+    """Return the key of the program that can fly a job."""
+    extra = () if set(job.extra) <= set(_position_properties(job)) else job.extra
     return job.model.identity, extra, shape_of(job.model, job.segment, job.between).stride
 
 
-def _stood(job: ReplayJob) -> tuple[str, ...]:
-    """Properties of positions, which every program records: who asks for them needs no program of his own."""
+def _position_properties(job: ReplayJob) -> tuple[str, ...]:
+    """Return the position properties, which every program records so that none needs its own."""
     return tuple(job.model.positions().values())
 
 
 def _program(jobs: Sequence[ReplayJob]) -> _Program | None:
-    """The compiled aircraft of jobs that are alike, None where JSBSim is to fly."""
+    """Return the compiled aircraft for jobs of one key; None where JSBSim has to fly."""
     job = jobs[0]
-    key = _alike(job)
-    wanted = frozenset(name for one in jobs for name in one.properties)
+    key = _program_key(job)
+    names = frozenset(name for one in jobs for name in one.properties)
     if key in _programs:
-        known = _programs[key]
-        if known is None or wanted <= known.names:
-            return known
-        wanted |= known.names
-    _programs[key] = _judged(job, _made(job, wanted))
+        program = _programs[key]
+        if program is None or names <= program.names:
+            return program
+        # Recompile with the union, so that alternating sets of parameters do not recompile each
+        # time.
+        names |= program.names
+    # A program that fails the comparison is stored as None: JSBSim flies from then on.
+    _programs[key] = _verified(job, _compile(job, names))
     return _programs[key]
 
 
-def _made(job: ReplayJob, names: frozenset[str]) -> _Program | None:
+def _compile(job: ReplayJob, names: frozenset[str]) -> _Program | None:
+    """Translate and compile the aircraft of a job; None where the engine cannot."""
     if batch.available() is not None:
         return None
     model = job.model
     # All coefficients: estimators free them in turns, and one program serves all.
     names |= set(model.varied)
-    properties, _ = model.fed()
+    properties, _ = model.control_properties()
     try:
         sources = sources_of(model)
         shape = shape_of(job.model, job.segment, job.between)
-        extra = tuple(dict.fromkeys((*_stood(job), *job.extra)))
+        extra = tuple(dict.fromkeys((*_position_properties(job), *job.extra)))
         records = [*RAW, *extra]
-        made = batch.make_replay(
+        replay = batch.make_replay(
             sources,
-            lambda: _started(model, shape.dt_s),
+            lambda: _open_with_engines(model, shape.dt_s),
             shape.dt_s,
             properties,
             sorted(names),
@@ -155,63 +177,77 @@ def _made(job: ReplayJob, names: frozenset[str]) -> _Program | None:
     except BadInputError as error:
         _LOG.info("replays are flown by JSBSim: %s", error)
         return None
-    return _Program(made, names, extra)
+    return _Program(replay, names, extra)
 
 
-def _started(model: ReplayModel, dt_s: float) -> Any:
-    """JSBSim with the model loaded and its engines running, nothing run."""
+def _open_with_engines(model: ReplayModel, dt_s: float) -> Any:
+    """Open JSBSim with the model loaded and its engines running, before the first step."""
     fdm = model.open(dt_s)
     if model.engines:
         engine.start_engines(fdm)
     return fdm
 
 
-def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
-    """The program, if it flies the job as JSBSim does, for as long as the start says where the flight goes: a model that diverges
-    and tumbles is elsewhere by rounding alone."""
+def _verified(job: ReplayJob, program: _Program | None) -> _Program | None:
+    """Return the program if it flies a job as JSBSim does, None otherwise.
+
+    The comparison ends where a start moved by ``_START_OFFSET`` has diverged: a model that tumbles
+    amplifies rounding until no two engines agree.
+    """
     if program is None:
         return None
-    (ours, off), theirs = (
-        _in_lanes(program, [job, replace(job, start=job.start + _OFF)]),
+    (from_batch, perturbed), from_jsbsim = (
+        _fly_batch(program, [job, replace(job, start=job.start + _START_OFFSET)]),
         by_jsbsim(job),
     )
-    alike = np.isfinite(ours) == np.isfinite(off)
-    spread = np.maximum.accumulate(
-        np.where(alike, np.nan_to_num(np.abs(off - ours)), np.inf), axis=0
+    same_end = np.isfinite(from_batch) == np.isfinite(perturbed)
+    # Largest divergence so far; infinite from the first row that only one of the two flights
+    # reaches.
+    divergence = np.maximum.accumulate(
+        np.where(same_end, np.nan_to_num(np.abs(perturbed - from_batch)), np.inf), axis=0
     )
-    said = np.max(spread, axis=1) < _GROWN * _OFF
-    size = np.nanmax(np.abs(theirs[said]), axis=0, initial=1e-3)
-    apart = np.abs(ours - theirs)[said] / size
-    same = np.isfinite(ours[said]) == np.isfinite(theirs[said])
-    if said[0] and bool(same.all()) and not (apart > _AGREES + spread[said] / size).any():
+    comparable = np.max(divergence, axis=1) < _MAX_GROWTH * _START_OFFSET
+    # Differences are relative to each channel's largest value.
+    size = np.nanmax(np.abs(from_jsbsim[comparable]), axis=0, initial=1e-3)
+    difference = np.abs(from_batch - from_jsbsim)[comparable] / size
+    same_rows = np.isfinite(from_batch[comparable]) == np.isfinite(from_jsbsim[comparable])
+    if (
+        # The divergence is allowed on top of the tolerance: it bounds what rounding alone can do.
+        comparable[0]
+        and bool(same_rows.all())
+        and not (difference > _TOLERANCE + divergence[comparable] / size).any()
+    ):
         return program
-    if not said[0]:
+    if not comparable[0]:
         _LOG.warning(
-            "replays are flown by JSBSim, which is slower: the flight diverges from its first row, so the batch engine cannot be"
-            " compared with JSBSim"
+            "replays are flown by JSBSim, which is slower: the flight diverges from its first row,"
+            " so the batch engine cannot be compared with JSBSim"
         )
         return None
-    worst = np.nanmax(np.where(np.isfinite(apart), apart, np.inf), axis=0, initial=0.0)
+    worst = np.nanmax(np.where(np.isfinite(difference), difference, np.inf), axis=0, initial=0.0)
     channel = (*RAW, *program.extra)[int(np.argmax(worst))]
     _LOG.warning(
-        "replays are flown by JSBSim, which is slower: the batch engine's %s differs by %s of its size",
+        "replays are flown by JSBSim, which is slower: the batch engine's %s differs by %s of its"
+        " size",
         channel,
-        percent(float(np.max(worst))) if np.isfinite(worst).all() else "more than all",
+        percent(float(np.max(worst))) if np.isfinite(worst).all() else "more than 100 %",
     )
     return None
 
 
-def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[FloatArray]:
+def _fly_batch(program: _Program, jobs: Sequence[ReplayJob]) -> list[FloatArray]:
+    """Fly jobs of one program in lanes."""
     shapes = [shape_of(job.model, job.segment, job.between) for job in jobs]
     lanes = [_lane(job, shape) for job, shape in zip(jobs, shapes, strict=True)]
-    found = {
+    outputs = {
         k: _outputs(program, rows, jobs[k], shapes[k])
         for k, rows in batch.fly_replays(program.replay, lanes)
     }
-    return [found[k] for k in range(len(jobs))]
+    return [outputs[k] for k in range(len(jobs))]
 
 
-def _content(job: ReplayJob, shape: Shape) -> tuple[object, ...]:
+def _controls_key(job: ReplayJob, shape: Shape) -> tuple[object, ...]:
+    """Return what the controls of a replay depend on, the key of their cache."""
     segment = job.segment
     content = (segment.at_commands().controlled, segment.dt_s, segment.per_row, shape)
     servos = tuple(job.properties.get(name) for name in job.model.servos)
@@ -225,19 +261,21 @@ def _content(job: ReplayJob, shape: Shape) -> tuple[object, ...]:
     )
 
 
-@cached(LRUCache(_TIMINGS), key=_content)
+@cached(LRUCache(_MAX_CONTROLS), key=_controls_key)
 def _controls_of(job: ReplayJob, shape: Shape) -> FloatArray:
-    """Controls of every run, one array for all jobs that have them in common: those of one stretch are asked for anew with every
-    estimate, by segments cut anew."""
-    _, places = job.model.fed()
+    """Return the controls of every run; jobs that agree in them share one array."""
+    # One column a property: the throttle of several engines is repeated.
+    _, places = job.model.control_properties()
     return run_controls(job.model, job.segment, shape, job.properties, job.late_s, job.unseen)[
         :, places
     ]
 
 
 def _lane(job: ReplayJob, shape: Shape) -> ReplayLane:
+    """Return the lane of a job: properties, initial conditions, terrain and controls."""
     latitude, height = level_of(job.model, job.segment.altitude_m)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in job.start)
+    # JSBSim takes the start as body velocities in ft/s.
     u, v, w = body_velocity(V, alpha, beta)
     conditions = {
         "ic/lat-geod-rad": latitude,
@@ -260,7 +298,7 @@ def _lane(job: ReplayJob, shape: Shape) -> ReplayLane:
 
 
 def sources_of(model: ReplayModel) -> batch.Sources:
-    """The aircraft's XML as the batch engine reads it. Raises BadInputError."""
+    """Read the aircraft's XML as the batch engine does. Raises BadInputError."""
     root = model.staging.root
     return batch.read_sources(
         batch.Files(model.staging.folder, model.staging.xml, root / "engine", root / "systems"),
@@ -268,9 +306,11 @@ def sources_of(model: ReplayModel) -> batch.Sources:
     )
 
 
-@cached(LRUCache(_LEVELS), key=lambda model, altitude_m: (model.identity, altitude_m))
+@cached(LRUCache(_MAX_LEVELS), key=lambda model, altitude_m: (model.identity, altitude_m))
 def level_of(model: ReplayModel, altitude_m: float) -> tuple[float, float]:
-    """Geodetic latitude [rad] and height [ft] of a start at an altitude above sea level, as JSBSim has them."""
+    """Return JSBSim's geodetic latitude [rad] and height [ft] of a start at an altitude above sea
+    level.
+    """
     fdm = model.open(0.01)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
     fdm["ic/h-sl-ft"] = altitude_m / FT_M
@@ -278,10 +318,11 @@ def level_of(model: ReplayModel, altitude_m: float) -> tuple[float, float]:
 
 
 def _outputs(program: _Program, rows: FloatArray, job: ReplayJob, shape: Shape) -> FloatArray:
-    """As ``fly_segment`` has it: rows behind a failure are NaN."""
-    asked = [len(RAW) + program.extra.index(name) for name in job.extra]
-    rows = rows[:, [*range(len(RAW)), *asked]] if asked else rows[:, : len(RAW)]
-    good = np.isfinite(rows[:, 0]) & (np.abs(rows[:, 0]) < 1e5)
-    good[0] = True
-    done = len(good) if good.all() else int(np.argmin(good))
+    """Convert recorded rows to the outputs of `fly_segment`; rows after a failure are NaN."""
+    extra_columns = [len(RAW) + program.extra.index(name) for name in job.extra]
+    rows = rows[:, [*range(len(RAW)), *extra_columns]] if extra_columns else rows[:, : len(RAW)]
+    # The same limit on the speed as in a replay by JSBSim.
+    valid = np.isfinite(rows[:, 0]) & (np.abs(rows[:, 0]) < 1e5)
+    valid[0] = True
+    done = len(valid) if valid.all() else int(np.argmin(valid))
     return outputs_of(rows[:done], job.segment, len(job.extra), shape.rows)

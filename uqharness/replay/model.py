@@ -1,7 +1,9 @@
-"""The aircraft made ready for replay: a copy without idle systems and, where surfaces are given, without actuators.
+"""The aircraft prepared for replay: a copy without idle systems and, for measured surfaces, without
+actuator dynamics.
 
-A copy, because JSBSim offers no property that takes a servo's lag away: a measured surface position must not go through the lag
-a second time. Only the copy differs; every number of the aerodynamics is the original's.
+JSBSim has no property that switches a servo's lag off, and a measured surface position must not
+pass the lag a second time. `ReplayFolder` therefore edits a copy of the XML; all aerodynamic
+numbers stay those of the original. The module also sets the height of the ground below a replay.
 """
 
 from __future__ import annotations
@@ -53,8 +55,8 @@ _INTEGRATORS = tuple(
     )
 )
 _THIRD_ORDER = 4.0
-"""JSBSim's number of Adams-Bashforth's rule of third order. One of second order would add 0.08 % to a mode of 8.5 rad/s in runs of
-5 ms."""
+"""JSBSim's number of Adams-Bashforth's rule of third order. One of second order would add 0.08 % to
+a mode of 8.5 rad/s in runs of 5 ms."""
 _ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis_width", "deadband_width", "bias")
 
 
@@ -62,15 +64,36 @@ _ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis_width", "deadband_width",
 class ReplayModel:
     """What a process needs to open the copy; picklable, valid while its `ReplayFolder` is open.
 
-    ``measured`` controls whose values are positions, continuous between samples; the others are commands, held.
-    ``lagging`` controls whose commands go through an actuator with a lag; ``lags`` its lag and rate limit, as the XML has them.
-    ``factor`` record unit -> property unit of each control, in the order of ``controls``.
-    ``throws`` positions and the commands at which the aircraft's own linkage puts them, of normalised controls whose values are
-    positions: both ends of a travel seldom have one factor.
-    ``identity`` of what flies: two copies of one aircraft, opened alike, have the same.
-    ``near_ground`` whether its XML reads the height above the ground, ``by_rates`` whether it reads the rates of alpha or beta.
-    ``varied`` coefficients and effects that its XML declares: programs compiled from it take each of them at any value.
-    ``engines`` number of them in its <propulsion>; ``servos`` properties that the numbers of its actuators are.
+    Attributes
+    ----------
+    staging, card
+        Folder layout of the copy, and the aircraft's card.
+    controls : tuple of str
+        Controls in the order of the columns of a segment.
+    measured : tuple of str
+        Controls given as positions, interpolated between samples; the others are commands, held.
+    factor : tuple of float
+        Record unit to property unit, one a control.
+    lagging : tuple of str
+        Controls whose commands pass an actuator with a lag.
+    lags : Mapping
+        Control to its lag and rate limit as text of the XML.
+    settings : Mapping
+        Properties set on every instance.
+    throws : tuple
+        One a control: (positions [deg], commands) of the aircraft's linkage over its travel, for
+        normalised controls given as positions, whose two directions seldom share one factor; None
+        where ``factor`` is enough.
+    near_ground, by_rates : bool
+        Whether the XML reads the height above the ground, or the rates of alpha or beta.
+    identity : str
+        Equal for copies that fly alike; the key of caches.
+    varied : tuple of str
+        Coefficients and effects that the XML declares; compiled programs accept any value of each.
+    engines : int
+        Number of engines in ``<propulsion>``.
+    servos : tuple of str
+        Properties that the numbers of actuators refer to.
     """
 
     staging: Staging
@@ -91,30 +114,35 @@ class ReplayModel:
 
     @property
     def jumping(self) -> tuple[str, ...]:
-        """Controls that jump with their commands."""
+        """Return the controls whose surfaces follow a command step at once."""
         return tuple(c for c in self.controls if c not in self.measured and c not in self.lagging)
 
     def to_property(self, controls: FloatArray) -> FloatArray:
-        """(..., c) values of the controls in the record's units, in those of their properties."""
+        """Convert controls (..., c) from the record's units to those of their properties."""
         out = controls * np.array(self.factor)
         for column, throw in enumerate(self.throws):
             if throw is not None:
                 out[..., column] = np.interp(controls[..., column], *throw)
         return out
 
-    def fed(self) -> tuple[tuple[str, ...], tuple[int, ...]]:
-        """Properties that the controls set, and the place in ``controls`` of the one that sets each: JSBSim's throttle is that of
-        every engine."""
+    def control_properties(self) -> tuple[tuple[str, ...], tuple[int, ...]]:
+        """Return the properties that the controls set, and the index in ``controls`` of each.
+
+        JSBSim's throttle sets every engine, so it may have several properties.
+        """
         names, places = [], []
         for place, control in enumerate(self.controls):
             prop = self.card.inputs[control].property
-            further = range(1, self.engines) if prop == THROTTLE else ()
-            names += [prop, *(f"{prop}[{k}]" for k in further)]
-            places += [place] * (1 + len(further))
+            engine_numbers = range(1, self.engines) if prop == THROTTLE else ()
+            names += [prop, *(f"{prop}[{k}]" for k in engine_numbers)]
+            places += [place] * (1 + len(engine_numbers))
         return tuple(names), tuple(places)
 
     def open(self, dt_s: float) -> Any:
-        """A fresh ``FGFDMExec`` in the card's open-loop mode with the replay's integrators, nothing run. Raises BadInputError."""
+        """Open a new ``FGFDMExec`` in the card's open-loop mode with the integrators of a replay.
+
+        Raises BadInputError where a property does not exist.
+        """
         fdm = engine.open_fdm(self.staging, dt_s)
         for name, value in {**self.card.modes.get("open_loop", {}), **self.settings}.items():
             engine.set_property(fdm, name, value)
@@ -123,24 +151,41 @@ class ReplayModel:
         return fdm
 
     def position_unit(self, control: str) -> float:
-        """Unit of a control's position in the record's: a surface's may be in another unit than its command, a throttle's is in the
-        command's."""
+        """Return the factor from a control's position property to the record's unit.
+
+        A surface's position may be in another unit than its command; a throttle's is in the
+        command's.
+        """
         if control == "throttle":
             return 1.0 / self.factor[self.controls.index(control)]
         return position_factor(self.card.inputs[control])
 
     def positions(self) -> dict[str, str]:
-        """Control -> property of its position, of those controls whose card names one."""
+        """Return control to position property, for the controls whose card names one."""
         return {c: p for c in self.controls if (p := self.card.inputs[c].position) is not None}
 
 
 class ReplayFolder:
-    """Context that holds the copy of an aircraft for replay.
+    """Context that holds the copy of an aircraft for replay, and yields its `ReplayModel`.
 
-    measured  controls whose record columns are surface positions: their actuators pass everything through (stops remain)
-    ideal     further controls whose actuators pass everything through, though their columns are commands
-    settings  properties set on every instance
-    Raises BadInputError when the card lacks a control asked for.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The model.
+    controls : sequence of str
+        Controls that are replayed, in the order of a segment's columns.
+    measured : sequence of str
+        Controls whose record columns are surface positions: their actuators pass values through;
+        stops remain.
+    ideal : sequence of str
+        Further controls whose actuators pass values through, though their columns are commands.
+    settings : Mapping, optional
+        Properties set on every instance.
+
+    Raises
+    ------
+    BadInputError
+        When the card lacks one of the controls.
     """
 
     def __init__(
@@ -155,13 +200,14 @@ class ReplayFolder:
         missing = [name for name in controls if name not in aircraft.card.inputs]
         if missing:
             raise BadInputError(
-                f"aircraft '{aircraft.name}': its airframe.toml has no [inputs.{missing[0]}]; a replay needs to know which "
-                "property that control is"
+                f"aircraft '{aircraft.name}': its airframe.toml has no [inputs.{missing[0]}]; a"
+                " replay needs to know which property that control is"
             )
+        # All edits are made in a temporary copy.
         self._scratch = scratch_folder("replay")
         staging = stage(aircraft, self._scratch.path)
         copy, card = staging.folder, aircraft.card
-        lagging, servos = _edit(copy, aircraft.xml.name, card, (*measured, *ideal))
+        lagging, servos = _strip_dynamics(copy, aircraft.xml.name, card, (*measured, *ideal))
         self.model = ReplayModel(
             staging,
             card,
@@ -171,8 +217,8 @@ class ReplayFolder:
             tuple(c for c in controls if card.inputs[c].position in lagging),
             {c: lagging[p] for c in controls if (p := card.inputs[c].position) in lagging},
             dict(settings or {}),
-            near_ground=_asks_for(_HEIGHT, copy),
-            by_rates=_asks_for(_RATES, copy),
+            near_ground=_xml_mentions(_HEIGHT, copy),
+            by_rates=_xml_mentions(_RATES, copy),
             identity=repr(
                 (
                     content_hash(aircraft),
@@ -185,6 +231,7 @@ class ReplayFolder:
             varied=(*declared_properties(copy, "aero/"), *declared_properties(copy, "effect/")),
             servos=servos,
         )
+        # The model must load before its linkages can be measured.
         engines = _declare_orphans(self.model, staging.xml, aircraft.dt_s)
         self.model = replace(self.model, engines=engines)
         self.model = replace(
@@ -203,8 +250,8 @@ class ReplayFolder:
         self._scratch.close()
 
 
-def _asks_for(names: re.Pattern[str], folder: Path) -> bool:
-    """Whether any XML of an aircraft's folder has one of such property names."""
+def _xml_mentions(names: re.Pattern[str], folder: Path) -> bool:
+    """Check whether any XML file of a folder contains a property name of a pattern."""
     texts = (
         p.read_bytes().decode("utf-8", errors="replace") for p in sorted(folder.rglob("*.xml"))
     )
@@ -212,7 +259,7 @@ def _asks_for(names: re.Pattern[str], folder: Path) -> bool:
 
 
 def _factor(card: Card, control: str) -> float:
-    """Record unit (deg, percent) to the property's unit."""
+    """Return the factor from a control's record unit [deg, %] to its property unit."""
     unit, limits = card.inputs[control].unit, card.inputs[control].limits
     if unit == "rad":
         return DEG_RAD
@@ -220,19 +267,22 @@ def _factor(card: Card, control: str) -> float:
         return 1.0
     if control == "throttle":
         return 0.01
+    # A symmetric throw of the card converts degrees to the normalised command.
     if (throw := card.inputs[control].throw_deg) is not None:
         return 1.0 / throw
     raise BadInputError(
-        f"[inputs.{control}] is normalised (limits {limits}) and a record is in degrees: nothing says what throw 1 means; "
-        "give the card a property in deg or rad, or throw_deg"
+        f"[inputs.{control}] is normalised (limits {limits}) and a record is in degrees: the"
+        " deflection at 1 is undefined; give the card a property in deg or rad, or throw_deg"
     )
 
 
 def _throws(
     model: ReplayModel, direct: Sequence[str], dt_s: float
 ) -> tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...]:
-    """For every control its positions [deg] and commands over the travel, None where a factor serves."""
-    found: list[tuple[tuple[float, ...], tuple[float, ...]] | None] = []
+    """Tabulate each control's positions [deg] and commands over its travel; None where a factor is
+    enough.
+    """
+    throws: list[tuple[tuple[float, ...], tuple[float, ...]] | None] = []
     for control in model.controls:
         card = model.card.inputs[control]
         if (
@@ -241,15 +291,16 @@ def _throws(
             or card.unit != "norm"
             or card.position is None
         ):
-            found.append(None)
+            throws.append(None)
             continue
+        # Measure the linkage: command steps over the travel, the position read back from JSBSim.
         commands = np.linspace(*card.limits, 41)
         fdm = model.open(dt_s)
-        (put,) = control_setters(fdm, replace(model, controls=(control,)))[0]
+        (set_command,) = control_setters(fdm, replace(model, controls=(control,)))[0]
         read = engine.handle(fdm, card.position).get_double_value
         positions = np.empty(len(commands))
         for k, command in enumerate(commands):
-            put(float(command))
+            set_command(float(command))
             # Twice: a property in degrees may be made of the radians of the frame before.
             engine.run_ic(fdm)
             engine.run_ic(fdm)
@@ -257,26 +308,32 @@ def _throws(
         step = np.diff(positions)
         rising = bool((step >= 0.0).all()) and positions[-1] > positions[0]
         if rising or ((step <= 0.0).all() and positions[-1] < positions[0]):
+            # Keep strictly increasing positions only, as interpolation needs; stops repeat a
+            # position.
             order = np.argsort(positions, kind="stable")
-            kept = order[np.append(True, np.diff(positions[order]) > 0.0)]
-            found.append((tuple(positions[kept].tolist()), tuple(commands[kept].tolist())))
+            increasing = order[np.append(True, np.diff(positions[order]) > 0.0)]
+            throws.append(
+                (tuple(positions[increasing].tolist()), tuple(commands[increasing].tolist()))
+            )
         else:
-            found.append(None)
-    return tuple(found)
+            throws.append(None)
+    return tuple(throws)
 
 
-def _edit(
+def _strip_dynamics(
     folder: Path, main: str, card: Card, direct: Sequence[str]
 ) -> tuple[dict[str | None, tuple[str, str]], tuple[str, ...]]:
-    """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every file.
+    """Remove idle systems from the main file, and the dynamics from the actuators of ``direct``
+    controls.
 
-    An actuator moves a control if its name or an output is the card's position, be it in another unit. Returns the positions whose
-    actuators keep a lag, with that lag and rate limit, and the properties that actuators' numbers are.
+    An actuator moves a control if its name or one of its outputs is the card's position, in
+    whatever unit. Returns position to (lag, rate limit) of actuators that keep a lag, and the
+    properties that the actuators' numbers refer to.
     """
     lagging: dict[str | None, tuple[str, str]] = {}
-    read: set[str] = set()
+    number_properties: set[str] = set()
     surfaces = {
-        _surface(position): position
+        _without_unit(position): position
         for entry in card.inputs.values()
         if (position := entry.position) is not None
     }
@@ -291,12 +348,17 @@ def _edit(
                     root.remove(system)
                     changed = True
         for actuator in root.iter("actuator"):
-            moved = [
+            output_names = [
                 str(actuator.get("name")),
                 *((o.text or "").strip() for o in actuator.findall("output")),
             ]
-            known = {surfaces[_surface(name)] for name in moved if _surface(name) in surfaces}
-            if known & positions:
+            moved_positions = {
+                surfaces[_without_unit(name)]
+                for name in output_names
+                if _without_unit(name) in surfaces
+            }
+            # A measured or ideal surface follows its column without delay; stops are left in place.
+            if moved_positions & positions:
                 for kind in _ACTUATOR_DYNAMICS:
                     for element in actuator.findall(kind):
                         actuator.remove(element)
@@ -305,32 +367,37 @@ def _edit(
                 # A rate limit counts in the unit of the actuator's own output.
                 texts = [(actuator.findtext(kind) or "").strip() for kind in ("lag", "rate_limit")]
                 lagging |= {
-                    position: (texts[0], texts[1] if position in moved else "")
-                    for position in known
+                    position: (texts[0], texts[1] if position in output_names else "")
+                    for position in moved_positions
                 }
             numbers = (
                 (e.text or "").strip()
                 for kind in _ACTUATOR_DYNAMICS
                 for e in actuator.findall(kind)
             )
-            read |= {text for text in numbers if "/" in text}
+            number_properties |= {text for text in numbers if "/" in text}
         if changed:
             tree.write(str(path), encoding="UTF-8", xml_declaration=True)
-    return lagging, tuple(sorted(read))
+    return lagging, tuple(sorted(number_properties))
 
 
-def _surface(name: str) -> str:
-    """A position property without its unit: one surface has several."""
+def _without_unit(name: str) -> str:
+    """Strip the unit from a position property, so that the variants of one surface compare
+    equal.
+    """
     return re.sub(r"-(deg|rad|norm)$", "", name if "/" in name else f"fcs/{name}")
 
 
 def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
-    """Declare, at zero, the properties that only the systems left out used to make. The number of engines."""
+    """Declare, at zero, the properties that only removed systems created; return the number of
+    engines.
+    """
     fdm = engine.open_fdm(model.staging, dt_s)
     engines = int(fdm.get_propulsion().get_num_engines())
     manager = fdm.get_property_manager()
     names = [n for n in model.card.modes.get("open_loop", {}) if not manager.hasNode(n)]
     read = (name for name, _, _ in function_properties(model.staging))
+    # Functions that read an undefined property would not load.
     names += engine.undefined_properties(fdm, read)
     if not names:
         return engines
@@ -339,6 +406,7 @@ def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
     system = etree.Element("system", name="left out of the replay")
     for name in names:
         etree.SubElement(system, "property", value="0").text = name
+    # The declarations must precede their first use.
     first = next(
         (e for e in root if e.tag in ("system", "autopilot", "flight_control", "aerodynamics")),
         None,
@@ -352,8 +420,8 @@ def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
 
 
 def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
-    """For every control of the model the setters of its properties: one, or JSBSim's throttle of every engine."""
-    found = []
+    """Return the property setters of each control: one, or JSBSim's throttle of every engine."""
+    setters = []
     for name in model.controls:
         prop = model.card.inputs[name].property
         handles = [engine.handle(fdm, prop).set_double_value]
@@ -362,74 +430,88 @@ def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
             handles += [
                 engine.handle(fdm, f"{prop}[{i}]").set_double_value for i in range(1, engines)
             ]
-        found.append(handles)
-    return found
+        setters.append(handles)
+    return setters
 
 
-# How far the ground is in a replay: as recorded where the aircraft's aerodynamics ask for it,
-# out of reach elsewhere.
-#
-# A record's height counts from where it was started. One that starts in the air at its own zero
-# does not say how high that was, and neither does one without a height.
+# Height of the ground below a replay. It is the recorded height where the aerodynamics read it,
+# and out of reach elsewhere: a record that starts in the air at its own zero, or has no height,
+# does not determine the distance to the ground.
 
 OUT_OF_REACH_M = 2000.0
 _BEGINNING_S, _ZERO_M, _AT_REST_MPS = 0.5, 0.5, 5.0
-_ABOUT_S = 4.0
-"""Heights within this time of a row say how high it is: of a barometer's noise of 1.5 m at 50 Hz .1 m is left, at an end .2 m."""
+_HALF_WINDOW_S = 4.0
+"""Half width of the window that smooths recorded heights [s]. It reduces a barometer's noise of 1.5
+m at 50 Hz to 0.1 m, and to 0.2 m at the ends."""
 
 
-def height_known(record: FlightRecord) -> bool:
-    """Whether a record's heights are above the ground: it starts elsewhere than at its zero, or at rest."""
+def has_ground_heights(record: FlightRecord) -> bool:
+    """Check whether a record's heights are above the ground: it starts off its zero, or at rest."""
     if (
         "h_m" not in record
         or not np.isfinite(record["h_m"]).any()
         or not np.nanmedian(record["h_m"]) > 0.0
     ):
         return False
-    begun = slice(0, max(1, round(_BEGINNING_S / record.dt_s)))
-    first = {c: np.array(record[c][begun]) for c in ("h_m", "V_mps") if c in record}
+    beginning = slice(0, max(1, round(_BEGINNING_S / record.dt_s)))
+    first = {c: np.array(record[c][beginning]) for c in ("h_m", "V_mps") if c in record}
+    # Medians over half a second are robust to single outliers.
     low = {c: float(np.median(v[np.isfinite(v)])) for c, v in first.items() if np.isfinite(v).any()}
     return abs(low.get("h_m", 0.0)) > _ZERO_M or low.get("V_mps", np.inf) < _AT_REST_MPS
 
 
 def heights(channels: Mapping[str, FloatArray], dt_s: float) -> FloatArray:
-    """(n,) heights [m] along a stretch: the climb that airspeed, wind angles and attitude make (Stevens and Lewis, rate of climb),
-    and what the recorded heights are above it, by a straight line through those about each row. channels: of the stretch,
-    without gaps."""
+    """Return smoothed heights (n,) [m] along a stretch.
+
+    The climb follows from airspeed, wind angles and attitude (Stevens and Lewis, rate of climb);
+    the offset from the recorded heights is a straight line through those near each row.
+    ``channels`` belong to the stretch and have no gaps.
+    """
     V, a, b, phi, theta, h = (
         channels[n] for n in ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "h_m")
     )
+    # Rate of climb of the body-axis velocity, Stevens and Lewis: V times the vertical direction
+    # cosine.
     across = np.sin(b) * np.sin(phi) + np.sin(a) * np.cos(b) * np.cos(phi)
     climb = V * (np.cos(a) * np.cos(b) * np.sin(theta) - across * np.cos(theta))
+    # Trapezoidal integration of the climb; only its offset from the recorded heights is smoothed.
     path = dt_s * np.concatenate([[0.0], np.cumsum(0.5 * (climb[1:] + climb[:-1]))])
-    return path + _on_lines(h - path, max(1, round(_ABOUT_S / dt_s)))
+    return path + _local_lines(h - path, max(1, round(_HALF_WINDOW_S / dt_s)))
 
 
-def _on_lines(values: FloatArray, half: int) -> FloatArray:
-    """(n,) where the straight line through the values at most ``half`` samples away is, at each of them."""
+def _local_lines(values: FloatArray, half: int) -> FloatArray:
+    """Fit a straight line to the values within ``half`` samples of each row; return its value
+    there, (n,).
+    """
     n = len(values)
     at = np.arange(n)
     first, last = np.maximum(at - half, 0), np.minimum(at + half + 1, n)
+    # Running sums give all windows' normal equations at once.
     sums = np.cumsum(
         np.pad(np.stack([np.ones(n), at, at**2, values, at * values]), ((0, 0), (1, 0))), axis=1
     )
     count, x, xx, y, xy = sums[:, last] - sums[:, first]
-    spread = count * xx - x**2
-    slope = np.divide(count * xy - x * y, spread, out=np.zeros(n), where=spread > 0.0)
+    denominator = count * xx - x**2
+    slope = np.divide(count * xy - x * y, denominator, out=np.zeros(n), where=denominator > 0.0)
     return np.asarray(y / count + slope * (at - x / count))
 
 
 def terrain_m(model: ReplayModel, segment: Segment) -> float:
-    """Elevation [m] of the ground under a replay, above sea level."""
-    return segment.altitude_m - (segment.h_m if _counts(model, segment) else OUT_OF_REACH_M)
+    """Return the elevation of the ground under a replay, above sea level [m]."""
+    # The ground is placed relative to the start, whose altitude comes from the air density.
+    return segment.altitude_m - (segment.h_m if _ground_counts(model, segment) else OUT_OF_REACH_M)
 
 
 def altitudes(model: ReplayModel, segment: Segment, h_m: FloatArray) -> FloatArray:
-    """Altitude [m] above sea level at recorded heights: the segment's throughout where the ground does not count."""
+    """Return altitudes above sea level (n,) [m] at recorded heights.
+
+    They equal the segment's throughout where the ground does not matter.
+    """
     return segment.altitude_m + (
-        h_m - segment.h_m if _counts(model, segment) else np.zeros(len(h_m))
+        h_m - segment.h_m if _ground_counts(model, segment) else np.zeros(len(h_m))
     )
 
 
-def _counts(model: ReplayModel, segment: Segment) -> bool:
+def _ground_counts(model: ReplayModel, segment: Segment) -> bool:
+    """Check whether the model reads the height above ground and the record has one."""
     return model.near_ground and segment.above_ground

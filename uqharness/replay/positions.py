@@ -1,8 +1,9 @@
-"""Where the surfaces stood: measured, or what the model's actuators make of the commands.
+"""Surface positions of a segment: measured, or computed from the commands by the model's actuators.
 
-Where everything between commands and positions is known and reads nothing of the aircraft's motion, an aircraft of these
-components alone is flown (chains.py), and what it finds serves every aircraft that has the same ones, wherever it flies: effects
-in the aerodynamics move no servo. Elsewhere the whole aircraft is flown, from the start state of each stretch.
+Where the chain from commands to positions reads nothing of the aircraft's motion, an aircraft made
+of these components alone is flown (`uqharness.xml.control_chain`). Its result is shared by all
+aircraft with the same chain, for effects in the aerodynamics move no servo. Elsewhere the whole
+aircraft is flown from the start state of the segment.
 """
 
 from __future__ import annotations
@@ -31,192 +32,228 @@ if TYPE_CHECKING:
     from uqharness.batch import ReplayProgram
 
 
-# Positions by the components alone between commands and surfaces: by the batch engine where
-# much is flown, else by JSBSim.
-#
-# The batch engine's first stretch is flown by JSBSim, too; where they differ, JSBSim flies all.
+# Positions from the chain of components alone, by the batch engine for long flights and by JSBSim
+# for short ones. The first segment of a program is flown by both, and JSBSim flies all if they
+# differ.
 
 _LOG = logging.getLogger("uqharness")
-WORTH_S = 120.0
-"""Seconds of flight from which on a chain is compiled: for as much JSBSim takes as long as the compiler."""
-_STAGED = 8
-_AGREES = 1e-9
-"""Largest difference of a position between the engines, in units of the largest."""
-_STILL = tuple(
-    f"simulation/integrator/{what}/{kind}"
-    for what in ("rate", "position")
+MIN_CHAIN_BATCH_S = 120.0
+"""Seconds of flight above which a chain is compiled: JSBSim needs as long for them as the
+compiler.
+"""
+_MAX_CHAINS_STAGED = 8
+_TOLERANCE = 1e-9
+"""Largest difference of a position, between engines and between chain and aircraft, relative to the
+largest position."""
+_FROZEN_INTEGRATORS = tuple(
+    f"simulation/integrator/{quantity}/{kind}"
+    for quantity in ("rate", "position")
     for kind in ("rotational", "translational")
 )
 _staged: OrderedDict[str, tuple[Staging, Scratch]] = OrderedDict()
-_programs: LRUCache[tuple[object, ...], _Program | None] = LRUCache(_STAGED)
+_programs: LRUCache[tuple[object, ...], _Program | None] = LRUCache(_MAX_CHAINS_STAGED)
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What is asked of a model: properties of positions, and the values in force that its servos have."""
+class PositionRequest:
+    """Requested positions: the model, its position properties by control, and the values of its
+    servos.
+    """
 
     model: ReplayModel
     names: tuple[str, ...]
-    known: Mapping[str, str]
+    properties: Mapping[str, str]
     servos: Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class _Program:
-    """A compiled chain: places of the controls that enter it, servos' numbers that it reads, columns of the positions asked for."""
+    """A compiled chain: indices of its input controls, its servo properties, columns of the
+    positions.
+    """
 
-    made: ReplayProgram
+    replay: ReplayProgram
     places: list[int]
     servos: list[str]
     columns: list[int]
 
 
-def set_by(model: ReplayModel) -> dict[str, float]:
-    """What is set on every instance of a model."""
+def instance_values(model: ReplayModel) -> dict[str, float]:
+    """Return the properties that are set on every instance of a model."""
     return {**model.card.modes.get("open_loop", {}), **model.settings}
 
 
-def fly_chain(asked: Asked, chain: ControlChain, cut: Sequence[Segment]) -> list[FloatArray]:
-    """Of each segment (n, k) positions in their own units, by the chain alone; NaN behind a failure. Raises BadInputError."""
-    out: list[FloatArray] = [np.empty(0)] * len(cut)
-    alike: dict[int, list[int]] = {}
-    for k, segment in enumerate(cut):
-        alike.setdefault(shape_of(asked.model, segment).stride, []).append(k)
-    for members in alike.values():
-        some = [cut[k] for k in members]
-        program = _program(asked, chain, some)
-        found = (
-            [_by_jsbsim(asked, chain, s) for s in some]
+def fly_chain(
+    request: PositionRequest, chain: ControlChain, segments: Sequence[Segment]
+) -> list[FloatArray]:
+    """Fly segments by the chain alone; return (n, k) positions of each in their own units.
+
+    Rows after a failure are NaN. Raises BadInputError.
+    """
+    out: list[FloatArray] = [np.empty(0)] * len(segments)
+    # Segments of one stride share a compiled program.
+    by_stride: dict[int, list[int]] = {}
+    for k, segment in enumerate(segments):
+        by_stride.setdefault(shape_of(request.model, segment).stride, []).append(k)
+    for indices in by_stride.values():
+        group = [segments[k] for k in indices]
+        program = _program(request, chain, group)
+        results = (
+            [_by_jsbsim(request, chain, s) for s in group]
             if program is None
-            else _in_lanes(program, asked, some)
+            else _fly_batch(program, request, group)
         )
-        for k, rows in zip(members, found, strict=True):
+        for k, rows in zip(indices, results, strict=True):
             out[k] = rows
     return out
 
 
-def _program(asked: Asked, chain: ControlChain, cut: Sequence[Segment]) -> _Program | None:
-    """The compiled chain for segments that are flown alike; None where JSBSim is to fly."""
-    model, shape = asked.model, shape_of(asked.model, cut[0])
+def _program(
+    request: PositionRequest, chain: ControlChain, segments: Sequence[Segment]
+) -> _Program | None:
+    """Return the compiled chain for segments of one stride; None where JSBSim has to fly."""
+    model, shape = request.model, shape_of(request.model, segments[0])
     key = (
         chain.xml,
         shape.stride,
-        tuple(asked.known.values()),
-        model.fed()[0],
+        tuple(request.properties.values()),
+        model.control_properties()[0],
         tuple(model.servos),
-        repr(set_by(model)),
+        repr(instance_values(model)),
     )
     if key not in _programs:
-        if sum(s.time_s[-1] - s.time_s[0] for s in cut) < WORTH_S or batch.available() is not None:
+        if (
+            sum(s.time_s[-1] - s.time_s[0] for s in segments) < MIN_CHAIN_BATCH_S
+            or batch.available() is not None
+        ):
             return None
-        _programs[key] = _judged(
-            asked,
+        # The shortest segment is enough for the comparison.
+        _programs[key] = _verified(
+            request,
             chain,
-            min(cut, key=lambda s: len(s.time_s)),
-            _made(asked, chain, shape.dt_s, shape.stride),
+            min(segments, key=lambda s: len(s.time_s)),
+            _compile(request, chain, shape.dt_s, shape.stride),
         )
     return _programs[key]
 
 
-def _made(asked: Asked, chain: ControlChain, dt_s: float, stride: int) -> _Program | None:
-    staging, model = _staging(chain), asked.model
+def _compile(
+    request: PositionRequest, chain: ControlChain, dt_s: float, stride: int
+) -> _Program | None:
+    """Translate and compile a chain; None where the engine cannot."""
+    staging, model = _stage_chain(chain), request.model
     exists = engine.open_fdm(staging, dt_s).get_property_manager().hasNode
-    fed = [(name, place) for name, place in zip(*model.fed(), strict=True) if exists(name)]
+    # The chain has only the properties on which positions depend.
+    inputs = [
+        (name, place)
+        for name, place in zip(*model.control_properties(), strict=True)
+        if exists(name)
+    ]
     servos = [name for name in model.servos if exists(name)]
-    records = list(dict.fromkeys(asked.known.values()))
+    records = list(dict.fromkeys(request.properties.values()))
     root = staging.root
     try:
         sources = batch.read_sources(
             batch.Files(staging.folder, staging.xml, root / "engine", root / "systems"), None
         )
-        names = [name for name, _ in fed]
-        made = batch.make_replay(
-            sources, lambda: _set(staging, model, dt_s), dt_s, names, servos, records, stride
+        names = [name for name, _ in inputs]
+        replay = batch.make_replay(
+            sources, lambda: _open_chain(staging, model, dt_s), dt_s, names, servos, records, stride
         )
     except BadInputError as error:
         _LOG.info("positions are flown by JSBSim: %s", error)
         return None
     return _Program(
-        made,
-        [place for _, place in fed],
+        replay,
+        [place for _, place in inputs],
         servos,
-        [records.index(name) for name in asked.known.values()],
+        [records.index(name) for name in request.properties.values()],
     )
 
 
-def _judged(
-    asked: Asked, chain: ControlChain, segment: Segment, program: _Program | None
+def _verified(
+    request: PositionRequest, chain: ControlChain, segment: Segment, program: _Program | None
 ) -> _Program | None:
-    """The program, if it flies a segment as JSBSim does."""
+    """Return the program if it flies a segment as JSBSim does, None otherwise."""
     if program is None:
         return None
-    (ours,), theirs = _in_lanes(program, asked, [segment]), _by_jsbsim(asked, chain, segment)
-    apart = np.abs(ours - theirs) / np.maximum(np.abs(theirs).max(axis=0, initial=1e-3), 1e-3)
-    if bool((apart <= _AGREES).all()):
+    (from_batch,), from_jsbsim = (
+        _fly_batch(program, request, [segment]),
+        _by_jsbsim(request, chain, segment),
+    )
+    difference = np.abs(from_batch - from_jsbsim) / np.maximum(
+        np.abs(from_jsbsim).max(axis=0, initial=1e-3), 1e-3
+    )
+    if bool((difference <= _TOLERANCE).all()):
         return program
     _LOG.info(
         "positions are flown by JSBSim: the batch engine differs by %.1g of the largest",
-        float(np.max(apart)),
+        float(np.max(difference)),
     )
     return None
 
 
-def _in_lanes(program: _Program, asked: Asked, cut: Sequence[Segment]) -> list[FloatArray]:
-    """Of each segment (n, k) positions by the batch engine."""
-    own = {name: asked.servos[name] for name in program.servos if name in asked.servos}
-    still = dict.fromkeys(batch.CONDITIONS, 0.0)
+def _fly_batch(
+    program: _Program, request: PositionRequest, segments: Sequence[Segment]
+) -> list[FloatArray]:
+    """Fly segments by the batch engine; return (n, k) positions of each."""
+    servo_values = {name: request.servos[name] for name in program.servos if name in request.servos}
+    # The chain does not read the motion, so all initial conditions are zero.
+    conditions = dict.fromkeys(batch.CONDITIONS, 0.0)
     lanes = []
-    for segment in cut:
-        shape = shape_of(asked.model, segment)
-        controls = run_controls(asked.model, segment, shape, asked.servos)[:, program.places]
-        lanes.append(batch.ReplayLane(own, still, 0.0, controls, shape.dt_s))
-    out = dict(batch.fly_replays(program.made, lanes))
-    return [np.ascontiguousarray(out[k][:, program.columns]) for k in range(len(cut))]
+    for segment in segments:
+        shape = shape_of(request.model, segment)
+        controls = run_controls(request.model, segment, shape, request.servos)[:, program.places]
+        lanes.append(batch.ReplayLane(servo_values, conditions, 0.0, controls, shape.dt_s))
+    out = dict(batch.fly_replays(program.replay, lanes))
+    return [np.ascontiguousarray(out[k][:, program.columns]) for k in range(len(segments))]
 
 
-def _set(staging: Staging, model: ReplayModel, dt_s: float) -> Any:
-    """JSBSim with the chain's aircraft and what is set on every instance of a model."""
+def _open_chain(staging: Staging, model: ReplayModel, dt_s: float) -> Any:
+    """Open JSBSim with the chain's aircraft and the model's settings."""
     fdm = engine.open_fdm(staging, dt_s)
     exists = fdm.get_property_manager().hasNode
-    for name, value in set_by(model).items():
+    for name, value in instance_values(model).items():
         if exists(name):
             engine.set_property(fdm, name, value)
     return fdm
 
 
-def _by_jsbsim(asked: Asked, chain: ControlChain, segment: Segment) -> FloatArray:
-    """(n, k) positions of a segment by JSBSim."""
-    model = asked.model
+def _by_jsbsim(request: PositionRequest, chain: ControlChain, segment: Segment) -> FloatArray:
+    """Fly one segment by JSBSim; return (n, k) positions."""
+    model = request.model
     shape = shape_of(model, segment)
-    fdm = _set(_staging(chain), model, shape.dt_s)
+    fdm = _open_chain(_stage_chain(chain), model, shape.dt_s)
     exists = fdm.get_property_manager().hasNode
-    # Nothing moves but the controls.
-    for name, value in {**asked.servos, **dict.fromkeys(_STILL, 0.0)}.items():
+    # Freeze the integrators of motion: only the controls move.
+    for name, value in {**request.servos, **dict.fromkeys(_FROZEN_INTEGRATORS, 0.0)}.items():
         if exists(name):
             engine.set_property(fdm, name, value)
-    names, places = model.fed()
-    fed = [
+    names, places = model.control_properties()
+    # Set only the controls that the chain has.
+    inputs = [
         (engine.handle(fdm, name).set_double_value, place)
         for name, place in zip(names, places, strict=True)
         if exists(name)
     ]
-    read = [engine.handle(fdm, name).get_double_value for name in asked.known.values()]
-    values = run_controls(model, segment, shape, asked.servos)[
-        :, [place for _, place in fed]
+    read = [engine.handle(fdm, name).get_double_value for name in request.properties.values()]
+    values = run_controls(model, segment, shape, request.servos)[
+        :, [place for _, place in inputs]
     ].tolist()
-    setters, run = [put for put, _ in fed], fdm.run
+    setters, run = [setter for setter, _ in inputs], fdm.run
     last = values[0]
-    for put, value in zip(setters, last, strict=True):
-        put(value)
+    for setter, value in zip(setters, last, strict=True):
+        setter(value)
     engine.run_ic(fdm)
+    # Rows after an exception stay NaN.
     rows = np.full((shape.rows, len(read)), np.nan)
     rows[0] = [get() for get in read]
     try:
         for row in range(1, shape.rows):
             for numbers in values[1 + (row - 1) * shape.stride : 1 + row * shape.stride]:
                 if numbers != last:
-                    for put, value in zip(setters, numbers, strict=True):
-                        put(value)
+                    for setter, value in zip(setters, numbers, strict=True):
+                        setter(value)
                     last = numbers
                 run()
             rows[row] = [get() for get in read]
@@ -225,8 +262,8 @@ def _by_jsbsim(asked: Asked, chain: ControlChain, segment: Segment) -> FloatArra
     return rows
 
 
-def _staging(chain: ControlChain) -> Staging:
-    """The chain's own aircraft, as JSBSim wants it laid out; those used last are kept."""
+def _stage_chain(chain: ControlChain) -> Staging:
+    """Lay the chain's aircraft out as JSBSim expects; the most recent ones are retained."""
     if chain.xml not in _staged:
         scratch = scratch_folder("controls")
         staging = Staging(scratch.path, "controls")
@@ -234,66 +271,103 @@ def _staging(chain: ControlChain) -> Staging:
             folder.mkdir(parents=True)
         staging.xml.write_text(chain.xml, encoding="utf-8")
         _staged[chain.xml] = (staging, scratch)
-        while len(_staged) > _STAGED:
+        # Each staged chain occupies a folder on the disk.
+        while len(_staged) > _MAX_CHAINS_STAGED:
             _staged.popitem(last=False)[1][1].close()
     _staged.move_to_end(chain.xml)
     return _staged[chain.xml][0]
 
 
-POSITIONS_WORTH_S = 60.0
-"""Seconds of flight from which on whole aircraft are flown by the batch engine where positions are asked for several times, each
-time with other servos."""
-WORTH_ONCE_S = 300.0
-"""The same where they are asked for once: for as much JSBSim takes as long as a compiler."""
-_STOOD_BYTES, _CHAINS = 50_000_000, 64
-"""Largest difference between the positions that a whole aircraft and its components alone come to, in units of the largest."""
-_TRIED_ROWS, _LEAST_ROWS = 100, 10
-_stood: OrderedDict[tuple[object, ...], FloatArray] = OrderedDict()
-_chains: LRUCache[tuple[object, ...], ControlChain | None] = LRUCache(_CHAINS)
+MIN_REPEATED_BATCH_S = 60.0
+"""Seconds of flight above which the batch engine flies whole aircraft, where positions are
+requested repeatedly with different servos."""
+MIN_SINGLE_BATCH_S = 300.0
+"""The same for a single request: JSBSim needs as long for them as the compiler."""
+_MAX_CACHE_BYTES, _MAX_CHAINS = 50_000_000, 64
+"""Limits of the caches: bytes of positions, number of chains."""
+_TRIAL_ROWS, _MIN_TRIAL_ROWS = 100, 10
+_position_cache: OrderedDict[tuple[object, ...], FloatArray] = OrderedDict()
+_chains: LRUCache[tuple[object, ...], ControlChain | None] = LRUCache(_MAX_CHAINS)
 
 
 def surface_positions(
     model: ReplayModel,
-    cut: Sequence[Segment],
+    segments: Sequence[Segment],
     names: Sequence[str],
     properties: Mapping[str, float] | None = None,
-    worth_s: float = POSITIONS_WORTH_S,
+    min_batch_s: float = MIN_REPEATED_BATCH_S,
 ) -> list[FloatArray]:
-    """Of each segment (n, c) where the controls stood: the record's own values where measured, else what the model's actuators make
-    of them.
+    """Return the controls of each segment, (n, c), as positions in the record's units.
 
-    properties: values in force, of which the actuators' own count. What was asked before is remembered: residuals ask for the same
-    stretch under many states. worth_s: seconds of flight from which on the batch engine flies whole aircraft.
+    Parameters
+    ----------
+    model : ReplayModel
+        The aircraft; its measured controls are returned as recorded.
+    segments : sequence of Segment
+        The segments.
+    names : sequence of str
+        Controls whose positions are computed; the others are returned as commanded.
+    properties : Mapping, optional
+        Values in force, of which those of the servos matter.
+    min_batch_s : float
+        Seconds of flight above which the batch engine flies whole aircraft.
+
+    Returns
+    -------
+    list of ndarray
+        Copies; results are cached, because residuals ask for the same segment under many states.
     """
     servos = {name: value for name, value in (properties or {}).items() if name in model.servos}
-    known = {c: p for c, p in model.positions().items() if c in names and c not in model.measured}
-    asked = Asked(model, tuple(names), known, servos)
-    chain = _chain_of(asked, cut) if known and cut else None
-    keys = [_key(asked, chain, segment) for segment in cut]
-    missing = {key: segment for key, segment in zip(keys, cut, strict=True) if key not in _stood}
-    some = list(missing.values())
-    found = _flown(asked, some, worth_s) if chain is None else fly_chain(asked, chain, some)
-    for (key, segment), rows in zip(missing.items(), found, strict=True):
-        _stood[key] = _put_in(asked, segment, rows)
+    position_properties = {
+        c: p for c, p in model.positions().items() if c in names and c not in model.measured
+    }
+    request = PositionRequest(model, tuple(names), position_properties, servos)
+    chain = _chain_of(request, segments) if position_properties and segments else None
+    keys = [_key(request, chain, segment) for segment in segments]
+    # Equal keys within one request are computed once.
+    missing = {
+        key: segment
+        for key, segment in zip(keys, segments, strict=True)
+        if key not in _position_cache
+    }
+    new_segments = list(missing.values())
+    results = (
+        _fly_aircraft(request, new_segments, min_batch_s)
+        if chain is None
+        else fly_chain(request, chain, new_segments)
+    )
+    for (key, segment), rows in zip(missing.items(), results, strict=True):
+        _position_cache[key] = _with_positions(request, segment, rows)
     out = []
     for key in keys:
-        _stood.move_to_end(key)
-        out.append(_stood[key].copy())
-    while sum(value.nbytes for value in _stood.values()) > _STOOD_BYTES:
-        _stood.popitem(last=False)
+        _position_cache.move_to_end(key)
+        out.append(_position_cache[key].copy())
+    # The cache is limited by bytes: segments differ much in length.
+    while sum(value.nbytes for value in _position_cache.values()) > _MAX_CACHE_BYTES:
+        _position_cache.popitem(last=False)
     return out
 
 
-def _key(asked: Asked, chain: ControlChain | None, segment: Segment) -> tuple[object, ...]:
-    """What positions depend on: of a whole aircraft its identity and where it begins, of a chain that chain."""
+def _key(
+    request: PositionRequest, chain: ControlChain | None, segment: Segment
+) -> tuple[object, ...]:
+    """Return what positions depend on: the chain, or else the aircraft and its start."""
     controls = segment.at_commands().controlled
     if chain is None:
-        began = (segment.time_s.tobytes(), segment.start.tobytes(), segment.altitude_m, segment.h_m)
-        return (asked.model.identity, controls, *began, asked.names, *asked.servos.items())
-    model = asked.model
-    servos = [(name, value) for name, value in asked.servos.items() if name in chain.reads]
+        start = (segment.time_s.tobytes(), segment.start.tobytes(), segment.altitude_m, segment.h_m)
+        return (request.model.identity, controls, *start, request.names, *request.servos.items())
+    model = request.model
+    servos = [(name, value) for name, value in request.servos.items() if name in chain.reads]
+    # The chain's inputs also depend on units, throws and settings of the model.
     feeding = repr(
-        (model.controls, model.measured, model.lagging, model.factor, model.throws, set_by(model))
+        (
+            model.controls,
+            model.measured,
+            model.lagging,
+            model.factor,
+            model.throws,
+            instance_values(model),
+        )
     )
     limits = repr(
         [
@@ -306,57 +380,69 @@ def _key(asked: Asked, chain: ControlChain | None, segment: Segment) -> tuple[ob
         controls,
         shape_of(model, segment),
         segment.per_row,
-        asked.names,
+        request.names,
         *servos,
         feeding,
         limits,
     )
 
 
-def _flown(asked: Asked, cut: Sequence[Segment], worth_s: float) -> list[FloatArray]:
-    """Of each segment (n, k) what the whole aircraft's positions are, in their own units."""
-    if not asked.known or not cut:
-        return [np.empty((len(segment.time_s), 0)) for segment in cut]
+def _fly_aircraft(
+    request: PositionRequest, segments: Sequence[Segment], min_batch_s: float
+) -> list[FloatArray]:
+    """Fly the whole aircraft; return (n, k) positions of each segment in their own units."""
+    # Nothing to fly: return arrays without columns.
+    if not request.properties or not segments:
+        return [np.empty((len(segment.time_s), 0)) for segment in segments]
     jobs = [
-        ReplayJob(asked.model, s, asked.servos, s.start, extra=tuple(asked.known.values()))
-        for s in cut
+        ReplayJob(
+            request.model, s, request.servos, s.start, extra=tuple(request.properties.values())
+        )
+        for s in segments
     ]
-    flown = (
+    outputs = (
         fly_all(jobs)
-        if sum(s.time_s[-1] - s.time_s[0] for s in cut) > worth_s
+        if sum(s.time_s[-1] - s.time_s[0] for s in segments) > min_batch_s
         else map(by_jsbsim, jobs)
     )
-    return [rows[:, len(CHANNELS) :] for rows in flown]
+    return [rows[:, len(CHANNELS) :] for rows in outputs]
 
 
-def _put_in(asked: Asked, segment: Segment, rows: FloatArray) -> FloatArray:
-    """(n, c) controls of a segment, those whose positions were flown at these."""
-    model = asked.model
-    stood = segment.at_commands().controls[:: segment.per_row].copy()
-    for k, control in enumerate(asked.known):
+def _with_positions(request: PositionRequest, segment: Segment, rows: FloatArray) -> FloatArray:
+    """Return the controls (n, c) of a segment with simulated positions in place of commands."""
+    model = request.model
+    positions = segment.at_commands().controls[:: segment.per_row].copy()
+    for k, control in enumerate(request.properties):
         column = model.controls.index(control)
-        good = np.isfinite(rows[:, k])
-        stood[good, column] = rows[good, k] * model.position_unit(control)
-    return stood
+        # After a failure the command is the best guess of the position.
+        valid = np.isfinite(rows[:, k])
+        positions[valid, column] = rows[valid, k] * model.position_unit(control)
+    return positions
 
 
-def _chain_of(asked: Asked, cut: Sequence[Segment]) -> ControlChain | None:
-    """What moves the positions asked for, if that reads commands, servos' numbers and constants alone and comes to the positions of
-    the whole aircraft, with which it is compared once."""
-    model = asked.model
-    key = (model.identity, tuple(asked.known.values()))
+def _chain_of(request: PositionRequest, segments: Sequence[Segment]) -> ControlChain | None:
+    """Return the chain that moves the requested positions, None where there is no usable one.
+
+    It may read commands, servo numbers and constants only, and must reproduce the positions of the
+    whole aircraft, which is checked once.
+    """
+    model = request.model
+    key = (model.identity, tuple(request.properties.values()))
     if key not in _chains:
-        chain = _found(asked)
+        # The result, also a failed one, is stored by aircraft and positions.
+        chain = _extract_chain(request)
         _chains[key] = (
             chain
-            if chain is None or _agrees(asked, chain, min(cut, key=lambda s: len(s.time_s)))
+            if chain is None
+            or _chain_agrees(request, chain, min(segments, key=lambda s: len(s.time_s)))
             else None
         )
     return _chains[key]
 
 
-def _found(asked: Asked) -> ControlChain | None:
-    model = asked.model
+def _extract_chain(request: PositionRequest) -> ControlChain | None:
+    """Extract the chain from the aircraft's XML; None where it depends on the motion."""
+    model = request.model
     try:
         sources = sources_of(model)
     except BadInputError:
@@ -374,40 +460,52 @@ def _found(asked: Asked) -> ControlChain | None:
         *(s.document for s in sources.systems),
         *(part[0] for part in parts if part is not None),
     ]
-    once = {id(document): document for document in documents}
-    fed, _ = model.fed()
+    # Systems and sections of the XML may be in one file.
+    unique_documents = {id(document): document for document in documents}
+    inputs, _ = model.control_properties()
     files = ControlFiles(
-        [system.node for system in sources.systems], list(once.values()), model.engines > 0
+        [system.node for system in sources.systems],
+        list(unique_documents.values()),
+        model.engines > 0,
     )
-    return control_chain(files, asked.known.values(), (*fed, *model.servos))
+    return control_chain(files, request.properties.values(), (*inputs, *model.servos))
 
 
-@cached(LRUCache(_CHAINS), key=lambda asked, chain, segment: (chain.xml, repr(set_by(asked.model))))
-def _agrees(asked: Asked, chain: ControlChain, segment: Segment) -> bool:
-    """Whether the beginning of a segment comes out alike; compared once for aircraft that share a chain."""
-    short = _beginning(segment)
-    extra = tuple(asked.known.values())
-    theirs = by_jsbsim(ReplayJob(asked.model, short, asked.servos, short.start, extra=extra))[
-        :, len(CHANNELS) :
-    ]
-    flew = np.isfinite(theirs).all(axis=1)
-    size = np.maximum(np.abs(theirs[flew]).max(axis=0, initial=1e-3), 1e-3)
+@cached(
+    LRUCache(_MAX_CHAINS),
+    key=lambda request, chain, _: (chain.xml, repr(instance_values(request.model))),
+)
+def _chain_agrees(request: PositionRequest, chain: ControlChain, segment: Segment) -> bool:
+    """Check that the beginning of a segment has the same positions from chain and aircraft.
+
+    Aircraft that share a chain are compared once.
+    """
+    beginning = _beginning(segment)
+    extra = tuple(request.properties.values())
+    from_jsbsim = by_jsbsim(
+        ReplayJob(request.model, beginning, request.servos, beginning.start, extra=extra)
+    )[:, len(CHANNELS) :]
+    valid = np.isfinite(from_jsbsim).all(axis=1)
+    # Relative to the largest position, with a floor for surfaces that do not move.
+    size = np.maximum(np.abs(from_jsbsim[valid]).max(axis=0, initial=1e-3), 1e-3)
     try:
-        apart = (np.abs(fly_chain(asked, chain, [short])[0] - theirs) / size)[flew]
+        difference = (np.abs(fly_chain(request, chain, [beginning])[0] - from_jsbsim) / size)[valid]
     except BadInputError as error:
         _LOG.info("positions are flown by whole aircraft: %s", error)
-        apart = np.full((1, 1), np.nan)
-    # An aircraft that falls from the sky at once shows nothing.
-    return bool(flew.sum() >= min(len(theirs), _LEAST_ROWS) and (apart <= _AGREES).all())
+        difference = np.full((1, 1), np.nan)
+    # An aircraft that diverges at once leaves too few rows to compare.
+    return bool(
+        valid.sum() >= min(len(from_jsbsim), _MIN_TRIAL_ROWS) and (difference <= _TOLERANCE).all()
+    )
 
 
 def _beginning(segment: Segment) -> Segment:
-    """At most so many rows of a segment."""
-    own = segment.at_commands()
-    rows = slice(0, _TRIED_ROWS)
+    """Return the first rows of a segment, one a command."""
+    at_commands = segment.at_commands()
+    rows = slice(0, _TRIAL_ROWS)
     return replace(
-        own,
-        time_s=own.time_s[rows],
-        controls=own.controls[rows],
-        targets=None if own.targets is None else own.targets[rows],
+        at_commands,
+        time_s=at_commands.time_s[rows],
+        controls=at_commands.controls[rows],
+        targets=None if at_commands.targets is None else at_commands.targets[rows],
     )

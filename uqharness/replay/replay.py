@@ -1,13 +1,16 @@
-"""Replay of recorded flight by JSBSim: the record's controls in, the model's channels at the record's sample times out.
+"""Replay of a recorded flight by JSBSim: the record's controls in, the model's channels at the
+record's sample times out.
 
-Timing. Controls act at the times at which the record has them, also between rows where outputs are compared at fewer. A record's
-command k acts from sample k on: the acceleration of sample k has seen it, the rates only later. So the command
-is set before the run that arrives at sample k, and never earlier: one run too early or late is a lag in every servo.
-JSBSim's Adams-Bashforth integrators and its actuators (Tustin) take a step for a ramp that began a run before, half a run early in
-the mean; the values of the runs around a step make up for that, to the square of a run (`by_run`). Any flight has its own way
-between two samples, one that JSBSim flew acted half of its own step early: how late the controls act is for the estimator to find
-(CONTROL_DELAY). So is whether a row's accelerometers were read before its command went out (UNSEEN): a surface without a lag jumps
-then, and so do they.
+Timing decides the accuracy. Controls act at the times of the record, also between the rows at which
+outputs are compared. Command k acts from sample k on: the acceleration of sample k includes it, the
+rates follow later. It is therefore set before the run that arrives at sample k; one run too early
+or late would look like a lag of every servo.
+
+JSBSim's Adams-Bashforth integrators and its Tustin actuators treat a step as a ramp that began a
+run before, half a run early on average. `by_run` corrects the values of the runs around a step to
+second order in the run. What happens between two samples of a real flight is unknown (a flight by
+JSBSim acts half a step early), so the delay of the controls (CONTROL_DELAY) is estimated, and so is
+the share of a jump that the accelerometers of its row had not seen (UNSEEN).
 """
 
 from __future__ import annotations
@@ -35,61 +38,71 @@ from uqharness.simulator import (
     engine,
 )
 
-# Where a segment finds its actuators: behind a lag they are on their way to the commands that
-# came before its first row.
+# Actuator positions at the start of a segment: actuators with a lag are still moving towards the
+# commands before the first row.
 
-_KEPT, _MODELS = 512, 16
+_MAX_SERVO_RUNS, _MODELS = 512, 16
 _STEP_S = 1e-3
 """Longest step of an actuator, from command to command."""
 
 
-def begun(
+def initial_actuator_positions(
     model: ReplayModel, segment: Segment, properties: Mapping[str, float], limits: FloatArray
 ) -> FloatArray:
-    """(c,) where actuators with a lag stand at the first row, and where controls that jump stood before it, in the record's units;
-    NaN of other controls, and where no command before it is known. properties: values in force, of which the actuators' own
-    count; limits (c, 2): where a command goes no further."""
+    """Return the positions (c,) of lagging actuators at the first row, and of jumping controls just
+    before it.
+
+    In the record's units; NaN of other controls, and where no earlier command is known.
+    ``properties`` are values in force, of which the actuators' own matter; ``limits`` (c, 2) bound
+    the commands.
+    """
     out = np.full(len(model.controls), np.nan)
     before = segment.at_commands().before
     if before is None or not len(before):
         return out
+    # Surfaces without a lag are at their last command.
     for control in model.jumping:
         k = model.controls.index(control)
         out[k] = np.clip(before[-1, k], *limits[k])
-    given = {**_given(model), **properties}
+    # Servo parameters may be estimated, so given values replace those of the XML.
+    values = {**_xml_servo_values(model), **properties}
     for control, numbers in model.lags.items():
         k = model.controls.index(control)
-        lag, rate = (_number(text, given) for text in numbers)
+        lag, rate = (_number(text, values) for text in numbers)
+        # Unknown commands or an unknown lag leave the position undetermined.
         if control in model.lagging and np.isfinite(before[:, k]).all() and not math.isnan(lag):
             fastest = math.inf if math.isnan(rate) else abs(rate * model.position_unit(control))
             servo = Actuator(lag if lag * SHORTEST_S < 1.0 else None, fastest)
-            out[k] = _last(servo, np.clip(before[:, k], *limits[k]), segment.command_s)
+            out[k] = _servo_position(servo, np.clip(before[:, k], *limits[k]), segment.command_s)
     return out
 
 
 @cached(
-    LRUCache(_KEPT), key=lambda servo, commands, command_s: (servo, commands.tobytes(), command_s)
+    LRUCache(_MAX_SERVO_RUNS),
+    key=lambda servo, commands, command_s: (servo, commands.tobytes(), command_s),
 )
-def _last(servo: Actuator, commands: FloatArray, command_s: float) -> float:
-    """Where a servo at rest at the first of some commands is when the last of them has been held as long as the others."""
+def _servo_position(servo: Actuator, commands: FloatArray, command_s: float) -> float:
+    """Return the position of a servo that starts at rest at the first command, after all have been
+    held equally long.
+    """
     step_s = command_s / max(1, math.ceil(command_s / _STEP_S - 1e-6))
     return float(servo.follow(np.append(commands, commands[-1]), command_s, step_s)[-1])
 
 
 @cached(LRUCache(_MODELS), key=lambda model: model.identity)
-def _given(model: ReplayModel) -> dict[str, float]:
-    """Values in the XML of the properties that actuators' numbers are."""
+def _xml_servo_values(model: ReplayModel) -> dict[str, float]:
+    """Read the values in the XML of the properties that actuators refer to."""
     fdm = model.open(0.01)
     exists = fdm.get_property_manager().hasNode
     return {name: float(fdm[name]) for name in model.servos if exists(name)}
 
 
-def _number(text: str, given: Mapping[str, float]) -> float:
-    """A number of an actuator, as it stands or as the property that it is; NaN without one."""
+def _number(text: str, values: Mapping[str, float]) -> float:
+    """Return a number of an actuator, written out or as a property; NaN where there is none."""
     try:
         return float(text)
     except ValueError:
-        return given.get(text, math.nan)
+        return values.get(text, math.nan)
 
 
 CHANNELS = (
@@ -119,7 +132,7 @@ STATES = (
     "q_radps",
     "r_radps",
 )
-"""Start state, in this order; the altitude comes besides."""
+"""Components of a start state, in this order; the altitude is kept separately."""
 SENSOR_OF = {
     "phi_rad": "attitude",
     "theta_rad": "attitude",
@@ -131,37 +144,40 @@ SENSOR_OF = {
     "ay_mps2": "accelerations",
     "az_mps2": "accelerations",
 }
-"""Channels that come from one sensor and share its delay; the others stand for themselves."""
+"""Channels that come from one sensor and share its delay; every other channel has its own."""
 CONTROL_DELAY = "controls"
-"""What a delay is called by which the controls act late, all of them."""
+"""Name of the common delay of all controls."""
 UNSEEN = "unseen"
-"""What the share of a jump is called that the accelerometers of its row have not seen."""
+"""Name of the share of a control's jump that the accelerometers of its row have not seen."""
 MAX_STEP_S = 0.005
-"""Longest run. The integrators change a mode of rate w by (3/8)(w run)^3: 0.003 % of a roll mode of 8.5 rad/s, and they are stable
-to 0.545 / run = 109 rad/s."""
+"""Longest run. The integrators change a mode of rate w by (3/8)(w run)^3: 0.003 % of a roll mode of
+8.5 rad/s, and they are stable to 0.545 / run = 109 rad/s."""
 SHORT_STEP_S = 0.0025
-"""Longest run where a surface jumps with its command, and the accelerometers with it, or where forces go with the rates of alpha or
-beta, which JSBSim takes from the run before."""
+"""Longest run where surfaces jump with their commands, or where forces depend on the rates of alpha
+or beta, which JSBSim takes from the run before."""
 BETWEEN_S = 0.005
-"""Longest time between outputs that are wanted between rows."""
+"""Longest time between two outputs between the rows [s]."""
 MIN_RUNS = 2
 _JUMP = (5.0 / 12.0, 8.0 / 12.0, -1.0 / 12.0)
-"""Shares of a step in three runs (Adams-Moulton's weights): the sum, the mean time and its spread are those of the step itself."""
-_BEYOND = 11.0 / 12.0
-"""How far, in steps, the same takes a command beyond its goal where a servo by Tustin's rule has not moved at the row."""
+"""Shares of a step in three runs (Adams-Moulton's weights): sum, mean time and variance in time are
+those of the step itself."""
+_OVERSHOOT = 11.0 / 12.0
+"""Overshoot of a command, in steps, that has the same effect where a Tustin servo has not moved at
+the row."""
 _RETURN = (1.0, -37.0 / 21.0, 11.0 / 21.0, 5.0 / 21.0)
-"""Values that move a row's own by 1 and nothing else: not sum, mean time and spread, nor what is summed up four runs later."""
+"""Changes of four runs that change the first by 1 and leave sum, mean time and variance in time,
+and so everything later, unchanged."""
 _KINK = 1.0 / 12.0
-"""Of a line's change of direction: what sums over runs have too little."""
-_REMEMBERED = 64
-"""Segments whose controls are remembered by runs."""
+"""Share of a line's change of slope that sums over runs miss."""
+_MAX_SEGMENTS = 64
+"""Segments whose controls are cached by runs."""
 _ANGULAR = (
     "accelerations/pdot-rad_sec2",
     "accelerations/qdot-rad_sec2",
     "accelerations/rdot-rad_sec2",
 )
 RAW = (*(STANDARD[c].property for c in CHANNELS), "inertia/mass-slugs", *_ANGULAR)
-"""Properties that the channels are made of."""
+"""Properties that are recorded, from which the channels follow."""
 _FACTORS = np.array([STANDARD[c].factor for c in CHANNELS])
 _OVER_MASS = slice(CHANNELS.index("ax_mps2"), CHANNELS.index("az_mps2") + 1)
 assert [c for c in CHANNELS if STANDARD[c].over] == list(CHANNELS[_OVER_MASS])
@@ -169,7 +185,17 @@ assert [c for c in CHANNELS if STANDARD[c].over] == list(CHANNELS[_OVER_MASS])
 
 @dataclass(frozen=True)
 class Shape:
-    """How a segment is stepped: runs of ``dt_s``, ``runs`` from row to row, an output every ``stride`` runs, ``rows`` outputs."""
+    """How a segment is stepped.
+
+    Attributes
+    ----------
+    dt_s : float
+        Length of a run, JSBSim's time step [s].
+    runs, stride : int
+        Runs from row to row, and from output to output.
+    rows : int
+        Number of outputs.
+    """
 
     dt_s: float
     runs: int
@@ -178,12 +204,13 @@ class Shape:
 
 
 def shape_of(model: ReplayModel, segment: Segment, between: bool = False) -> Shape:
-    """How a segment is flown; ``between``: with outputs between its rows."""
+    """Choose the time steps of a segment; ``between`` adds outputs between its rows."""
     per_row = segment.per_row
     command_s = segment.dt_s / per_row
     longest_s = SHORT_STEP_S if model.by_rates or model.jumping else MAX_STEP_S
     runs = per_row * runs_per_row(command_s, longest_s)
     outputs = per_row * math.ceil(command_s / BETWEEN_S - 1e-6) if between else 1
+    # Runs must divide evenly into outputs, and outputs into rows.
     runs = outputs * math.ceil(runs / outputs)
     return Shape(
         segment.dt_s / runs, runs, runs // outputs, (len(segment.time_s) - 1) * outputs + 1
@@ -198,31 +225,51 @@ def run_controls(
     late_s: float = 0.0,
     unseen: float = 0.0,
 ) -> FloatArray:
-    """((n - 1) runs + 1, c) values of the controls' properties in every run, the first while initialising. properties: values in
-    force, of which the actuators' own count."""
+    """Return the values ((n - 1) runs + 1, c) of the controls' properties in every run.
+
+    The first is set while initialising. ``properties`` are values in force, of which the actuators'
+    own matter; the controls act ``late_s`` [s] late, and ``unseen`` is the share of a jump that the
+    accelerometers of its row have not seen.
+    """
     measured, lagging = (
         [name in kind for name in model.controls] for kind in (model.measured, model.lagging)
     )
-    seen = 1.0 - unseen if shape.stride == shape.runs else None
+    jump_share = 1.0 - unseen if shape.stride == shape.runs else None
     late = late_s / segment.dt_s * shape.runs
+    # JSBSim clips commands; the overshoot of a step must stay inside the same limits.
     limits = [
         tuple(limit / factor for limit in model.card.inputs[c].limits)
         for c, factor in zip(model.controls, model.factor, strict=True)
     ]
     runs, ends = shape.runs // segment.per_row, np.sort(limits)
-    stood = begun(model, segment, properties, ends)
+    initial = initial_actuator_positions(model, segment, properties, ends)
     return model.to_property(
-        by_run(segment.at_commands(), runs, measured, lagging, late, seen, ends, stood)
+        by_run(
+            segment.at_commands(),
+            runs,
+            measured,
+            lagging,
+            late=late,
+            jump_share=jump_share,
+            limits=ends,
+            initial=initial,
+        )
     )
 
 
 def runs_per_row(dt_s: float, longest_s: float | None = None) -> int:
-    """JSBSim runs from one row to the next, none longer than ``longest_s`` (MAX_STEP_S): at least two, and four, as many as the
-    values around a step take, unless they were shorter than SHORT_STEP_S."""
-    whole, short = (
+    """Return the number of JSBSim runs from one row to the next, none longer than ``longest_s``.
+
+    There are at least two, and four, as the correction of a step needs, unless these would be
+    shorter than SHORT_STEP_S.
+
+    >>> runs_per_row(0.02)
+    4
+    """
+    required, at_short_step = (
         math.ceil(dt_s / step - 1e-6) for step in (longest_s or MAX_STEP_S, SHORT_STEP_S)
     )
-    return max(MIN_RUNS, whole, min(len(_RETURN), short))
+    return max(MIN_RUNS, required, min(len(_RETURN), at_short_step))
 
 
 def fly_segment(
@@ -230,21 +277,47 @@ def fly_segment(
     segment: Segment,
     properties: Mapping[str, float],
     start: FloatArray | None = None,
+    *,
     extra: Sequence[str] = (),
     late_s: float = 0.0,
     between: bool = False,
     unseen: float = 0.0,
 ) -> FloatArray:
-    """(n, 13 + len(extra)) outputs: CHANNELS, then the properties ``extra`` in their own units.
+    """Replay one segment in JSBSim.
 
-    properties are set before initialising; start (9,) replaces the segment's own; controls act ``late_s`` after their time;
-    unseen: share of a jump that the accelerometers of its row have not seen.
-    between: ((n - 1) k + 1, ...) outputs at the rows and at k - 1 equal steps between two of them, BETWEEN_S or less.
-    Rows after a failure in flight are NaN.
-    Raises BadInputError for a property that the model has not.
+    Parameters
+    ----------
+    model : ReplayModel
+        The aircraft.
+    segment : Segment
+        What is replayed.
+    properties : Mapping
+        JSBSim properties set before initialising.
+    start : ndarray, optional
+        (9,) start state in place of the segment's.
+    extra : sequence of str
+        Further properties to record.
+    late_s : float
+        Delay of the controls [s].
+    between : bool
+        Whether outputs between the rows are returned too, BETWEEN_S or less apart.
+    unseen : float
+        Share of a jump that the accelerometers of its row have not seen.
+
+    Returns
+    -------
+    ndarray
+        (n, 13 + len(extra)) CHANNELS in SI units, then ``extra`` in their own; with ``between`` ((n
+        - 1) k + 1, ...). Rows after a failure in flight are NaN.
+
+    Raises
+    ------
+    BadInputError
+        For a property that the model does not have.
     """
     shape = shape_of(model, segment, between)
     fdm = model.open(shape.dt_s)
+    # Properties are set before initialising, which evaluates the model once.
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
     setters = control_setters(fdm, model)
@@ -263,14 +336,19 @@ def fly_segment(
 
 
 def at_rows(between: FloatArray, n: int) -> FloatArray:
-    """(n, ...) the rows of outputs that stand between them as well."""
+    """Select the rows from outputs that include steps between them.
+
+    >>> at_rows(np.arange(5.0), 3)
+    array([0., 2., 4.])
+    """
     return between[:: (len(between) - 1) // (n - 1)]
 
 
 def late_rows(between: FloatArray, n: int, late: float) -> FloatArray:
-    """(n,) values at the rows, ``late`` rows late (early if negative), of outputs between them; the ends are held.
+    """Return the values (n,) at the rows of a sensor that is ``late`` rows late; negative is early.
 
-    Straight from one to the next: a step of a control makes a kink or a jump, across which a smoother curve would ring.
+    Interpolation is linear, because a step of a control makes a kink or jump at which a smoother
+    curve would ring. The ends are held.
     """
     at = np.arange(len(between), dtype=float)
     return np.asarray(
@@ -286,8 +364,10 @@ def _initialise(
     model: ReplayModel,
     first: list[float],
 ) -> None:
-    """Start states and the controls' ``first`` values: those of the first run, which commands that act early may have moved."""
-    _put(setters, first)
+    """Set the start state and the controls of the first run, which early commands may have
+    moved.
+    """
+    _set_controls(setters, first)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in start)
     u, v, w = body_velocity(V, alpha, beta)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
@@ -300,22 +380,25 @@ def _initialise(
     )
     fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = u / FT_M, v / FT_M, w / FT_M
     fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = p, q, r
+    # Running engines need their controls again after the start, and a settling run.
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
         engine.start_engines(fdm)
-        _put(setters, first)
+        _set_controls(setters, first)
     engine.run_ic(fdm)
     if engines:
         engine.settle_engines(fdm)
 
 
-def _put(setters: list[list[Any]], values: list[float]) -> None:
+def _set_controls(setters: list[list[Any]], values: list[float]) -> None:
+    """Set every property of every control."""
     for handles, value in zip(setters, values, strict=True):
-        for put in handles:
-            put(value)
+        for setter in handles:
+            setter(value)
 
 
 def _reader(fdm: Any, extra: Sequence[str]) -> Any:
+    """Return a function that reads the recorded properties."""
     handles = [engine.handle(fdm, name).get_double_value for name in (*RAW, *extra)]
     return lambda: [get() for get in handles]
 
@@ -325,46 +408,71 @@ def by_run(
     runs: int,
     measured: Sequence[bool],
     lagging: Sequence[bool],
+    *,
     late: float = 0.0,
-    seen: float | None = 1.0,
+    jump_share: float | None = 1.0,
     limits: FloatArray | None = None,
-    stood: FloatArray | None = None,
+    initial: FloatArray | None = None,
 ) -> FloatArray:
-    """((n - 1) runs + 1, c) control values of every run, the first at the first row; all of them ``late`` runs late.
+    """Return the control values ((n - 1) runs + 1, c) of every run, the first at the first row.
 
-    A command is held. The values of the runs around its step are such that Adams-Bashforth's sums have the step's own area, mean
-    time and spread (see the module's text). An actuator with a lag has not moved at the row of a step: what is missing there the
-    runs after it have besides, so that a rate limit behind the lag begins in time. A surface that jumps with its command has jumped
-    at its row by the share ``seen``, whenever the others began to move; None, for outputs between rows: as it comes. The runs after
-    take back what this moves too early. With fewer than four runs a row only area and mean time are kept: more would reach into
-    the next row; limits (c, 2): where a command goes no further; stood (c,): where actuators with a lag stand at the first row, and
-    where surfaces that jump stood before it, which a late command leaves there; NaN for at its command, as without any.
-    A measured position goes to the next one as a servo does: exponentially towards its command where that is known and explains
-    the two, else in a straight line.
+    Parameters
+    ----------
+    segment : Segment
+        Its controls, and targets behind measured positions.
+    runs : int
+        Runs from row to row.
+    measured, lagging : sequence of bool
+        (c,) controls given as positions, and commands that pass an actuator with a lag.
+    late : float
+        Delay of all controls, in runs.
+    jump_share : float, optional
+        Share of its jump that a surface without a lag has made at the row of the step. None leaves
+        the jump as it comes, for outputs between rows.
+    limits : ndarray, optional
+        (c, 2) range of the commands.
+    initial : ndarray, optional
+        (c,) positions of lagging actuators at the first row, and of jumping surfaces before it; NaN
+        for at the command.
+
+    Notes
+    -----
+    A command is held. The values around its step give Adams-Bashforth's sums the area, mean time
+    and variance in time of the step. An actuator with a lag has not moved at the row of a step; the
+    runs after it make up for that, so that a rate limit behind the lag acts in time. With fewer
+    than four runs a row only area and mean time are kept, because more would reach into the next
+    row. A measured position moves to the next one exponentially towards its command where that is
+    known and explains both, and linearly elsewhere.
     """
-    held, lags = ~np.asarray(measured), np.asarray(lagging)
-    on_time = _on_time(segment, runs, held, lags, limits, stood)
-    out = on_time.copy() if late == 0.0 else _later(on_time, late)
-    if late > 0.0 and stood is not None:
-        # The first run is that of the start: its value is what the first row has seen.
-        waits = held & ~lags & np.isfinite(stood)
-        out[1:, waits] -= np.outer(_waiting(len(out) - 1, late), segment.controls[0] - stood)[
-            :, waits
-        ]
-    if seen is not None:
-        now, jumps = segment.controls[:-1], held & ~lags
+    is_command, lags = ~np.asarray(measured), np.asarray(lagging)
+    on_time = _undelayed_controls(segment, runs, is_command, lags, limits, initial)
+    out = on_time.copy() if late == 0.0 else _delayed(on_time, late)
+    if late > 0.0 and initial is not None:
+        # A late command leaves surfaces at their earlier position for a while. The first run
+        # belongs to the start itself, so it stays.
+        waits = is_command & ~lags & np.isfinite(initial)
+        out[1:, waits] -= np.outer(
+            _waiting_shares(len(out) - 1, late), segment.controls[0] - initial
+        )[:, waits]
+    if jump_share is not None:
+        current, jumps = segment.controls[:-1], is_command & ~lags
         rows = np.arange(len(out))[::runs]
-        before = np.vstack([segment.controls[:1], now])
-        missing = np.where(jumps, before + seen * (segment.controls - before) - out[rows], 0.0)
+        before = np.vstack([segment.controls[:1], current])
+        # Move the value at each row of a jump to its share, and compensate in the runs after it.
+        missing = np.where(
+            jumps, before + jump_share * (segment.controls - before) - out[rows], 0.0
+        )
         out[-1] += missing[-1]
         for run, part in enumerate(_RETURN if runs >= len(_RETURN) else (1.0, -1.0)):
             out[rows[:-1] + run] += part * missing[:-1]
     return out
 
 
-def _later(values: FloatArray, late: float) -> FloatArray:
-    """(n, c) values ``late`` of their steps later, in proportion between two: the mean time of what moves is right. The ends are
-    held. `numpy.interp`, all columns at once."""
+def _delayed(values: FloatArray, late: float) -> FloatArray:
+    """Delay values (n, c) by ``late`` steps, by linear interpolation with the ends held.
+
+    This keeps the mean time of a step. It is `numpy.interp` for all columns at once.
+    """
     last = len(values) - 1
     if last == 0:
         return values.copy()
@@ -379,11 +487,13 @@ def _later(values: FloatArray, late: float) -> FloatArray:
     return out
 
 
-def _waiting(n: int, late: float) -> FloatArray:
-    """(n,) shares of a jump at the first row that are missing in the runs behind it while the command waits ``late`` runs.
+def _waiting_shares(n: int, late: float) -> FloatArray:
+    """Return the shares (n,) of a jump at the first row that are missing in the runs of a ``late``
+    command.
 
-    Sum and mean time of what Adams-Bashforth's sums make of them are those of the wait: a value acts around its own run, half a
-    run after the mean of the wait that it stands for, which the first one makes up for and the last one takes back.
+    Adams-Bashforth's sums of them have the length and mean time of the wait. A value acts half a
+    run after the mean of the interval that it stands for; the first share makes up for that and the
+    last one takes it back.
     """
     run = np.arange(1.0, n + 1.0)
     share = np.clip(late - run + 1.0, 0.0, 1.0)
@@ -395,80 +505,97 @@ def _waiting(n: int, late: float) -> FloatArray:
     return share
 
 
-def _content(
+def _controls_key(
     segment: Segment,
     runs: int,
-    held: NDArray[np.bool_],
+    is_command: NDArray[np.bool_],
     lags: NDArray[np.bool_],
     limits: FloatArray | None,
-    stood: FloatArray | None,
+    initial: FloatArray | None,
 ) -> tuple[object, ...]:
-    asked = (segment.controls, segment.targets, limits, held, lags, stood)
-    return (runs, segment.controls.shape, *(None if a is None else a.tobytes() for a in asked))
+    """Return what the controls of a segment depend on, the key of their cache."""
+    arrays = (segment.controls, segment.targets, limits, is_command, lags, initial)
+    return (runs, segment.controls.shape, *(None if a is None else a.tobytes() for a in arrays))
 
 
-@cached(LRUCache(_REMEMBERED), key=_content)
-def _on_time(
+@cached(LRUCache(_MAX_SEGMENTS), key=_controls_key)
+def _undelayed_controls(
     segment: Segment,
     runs: int,
-    held: NDArray[np.bool_],
+    is_command: NDArray[np.bool_],
     lags: NDArray[np.bool_],
     limits: FloatArray | None,
-    stood: FloatArray | None,
+    initial: FloatArray | None,
 ) -> FloatArray:
-    """`by_run` of controls that are not late, before what a row has seen of a jump, not to be written to; those asked for last are
-    remembered: a segment's are wanted with every lateness that an estimator tries."""
-    now, then = segment.controls[:-1], segment.controls[1:]
-    before = np.vstack([now[:1], now[:-1]])
-    if stood is not None:
-        before[0] = np.where(lags & np.isfinite(stood), stood, now[0])
+    """Compute `by_run` of controls without a delay, before the seen share of a jump is applied.
+
+    Cached and read-only: an estimator requests the controls of a segment with many delays.
+    """
+    current, following = segment.controls[:-1], segment.controls[1:]
+    previous = np.vstack([current[:1], current[:-1]])
+    if initial is not None:
+        previous[0] = np.where(lags & np.isfinite(initial), initial, current[0])
+    # Commands: held, with the correction of a lagging actuator in the first three runs of a row.
     fits = runs >= len(_RETURN)
-    values = np.repeat(now[:, None, :], runs, axis=1)
-    values[:, 0, lags] = before[:, lags]
-    beyond = _beyond(before, now, _BEYOND if fits else 0.5, limits)
-    values[:, 1, lags] += beyond[:, lags]
+    # Start from held commands, then correct the runs near each step.
+    values = np.repeat(current[:, None, :], runs, axis=1)
+    # A lagging actuator has not moved at the row of the step.
+    values[:, 0, lags] = previous[:, lags]
+    overshoot = _overshoot(previous, current, _OVERSHOOT if fits else 0.5, limits)
+    values[:, 1, lags] += overshoot[:, lags]
     if fits:
         values[:, 2, lags] += np.where(
-            np.abs(beyond) < 0.25 * np.abs(now - before), beyond, 0.5 * (now - before) - beyond
+            np.abs(overshoot) < 0.25 * np.abs(current - previous),
+            overshoot,
+            0.5 * (current - previous) - overshoot,
         )[:, lags]
+    # Positions: linear from row to row, or exponential where the target explains both ends.
     share = (np.arange(runs) / runs)[None, :, None]
-    straight = now[:, None, :] + share * (then - now)[:, None, :]
+    path = current[:, None, :] + share * (following - current)[:, None, :]
+    # A first-order servo covers the distance to its target by a constant factor from row to row.
     if segment.targets is not None:
-        away, later = now - segment.targets[:-1], then - segment.targets[:-1]
+        distance, next_distance = current - segment.targets[:-1], following - segment.targets[:-1]
         with np.errstate(invalid="ignore", divide="ignore"):
-            decay = later / away
-            lag = (decay > 1e-3) & (decay < 1.0) & (np.abs(away) > 1e-6)
-            bent = (
+            decay = next_distance / distance
+            lag = (decay > 1e-3) & (decay < 1.0) & (np.abs(distance) > 1e-6)
+            exponential = (
                 segment.targets[:-1, None, :]
-                + away[:, None, :] * np.where(lag, decay, 1.0)[:, None, :] ** share
+                + distance[:, None, :] * np.where(lag, decay, 1.0)[:, None, :] ** share
             )
-        straight = np.where(lag[:, None, :], bent, straight)
-    values = np.where(held[None, None, :], values, straight)
-    out = np.vstack([values.reshape(-1, now.shape[1]), segment.controls[-1:]])
-    jumps = held & ~lags
+        path = np.where(lag[:, None, :], exponential, path)
+    values = np.where(is_command[None, None, :], values, path)
+    out = np.vstack([values.reshape(-1, current.shape[1]), segment.controls[-1:]])
+    jumps = is_command & ~lags
     if fits:
-        out[1::runs, ~held] += _KINK * np.diff(out, 2, axis=0, prepend=out[:1])[::runs, ~held]
-    out[:, jumps] = _spread(out[:, jumps], _JUMP if fits else (0.5, 0.5))
+        # Sums over runs under-represent the kinks of a piecewise linear position.
+        out[1::runs, ~is_command] += (
+            _KINK * np.diff(out, 2, axis=0, prepend=out[:1])[::runs, ~is_command]
+        )
+    out[:, jumps] = _distribute(out[:, jumps], _JUMP if fits else (0.5, 0.5))
     out.setflags(write=False)
     return out
 
 
-def _beyond(
-    before: FloatArray, now: FloatArray, steps: float, limits: FloatArray | None
+def _overshoot(
+    previous: FloatArray, current: FloatArray, steps: float, limits: FloatArray | None
 ) -> FloatArray:
-    """(n, c) so many steps, or as much of them as the limits leave room for."""
-    wanted = steps * (now - before)
+    """Return ``steps`` times the step of each command (n, c), limited to the range of the
+    command.
+    """
+    overshoot = steps * (current - previous)
     if limits is None:
-        return wanted
+        return overshoot
     low, high = limits.T
-    return np.clip(wanted, np.minimum(low - now, 0.0), np.maximum(high - now, 0.0))
+    return np.clip(overshoot, np.minimum(low - current, 0.0), np.maximum(high - current, 0.0))
 
 
-def _spread(values: FloatArray, shares: Sequence[float]) -> FloatArray:
-    """Values each of which begins bit by bit, in as many runs as there are shares; before the first they were as there."""
-    held = np.vstack([values[:1]] * (len(shares) - 1) + [values])
+def _distribute(values: FloatArray, shares: Sequence[float]) -> FloatArray:
+    """Distribute each step over as many runs as there are shares; values before the first
+    equal it.
+    """
+    padded = np.vstack([values[:1]] * (len(shares) - 1) + [values])
     return sum(
-        (share * held[len(shares) - 1 - k : len(held) - k] for k, share in enumerate(shares)),
+        (share * padded[len(shares) - 1 - k : len(padded) - k] for k, share in enumerate(shares)),
         np.zeros_like(values),
     )
 
@@ -476,26 +603,30 @@ def _spread(values: FloatArray, shares: Sequence[float]) -> FloatArray:
 def _advance(
     fdm: Any, controls: FloatArray, setters: list[list[Any]], read: Any, runs: int
 ) -> list[list[float]]:
-    """Raw rows; ends early when JSBSim throws or the speed is no longer finite."""
+    """Step JSBSim and return the raw rows; stop early where it throws or the speed is not
+    finite.
+    """
     values = controls.tolist()
     run = fdm.run
     out = [read()]
+    # Most controls have one property: keep the inner loop free of lists.
     plan = [(handles[0], handles[1:]) for handles in setters]
     last = values[0]
 
-    def put(numbers: list[float]) -> None:
-        for (first, others), value in zip(plan, numbers, strict=True):
+    def set_controls(numbers: list[float]) -> None:
+        for (first, copies), value in zip(plan, numbers, strict=True):
             first(value)
-            for other in others:
+            for other in copies:
                 other(value)
 
     try:
         for row in range(1, len(values), runs):
             for numbers in values[row : row + runs]:
                 if numbers != last:
-                    put(numbers)
+                    set_controls(numbers)
                     last = numbers
                 run()
+            # Divergence ends a replay early: later rows would only cost time.
             sample = read()
             if not -1e5 < sample[0] < 1e5:
                 break
@@ -506,22 +637,30 @@ def _advance(
 
 
 def outputs_of(raw: FloatArray, segment: Segment, extra: int, n: int) -> FloatArray:
-    """(n, 13 + extra) CHANNELS and further properties from rows of RAW and those; NaN behind the last row."""
+    """Convert raw rows to CHANNELS and further properties, (n, 13 + extra); rows beyond them are
+    NaN.
+    """
     c = len(CHANNELS)
     done = len(raw)
+    # Channels are contiguous in memory, as the estimators read them one by one.
     out = np.empty((c + extra, n)).T
     out[done:] = np.nan
     np.multiply(raw[:, :c], _FACTORS, out=out[:done, :c])
+    # JSBSim gives forces; accelerometers measure them per mass.
     out[:done, _OVER_MASS] /= raw[:, c : c + 1]
+    # Unwrap the heading, starting on the turn nearest the start's: measured headings begin there.
     psi = CHANNELS.index("psi_rad")
     turned = out[:done, psi]
     turns = np.rint(np.diff(turned) / (2.0 * np.pi))
     if turns.any():
         turned[1:] -= 2.0 * np.pi * np.cumsum(turns)
-    # As near the start's heading as possible: measured headings are unwrapped from there.
-    out[:done, psi] = turned + 2.0 * np.pi * round((segment.start[5] - turned[0]) / (2.0 * np.pi))
+        out[:done, psi] = turned + 2.0 * np.pi * round(
+            (segment.start[5] - turned[0]) / (2.0 * np.pi)
+        )
+    # Height counts from the record's height at the start.
     out[:done, -1 - extra] += segment.h_m - out[0, -1 - extra]
     if any(segment.arm_m):
+        # Acceleration at the sensor: a + w_dot x r + w x (w x r).
         rates, rates_dot = out[:done, 6:9], raw[:, c + 1 : c + 4]
         arm = np.array(segment.arm_m)
         out[:done, 9:12] += np.cross(rates_dot, arm) + np.cross(rates, np.cross(rates, arm))
@@ -530,15 +669,24 @@ def outputs_of(raw: FloatArray, segment: Segment, extra: int, n: int) -> FloatAr
     return out
 
 
-# How fast replays ran, beside the bare JSBSim loop on the same machine at the same time.
+# Speed of replays, compared with the bare JSBSim loop on the same machine at the same time.
 
 _RUNS = 2000
 
 
 @dataclass(frozen=True)
 class Speed:
-    """simulations (replays of all segments) and flight seconds a second of wall time, and the processes they ran in;
-    bare: flight seconds a second of one process that does nothing but step the same model."""
+    """Speed of replays on this machine.
+
+    Attributes
+    ----------
+    simulations_per_s, flight_s_per_s : float
+        Replays of all segments, and seconds of flight, per second of wall time.
+    processes : int
+        Processes that they ran in.
+    bare_flight_s_per_s : float
+        Seconds of flight per second of one process that only steps the same model.
+    """
 
     simulations_per_s: float
     flight_s_per_s: float
@@ -546,24 +694,29 @@ class Speed:
     bare_flight_s_per_s: float
 
     def text(self) -> str:
-        """One line for a report."""
+        """Return one line for a report."""
         return (
-            f"{self.simulations_per_s:.1f} simulations or {self.flight_s_per_s:.0f} flight seconds per second in {self.processes} "
-            f"process{'' if self.processes == 1 else 'es'}; JSBSim's bare loop: {self.bare_flight_s_per_s:.0f}"
+            f"{self.simulations_per_s:.1f} simulations or {self.flight_s_per_s:.0f} flight seconds"
+            f" per second in {self.processes} process{'' if self.processes == 1 else 'es'};"
+            f" JSBSim's bare loop: {self.bare_flight_s_per_s:.0f}"
         )
 
 
 def bare_rate(model: ReplayModel, segment: Segment) -> float:
-    """Flight seconds a second of wall time when the model is stepped and nothing is set or read. Raises BadInputError."""
+    """Return the seconds of flight per second of wall time when the model is only stepped.
+
+    Raises BadInputError.
+    """
     dt_s = segment.dt_s / runs_per_row(segment.dt_s)
     fdm = model.open(dt_s)
+    # Well above the ground, so that no contact model slows the loop.
     fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = (
         (segment.altitude_m + 500.0) / FT_M,
         float(segment.start[0]) / FT_M,
     )
     engine.run_ic(fdm)
     run = fdm.run
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     for _ in range(_RUNS):
         run()
-    return _RUNS * dt_s / (time.perf_counter() - begun)
+    return _RUNS * dt_s / (time.perf_counter() - start_s)

@@ -1,4 +1,12 @@
-"""Replays as the estimators want them: outputs as a function of one vector, with a memory, so that little is flown twice."""
+"""Replays as functions of one parameter vector, for the estimators, and the files of their
+histories.
+
+`Replay` maps theta (parameters, sensor biases, delays, start states) to the outputs of all
+segments. Simulations are cached per process, so that perturbing one element of theta repeats only
+the segments that it affects. `replay_pool` flies the replays of many points together;
+`nuisance_layout` builds theta's nuisance part; `read_histories` and `write_histories` store time
+histories as Parquet.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +29,7 @@ from uqharness.errors import BadInputError
 from uqharness.parallel import process_count, process_pool
 from uqharness.parquet_files import read_table, write_table
 from uqharness.replay.flights import Flight
-from uqharness.replay.in_lanes import ReplayJob, as_flown, fly_all
+from uqharness.replay.in_lanes import ReplayJob, fly_all, split_job
 from uqharness.replay.model import ReplayModel
 from uqharness.replay.replay import (
     CHANNELS,
@@ -35,24 +43,42 @@ from uqharness.replay.replay import (
 )
 from uqharness.replay.segments import Segment
 
-_CACHE_BYTES = 300_000_000
-_TOGETHER_BYTES = _CACHE_BYTES // 4
-"""Of pieces flown together: all are read before the first is forgotten, and what they are compared with stays besides."""
-_RESTING_BYTES = _CACHE_BYTES // 4
-"""Of pieces that stay when many points have been read: those of the point that all of them are near."""
+_MAX_CACHE_BYTES = 300_000_000
+_MAX_PENDING_BYTES = _MAX_CACHE_BYTES // 4
+"""Bytes of simulations flown together: all of them must stay cached until they are read."""
+_MAX_IDLE_BYTES = _MAX_CACHE_BYTES // 4
+"""Bytes that stay cached after many points were read: those of the point that all are near."""
 Start = tuple[FloatArray, float, float]
-"""Start state (9,), how late the controls act [s], share of a jump unseen."""
+"""Start state (9,), delay of the controls [s], unseen share of a jump."""
 
 
 class Replay:
-    """simulate(theta) of a set of segments, for the estimators: picklable, with the runs of late memory kept.
+    """Outputs of a set of segments as a function of theta; picklable.
 
-    theta is laid out by ``names``: JSBSim properties; ``bias/<flight>/<channel>`` added to an output;
-    ``delay/<flight>/<sensor>`` by which a sensor's outputs come late, s (SENSOR_OF), or, for CONTROL_DELAY, by which the controls
-    act late; ``unseen/<flight>`` the share of a control's jump that the accelerometers of its row have not seen; and
-    ``start/<segment number>/<state>`` added to a segment's start state. What a perturbed value does not touch is
-    not flown again.
-    channels: which of CHANNELS are returned; late_s: channel -> known time by which it comes late besides.
+    Parameters
+    ----------
+    model : ReplayModel
+        The aircraft.
+    segments : sequence of Segment
+        What is replayed.
+    names : sequence of str
+        The elements of theta, see Notes.
+    channels : sequence of str
+        Which of CHANNELS are returned.
+    token : str
+        Unique name of this replay, the key of its cached simulations.
+    base : Mapping, optional
+        Properties set in all replays.
+    late_s : Mapping, optional
+        Channel to a known delay [s], in addition to an estimated one.
+
+    Notes
+    -----
+    Names of theta's elements are JSBSim properties; ``bias/<flight>/<channel>``, added to an
+    output; ``delay/<flight>/<sensor>``, the delay of a sensor's outputs (SENSOR_OF) or, for
+    CONTROL_DELAY, of the controls [s]; ``unseen/<flight>``, the share of a jump that the
+    accelerometers of its row have not seen; ``start/<segment number>/<state>``, added to a
+    segment's start state.
     """
 
     def __init__(
@@ -62,6 +88,7 @@ class Replay:
         names: Sequence[str],
         channels: Sequence[str],
         token: str,
+        *,
         base: Mapping[str, float] | None = None,
         late_s: Mapping[str, float] | None = None,
     ) -> None:
@@ -80,22 +107,23 @@ class Replay:
         self._starts: dict[int, list[tuple[int, int]]] = {}
         self._late: dict[str, int] = {}
         self._unseen: dict[str, int] = {}
-        self._kept: dict[int, tuple[tuple[tuple[_Key, ...], bytes], FloatArray]] = {}
+        self._last_outputs: dict[int, tuple[tuple[tuple[_Key, ...], bytes], FloatArray]] = {}
         self._sizes: list[int] = []
+        # Sort theta's elements by what they affect.
         for i, name in enumerate(names):
-            kind, _, rest = name.partition("/")
-            where, _, what = rest.rpartition("/")
+            kind, _, target = name.partition("/")
+            where, _, element = target.rpartition("/")
             if kind == UNSEEN:
-                self._unseen[rest] = i
-            elif kind == "bias" and what in self.channels:
-                self._biases.setdefault(where, []).append((i, self.channels.index(what)))
-            elif kind == "delay" and what == CONTROL_DELAY:
+                self._unseen[target] = i
+            elif kind == "bias" and element in self.channels:
+                self._biases.setdefault(where, []).append((i, self.channels.index(element)))
+            elif kind == "delay" and element == CONTROL_DELAY:
                 self._late[where] = i
             elif kind == "delay":
-                late = [k for k, c in enumerate(self.channels) if SENSOR_OF.get(c, c) == what]
+                late = [k for k, c in enumerate(self.channels) if SENSOR_OF.get(c, c) == element]
                 self._delays.setdefault(where, []).extend((i, k) for k in late)
             elif kind == "start":
-                self._starts.setdefault(int(where), []).append((i, STATES.index(what)))
+                self._starts.setdefault(int(where), []).append((i, STATES.index(element)))
         for segment in self.segments:
             rows = shape_of(
                 model, segment, segment.flight in self._delays or bool(self._late_s)
@@ -103,14 +131,15 @@ class Replay:
             self._sizes.append(rows * len(CHANNELS) * 8)
 
     def moved(self, index: int) -> tuple[int, ...] | None:
-        """Numbers of the segments whose outputs theta's element moves, None for all."""
-        kind, _, rest = self.names[index].partition("/")
+        """Return the numbers of the segments that an element of theta affects, None for all."""
+        kind, _, target = self.names[index].partition("/")
         if kind == "start":
-            return (int(rest.partition("/")[0]),)
+            return (int(target.partition("/")[0]),)
+        # Only properties affect all segments.
         flight = (
-            rest
+            target
             if kind == UNSEEN
-            else rest.rpartition("/")[0]
+            else target.rpartition("/")[0]
             if kind in ("bias", "delay")
             else None
         )
@@ -121,7 +150,9 @@ class Replay:
         )
 
     def starts_at(self, theta: FloatArray) -> list[Start]:
-        """Every segment's start state (9,), how late its controls act [s], and what share of a jump is unseen, at theta."""
+        """Return each segment's start state (9,), control delay [s] and unseen share of a jump at
+        theta.
+        """
         starts = []
         for number, segment in enumerate(self.segments):
             start = segment.start.copy()
@@ -135,13 +166,13 @@ class Replay:
         return starts
 
     def _conditions(self, theta: FloatArray) -> tuple[dict[str, float], list[Start]]:
-        """Properties, and every segment's start state and timing of the controls, at theta."""
+        """Return the properties, and each segment's start state and control timing, at theta."""
         return {**self.base, **{n: float(theta[i]) for i, n in self._properties}}, self.starts_at(
             theta
         )
 
     def __call__(self, theta: FloatArray) -> list[FloatArray]:
-        """[(n, m)] outputs, one array a segment."""
+        """Return the outputs (n, m) of every segment at theta."""
         self.fetch([theta], map)
         properties, starts = self._conditions(theta)
         return [
@@ -152,73 +183,86 @@ class Replay:
     def _sensed(
         self, segment: Segment, number: int, theta: FloatArray, pieces: Mapping[_Key, ReplayJob]
     ) -> FloatArray:
-        """(n, m) outputs of one segment with its flight's delays and biases; the last ones are kept."""
+        """Return the outputs (n, m) of one segment with delays and biases; the latest are
+        cached.
+        """
         late, biased = self._delays.get(segment.flight, []), self._biases.get(segment.flight, [])
+        # Equal simulations with equal delays and biases give equal outputs.
         state = (tuple(pieces), theta[[i for i, _ in (*late, *biased)]].tobytes())
-        kept = self._kept.get(number)
-        if kept is not None and kept[0] == state:
-            return kept[1]
+        cached = self._last_outputs.get(number)
+        if cached is not None and cached[0] == state:
+            return cached[1]
         n = len(segment.time_s)
-        between, *rows = (self._flown(key, job)[:, self._columns] for key, job in pieces.items())
-        flown = (rows[0] if rows else at_rows(between, n)).copy()
+        # The first replay may have outputs between rows, for delayed sensors; a second one has rows
+        # only.
+        between, *rows = (
+            self._fly_cached(key, job)[:, self._columns] for key, job in pieces.items()
+        )
+        outputs = (rows[0] if rows else at_rows(between, n)).copy()
         late_s = dict(self._late_s)
         for i, k in late:
             late_s[k] = late_s.get(k, 0.0) + float(theta[i])
         for k, seconds in late_s.items():
             if seconds != 0.0:
-                flown[:, k] = late_rows(between[:, k], n, seconds / segment.dt_s)
+                outputs[:, k] = late_rows(between[:, k], n, seconds / segment.dt_s)
         for i, k in biased:
-            flown[:, k] += theta[i]
-        flown.setflags(write=False)
-        self._kept[number] = (state, flown)
-        return flown
+            outputs[:, k] += theta[i]
+        outputs.setflags(write=False)
+        self._last_outputs[number] = (state, outputs)
+        return outputs
 
-    def _flown(self, key: _Key, job: ReplayJob) -> FloatArray:
-        found = _flown.get(key)
-        if found is None:
-            (found,) = fly_all([job])
-            _remember(key, found)
+    def _fly_cached(self, key: _Key, job: ReplayJob) -> FloatArray:
+        """Return a simulation from the cache, or fly it."""
+        rows = _replay_cache.get(key)
+        if rows is None:
+            (rows,) = fly_all([job])
+            _remember(key, rows)
         else:
-            _flown.move_to_end(key)
-        return found
+            _replay_cache.move_to_end(key)
+        return rows
 
     def _pieces(
         self, number: int, segment: Segment, properties: Mapping[str, float], conditions: Start
     ) -> dict[_Key, ReplayJob]:
-        """Replays of one segment by what makes them, as `as_flown` has them."""
+        """Return the simulations of one segment by their cache keys, as `split_job` divides
+        them.
+        """
         start, late_s, unseen = conditions
         between = segment.flight in self._delays or bool(self._late_s)
         late = {*self._late_s, *(k for _, k in self._delays.get(segment.flight, ()))}
+        # Sensors without a delay are read at the rows themselves.
         on_time = [c for k, c in enumerate(self.channels) if k not in late]
-        jobs = as_flown(
+        jobs = split_job(
             ReplayJob(self.model, segment, dict(properties), start, late_s, between, unseen=unseen),
             on_time,
         )
-        made = (self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes())
-        return {(*made, late_s, job.unseen, job.between): job for job in jobs}
+        key = (self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes())
+        return {(*key, late_s, job.unseen, job.between): job for job in jobs}
 
     def forget(self) -> None:
-        """Let go of what is remembered of this replay and its copies: nothing more will be asked of it."""
-        for key in [k for k in _flown if k[0] == self.token]:
-            counter["bytes"] -= _flown.pop(key).nbytes
+        """Remove the cached simulations of this replay and its copies."""
+        for key in [k for k in _replay_cache if k[0] == self.token]:
+            counter["bytes"] -= _replay_cache.pop(key).nbytes
 
-    def fetch(self, thetas: Sequence[FloatArray], map_: Callable[..., Iterable[Any]]) -> None:
-        """Fly whatever several theta need and nobody remembers, each piece once, by ``map_`` (a process pool's, say).
+    def fetch(self, thetas: Sequence[FloatArray], pool: Callable[..., Iterable[Any]]) -> None:
+        """Fly whatever several theta need and is not cached, each simulation once.
 
-        Afterwards every ``self(theta)`` only puts together what is remembered: little has to travel between processes.
+        ``pool`` is a `map`, a process pool's for example. Afterwards ``self(theta)`` only reads the
+        cache, so little travels between processes.
         """
-        for _ in self.fetched(thetas, map_):
+        for _ in self.fetched(thetas, pool):
             pass
 
-    def rest(self) -> None:
-        """Let go of most pieces: those asked for last stay."""
-        _shrink(_RESTING_BYTES)
+    def shrink_memory(self) -> None:
+        """Remove all but the most recent simulations from the cache."""
+        _shrink(_MAX_IDLE_BYTES)
 
     def fetched(
-        self, thetas: Sequence[FloatArray], map_: Callable[..., Iterable[Any]]
+        self, thetas: Sequence[FloatArray], pool: Callable[..., Iterable[Any]]
     ) -> Iterator[FloatArray]:
-        """Each theta as soon as its pieces have been flown, each once; those of so many theta together as are remembered until they
-        are asked for."""
+        """Yield each theta as soon as its simulations are cached, as many together as the cache can
+        hold.
+        """
         jobs: dict[_Key, ReplayJob] = {}
         waiting: list[FloatArray] = []
         size = 0
@@ -226,96 +270,105 @@ class Replay:
             properties, starts = self._conditions(theta)
             for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True)):
                 for key, job in self._pieces(number, segment, properties, start).items():
-                    if key in _flown:
-                        _flown.move_to_end(key)
+                    if key in _replay_cache:
+                        _replay_cache.move_to_end(key)
                     elif key not in jobs:
                         jobs[key] = job
                         size += self._sizes[number]
             waiting.append(theta)
-            if size > _TOGETHER_BYTES:
-                _fly(jobs, map_)
+            # Fly what has accumulated before the cache would have to drop any of it.
+            if size > _MAX_PENDING_BYTES:
+                _fly(jobs, pool)
                 yield from waiting
                 jobs, waiting, size = {}, [], 0
-        _fly(jobs, map_)
+        _fly(jobs, pool)
         yield from waiting
 
 
-# Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start leaves the others as they were.
+# Cache of the process, shared by unpickled copies of a replay.
 _Key = tuple[str, int, bytes, bytes, float, float, bool]
-_flown: OrderedDict[_Key, FloatArray] = OrderedDict()
+_replay_cache: OrderedDict[_Key, FloatArray] = OrderedDict()
 counter = {"rows": 0, "bytes": 0, "segments": 0}
 
 
-def _fly(jobs: Mapping[_Key, ReplayJob], map_: Callable[..., Iterable[Any]]) -> None:
-    for key, found in zip(jobs, fly_all(list(jobs.values()), map_), strict=True):
-        _remember(key, found)
+def _fly(jobs: Mapping[_Key, ReplayJob], pool: Callable[..., Iterable[Any]]) -> None:
+    """Fly jobs and cache the results."""
+    for key, rows in zip(jobs, fly_all(list(jobs.values()), pool), strict=True):
+        _remember(key, rows)
 
 
-def _remember(key: _Key, found: FloatArray) -> None:
-    _flown[key] = found
-    counter["rows"] += len(found)
+def _remember(key: _Key, rows: FloatArray) -> None:
+    """Add a simulation to the cache and to the counters of progress."""
+    _replay_cache[key] = rows
+    counter["rows"] += len(rows)
     counter["segments"] += 1
-    counter["bytes"] += found.nbytes
-    _shrink(_CACHE_BYTES)
+    counter["bytes"] += rows.nbytes
+    _shrink(_MAX_CACHE_BYTES)
 
 
-def _shrink(most: int) -> None:
-    while counter["bytes"] > most:
-        counter["bytes"] -= _flown.popitem(last=False)[1].nbytes
+def _shrink(max_bytes: int) -> None:
+    """Remove the oldest simulations above a number of bytes."""
+    while counter["bytes"] > max_bytes:
+        counter["bytes"] -= _replay_cache.popitem(last=False)[1].nbytes
 
 
-# Replays of many points at once: together by the batch engine, or in worker processes; each
-# piece that several share once.
+# Replays of many points at once, by the batch engine or in worker processes; simulations that
+# points share are flown once.
 
 
-def spread_over(map_: Callable[..., Any]) -> Callable[..., Iterable[Any]]:
-    """A `map` for output error that has the replays of its points flown together, as many as memory keeps at once, and gives what
-    comes of them one after the other; ``map_`` spreads what JSBSim flies."""
+def batched_pool(pool: Callable[..., Any]) -> Callable[..., Iterable[Any]]:
+    """Return a `map` for output error that flies the replays of its points together.
 
-    def spread(function: Callable[[FloatArray], Any], points: Any) -> Iterable[Any]:
+    As many as fit the cache are flown at once, and results are returned one by one. ``pool``
+    distributes what JSBSim flies.
+    """
+
+    def mapped(function: Callable[[FloatArray], Any], points: Any) -> Iterable[Any]:
+        # Output error maps a callable object whose attribute ``simulate`` is the replay.
         replay = getattr(function, "simulate", None)
         return (
-            _read(function, replay, list(points), map_)
+            _map_replays(function, replay, list(points), pool)
             if isinstance(replay, Replay)
             else map(function, list(points))
         )
 
-    return spread
+    return mapped
 
 
-def _read(
+def _map_replays(
     function: Callable[[FloatArray], Any],
     replay: Replay,
     points: list[FloatArray],
-    map_: Callable[..., Any],
+    pool: Callable[..., Any],
 ) -> Iterator[Any]:
-    yield from map(function, replay.fetched(points, map_))
-    replay.rest()
+    """Evaluate a function at points whose simulations are fetched in advance."""
+    yield from map(function, replay.fetched(points, pool))
+    replay.shrink_memory()
 
 
 @contextmanager
 def replay_pool(workers: int | None = None) -> Any:
-    """A `map` for output error that has the replays of all its points flown together.
+    """Yield a `map` for output error that flies the replays of all its points together.
 
-    What JSBSim flies goes to worker processes, started once; a single worker is this process.
+    What JSBSim flies is distributed to ``workers`` processes, started when first needed; one worker
+    is this process.
     """
     count = process_count(workers)
     with ExitStack() as stack:
-        pool: Any = None
+        executor: Any = None
 
         def by_processes(function: Callable[[Any], Any], jobs: Sequence[Any]) -> Any:
             # Started when the first replay is one that the batch engine does not fly.
-            nonlocal pool
+            nonlocal executor
             if count == 1:
                 return map(function, jobs)
-            pool = pool or stack.enter_context(process_pool(count))
-            return pool.map(function, jobs, chunksize=max(1, len(jobs) // (8 * count)))
+            executor = executor or stack.enter_context(process_pool(count))
+            return executor.map(function, jobs, chunksize=max(1, len(jobs) // (8 * count)))
 
-        yield spread_over(by_processes)
+        yield batched_pool(by_processes)
 
 
-# What a replay's theta holds beside the parameters: sensor biases, delays and the segments'
-# start states.
+# The nuisance part of theta: sensor biases, delays and start states.
 
 _FREE_STARTS = (
     "V_mps",
@@ -332,13 +385,13 @@ _BIAS_WIDTH = {"V_mps": 5.0, "ax_mps2": 2.0, "ay_mps2": 2.0, "az_mps2": 2.0}
 _DEFAULT_WIDTH = 0.5
 _DELAY_WIDTH = 0.15
 SHARES = (0.0, 1.0)
-"""Of a jump that accelerometers have not seen: none and all of it. Beyond, a control would move further than it does."""
+"""Bounds of the unseen share of a jump: none and all of it."""
 _REFERENCE = SENSOR_OF["p_radps"]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """theta of the replay: parameters first, then biases and start states."""
+    """Names and bounds of theta: parameters first, then biases, delays, shares and start states."""
 
     names: tuple[str, ...]
     bounds: list[tuple[float, float]]
@@ -347,16 +400,37 @@ class Layout:
 def nuisance_layout(
     names: Sequence[str],
     limits: Sequence[tuple[float, float]],
-    cut: Sequence[Segment],
+    segments: Sequence[Segment],
     biases: Sequence[str],
     outputs: Sequence[str],
+    *,
     late: Mapping[str, Sequence[str]],
     jumping: Sequence[str] = (),
 ) -> Layout:
-    """Parameters, one bias a flight and channel, the delays ``late`` (flight -> channels), what the accelerometers have not seen of
-    the jumps in flights ``jumping``, start states of every segment."""
+    """Extend parameters by the nuisance parameters of a fit.
+
+    Parameters
+    ----------
+    names, limits : sequence
+        Parameters and their bounds.
+    segments : sequence of Segment
+        What is replayed.
+    biases : sequence of str
+        Channels with one constant bias a flight.
+    outputs : sequence of str
+        Fitted channels; start states are free for those among them.
+    late : Mapping
+        Flight to the sensors, or CONTROL_DELAY, whose delay is estimated.
+    jumping : sequence of str
+        Flights with an unseen share of jumps.
+
+    Returns
+    -------
+    Layout
+        Names and bounds of the complete theta.
+    """
     extra, bounds = [], list(limits)
-    for flight in dict.fromkeys(s.flight for s in cut):
+    for flight in dict.fromkeys(s.flight for s in segments):
         for channel in biases:
             extra.append(f"bias/{flight}/{channel}")
             width = _BIAS_WIDTH.get(channel, 0.1)
@@ -366,81 +440,99 @@ def nuisance_layout(
         bounds += [(-_DELAY_WIDTH, _DELAY_WIDTH)] * len(channels)
     extra += [f"{UNSEEN}/{flight}" for flight in jumping]
     bounds += [SHARES] * len(jumping)
-    for number, segment in enumerate(cut):
+    # The initial heading is not free: the heading is no fitted output.
+    for number, segment in enumerate(segments):
         for state in _FREE_STARTS:
             if state not in outputs:
                 continue
             extra.append(f"start/{number}/{state}")
             width = _START_WIDTH.get(state, _DEFAULT_WIDTH)
             if segment.reach is not None:
-                # A sensor that is late shows the start a few rows later, when a fast mode has moved on.
+                # A delayed sensor shows the start a few rows later, after a fast mode has moved on.
                 width += float(segment.reach[STATES.index(state)])
             bounds.append((-width, width))
     return Layout((*names, *extra), bounds)
 
 
 def delayed(
-    flights: Sequence[Flight], outputs: Sequence[str], asked: Sequence[str] | None
+    flights: Sequence[Flight], outputs: Sequence[str], requested: Sequence[str] | None
 ) -> dict[str, list[str]]:
-    """Flight -> what is late, of which delays are estimated: the controls (CONTROL_DELAY) and sensors.
+    """Return flight to the sensors, or CONTROL_DELAY, whose delays are estimated.
 
-    By default the controls, in every flight: a command is held for a sample, and whatever carried it out began somewhere in
-    between; and, of logs, whose channels are stamped when written, every sensor but the gyros, from which delays count.
+    By default the controls of every flight, because the actuation began somewhere within the sample
+    of its command, and in logs every sensor but the gyros, because channels are stamped when
+    written; the gyros are the reference. ``requested`` overrides this.
     """
     out = {}
     for flight in flights:
+        # Records of simulations have no native rates: their sensors are on time.
         logged = bool(flight.record.metadata.native_hz)
-        wanted = [SENSOR_OF.get(c, c) for c in outputs if (logged if asked is None else c in asked)]
-        if asked is None:
-            wanted = [CONTROL_DELAY, *(c for c in wanted if c != _REFERENCE)]
-        elif CONTROL_DELAY in asked:
-            wanted = [CONTROL_DELAY, *wanted]
-        out[flight.name] = list(dict.fromkeys(wanted))
+        sensors = [
+            SENSOR_OF.get(c, c)
+            for c in outputs
+            if (logged if requested is None else c in requested)
+        ]
+        if requested is None:
+            sensors = [CONTROL_DELAY, *(c for c in sensors if c != _REFERENCE)]
+        elif CONTROL_DELAY in requested:
+            sensors = [CONTROL_DELAY, *sensors]
+        out[flight.name] = list(dict.fromkeys(sensors))
     return out
 
 
 LATE_ROWS = 0.5
-"""A record's commands act from their own row on: controls that act more rows earlier or later than this are misplaced."""
-_LEAST_LATE_S = 0.0075  # JSBSim's own flights act half a run early (see replay.py).
+"""Rows by which the controls of a record may act early or late before its commands count as
+shifted.
+"""
+_MIN_LATE_S = 0.0075  # JSBSim's own flights act half a run early (see replay.py).
 
 
 def late_limit_s(flight: Flight, dt_s: float) -> float:
-    """How late the controls of a flight may act: half a row of commands, ``dt_s`` long; without limit for a log, whose channels are
-    stamped when written."""
-    return math.inf if flight.record.metadata.native_hz else max(LATE_ROWS * dt_s, _LEAST_LATE_S)
+    """Return the largest delay of a flight's controls that counts as aligned [s].
+
+    Half a row of commands, ``dt_s`` long; infinite for a log, whose channels are stamped when
+    written.
+    """
+    return math.inf if flight.record.metadata.native_hz else max(LATE_ROWS * dt_s, _MIN_LATE_S)
 
 
-def misplaced(
-    flights: Sequence[Flight], cut: Sequence[Segment], nuisance: Mapping[str, tuple[float, float]]
+def shifted_command_warnings(
+    flights: Sequence[Flight],
+    segments: Sequence[Segment],
+    nuisance: Mapping[str, tuple[float, float]],
 ) -> list[str]:
-    """A sentence for every flight whose controls, by the estimate in ``nuisance``, act when its record says they do not."""
-    said = []
+    """Return a warning for every flight whose estimated control delay exceeds the limit of its
+    record.
+    """
+    warnings = []
     for flight in flights:
         late, std = nuisance.get(f"delay/{flight.name}/{CONTROL_DELAY}", (0.0, 0.0))
-        limit = late_limit_s(flight, next(s.command_s for s in cut if s.flight == flight.name))
-        # A delay that the flight does not determine (std NaN) says nothing.
+        # The limit follows the spacing of commands, not of output rows.
+        limit = late_limit_s(flight, next(s.command_s for s in segments if s.flight == flight.name))
+        # An undetermined delay (std NaN) fails the comparison and raises no warning.
+        # Significant at two standard errors.
         if abs(late) - 2.0 * std > limit:
-            said.append(
-                f"{flight.name}: its controls act {1e3 * abs(late):.1f} ms {'late' if late > 0.0 else 'early'}, and "
-                f"{1e3 * limit:.1f} ms are allowed: its command columns are shifted; a command belongs to the row whose "
-                "acceleration has seen it first"
+            warnings.append(
+                f"{flight.name}: controls act {1e3 * abs(late):.1f} ms"
+                f" {'late' if late > 0.0 else 'early'}, where {1e3 * limit:.1f} ms are allowed: the"
+                " command columns are shifted; a command belongs to the first row whose"
+                " acceleration includes it"
             )
-    return said
+    return warnings
 
 
-# histories.parquet: what was measured and what a model made of it, sample by sample, for the
-# figures of a report.
+# histories.parquet: measured and modelled time histories for the figures of a report.
 #
 # One row a sample, segment after segment: ``segment`` (number), ``flight``, ``manoeuvre``,
-# ``time_s`` of the log, then columns of the writer's choosing: a channel by its name as
-# measured, ``<channel>_model`` beside it, controls, coefficients. NaN is not known.
+# ``time_s`` of the log, then the writer's columns: a channel by its name as measured,
+# ``<channel>_model`` as modelled, controls, coefficients. NaN is unknown.
 
 HISTORIES = "histories.parquet"
 
 
 @dataclass(frozen=True)
 class History:
-    """One segment: time_s (n,) and columns (n,) by name."""
+    """Time histories of one segment: ``time_s`` (n,) and columns (n,) by name."""
 
     number: int
     flight: str
@@ -450,21 +542,24 @@ class History:
 
     @property
     def title(self) -> str:
-        """Flight, manoeuvre and where it begins."""
+        """Return flight, manoeuvre and start time."""
         return f"{self.flight}, {self.manoeuvre}, from {self.time_s[0]:.1f} s"
 
 
 def columns_of(
     names: Sequence[str], blocks: Sequence[FloatArray], suffix: str = ""
 ) -> dict[str, list[FloatArray]]:
-    """Columns by name, one array a segment, from blocks (n, m) whose columns have ``names``."""
+    """Split blocks (n, m) into columns by name, one array a segment."""
     return {f"{name}{suffix}": [block[:, k] for block in blocks] for k, name in enumerate(names)}
 
 
 def write_histories(
     folder: Path, segments: Sequence[Segment], columns: Mapping[str, Sequence[FloatArray]]
 ) -> None:
-    """Write histories.parquet into ``folder``; ``columns`` as :func:`columns_of` gives them. Same input, same bytes."""
+    """Write histories.parquet into ``folder``; ``columns`` as `columns_of` returns them.
+
+    Equal input gives identical bytes.
+    """
     write_pieces(folder / HISTORIES, [(s.flight, s.label, s.time_s) for s in segments], columns)
 
 
@@ -473,8 +568,9 @@ def write_pieces(
     pieces: Sequence[tuple[str, str, FloatArray]],
     columns: Mapping[str, Sequence[FloatArray]],
 ) -> None:
-    """The same for pieces (flight, manoeuvre, time_s) of any kind. Raises BadInputError."""
+    """Write pieces (flight, manoeuvre, time_s) of any kind. Raises BadInputError."""
     counts = [len(time_s) for _, _, time_s in pieces]
+    # Segments are stored one after the other and identified by their number.
     number = np.repeat(np.arange(len(pieces)), counts)
     table = {
         "segment": pa.Array.from_buffers(pa.int64(), len(number), [None, pa.py_buffer(number)]),
@@ -485,14 +581,15 @@ def write_pieces(
     write_table(pa.table(table | {name: _numbers(parts) for name, parts in columns.items()}), path)
 
 
-# pyarrow.array and pyarrow.scalar would load pandas, to see whether they are given one of its own.
+# Arrow arrays are made from buffers: pyarrow.array would import pandas to inspect its argument.
 def _numbers(parts: Sequence[FloatArray]) -> pa.Array:
+    """Concatenate parts to an Arrow array of doubles."""
     values = np.concatenate([np.asarray(p, dtype=float) for p in parts])
     return pa.Array.from_buffers(pa.float64(), len(values), [None, pa.py_buffer(values)])
 
 
 def _texts(values: Sequence[str], counts: Sequence[int]) -> pa.Array:
-    """Each text as often as its count says."""
+    """Return an Arrow array with each text repeated by its count."""
     encoded = [value.encode() for value in values]
     ends = np.cumsum(np.repeat([len(text) for text in encoded], counts))
     offsets = np.concatenate([[0], ends]).astype(np.int32)
@@ -501,13 +598,17 @@ def _texts(values: Sequence[str], counts: Sequence[int]) -> pa.Array:
 
 
 def read_histories(path: Path) -> list[History]:
-    """Segments of a file, none where there is no file. Raises BadInputError for one that `write_pieces` cannot have written."""
+    """Read the segments of a file; an empty list where there is none.
+
+    Raises BadInputError for a file that `write_pieces` cannot have written.
+    """
     if not path.is_file():
         return []
     table = _checked(read_table(path), path)
     number, time_s = _values(table.column("segment")), _values(table.column("time_s"))
     flights, manoeuvres = table.column("flight"), table.column("manoeuvre")
     values = {name: _values(table.column(name)) for name in table.column_names if name not in _KEYS}
+    # Numbers need not be consecutive: writers may leave segments out.
     rows_of = [np.flatnonzero(number == k) for k in np.unique(number)]
     return [
         History(
@@ -522,16 +623,16 @@ def read_histories(path: Path) -> list[History]:
 
 
 def _values(column: pa.ChunkedArray) -> NDArray[Any]:
-    """(n,) numbers of a column, NaN where there is none."""
-    whole = column.combine_chunks()
+    """Return the numbers (n,) of a column, NaN where there is none."""
+    combined = column.combine_chunks()
     # to_numpy would load pandas; what this program wrote has no gaps.
     return np.asarray(
-        whole.to_numpy(zero_copy_only=False) if whole.null_count else np.from_dlpack(whole)
+        combined.to_numpy(zero_copy_only=False) if combined.null_count else np.from_dlpack(combined)
     )
 
 
-def have(pieces: Sequence[History], names: Iterable[str]) -> bool:
-    """Whether there are pieces and all have these columns."""
+def have_columns(pieces: Sequence[History], names: Iterable[str]) -> bool:
+    """Check that there are pieces and that all have these columns."""
     return bool(pieces) and set(names) <= set(pieces[0].columns)
 
 
@@ -544,26 +645,29 @@ _KEYS = {
 
 
 def _checked(table: pa.Table, path: Path) -> pa.Table:
-    """The table, if its columns are of the kinds that are written. Raises BadInputError naming the first that is not."""
+    """Return the table if all its columns have the types that are written.
+
+    Raises BadInputError naming the first that does not.
+    """
     names = table.column_names
     for name in (*_KEYS, *names):
-        wanted = _KEYS.get(name, pa.float64())
-        if names.count(name) != 1 or table.column(name).type != wanted:
-            found = (
+        expected_type = _KEYS.get(name, pa.float64())
+        if names.count(name) != 1 or table.column(name).type != expected_type:
+            description = (
                 f"{table.column(name).type}"
                 if names.count(name) == 1
                 else f"there {names.count(name)} times"
             )
             raise BadInputError(
-                f"{path}: column {name} is {found}, it must be there once, of type {wanted}; run its command again"
+                f"{path}: column {name} is {description}, it must be there once, of type"
+                f" {expected_type}; run its command again"
             )
         if name in _KEYS and table.column(name).null_count:
             raise BadInputError(f"{path}: column {name} has gaps; run its command again")
     return table
 
 
-# How a channel of a flight record is shown to people: its quantity, its unit, the factor that
-# brings it there.
+# Display of channels: quantity, unit, and the factor from the record's unit.
 
 _UNITS = {
     "rad": ("deg", RAD_DEG),
@@ -581,9 +685,12 @@ _CONTROLS = {"elevator": "deg", "aileron": "deg", "rudder": "deg", "throttle": "
 
 
 def shown_channel(name: str) -> tuple[str, str, float]:
-    """Quantity, unit and factor: ``("q", "deg/s", 57.3)`` of ``q_radps``, angles in degrees.
+    """Return quantity, display unit and factor of a channel; angles are displayed in degrees.
 
-    A name without a unit is a number, its unit ``-``.
+    A name without a unit is a pure number, its unit ``-``.
+
+    >>> shown_channel("q_radps")[:2]
+    ('q', 'deg/s')
     """
     if name in _CONTROLS:
         return name, _CONTROLS[name], 1.0
@@ -595,13 +702,20 @@ def shown_channel(name: str) -> tuple[str, str, float]:
 
 
 def axis_label(name: str) -> str:
-    """Quantity and unit for an axis."""
+    """Return quantity and unit for an axis.
+
+    >>> axis_label("V_mps")
+    'V [m/s]'
+    """
     quantity, unit, _ = shown_channel(name)
     return f"{quantity} [{unit}]"
 
 
 def with_shown_names(text: str, channels: Iterable[str]) -> str:
-    """The text with names of columns as people read them: ``q`` for ``q_radps``. channels: the columns that it may name."""
+    """Replace the column names in a text by display names: ``q`` for ``q_radps``.
+
+    ``channels`` are the columns that it may name.
+    """
     names = {c: shown_channel(c)[0] for c in channels}
-    found = re.compile(r"\b(" + "|".join(map(re.escape, names)) + r")\b") if names else None
-    return text if found is None else found.sub(lambda match: names[match[0]], text)
+    pattern = re.compile(r"\b(" + "|".join(map(re.escape, names)) + r")\b") if names else None
+    return text if pattern is None else pattern.sub(lambda match: names[match[0]], text)

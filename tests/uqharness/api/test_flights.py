@@ -12,7 +12,7 @@ import pytest
 import uqharness as uq
 from sysid.record import FlightRecord
 from sysid.vocabulary import SIGNALS
-from uqharness.api.flights import given_flights
+from uqharness.api.flights import flights_of
 from uqharness.cli.main import main
 from uqharness.simulator.aircraft import find_aircraft
 
@@ -111,14 +111,14 @@ def test_flights_are_taken_as_they_are_given(tmp_path: Path):
         str(tmp_path / "a.parquet"),
         [flight],
     ):
-        (found,) = given_flights(given, aircraft)
+        (found,) = flights_of(given, aircraft)
         np.testing.assert_array_equal(found["q_radps"], flight["q_radps"])
     with pytest.raises(uq.BadInputError, match="given more than once"):
-        given_flights([flight, flight.record], aircraft)
+        flights_of([flight, flight.record], aircraft)
     with pytest.raises(uq.BadInputError, match="no flight was given"):
-        given_flights([], aircraft)
+        flights_of([], aircraft)
     with pytest.raises(uq.BadInputError, match="received int"):
-        given_flights([3], aircraft)
+        flights_of([3], aircraft)
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_a_record_in_degrees_or_of_another_aircraft_is_refused(tmp_path: Path):
     record = flown().record
     other = FlightRecord(record.columns, type(record.metadata)(aircraft="c172x"))
     with pytest.raises(uq.BadInputError, match="card of aircraft 'c172x'"):
-        given_flights(other, find_aircraft("espaaro"))
+        flights_of(other, find_aircraft("espaaro"))
     wrong = flown().to_dataframe().assign(phi_rad=lambda t: np.degrees(t["phi_rad"]))
     wrong.to_parquet(tmp_path / "degrees.parquet")
     with pytest.raises(uq.BadInputError, match="rad and rad/s"):

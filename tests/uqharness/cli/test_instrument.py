@@ -38,8 +38,8 @@ def test_a_dry_run_says_that_nothing_was_written(tmp_path, capsys):
 
 def test_the_check_says_yes_no_or_why_not():
     works = _check_lines({"status": "works", "reason": "", "properties": 675, "worst": 9e-16})
-    assert works[0].startswith("Check: beside the original, 675 properties are bit-identical")
-    assert "relative errors of 9e-16 at most" in works[0]
+    assert "675 properties are bit-identical" in works[0]
+    assert "9e-16" in works[0]
     assert _check_lines({"status": "wrong", "reason": "CX: the increment is off"}) == [
         "Check: WRONG: CX: the increment is off."
     ]

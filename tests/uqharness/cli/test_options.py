@@ -26,7 +26,7 @@ def commands() -> list[argparse.ArgumentParser]:
 
 @pytest.mark.parametrize(("text", "value"), [("1", 1), ("1000", 1000)])
 def test_a_whole_number_within_its_limits_is_read(text: str, value: int) -> None:
-    assert options.whole("--n", 1, 1000)(text) == value
+    assert options.integer("--n", 1, 1000)(text) == value
 
 
 @pytest.mark.parametrize("text", ["0", "-3", "1001", "2.5", "many", ""])
@@ -34,18 +34,18 @@ def test_a_whole_number_beyond_them_is_refused_by_name(text: str) -> None:
     with pytest.raises(
         BadInputError, match=f"--n {text}: a whole number of at least 1 and up to 1000 is needed"
     ):
-        options.whole("--n", 1, 1000)(text)
+        options.integer("--n", 1, 1000)(text)
 
 
 @pytest.mark.parametrize("text", ["0", "121", "nan", "inf", "five"])
 def test_a_number_beyond_its_limits_is_refused_by_name(text: str) -> None:
     with pytest.raises(BadInputError, match=f"--t {text}: a time above 0 and up to 120 is needed"):
-        options.number("--t", "a time", above=0.0, most=120.0)(text)
+        options.number("--t", "a time", above=0.0, maximum=120.0)(text)
 
 
 def test_the_ends_of_a_range_belong_to_it_but_for_above() -> None:
-    assert options.number("--t", least=0.0)("0") == 0.0
-    assert options.number("--t", above=0.0, most=120.0)("120") == 120.0
+    assert options.number("--t", minimum=0.0)("0") == 0.0
+    assert options.number("--t", above=0.0, maximum=120.0)("120") == 120.0
     assert options.number("--angle")("-270") == -270.0
     with pytest.raises(BadInputError, match="--angle inf: a number is needed"):
         options.number("--angle")("inf")

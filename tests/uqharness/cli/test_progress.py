@@ -16,8 +16,8 @@ from uqharness.cli.progress import (
     clock,
     counting,
     describe,
-    say_line,
-    say_warnings,
+    print_line,
+    print_warnings,
     working,
 )
 from uqharness.heartbeat import Rate, heartbeat
@@ -43,7 +43,7 @@ def test_stages_lines_and_counters_are_for_terminals_alone(monkeypatch, terminal
     told = io.StringIO()
     monkeypatch.setattr(told, "isatty", lambda: terminal)
     monkeypatch.setattr(sys, "stderr", told)
-    say_line("round 1")
+    print_line("round 1")
     with counting("repeats") as update:
         update(1, 2)
     said = told.getvalue()
@@ -116,7 +116,7 @@ def test_finished_stages_stay_where_that_is_asked_for():
 
 
 def test_warnings_are_told_in_a_pipe_too(capsys):
-    say_warnings(["too short", "too calm"])
+    print_warnings(["too short", "too calm"])
     assert (
         capsys.readouterr().err == "uqharness: warning: too short\nuqharness: warning: too calm\n"
     )

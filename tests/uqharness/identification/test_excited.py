@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sysid.linalg import Blocks
-from uqharness.identification.excitation import LEAST_T, Excited, without
-from uqharness.identification.excitation import judged as of_blocks
+from uqharness.identification.excitation import MIN_T, Excitation, without_channels
+from uqharness.identification.excitation import assess_excitation as of_blocks
 from uqharness.identification.replay_fit import Observed
 
 RNG = np.random.default_rng(1)
@@ -24,7 +24,7 @@ def slopes(**rows: tuple[float, float]) -> np.ndarray:
 
 def judged(
     motion: np.ndarray, labels: Sequence[str], size: np.ndarray, outputs: Sequence[str]
-) -> Excited:
+) -> Excitation:
     """Of one array, in two segments."""
     return of_blocks(
         Blocks.from_dense(np.moveaxis(motion, 0, 2), (0, N // 4, N)), labels, size, outputs
@@ -37,10 +37,10 @@ def test_a_parameter_with_little_information_is_held_and_its_neighbour_is_not() 
     found = judged(
         slopes(strong=(10.0, 0.0), weak=(0.1, 0.0), bias=(1.0, 0.0)), labels, np.ones(2), CHANNELS
     )
-    assert list(found.held) == ["weak"]
+    assert list(found.fixed) == ["weak"]
     said = re.fullmatch(
-        r"not excited: its standard error would be (\S+) at least, 0\.25 at most is needed",
-        found.held["weak"],
+        r"not excited: its standard error would be at least (\S+), at most 0\.25 is needed",
+        found.fixed["weak"],
     )
     assert said is not None
     assert float(said[1]) == pytest.approx(0.5, rel=0.1)
@@ -49,41 +49,41 @@ def test_a_parameter_with_little_information_is_held_and_its_neighbour_is_not() 
 @pytest.mark.parametrize(("margin", "held"), [(1.1, False), (0.9, True)])
 def test_the_limit_is_the_smallest_standard_error(margin: float, held: bool) -> None:
     one = slopes(a=(1.0, 0.0))
-    one *= margin * LEAST_T / np.sqrt(np.sum(one**2))
-    assert ("a" in judged(one, ("a",), np.ones(1), CHANNELS).held) == held
+    one *= margin * MIN_T / np.sqrt(np.sum(one**2))
+    assert ("a" in judged(one, ("a",), np.ones(1), CHANNELS).fixed) == held
 
 
 def test_of_two_that_act_alike_one_is_held_and_the_other_estimated() -> None:
     both = slopes(a=(10.0, 0.0), b=(10.0, 0.0))
     both[1] = 0.5 * both[0]
     found = judged(both, ("a", "b"), np.ones(2), CHANNELS)
-    assert found.held == {"b": "collinear with a: only a combination can be estimated"}
+    assert found.fixed == {"b": "collinear with a: only a combination can be estimated"}
     apart = slopes(a=(10.0, 0.0), b=(5.0, 0.0))
-    assert judged(apart, ("a", "b"), np.ones(2), CHANNELS).held == {}
+    assert judged(apart, ("a", "b"), np.ones(2), CHANNELS).fixed == {}
 
 
 def test_what_is_estimated_beside_takes_information_away() -> None:
     """A parameter that acts as a constant moment cannot be told from that constant."""
     both = slopes(a=(10.0, 0.0), constant=(10.0, 0.0))
     both[1] = both[0]
-    assert "a" in judged(both, ("a", "uq/bias/Clb"), np.ones(1), CHANNELS).held
-    assert judged(both[:1], ("a",), np.ones(1), CHANNELS).held == {}
+    assert "a" in judged(both, ("a", "uq/bias/Clb"), np.ones(1), CHANNELS).fixed
+    assert judged(both[:1], ("a",), np.ones(1), CHANNELS).fixed == {}
 
 
 def test_one_without_a_size_is_not_held() -> None:
-    assert judged(slopes(a=(1e-6, 0.0)), ("a",), np.zeros(1), CHANNELS).held == {}
+    assert judged(slopes(a=(1e-6, 0.0)), ("a",), np.zeros(1), CHANNELS).fixed == {}
 
 
 def test_channels_that_no_free_parameter_acts_on_are_left_out() -> None:
     found = judged(slopes(a=(10.0, 1e-3), b=(1e-3, 1e-3)), ("a", "b"), np.ones(2), CHANNELS)
-    assert list(found.held) == ["b"]
+    assert list(found.fixed) == ["b"]
     assert found.left_out == ("p_radps",)
     assert judged(slopes(a=(10.0, 5.0)), ("a",), np.ones(1), CHANNELS).left_out == ()
 
 
 def test_without_takes_channel_data_and_bias_away() -> None:
     observed = Observed([], CHANNELS, [np.arange(6.0).reshape(3, 2)], ["q_radps", "p_radps"], {})
-    less = without(observed, ["q_radps"])
+    less = without_channels(observed, ["q_radps"])
     assert less.outputs == ("p_radps",)
     assert less.biases == ["p_radps"]
     np.testing.assert_array_equal(less.data[0], [[1.0], [3.0], [5.0]])

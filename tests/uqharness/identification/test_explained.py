@@ -11,7 +11,7 @@ import pytest
 
 from tests.helpers.flown import fly
 from uqharness.cli.main import main
-from uqharness.identification.identify import unexplained, withdrawn
+from uqharness.identification.identify import unexplained, withdraw_invalid
 from uqharness.identification.replay_fit import Identification
 
 TIME = np.linspace(0.0, 8.0, 401)
@@ -74,7 +74,7 @@ def found(residual):
 
 def test_what_was_fitted_to_it_is_withdrawn_with_the_reason():
     fitted = found(0.5 * Q)
-    kept = withdrawn(fitted)
+    kept = withdraw_invalid(fitted)
     assert kept.identified == ()
     assert kept.theta.tolist() == [-9.7, -0.02]
     assert np.isnan(kept.std).all()
@@ -84,12 +84,12 @@ def test_what_was_fitted_to_it_is_withdrawn_with_the_reason():
     assert "check units, signs" in kept.warnings[0]
     assert kept.warnings[1:] == ("another",)
     good = found(0.003 * RNG.standard_normal(401))
-    assert withdrawn(good) is good
+    assert withdraw_invalid(good) is good
 
 
 def test_a_fit_that_did_not_converge_has_no_estimates_and_no_standard_errors():
     good = found(0.003 * RNG.standard_normal(401))
-    stopped = withdrawn(dataclasses.replace(good, converged=False))
+    stopped = withdraw_invalid(dataclasses.replace(good, converged=False))
     assert stopped.identified == ()
     assert stopped.theta.tolist() == [-9.7, -0.02]
     assert np.isnan(stopped.std).all()

@@ -275,7 +275,7 @@ def test_outputs_are_those_asked_for(flights, tmp_path, capsys):
     fit = json.loads((tmp_path / "id" / "fit.json").read_text())
     assert set(fit["fit"]) == {"V_mps", "alpha_rad", "theta_rad", "q_radps", "az_mps2"}
     assert fit["names"] == ["aero/Cm_q", "aero/Cm_de"]
-    for given, words in (("x", "unknown channel x"), ("none", "the outputs asked for: none")):
+    for given, words in (("x", "unknown channel x"), ("none", "no outputs are selected")):
         capsys.readouterr()
         assert main([*arguments, "--outputs", given, "--out", str(tmp_path / "no")]) == 2
         assert words in capsys.readouterr().err

@@ -10,7 +10,7 @@ import pytest
 
 from sysid.aerodynamics import COEFFICIENTS, Cutoffs
 from uqharness.cli.main import main
-from uqharness.identification.bounds import NoisyFlight, noise_sizes, said_of_air
+from uqharness.identification.bounds import NoisyFlight, air_note, noise_sizes
 from uqharness.replay import flight_residuals, prediction_of, read_bounds_flights
 from uqharness.simulator import find_aircraft
 
@@ -62,7 +62,7 @@ def test_the_air_is_told_from_the_model_where_it_moves_and_only_there(looked_at)
     assert _rms(still, "Cn") < 0.9 * _rms(noisy.residuals, "Cn")
     assert _rms(still, "CX") == pytest.approx(_rms(noisy.residuals, "CX"), rel=0.01)
     assert len(still.pieces[0].noise.passages) == len(noisy.residuals.pieces[0].noise.passages) + 1
-    assert f"{100.0 * found.share:.0f} ±" in said_of_air(flight, found)
+    assert f"{100.0 * found.share:.0f} ±" in air_note(flight, found)
     # An estimator's alpha feels no gusts: nothing is taken out.
     assert guessed.in_still_air(guessed.residuals) == (guessed.residuals, None)
 

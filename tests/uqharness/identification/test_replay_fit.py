@@ -17,13 +17,13 @@ from uqharness.identification import replay_fit
 from uqharness.identification.compare import compare
 from uqharness.identification.identify import identify
 from uqharness.identification.linearised import Bench, Point, make_setup, observed
-from uqharness.identification.replay_fit import Observed, fit_replays, jumping_in
+from uqharness.identification.replay_fit import Observed, fit_replays, jumping_flights
 from uqharness.refinement.base import base_fit_and_noise, left_alone
 from uqharness.refinement.evaluation import show
 from uqharness.refinement.round import Side
-from uqharness.replay import CONTROL_DELAY, CONTROLS, ReplayFolder, command_later
+from uqharness.replay import CONTROL_DELAY, CONTROLS, ReplayFolder, delayed_command
 from uqharness.replay.flights import prepare
-from uqharness.replay.simulation import spread_over
+from uqharness.replay.simulation import batched_pool
 from uqharness.simulator.aircraft import find_aircraft
 
 NAMES = ("aero/Cl_p", "aero/Cl_da", "aero/Cm_q", "aero/Cm_alpha", "aero/Cn_r")
@@ -58,7 +58,7 @@ def test_identify_and_refine_estimate_the_same(aircraft, flight):
     assert np.abs(late) < 4.0 * std < 0.002
     # Commands 3 ms later are seen by both: by their lateness, not in the parameters.
     moved = {
-        c: command_later(flight.record[c], flight.record["time_s"], 0.003)
+        c: delayed_command(flight.record[c], flight.record["time_s"], 0.003)
         for c in flight.record.columns
         if c.endswith("_deg")
     }
@@ -94,9 +94,9 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
             names,
             (values + np.array([0.5, 0.02]), values),
             [(-60.0, 0.0), (1.8, 1.9)],
-            spread_over(map),
+            batched_pool(map),
         )
-        assert fit.lost == ("aero/CX_alpha2",)
+        assert fit.undetermined == ("aero/CX_alpha2",)
         assert fit.values()["aero/CX_alpha2"] == 1.86
         assert fit.values()["aero/Cm_q"] == pytest.approx(-13.8, abs=1.0)
         with pytest.raises(BadInputError, match="cannot fly these segments"):
@@ -106,7 +106,7 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
                 names,
                 (np.array([1e9, 1e9]),),
                 [(None, None)] * 2,
-                spread_over(map),
+                batched_pool(map),
             )
 
 
@@ -134,9 +134,9 @@ def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(
     monkeypatch.setattr(replay_fit, "output_error", estimated)
     with ReplayFolder(aircraft) as model:
         fit = fit_replays(
-            model, observed, names, (near, card), [(-60.0, 0.0), (1.8, 1.9)], spread_over(map)
+            model, observed, names, (near, card), [(-60.0, 0.0), (1.8, 1.9)], batched_pool(map)
         )
-    assert fit.lost == ("aero/CX_alpha2",)
+    assert fit.undetermined == ("aero/CX_alpha2",)
     assert [theta[1] for theta in begun] == [1.84, 1.86]
     first = begun[1][0]
     assert first == -13.0 if far else first == pytest.approx(-13.8, abs=0.5)
@@ -175,7 +175,7 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
     bounds = [aircraft.card.parameters[n].bounds for n in names]
     with ReplayFolder(aircraft, ideal=CONTROLS) as model:
         fit = fit_replays(
-            model, observed(setup), names, (np.array(true),), bounds, spread_over(map)
+            model, observed(setup), names, (np.array(true),), bounds, batched_pool(map)
         )
         blind = fit_replays(
             replace(model, lagging=("throttle_pct",)),
@@ -183,29 +183,27 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
             names,
             (np.array(true),),
             bounds,
-            spread_over(map),
+            batched_pool(map),
         )
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(replay_fit, "jumping_in", lambda *_: [])
+            patch.setattr(replay_fit, "jumping_flights", lambda *_: [])
             without = fit_replays(
-                model, observed(setup), names, (np.array(true),), bounds, spread_over(map)
+                model, observed(setup), names, (np.array(true),), bounds, batched_pool(map)
             )
     share, std = (
         fit.values()["unseen/f"],
-        float(fit.found.std[fit.layout.names.index("unseen/f")]),
+        float(fit.fit.std[fit.layout.names.index("unseen/f")]),
     )
     assert share == pytest.approx(1.0, abs=4.0 * std)
     assert std < 0.05
-    assert (np.array([fit.values()[n] for n in names]) - true) / fit.found.std[:4] == pytest.approx(
+    assert (np.array([fit.values()[n] for n in names]) - true) / fit.fit.std[:4] == pytest.approx(
         0.0, abs=4.0
     )
     assert blind.values()["unseen/f"] == pytest.approx(share, abs=3.0 * std)
     # Taken to have seen their jumps, the same flights put the force of a surface elsewhere.
     assert "unseen/f" not in without.layout.names
     assert (
-        np.abs(
-            (np.array([without.values()[n] for n in names]) - true) / without.found.std[:4]
-        ).max()
+        np.abs((np.array([without.values()[n] for n in names]) - true) / without.fit.std[:4]).max()
         > 4.0
     )
 
@@ -214,7 +212,7 @@ def test_a_lag_in_every_servo_leaves_nothing_to_see(aircraft, flight):
     setup = make_setup(aircraft, [flight], ())
     with ReplayFolder(aircraft) as model:
         assert model.jumping == ()
-        assert jumping_in(model, setup.segments, {}) == []
+        assert jumping_flights(model, setup.segments, {}) == []
     with ReplayFolder(aircraft, ideal=("elevator",)) as model:
-        assert jumping_in(model, setup.segments, {"f": [CONTROL_DELAY]}) == ["f"]
-        assert jumping_in(model, setup.segments, {"f": ["rates"]}) == []
+        assert jumping_flights(model, setup.segments, {"f": [CONTROL_DELAY]}) == ["f"]
+        assert jumping_flights(model, setup.segments, {"f": ["rates"]}) == []

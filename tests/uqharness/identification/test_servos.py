@@ -34,7 +34,7 @@ def test_the_servos_that_flew_are_the_likelier(ideal, monkeypatch):
     assert choice.ideal is ideal
     assert choice.gain > 10.0
     assert f"--servos {'card' if ideal else 'ideal'}" in choice.note
-    assert choice.noted(flights)[0].notes[-1] == choice.note
+    assert choice.with_note(flights)[0].notes[-1] == choice.note
 
 
 def test_a_request_is_binding_and_nothing_is_compared_without_a_log_of_commands():

@@ -67,7 +67,7 @@ def along(
             values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments)
         )
         flown = replayed(bench.model, setup, point, SERIAL)
-        found = probes(bench.straight, setup, flown, positions(bench.model, setup), SERIAL)
+        found = probes(bench.direct_model, setup, flown, positions(bench.model, setup), SERIAL)
         return flown, [c.outputs[effect.key] for c in effect_columns(setup, found, flown, [effect])]
 
 

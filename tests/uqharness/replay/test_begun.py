@@ -15,7 +15,7 @@ from tests.hidden_effects.flights import fly as fly_hidden
 from uqharness.replay.flights import prepare, segments
 from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
 from uqharness.replay.positions import surface_positions
-from uqharness.replay.replay import CHANNELS, begun, fly_segment
+from uqharness.replay.replay import CHANNELS, fly_segment, initial_actuator_positions
 from uqharness.replay.segments import Segment
 from uqharness.simulator.aircraft import find_aircraft
 
@@ -52,37 +52,44 @@ def test_a_lag_has_gone_as_far_as_its_time_constant_says(model: ReplayModel) -> 
     assert {c: float(lag) for c, (lag, _) in model.lags.items()} == lags
     short = [math.exp(-held_s * lags[c]) for c in model.controls]
     step = made.before[-1] - made.before[0]
-    assert made.before[-1] - begun(model, made, {}, LIMITS) == pytest.approx(
+    assert made.before[-1] - initial_actuator_positions(model, made, {}, LIMITS) == pytest.approx(
         step * short, abs=0.01 * np.abs(step).max()
     )
 
 
 def test_a_rate_limit_holds_it_back(model: ReplayModel) -> None:
     given = {c: (lag, "10.0") for c, (lag, _) in model.lags.items()}
-    stood = begun(replace(model, lags=given, identity="slow"), piece(20.0), {}, LIMITS)
+    stood = initial_actuator_positions(
+        replace(model, lags=given, identity="slow"), piece(20.0), {}, LIMITS
+    )
     assert stood[0] - 1.0 == pytest.approx(10.0 * STEPS[1] * DT_S, abs=0.05)
     assert stood[1] + 2.0 == pytest.approx(-10.0 * STEPS[1] * DT_S, abs=0.05)
 
 
 def test_a_lag_that_is_a_property_counts_as_it_is_in_force(model: ReplayModel) -> None:
     named = replace(model, lags={"elevator": ("my/lag", "")}, servos=(), identity="named")
-    slow, fast = (begun(named, piece(), {"my/lag": value}, LIMITS) for value in (2.0, 200.0))
+    slow, fast = (
+        initial_actuator_positions(named, piece(), {"my/lag": value}, LIMITS)
+        for value in (2.0, 200.0)
+    )
     assert slow[0] < 1.4 < 2.99 < fast[0]
     assert np.isnan(slow[1:]).all()
-    assert np.isnan(begun(named, piece(), {}, LIMITS)).all()
+    assert np.isnan(initial_actuator_positions(named, piece(), {}, LIMITS)).all()
 
 
 def test_without_commands_before_nothing_is_said(model: ReplayModel) -> None:
-    assert np.isnan(begun(model, replace(piece(), before=None), {}, LIMITS)).all()
+    assert np.isnan(
+        initial_actuator_positions(model, replace(piece(), before=None), {}, LIMITS)
+    ).all()
     lost = piece()
     lost.before[-2, 0] = np.nan
-    assert np.isnan(begun(model, lost, {}, LIMITS)[0])
-    assert np.isfinite(begun(model, lost, {}, LIMITS)[1:]).all()
+    assert np.isnan(initial_actuator_positions(model, lost, {}, LIMITS)[0])
+    assert np.isfinite(initial_actuator_positions(model, lost, {}, LIMITS)[1:]).all()
 
 
 def test_positions_begin_where_the_actuators_stand(model: ReplayModel) -> None:
     made = piece()
-    stood = begun(model, made, {}, LIMITS)
+    stood = initial_actuator_positions(model, made, {}, LIMITS)
     (moved,), (still,) = (
         surface_positions(model, [s], CONTROLS) for s in (made, replace(made, before=None))
     )

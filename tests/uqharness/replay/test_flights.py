@@ -66,11 +66,11 @@ def test_commands_of_a_very_fast_record_are_averaged_over_five_milliseconds():
 def test_a_clock_that_is_one_row_late_is_one_command_late_and_nothing_else():
     record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=100.0)
     flight = prepare("fast", record, ())
-    moved = flight.with_commands_later(0.01)
+    moved = flight.with_delayed_commands(0.01)
     for column, values in flight.commands.items():
         np.testing.assert_allclose(moved.commands[column][1:], values[:-1], atol=1e-9)
         assert moved.commands[column][0] == values[0]
-    felt = flight.with_commands_as_felt()
+    felt = flight.with_smoothing_delay()
     assert felt.per_row == 1
     assert segments(felt, ())[0].commands is None
 
@@ -85,7 +85,7 @@ def test_a_command_that_is_late_by_a_part_of_a_row_is_held_as_long_as_it_was(rat
     plain = record.with_columns({"elevator_deg": asked, "aileron_pos_deg": measured})
     flight = prepare("late", plain, ("aileron",))
     late_s = (finer + 3) * 0.005
-    moved = flight.with_commands_later(late_s)
+    moved = flight.with_delayed_commands(late_s)
     assert moved.per_row == finer
     fine = moved.commands["elevator_deg"]
     expected = np.concatenate([np.full(finer + 3, asked[0]), np.repeat(asked, finer)])[: len(fine)]
@@ -100,9 +100,9 @@ def test_a_command_that_is_late_by_a_part_of_a_row_is_held_as_long_as_it_was(rat
         atol=2e-3,
     )
     # Between two samples of 5 ms the mean time is right.
-    between = flight.with_commands_later(late_s + 0.002).commands["elevator_deg"]
+    between = flight.with_delayed_commands(late_s + 0.002).commands["elevator_deg"]
     np.testing.assert_allclose(between[1:], 0.6 * fine[1:] + 0.4 * fine[:-1], atol=1e-6)
-    whole = flight.with_commands_later(1.0 / rate_hz)
+    whole = flight.with_delayed_commands(1.0 / rate_hz)
     assert whole.per_row == 1
     np.testing.assert_allclose(whole.record["elevator_deg"][1:], asked[:-1], atol=1e-9)
 

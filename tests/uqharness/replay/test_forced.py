@@ -10,7 +10,7 @@ import pytest
 
 from uqharness import batch
 from uqharness.replay import CONTROLS, ReplayFolder, force
-from uqharness.replay.force import ForcedModel, StatesOf, force_all, force_states
+from uqharness.replay.force import ForcedModel, SegmentStates, force_all, force_states
 from uqharness.replay.segments import Segment
 from uqharness.simulator import find_aircraft
 
@@ -44,9 +44,9 @@ def straight():
 
 @pytest.fixture(autouse=True)
 def nothing_known():
-    force._known.clear()
+    force._cached_programs.clear()
     yield
-    force._known.clear()
+    force._cached_programs.clear()
 
 
 def of_step(dt_s: float) -> Segment:
@@ -58,7 +58,7 @@ def of_step(dt_s: float) -> Segment:
 
 
 def said(model, monkeypatch, worth: int, **properties: float) -> ForcedModel:
-    monkeypatch.setattr(force, "WORTH_ROWS", worth)
+    monkeypatch.setattr(force, "MIN_BATCH_STATES", worth)
     return force_states(
         model, of_step(0.02), MOTION, U, {f"aero/{k}": v for k, v in properties.items()}, HEIGHT_M
     )
@@ -74,7 +74,7 @@ def apart(a: ForcedModel, b: ForcedModel) -> float:
 def test_both_engines_say_the_same(straight, monkeypatch):
     theirs = said(straight, monkeypatch, 10**9, Cm_q=-11.0)
     ours = said(straight, monkeypatch, 1, Cm_q=-11.0)
-    assert force._known[straight.identity].program is not None
+    assert force._cached_programs[straight.identity].program is not None
     assert 0.0 < apart(ours, theirs) < 1e-8
     assert apart(said(straight, monkeypatch, 1, Cm_q=-11.1), theirs) > 1e-3
 
@@ -97,7 +97,9 @@ def test_segments_are_asked_for_at_their_own_step(straight, monkeypatch):
         (0.02 * (1.0 + 1e-13), backwards, U[::-1]),
     ]
     found = force_all(
-        straight, [StatesOf(of_step(dt_s), motion, u, HEIGHT_M) for dt_s, motion, u in parts], {}
+        straight,
+        [SegmentStates(of_step(dt_s), motion, u, HEIGHT_M) for dt_s, motion, u in parts],
+        {},
     )
     assert steps == [(pytest.approx(0.02), 2 * N), (pytest.approx(0.01), N)]
     for one, (dt_s, motion, u) in zip(found, parts, strict=True):
@@ -106,9 +108,9 @@ def test_segments_are_asked_for_at_their_own_step(straight, monkeypatch):
 
 def test_few_states_are_not_worth_a_translation_whatever_was_asked_before(straight, monkeypatch):
     first = said(straight, monkeypatch, N + 1, Cm_q=-11.0)
-    assert force._known[straight.identity].program is None
+    assert force._cached_programs[straight.identity].program is None
     ours = said(straight, monkeypatch, N, Cm_q=-11.0)
-    assert force._known[straight.identity].program is not None
+    assert force._cached_programs[straight.identity].program is not None
     again = said(straight, monkeypatch, N + 1, Cm_q=-11.0)
     assert apart(again, first) == 0.0 < apart(again, ours)
 
@@ -126,7 +128,7 @@ def test_jsbsim_answers_where_the_engines_differ(straight, monkeypatch, caplog):
 def test_jsbsim_answers_without_a_compiler(straight, monkeypatch):
     monkeypatch.setattr(batch, "available", lambda: "llvmlite is not installed")
     assert apart(said(straight, monkeypatch, 1), said(straight, monkeypatch, 10**9)) == 0.0
-    assert force._known[straight.identity].refused
+    assert force._cached_programs[straight.identity].refused
 
 
 @pytest.fixture
@@ -163,7 +165,7 @@ def test_rates_of_the_wind_angles_settle_alike_in_both_engines(by_rates, monkeyp
     assert by_rates.by_rates
     theirs = said(by_rates, monkeypatch, 10**9, Cm_q=-11.0)
     ours = said(by_rates, monkeypatch, 1, Cm_q=-11.0)
-    assert force._known[by_rates.identity].program is not None
+    assert force._cached_programs[by_rates.identity].program is not None
     # JSBSim begins with the rates of the state before, the batch engine anew: both end within a millionth of a rad/s.
     assert 0.0 < sizes_apart(ours, theirs) < 1e-6
     monkeypatch.setattr("uqharness.batch.lanes.replay._settle", lambda *_: None)
@@ -174,4 +176,4 @@ def test_rates_of_the_wind_angles_settle_alike_in_both_engines(by_rates, monkeyp
 def test_a_force_that_outgrows_the_acceleration_is_left_to_jsbsim(by_rates, monkeypatch):
     theirs = said(by_rates, monkeypatch, 10**9)
     assert apart(said(by_rates, monkeypatch, 1), theirs) == 0.0
-    assert force._known[by_rates.identity].refused
+    assert force._cached_programs[by_rates.identity].refused

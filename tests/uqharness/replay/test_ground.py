@@ -13,7 +13,7 @@ from tests.helpers.flown import fly
 from uqharness.refinement.write_xml import Written, write_effects
 from uqharness.replay.flights import prepare, segments
 from uqharness.replay.force import force_states
-from uqharness.replay.model import CONTROLS, ReplayFolder, altitudes, height_known, heights
+from uqharness.replay.model import CONTROLS, ReplayFolder, altitudes, has_ground_heights, heights
 from uqharness.replay.replay import CHANNELS, fly_segment
 from uqharness.simulator.aircraft import find_aircraft
 
@@ -81,14 +81,14 @@ def test_the_ground_is_where_the_record_says(near, record):
 def test_a_record_that_starts_in_the_air_at_its_own_zero_does_not_say(record):
     time = record["time_s"]
     climbing = 0.3 * (time - time[0])
-    assert not height_known(record.with_columns({"h_m": climbing}))
-    assert height_known(record.with_columns({"h_m": climbing + 3.0}))
+    assert not has_ground_heights(record.with_columns({"h_m": climbing}))
+    assert has_ground_heights(record.with_columns({"h_m": climbing + 3.0}))
     on_the_ground = record.with_columns(
         {"h_m": climbing, "V_mps": np.where(time < time[0] + 1.0, 0.0, 20.0)}
     )
-    assert height_known(on_the_ground)
-    assert not height_known(record.with_columns({"h_m": climbing - 100.0}))
-    assert not height_known(record.with_columns({"h_m": np.full(len(time), np.nan)}))
+    assert has_ground_heights(on_the_ground)
+    assert not has_ground_heights(record.with_columns({"h_m": climbing - 100.0}))
+    assert not has_ground_heights(record.with_columns({"h_m": np.full(len(time), np.nan)}))
 
 
 def climbing(

@@ -12,7 +12,7 @@ from uqharness.replay.segments import Segment
 from uqharness.replay.simulation import (
     HISTORIES,
     columns_of,
-    have,
+    have_columns,
     read_histories,
     write_histories,
     write_pieces,
@@ -40,9 +40,9 @@ def test_what_is_written_comes_back(tmp_path):
     np.testing.assert_array_equal(second.time_s, TIMES[1])
     np.testing.assert_array_equal(second.columns["V_mps"], BLOCKS[1][:, 1])
     np.testing.assert_array_equal(first.columns["q_radps_model"], BLOCKS[0][:, 0])
-    assert have([first, second], ["q_radps", "V_mps_model"])
-    assert not have([first, second], ["q_radps", "other"])
-    assert not have([], [])
+    assert have_columns([first, second], ["q_radps", "V_mps_model"])
+    assert not have_columns([first, second], ["q_radps", "other"])
+    assert not have_columns([], [])
     # The same input makes the same bytes.
     before = (tmp_path / HISTORIES).read_bytes()
     write_pieces(tmp_path / HISTORIES, pieces(), columns)

@@ -159,11 +159,11 @@ def test_what_is_not_understood_is_flown_by_jsbsim(
 def test_an_engine_that_differs_is_not_used(
     model: ReplayModel, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    real = module._in_lanes
+    real = module._fly_batch
     monkeypatch.setattr(module, "_programs", {})
     monkeypatch.setattr(
         module,
-        "_in_lanes",
+        "_fly_batch",
         lambda program, some: [rows * (1.0 + 1e-5) for rows in real(program, some)],
     )
     job = jobs(model)[0]
@@ -187,7 +187,7 @@ def test_where_rounding_decides_the_engine_is_used(
     monkeypatch.setattr(module, "_programs", {})
     job = tumbling(model)
     ours, theirs = fly_all([job])[0], by_jsbsim(job)
-    assert module._programs[module._alike(job)] is not None
+    assert module._programs[module._program_key(job)] is not None
     assert apart(ours[:50], theirs[:50]) < 1e-6
     assert apart(ours, theirs) > 1e-4
 
@@ -199,7 +199,7 @@ def test_an_engine_that_differs_before_rounding_decides_is_not_used(
     caplog: pytest.LogCaptureFixture,
     fault: str,
 ) -> None:
-    real = module._in_lanes
+    real = module._fly_batch
 
     def other(rows: np.ndarray) -> np.ndarray:
         if fault == "scale":
@@ -210,11 +210,11 @@ def test_an_engine_that_differs_before_rounding_decides_is_not_used(
 
     monkeypatch.setattr(module, "_programs", {})
     monkeypatch.setattr(
-        module, "_in_lanes", lambda program, some: [other(rows) for rows in real(program, some)]
+        module, "_fly_batch", lambda program, some: [other(rows) for rows in real(program, some)]
     )
     job = tumbling(model)
     fly_all([job])
-    assert module._programs[module._alike(job)] is None
+    assert module._programs[module._program_key(job)] is None
     assert "differs" in caplog.text
 
 
@@ -239,7 +239,7 @@ def test_engines_start_in_their_steady_state_as_in_jsbsim(name: str) -> None:
         piece = Segment("piece", "flight", DT_S * np.arange(rows), controls, start, 530.0, 500.0)
         some = [ReplayJob(model, piece, {}, start * (1.0 + 0.01 * k), 0.0) for k in range(3)]
         ours = fly_all(some)
-        assert module._programs[module._alike(some[0])] is not None
+        assert module._programs[module._program_key(some[0])] is not None
         for rows_of, job in zip(ours, some, strict=True):
             assert apart(rows_of, by_jsbsim(job)) < 1e-6
         faster = ReplayJob(model, piece, {}, start, 0.01)

@@ -10,7 +10,12 @@ import pytest
 
 from uqharness.replay.replay import CONTROL_DELAY, SENSOR_OF
 from uqharness.replay.segments import Commands, Segment
-from uqharness.replay.simulation import delayed, late_limit_s, misplaced, nuisance_layout
+from uqharness.replay.simulation import (
+    delayed,
+    late_limit_s,
+    nuisance_layout,
+    shifted_command_warnings,
+)
 
 TIME = np.arange(5) * 0.02
 PIECE = Segment("s", "f", TIME, np.zeros((5, 4)), np.zeros(9), 100.0, 0.0)
@@ -24,8 +29,8 @@ def flight(native_hz):
 
 def test_half_a_row_is_allowed_and_a_row_is_not():
     record = flight({})
-    assert misplaced([record], [PIECE], {"delay/f/controls": (0.009, 0.001)}) == []
-    (said,) = misplaced([record], [PIECE], {"delay/f/controls": (-0.02, 0.001)})
+    assert shifted_command_warnings([record], [PIECE], {"delay/f/controls": (0.009, 0.001)}) == []
+    (said,) = shifted_command_warnings([record], [PIECE], {"delay/f/controls": (-0.02, 0.001)})
     assert "20.0 ms early" in said
     assert "10.0 ms are allowed" in said
 
@@ -33,22 +38,29 @@ def test_half_a_row_is_allowed_and_a_row_is_not():
 def test_a_row_of_commands_counts_where_rows_were_thinned():
     """A clock 10 ms late is one row of a record at 100 Hz, and half a row of those compared."""
     fine = replace(PIECE, commands=Commands(2, np.zeros((9, 4))))
-    (said,) = misplaced([flight({})], [fine], {"delay/f/controls": (0.01, 0.001)})
+    (said,) = shifted_command_warnings([flight({})], [fine], {"delay/f/controls": (0.01, 0.001)})
     assert "7.5 ms are allowed" in said
-    assert misplaced([flight({})], [PIECE], {"delay/f/controls": (0.01, 0.001)}) == []
+    assert (
+        shifted_command_warnings([flight({})], [PIECE], {"delay/f/controls": (0.01, 0.001)}) == []
+    )
 
 
 def test_logs_are_stamped_when_written_and_may_be_late():
     assert late_limit_s(flight({"q_radps": 25.0}), 0.02) == float("inf")
     assert (
-        misplaced([flight({"q_radps": 25.0})], [PIECE], {"delay/f/controls": (0.05, 0.001)}) == []
+        shifted_command_warnings(
+            [flight({"q_radps": 25.0})], [PIECE], {"delay/f/controls": (0.05, 0.001)}
+        )
+        == []
     )
 
 
 def test_places_of_biases_delays_and_starts():
     cut = [replace(PIECE, flight=name) for name in ("f", "g", "f")]
     biases, outputs = ("V_mps", "q_radps"), ("V_mps", "q_radps", "az_mps2")
-    found = nuisance_layout(("Cm_q",), [(-20.0, 0.0)], cut, biases, outputs, {"g": ["controls"]})
+    found = nuisance_layout(
+        ("Cm_q",), [(-20.0, 0.0)], cut, biases, outputs, late={"g": ["controls"]}
+    )
     assert found.names == (
         "Cm_q",
         "bias/f/V_mps",
@@ -67,7 +79,7 @@ def test_places_of_biases_delays_and_starts():
     assert found.bounds[0] == (-20.0, 0.0)
     assert all(low == -high for low, high in found.bounds[1:])
     assert dict(zip(found.names, found.bounds, strict=True))["bias/f/V_mps"] == (-5.0, 5.0)
-    jumps = nuisance_layout((), (), cut, (), ("V_mps",), {}, ["g"])
+    jumps = nuisance_layout((), (), cut, (), ("V_mps",), late={}, jumping=["g"])
     assert dict(zip(jumps.names, jumps.bounds, strict=True))["unseen/g"] == (0.0, 1.0)
 
 
@@ -90,5 +102,5 @@ def test_a_start_may_move_as_far_as_the_first_rows_do():
     reach = np.zeros(9)
     reach[6] = 1.4
     fast = replace(PIECE, reach=reach)
-    slow, found = (nuisance_layout((), (), [s], (), ("p_radps",), {}) for s in (PIECE, fast))
+    slow, found = (nuisance_layout((), (), [s], (), ("p_radps",), late={}) for s in (PIECE, fast))
     assert found.bounds[0][1] == pytest.approx(slow.bounds[0][1] + 1.4)

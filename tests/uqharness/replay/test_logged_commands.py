@@ -76,6 +76,6 @@ def test_commands_as_felt_are_half_way_at_their_jump_and_as_late_as_the_gyro():
     (at,) = np.flatnonzero(np.diff(record["aileron_deg"]) > 5.0)[:1]
     before, after = record["aileron_deg"][at], record["aileron_deg"][at + 1]
     for late_s, share in ((0.0, 0.5), (0.005, 0.25)):
-        felt = replace(flight, gyro_late_s=late_s).with_commands_as_felt().record["aileron_deg"]
+        felt = replace(flight, gyro_late_s=late_s).with_smoothing_delay().record["aileron_deg"]
         assert felt[at + 1] == pytest.approx(share * after + (1.0 - share) * before)
         assert felt[at + 2] == pytest.approx(record["aileron_deg"][at + 2])

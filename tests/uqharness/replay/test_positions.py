@@ -34,9 +34,9 @@ LAG = "<lag>25</lag>"
 @pytest.fixture(autouse=True)
 def nothing_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever other tests asked for is forgotten."""
-    for name in ("_stood", "_chains"):
+    for name in ("_position_cache", "_chains"):
         monkeypatch.setattr(module, name, OrderedDict())
-    module._agrees.cache.clear()
+    module._chain_agrees.cache.clear()
 
 
 @pytest.fixture
@@ -49,14 +49,14 @@ def flights(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
             count[kind] += (
                 len(args[1])
                 if kind == "whole"
-                else sum(len(s.time_s) > module._TRIED_ROWS for s in args[2])
+                else sum(len(s.time_s) > module._TRIAL_ROWS for s in args[2])
             )
             return real(*args)
 
         return call
 
     monkeypatch.setattr(module, "fly_chain", counted("chain", module.fly_chain))
-    monkeypatch.setattr(module, "_flown", counted("whole", module._flown))
+    monkeypatch.setattr(module, "_fly_aircraft", counted("whole", module._fly_aircraft))
     return count
 
 
@@ -184,7 +184,7 @@ def test_a_chain_that_fails_or_cannot_be_compared_is_not_used(
     assert flights["whole"] == 1
     monkeypatch.setattr(module, "fly_chain", real)
     module._chains.clear()
-    module._agrees.cache.clear()
+    module._chain_agrees.cache.clear()
     monkeypatch.setattr(
         module,
         "by_jsbsim",
@@ -227,16 +227,16 @@ def in_both(
     """Positions by the components alone: by JSBSim, and by the batch engine, which must have flown."""
     flown = []
     monkeypatch.setattr(positions, "_programs", {})
-    real = positions._in_lanes
+    real = positions._fly_batch
     monkeypatch.setattr(
         positions,
-        "_in_lanes",
+        "_fly_batch",
         lambda program, asked, some: flown.append(len(some)) or real(program, asked, some),
     )
     out = []
     for worth_s in (1e9, 0.0):
-        monkeypatch.setattr(module, "_stood", OrderedDict())
-        monkeypatch.setattr(positions, "WORTH_S", worth_s)
+        monkeypatch.setattr(module, "_position_cache", OrderedDict())
+        monkeypatch.setattr(positions, "MIN_CHAIN_BATCH_S", worth_s)
         assert not flown
         out.append(surface_positions(model, cut, CONTROLS, servos))
     # One to be compared with, then all.
@@ -259,10 +259,10 @@ def test_where_the_engines_differ_jsbsim_moves_the_components(
     model: ReplayModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(positions, "_programs", {})
-    monkeypatch.setattr(positions, "WORTH_S", 0.0)
-    real = positions._in_lanes
+    monkeypatch.setattr(positions, "MIN_CHAIN_BATCH_S", 0.0)
+    real = positions._fly_batch
     monkeypatch.setattr(
-        positions, "_in_lanes", lambda *asked: [1.001 * rows for rows in real(*asked)]
+        positions, "_fly_batch", lambda *asked: [1.001 * rows for rows in real(*asked)]
     )
     piece = segment(seed=23)
     (stood,) = surface_positions(model, [piece], CONTROLS)
@@ -287,8 +287,10 @@ def test_whole_aircraft_come_to_the_same_whoever_flies_them(
     with ReplayFolder(find_aircraft("espaaro")) as commanded:
         found = []
         for worth_s, times in ((0.0, 1), (1e3, 0)):
-            monkeypatch.setattr(module, "_stood", OrderedDict())
-            (stood,) = surface_positions(commanded, [segment(seed=7)], CONTROLS, worth_s=worth_s)
+            monkeypatch.setattr(module, "_position_cache", OrderedDict())
+            (stood,) = surface_positions(
+                commanded, [segment(seed=7)], CONTROLS, min_batch_s=worth_s
+            )
             found.append(stood)
             assert len(flown) == times
             flown.clear()

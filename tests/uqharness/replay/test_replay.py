@@ -15,7 +15,7 @@ from tests.helpers.flown import NOISE, fly
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.motion import Model, integrate, trim
 from uqharness.errors import BadInputError
-from uqharness.identification.replay_fit import demand_of, forced_at
+from uqharness.identification.replay_fit import demanded_coefficients, forced_at
 from uqharness.replay import replay
 from uqharness.replay.flights import prepare, read_flight, segments, states
 from uqharness.replay.force import force_states
@@ -160,28 +160,30 @@ def test_values_of_the_runs_around_a_step_give_it_its_time():
     assert moments(jumping) == pytest.approx(OWN)
     assert moments(lagging) == pytest.approx(OWN)
     for late in (-1.5, 0.75, 2.0):
-        moved = [by_run(segment, 4, [False], [lags], late)[:, 0] for lags in (False, True)]
+        moved = [by_run(segment, 4, [False], [lags], late=late)[:, 0] for lags in (False, True)]
         # The same step, later; what jumps has jumped at its row all the same, unless outputs between rows are asked for.
         assert [m.sum() for m in moved] == pytest.approx([8.0 * (8.5 - late)] * 2)
         assert moved[0][8] == pytest.approx(8.0)
-        assert by_run(segment, 4, [False], [False], late, seen=None)[:, 0].sum() == pytest.approx(
-            8.0 * (8.5 - late)
-        )
-    assert by_run(segment, 4, [False], [False], 2.0, seen=None)[8, 0] == 0.0
+        assert by_run(segment, 4, [False], [False], late=late, jump_share=None)[
+            :, 0
+        ].sum() == pytest.approx(8.0 * (8.5 - late))
+    assert by_run(segment, 4, [False], [False], late=2.0, jump_share=None)[8, 0] == 0.0
     # A row that was read before its command went out has seen nothing of the step, or a share; the step's time stays.
     for seen in (0.0, 0.25):
-        blind = by_run(segment, 4, [False], [False], seen=seen)[:, 0]
+        blind = by_run(segment, 4, [False], [False], jump_share=seen)[:, 0]
         assert blind[8] == pytest.approx(8.0 * seen)
         assert moments(blind) == pytest.approx(OWN)
-        np.testing.assert_array_equal(by_run(segment, 4, [False], [True], seen=seen)[:, 0], lagging)
+        np.testing.assert_array_equal(
+            by_run(segment, 4, [False], [True], jump_share=seen)[:, 0], lagging
+        )
 
 
 @pytest.mark.parametrize("late", [0.75, 3.0, -1.5, 400.0, -400.0])
 def test_late_controls_are_those_on_time_in_proportion_between_two_runs(late):
     segment = controls_of(np.random.default_rng(3).normal(size=30))
-    on_time = by_run(segment, 4, [False], [True], seen=None)[:, 0]
+    on_time = by_run(segment, 4, [False], [True], jump_share=None)[:, 0]
     at = np.arange(len(on_time))
-    found = by_run(segment, 4, [False], [True], late, seen=None)[:, 0]
+    found = by_run(segment, 4, [False], [True], late=late, jump_share=None)[:, 0]
     np.testing.assert_array_equal(found, np.interp(at - late, at, on_time))
     assert not np.array_equal(found, on_time)
 
@@ -371,7 +373,10 @@ def test_forced_states_give_the_flights_coefficients_back(aircraft, clean):
         for segment, channels, (forced, found) in zip(
             cut, every, forced_at(model, straight, cut, every, {}), strict=True
         ):
-            demand, said = demand_of(channels, forced, segment), smooth(forced.coefficients, 0.02)
+            demand, said = (
+                demanded_coefficients(channels, forced, segment),
+                smooth(forced.coefficients, 0.02),
+            )
             np.testing.assert_allclose(demand[5:-5, :3], said[5:-5, :3], atol=6e-4)
             np.testing.assert_allclose(demand[5:-5, 3:], said[5:-5, 3:], atol=1.5e-3)
             np.testing.assert_allclose(found["de"], segment.controls[:, 0])

@@ -13,14 +13,14 @@ from uqharness.errors import BadInputError
 from uqharness.replay import residuals
 from uqharness.replay.flights import Flight
 from uqharness.replay.residuals import (
-    ANSWERED,
     NEEDED,
+    PREDICTED_FIELDS,
     ReplayPair,
-    asked_rows,
-    changed,
+    cut_for_residuals,
     flight_residuals,
     prediction_of,
-    recut,
+    sampled_rows,
+    with_sampled_change,
 )
 from uqharness.simulator import find_aircraft
 
@@ -35,7 +35,7 @@ def test_the_same_states_are_asked_for_once(monkeypatch):
     asked = []
     monkeypatch.setattr(
         residuals.JsbsimPrediction,
-        "all",
+        "predict",
         lambda self, some: [asked.append(one) or len(asked) for one in some],
     )
     pair = ReplayPair(None, None, ())
@@ -52,7 +52,7 @@ def test_the_same_states_are_asked_for_once(monkeypatch):
 def test_a_flight_is_cut_where_every_channel_is_there():
     holes = np.array(RECORD["beta_rad"])
     holes[600:700] = np.nan
-    found = recut(made(RECORD.with_columns({"beta_rad": holes})), ())
+    found = cut_for_residuals(made(RECORD.with_columns({"beta_rad": holes})), ())
     rows = np.concatenate([np.arange(p.rows.start, p.rows.stop) for p in found.pieces])
     assert not set(rows) & set(range(600, 700))
     assert len(rows) > 1000
@@ -63,17 +63,17 @@ def test_a_flight_is_cut_where_every_channel_is_there():
 def test_what_is_missing_is_named():
     bare = replace(RECORD, columns={n: v for n, v in RECORD.columns.items() if n != "alpha_rad"})
     with pytest.raises(BadInputError, match="f: the record has no alpha_rad; residual"):
-        recut(made(bare), ())
+        cut_for_residuals(made(bare), ())
     holes = {n: np.where(np.arange(len(RECORD)) % 40 == 0, np.nan, RECORD[n]) for n in NEEDED}
     with pytest.raises(BadInputError, match="no stretch of two seconds"):
-        recut(made(RECORD.with_columns(holes)), ())
+        cut_for_residuals(made(RECORD.with_columns(holes)), ())
 
 
 def test_a_refusal_bears_the_flights_name(monkeypatch):
     def refuse(self, asked):
         raise ValueError("too short")
 
-    monkeypatch.setattr(residuals.JsbsimPrediction, "all", refuse)
+    monkeypatch.setattr(residuals.JsbsimPrediction, "predict", refuse)
     with pytest.raises(BadInputError, match=r"^f: too short$"):
         flight_residuals(ReplayPair(None, None, ()), made(), (0.0, 0.0, 0.0), Cutoffs())
 
@@ -96,13 +96,13 @@ def test_what_is_asked_ahead_is_what_is_asked_one_by_one():
             for record in (flown.record, moved)
         ]
     with prediction_of(find_aircraft("espaaro"), ("elevator", "aileron", "rudder")) as pair:
-        pair.ahead(flown, [flown.record, moved], pieces)
-        assert len(pair.said) == 6
+        pair.prefetch(flown, [flown.record, moved], pieces)
+        assert len(pair.predictions) == 6
         ahead = [
             [pair.of(flown)(record, p).coefficients for p in pieces]
             for record in (flown.record, moved)
         ]
-        assert len(pair.said) == 6
+        assert len(pair.predictions) == 6
     np.testing.assert_allclose(ahead, single, rtol=0.0, atol=1e-9)
     assert np.abs(np.array(ahead[0]) - np.array(ahead[1])).max() > 1e-3
 
@@ -127,18 +127,20 @@ def test_changes_asked_for_at_some_rows_are_those_of_all_rows():
     record, piece = flown.record, flown.pieces[0]
     moved = record.with_columns({"alpha_rad": record["alpha_rad"] + 1e-3})
     with prediction_of(find_aircraft("espaaro"), ("elevator", "aileron", "rudder")) as pair:
-        exact, near = pair.of(flown), pair.around(flown)
+        exact, near = pair.of(flown), pair.model_near(flown)
         base = near(record, piece)
         assert near(record, piece) is base is exact(record, piece)
         some, whole = near(moved, piece), exact(moved, piece)
         # Its own states are not asked for again, and what is known of every row is not drawn between some.
-        assert len(pair.said) == 3
+        assert len(pair.predictions) == 3
         assert near(moved, piece) is whole
     change, error = (np.abs(a.coefficients - whole.coefficients).max(axis=0) for a in (base, some))
     assert (error <= 0.01 * change.max()).all()
     assert change.max() > 1e-4
     # A change that is not drawn from the states themselves is not that of all rows.
-    other = changed(
-        base, replace(whole, **{n: getattr(base, n)[asked_rows(200, 4)] for n in ANSWERED}), 4
+    other = with_sampled_change(
+        base,
+        replace(whole, **{n: getattr(base, n)[sampled_rows(200, 4)] for n in PREDICTED_FIELDS}),
+        4,
     )
     assert np.abs(other.coefficients - whole.coefficients).max() > 10.0 * error.max()

@@ -9,7 +9,7 @@ from tests.helpers.flown import fly
 from tests.uqharness.replay.test_replay import SURFACES, prepared_step
 from uqharness.replay import CONTROL_DELAY, Replay, ReplayFolder, simulation
 from uqharness.replay.flights import prepare, segments
-from uqharness.replay.simulation import spread_over
+from uqharness.replay.simulation import batched_pool
 from uqharness.simulator import find_aircraft
 
 CHANNELS = ("q_radps", "alpha_rad", "az_mps2")
@@ -62,7 +62,7 @@ def test_pieces_are_flown_once_whatever_room_memory_has(replay, monkeypatch):
         lambda jobs, *rest: (flown.append(len(jobs)), fly_all(jobs, *rest))[1],
     )
     replay.forget()
-    together = list(spread_over(map)(Asked(replay), points()))
+    together = list(batched_pool(map)(Asked(replay), points()))
     # Two segments: at the base, for each of two coefficients, lateness and jump, and one more for each start.
     wanted = 2 * 5 + 2
     assert sum(flown) == wanted
@@ -71,16 +71,16 @@ def test_pieces_are_flown_once_whatever_room_memory_has(replay, monkeypatch):
     flown.clear()
     # Room for a few pieces: flown a few at a time, but none again and none alone after it has been forgotten.
     room = 8 * max(replay._sizes)
-    monkeypatch.setattr(simulation, "_CACHE_BYTES", room)
-    monkeypatch.setattr(simulation, "_TOGETHER_BYTES", room // 4)
-    apart = list(spread_over(map)(Asked(replay), points()))
+    monkeypatch.setattr(simulation, "_MAX_CACHE_BYTES", room)
+    monkeypatch.setattr(simulation, "_MAX_PENDING_BYTES", room // 4)
+    apart = list(batched_pool(map)(Asked(replay), points()))
     assert sum(flown) == wanted
     assert len([count for count in flown if count]) > 2
     assert simulation.counter["bytes"] <= room
     # Afterwards those read last are kept, the base among them, and no more than may stay.
-    monkeypatch.setattr(simulation, "_RESTING_BYTES", room // 2)
+    monkeypatch.setattr(simulation, "_MAX_IDLE_BYTES", room // 2)
     flown.clear()
-    list(spread_over(map)(Asked(replay), points()[1:]))
+    list(batched_pool(map)(Asked(replay), points()[1:]))
     assert simulation.counter["bytes"] <= room // 2
     flown.clear()
     replay(points()[-1])
@@ -100,8 +100,8 @@ def test_what_is_forgotten_before_it_is_read_is_flown_again(replay, monkeypatch)
         lambda jobs, *rest: (flown.append(len(jobs)), fly_all(jobs, *rest))[1],
     )
     replay.forget()
-    monkeypatch.setattr(simulation, "_CACHE_BYTES", 4 * max(replay._sizes))
-    list(spread_over(map)(Asked(replay), points()))
+    monkeypatch.setattr(simulation, "_MAX_CACHE_BYTES", 4 * max(replay._sizes))
+    list(batched_pool(map)(Asked(replay), points()))
     assert sum(flown) > 2 * 5 + 2
 
 

@@ -1,16 +1,18 @@
-"""What the harness costs over JSBSim's bare loop, measured side by side: ``python -m uqharness.cli.benchmarks.loop``.
+"""Cost of the harness over JSBSim's bare loop: ``python -m uqharness.cli.benchmarks.loop``.
 
-Three loops take turns in one process, each flying the same minutes of the loiter in wind, turbulence and sensor noise:
+Three loops take turns in one process, each flying the same minutes of the loiter in wind,
+turbulence and sensor noise:
 
-a  the bare ``while run()`` loop of the aircraft's own XML, plugin, air (JSBSim's turbulence) and sensors on, nothing recorded;
-b  the same without the plugin (its system and its functions taken out of a copy of the XML);
-c  the harness with a campaign's default air: conditions, levels, recording, scoring and storage of the result.
+- a: the bare ``while run()`` loop of the aircraft's XML with plugin, air (JSBSim's turbulence) and
+  sensors, nothing recorded;
+- b: the same without the plugin, whose system and functions are removed from a copy of the XML;
+- c: the harness with a campaign's default air: conditions, levels, recording, scoring and storage.
 
-With --model-form the aircraft is one whose bounds depend on its state. With --side-by-side two processes fly a at the same
-time, then two workers fly c, by the clock, and once more with workers in the air of a (JSBSim's turbulence) at a corner: that needs
-two cores with nothing else to do.
+With ``--model-form`` the aircraft has bounds that depend on its state. With ``--side-by-side`` two
+processes fly a at the same time, then two workers fly c, by the wall clock, and again with workers
+in JSBSim's turbulence at a corner; this needs two idle cores.
 
-Processor time is counted, the least of all rounds is quoted, and ratios are what to compare: machines are noisy.
+The shortest processor time of all rounds is reported. Machines are noisy: compare ratios.
 """
 
 from __future__ import annotations
@@ -47,11 +49,13 @@ from uqharness.simulator import (
 )
 
 REFERENCE_HOURS_PER_CORE_HOUR = 890.0
-"""Flight hours per core hour at 100 Hz of a hand-written loop with compiled intervals, the figure to beat."""
+"""Flight hours per core hour at 100 Hz of a hand-written loop with compiled intervals: the
+target.
+"""
 
 
 def without_plugin(aircraft: Aircraft, folder: Path) -> Aircraft:
-    """A copy of the aircraft in ``folder`` whose XML has no model-form system and no uq/ function."""
+    """Copy the aircraft into ``folder`` without the model-form system and uq/ functions."""
     target = folder / "aircraft" / aircraft.name
     copy_folder(aircraft.folder, target)
     path = target / aircraft.card.aircraft.xml
@@ -69,10 +73,12 @@ def without_plugin(aircraft: Aircraft, folder: Path) -> Aircraft:
 def bare_loop(
     aircraft: Aircraft, spec: FlightSpec, clock: Callable[[], float] = time.process_time
 ) -> Callable[[], float]:
-    """A function that flies ``spec`` with JSBSim's bare loop and returns the seconds spent in it by ``clock``."""
+    """Return a function that flies ``spec`` with JSBSim's bare loop and returns its duration by
+    ``clock`` [s].
+    """
     mission = StagedMission(aircraft, find_script(spec.script), end_s=spec.duration_s)
 
-    def once() -> float:
+    def fly_once() -> float:
         fdm = mission.open()
         set_conditions(fdm, mission, spec)
         engine.run_ic(fdm)
@@ -84,15 +90,18 @@ def bare_loop(
         assert fdm.get_sim_time() >= spec.duration_s - fdm.get_delta_t()
         return spent
 
-    return once
+    return fly_once
 
 
 def harness_loop(spec: FlightSpec, folder: Path) -> Callable[[], float]:
-    """A function that flies ``spec`` as a campaign does, result on the disk, and returns the processor seconds of all of it."""
+    """Return a function that flies ``spec`` as a campaign does and returns its processor
+    time [s].
+    """
     store = Store(folder)
+    # Every flight needs a new id in the store.
     count = iter(range(10**9))
 
-    def once() -> float:
+    def fly_once() -> float:
         start = time.process_time()
         outcome = attempt(fly, f"{next(count):016x}", spec)
         store.add([outcome])
@@ -100,52 +109,58 @@ def harness_loop(spec: FlightSpec, folder: Path) -> Callable[[], float]:
         assert outcome.status == "ok", outcome.reason
         return spent
 
-    return once
+    return fly_once
 
 
 def with_model_form(aircraft: Aircraft, model_form: Path, folder: Path) -> Aircraft:
-    """A copy of the aircraft in ``folder`` that computes the bounds of a model-form.json."""
-    made = folder / "aircraft" / aircraft.name
-    copy_folder(aircraft.folder, made)
-    put_bounds(made, aircraft, model_form)
-    return find_aircraft(made)
+    """Copy the aircraft into ``folder`` with the bounds of a model-form.json."""
+    target = folder / "aircraft" / aircraft.name
+    copy_folder(aircraft.folder, target)
+    put_bounds(target, aircraft, model_form)
+    return find_aircraft(target)
 
 
 def bare_flight(spec: FlightSpec) -> FlightResult:
-    """Flight function for a worker: the bare loop alone, its seconds by the clock as the metric ``loop_s``."""
+    """Fly the bare loop alone, as the flight function of a worker; the metric ``loop_s`` is its
+    duration.
+    """
     loop_s = bare_loop(find_aircraft(spec.aircraft), spec, time.monotonic)()
     return FlightResult("ok", "", spec.duration_s, {"loop_s": loop_s}, {}, {})
 
 
 def side_by_side(
-    bare: FlightSpec, flown: FlightSpec, rounds: int, workers: int = 2
+    bare_spec: FlightSpec, harness_spec: FlightSpec, rounds: int, workers: int = 2
 ) -> dict[str, float]:
-    """Flight seconds per second by the clock: that many bare loops at once, as many workers, and the ratio."""
+    """Measure flight seconds per wall-clock second of parallel bare loops, and of as many
+    workers.
+    """
 
     def fly_all(
         executor: ProcessExecutor, function: FlightFunction, spec: FlightSpec, count: int
     ) -> list[CaseOutcome]:
-        found = [
+        outcomes = [
             item
             for batch in executor.run(function, [(f"{n:016x}", spec) for n in range(count)])
             for item in batch
         ]
-        assert all(item.status == "ok" for item in found), found
-        return found
+        assert all(item.status == "ok" for item in outcomes), outcomes
+        return outcomes
 
     rates = {}
-    for name, function, spec in (("bare", bare_flight, bare), ("workers", fly, flown)):
+    for name, function, spec in (("bare", bare_flight, bare_spec), ("workers", fly, harness_spec)):
         executor = ProcessExecutor(workers, keep=True)
         try:
-            # Both are up and have loaded everything before the clock is looked at.
+            # Let all workers start and load everything before timing.
             fly_all(executor, function, replace(spec, duration_s=10.0), 2 * workers)
             start = time.monotonic()
-            found = fly_all(executor, function, spec, rounds * workers)
+            timed = fly_all(executor, function, spec, rounds * workers)
             elapsed = time.monotonic() - start
         finally:
             executor.close()
+        # Bare loops time themselves, without the start of the worker; the harness is timed as a
+        # whole.
         clocks = (
-            [item.metrics["loop_s"] for item in found] if name == "bare" else [elapsed / rounds]
+            [item.metrics["loop_s"] for item in timed] if name == "bare" else [elapsed / rounds]
         )
         rates[name] = workers * spec.duration_s * len(clocks) / sum(clocks)
     return {
@@ -162,19 +177,22 @@ def measure(
     source: str,
     levels: str,
     model_form: Path | None = None,
-    together: bool = False,
+    in_parallel: bool = False,
 ) -> dict[str, float]:
-    """Least microseconds per step of a, b and c, their ratios, and flight hours per core hour of c."""
+    """Measure microseconds per step of a, b and c, their ratios, and flight hours per core hour of
+    c.
+    """
     with scratch_folder() as scratch:
         aircraft = find_aircraft(aircraft_name)
         if model_form is not None:
             aircraft = with_model_form(aircraft, model_form, scratch.path)
-        return _measure(aircraft, duration_s, rounds, source, levels, together)
+        return _measure(aircraft, duration_s, rounds, source, levels, in_parallel)
 
 
 def _measure(
-    aircraft: Aircraft, duration_s: float, rounds: int, source: str, levels: str, together: bool
+    aircraft: Aircraft, duration_s: float, rounds: int, source: str, levels: str, in_parallel: bool
 ) -> dict[str, float]:
+    """Measure with a given aircraft."""
     deltas = {"uq/active": 1.0} | {f"uq/{name}/level": 1.0 for name in COEFFICIENTS}
     spec = FlightSpec(
         aircraft.folder,
@@ -188,19 +206,19 @@ def _measure(
         seed_noise=12,
         properties=deltas,
     )
-    flown = (
+    harness_spec = (
         spec
         if levels == "corner"
         else replace(spec, levels=_driver(levels), properties={"uq/active": 1.0})
     )
-    # Without a host JSBSim has only its own turbulence: that is the air of the bare loops, whatever the harness flies.
-    bare = replace(spec, turbulence_source="jsbsim")
+    # The bare loops have JSBSim's own turbulence, whatever the harness flies.
+    bare_spec = replace(spec, turbulence_source="jsbsim")
     with scratch_folder() as scratch:
         folder = scratch.path
         loops = {
-            "a": bare_loop(aircraft, bare),
-            "b": bare_loop(without_plugin(aircraft, folder), replace(bare, properties={})),
-            "c": harness_loop(flown, folder),
+            "a": bare_loop(aircraft, bare_spec),
+            "b": bare_loop(without_plugin(aircraft, folder), replace(bare_spec, properties={})),
+            "c": harness_loop(harness_spec, folder),
         }
         best = dict.fromkeys(loops, float("inf"))
         for _ in range(rounds):
@@ -215,23 +233,26 @@ def _measure(
         "c_over_a": per_step["c"] / per_step["a"],
         "a_over_b": per_step["a"] / per_step["b"],
         "flight_hours_per_core_hour": duration_s / best["c"],
-    } | (_both_airs(bare, flown, rounds) if together else {})
+    } | (_both_airs(bare_spec, harness_spec, rounds) if in_parallel else {})
 
 
-def _both_airs(bare: FlightSpec, flown: FlightSpec, rounds: int) -> dict[str, float]:
-    """`side_by_side`, and of workers in the air of the bare loops, levels at a corner."""
-    same = side_by_side(bare, bare, rounds)["workers_2_over_bare_2"]
-    return side_by_side(bare, flown, rounds) | {"workers_2_in_the_same_air_over_bare_2": same}
+def _both_airs(bare_spec: FlightSpec, harness_spec: FlightSpec, rounds: int) -> dict[str, float]:
+    """Measure `side_by_side`, and workers in the air of the bare loops with levels at a corner."""
+    same = side_by_side(bare_spec, bare_spec, rounds)["workers_2_over_bare_2"]
+    return side_by_side(bare_spec, harness_spec, rounds) | {
+        "workers_2_in_the_same_air_over_bare_2": same
+    }
 
 
 def _driver(levels: str) -> LevelDriver | None:
+    """Return the driver of varying levels; None for a corner."""
     if levels == "walk":
         return LevelDriver("walk", 1, "walk-000000", COEFFICIENTS, (0.012,) * len(COEFFICIENTS))
     return LevelDriver("white", 1, "white-000000", COEFFICIENTS) if levels == "white" else None
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Measure and print; the process's exit code."""
+    """Measure and print; return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m uqharness.cli.benchmarks.loop",
         description="Cost of the harness over JSBSim's bare loop.",
@@ -273,23 +294,28 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(json.dumps(figures))
         return 0
     print(
-        f"{args.aircraft}, loiter, moderate turbulence ({args.turbulence_source}), {args.rounds} rounds of {args.duration_s:g} s"
+        f"{args.aircraft}, loiter, moderate turbulence ({args.turbulence_source}), {args.rounds}"
+        f" rounds of {args.duration_s:g} s"
     )
     print(f"  a  bare loop, plugin, air, sensors  {figures['a_us_per_step']:7.2f} us/step")
     print(
-        f"  b  the same without the plugin      {figures['b_us_per_step']:7.2f} us/step   a/b {figures['a_over_b']:.3f}"
+        f"  b  the same without the plugin      {figures['b_us_per_step']:7.2f} us/step   a/b"
+        f" {figures['a_over_b']:.3f}"
     )
     print(
-        f"  c  harness with levels, stored      {figures['c_us_per_step']:7.2f} us/step   c/a {figures['c_over_a']:.3f}"
+        f"  c  harness with levels, stored      {figures['c_us_per_step']:7.2f} us/step   c/a"
+        f" {figures['c_over_a']:.3f}"
     )
     print(
-        f"  flight hours per core hour: {figures['flight_hours_per_core_hour']:.0f} (to beat: {REFERENCE_HOURS_PER_CORE_HOUR:.0f})"
+        f"  flight hours per core hour: {figures['flight_hours_per_core_hour']:.0f} (to beat:"
+        f" {REFERENCE_HOURS_PER_CORE_HOUR:.0f})"
     )
     if args.side_by_side:
         print(
-            f"  two workers {figures['workers_2_flight_s_per_s']:.0f}, two bare loops {figures['bare_2_flight_s_per_s']:.0f} "
-            f"flight s per s by the clock: {figures['workers_2_over_bare_2']:.3f} "
-            f"(in the same air, corners: {figures['workers_2_in_the_same_air_over_bare_2']:.3f})"
+            f"  two workers {figures['workers_2_flight_s_per_s']:.0f}, two bare loops"
+            f" {figures['bare_2_flight_s_per_s']:.0f} flight s per s by the clock:"
+            f" {figures['workers_2_over_bare_2']:.3f} (in the same air, corners:"
+            f" {figures['workers_2_in_the_same_air_over_bare_2']:.3f})"
         )
     return 0
 

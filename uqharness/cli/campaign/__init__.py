@@ -1,4 +1,4 @@
-"""``uqharness campaign VERB``."""
+"""``uqharness campaign VERB``: the table of verbs, whose modules are loaded when they are named."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ uqharness campaign VERB --help gives the options."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Give ``campaign`` its verbs."""
+    """Add the verbs of ``campaign``."""
     parser.description = (
         "Fly a campaign over corners of model-form uncertainty, watch it, and report it."
     )

@@ -1,4 +1,8 @@
-"""``uqharness campaign check | run``: what a campaign costs, and flying it."""
+"""``uqharness campaign check | run``: the cost of a campaign, and its flights.
+
+`check` tries out a few flights and extrapolates time and disk space. `run` flies a campaign or
+resumes it, in this process, in worker processes or on a Dask cluster.
+"""
 
 from __future__ import annotations
 
@@ -44,24 +48,28 @@ from uqharness.parallel import usable_cores
 _CHECK_EXAMPLE = """
   uqharness campaign check campaigns/demo/campaign.toml
 
-Prints flights, flight hours, expected time and disk space, the engine (batch, or jsbsim with the reason, file and line), and
-the joint confidence of the intervals of a model-form.json. Flies check flights alone; no result is stored."""
+Prints flights, flight hours, expected time and disk space, the engine (batch, or jsbsim with the
+reason, file and line), and the joint confidence of the intervals of a model-form.json. Only check
+flights are flown; no result is stored."""
 _RUN_EXAMPLE = """
   uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
   uqharness campaign run campaigns/demo/campaign.toml --out big --hours 10 --workers 8
   uqharness campaign run campaigns/demo/campaign.toml --out big --dask tcp://192.168.0.2:8786
-  uqharness campaign run demo --out anywhere      the campaign of that name that comes with the package
-  uqharness campaign run campaigns/demo/campaign.toml --out big --shard 3/16      one of 16 jobs; then: campaign merge big
+  uqharness campaign run demo --out anywhere
+  uqharness campaign run campaigns/demo/campaign.toml --out big --shard 3/16
 
-The same command resumes a run that was interrupted, killed or cut off: only missing flights are flown.
+The fourth example runs a campaign of the package by its name, the fifth one of 16 jobs, to be put
+together by campaign merge. The same command resumes an interrupted run: only missing flights are
+flown.
 
-With method = "corners" the nominal model ([epistemic] nominal = false leaves it out) and points between the corners fly as well:
-16 with bounds = "model-form.json", else as many as corners, at most 16 (interior = N). Transient model error flies
-if the file has such a part (transient = false leaves it out); set = "ellipsoid" flies the joint confidence set."""
+With method = "corners" the nominal model ([epistemic] nominal = false leaves it out) and points
+between the corners are flown as well: 16 with bounds = "model-form.json", else as many as corners,
+at most 16 (interior = N). Transient model error is included if the file has such a part
+(transient = false leaves it out); set = "ellipsoid" flies the joint confidence set."""
 
 
 def add_check(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``check``."""
+    """Add the arguments of ``check``."""
     text = "Print the cost of a campaign before it is flown."
     done, no = (
         "done (a model that cannot be flown is bad input)",
@@ -72,7 +80,7 @@ def add_check(parser: argparse.ArgumentParser) -> None:
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
-    """Arguments of ``run``."""
+    """Add the arguments of ``run``."""
     done = "all flights done (failed ones are counted and reported)"
     no = "the batch engine differs from JSBSim"
     describe(parser, _run, "Fly a campaign, or resume it.", _RUN_EXAMPLE, done=done, no=no)
@@ -97,6 +105,7 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_campaign(parser: argparse.ArgumentParser) -> None:
+    """Add the campaign and what replaces its settings."""
     parser.add_argument(
         "campaign",
         type=Path,
@@ -107,13 +116,16 @@ def _add_campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--engine",
         choices=("auto", "batch", "jsbsim"),
-        help="engine, in place of [campaign] engine; auto: batch where it understands aircraft and mission, else jsbsim",
+        help=(
+            "engine, in place of [campaign] engine; auto: batch where it understands aircraft and"
+            " mission, else jsbsim"
+        ),
     )
     add_workers(parser)
 
 
 def add_size(parser: argparse.ArgumentParser) -> None:
-    """``--hours`` and ``--samples``, which stand in place of the file's numbers."""
+    """Add ``--hours`` and ``--samples``, which replace numbers of the file."""
     text = "flight hours per corner and condition, in place of [aleatory] flights"
     parser.add_argument("--hours", type=float, metavar="H", help=text)
     parser.add_argument(
@@ -125,14 +137,18 @@ def add_size(parser: argparse.ArgumentParser) -> None:
 
 
 def add_yes(parser: argparse.ArgumentParser) -> None:
-    """``--yes``."""
+    """Add ``--yes``."""
     parser.add_argument(
         "--yes", action="store_true", help="fly even if it takes more than a day on this machine"
     )
 
 
-def asked_campaign(args: argparse.Namespace) -> CampaignSpec:
-    """The campaign of ``args.campaign`` with ``--hours``, ``--samples`` and ``--engine`` in it. Raises BadInputError."""
+def requested_campaign(args: argparse.Namespace) -> CampaignSpec:
+    """Read the campaign of ``args.campaign`` with ``--hours``, ``--samples`` and ``--engine``
+    applied.
+
+    Raises BadInputError.
+    """
     spec = read_campaign(find_campaign(args.campaign))
     engine = getattr(args, "engine", None)
     spec = spec if engine is None else spec.with_engine(engine)
@@ -142,79 +158,92 @@ def asked_campaign(args: argparse.Namespace) -> CampaignSpec:
 
 
 def flying_command(args: argparse.Namespace, out: Path) -> list[str]:
-    """The words that fly the campaign into a folder, at the size that was asked for."""
+    """Return the words of the command that flies the campaign into a folder at the
+    requested size.
+    """
     words = ["uqharness", "campaign", "run", str(args.campaign), "--out", str(out)]
+    # Only options that change the campaign: the command must resume with any number of workers.
     words += [] if args.hours is None else ["--hours", f"{args.hours:g}"]
     words += [] if getattr(args, "engine", None) is None else ["--engine", args.engine]
     return words if args.samples is None else [*words, "--samples", str(args.samples)]
 
 
-def tell_cost(agreed: bool, name: Path) -> Callable[[Cost], None]:
-    """What a campaign calls before it flies: refuses more than a day unless that was agreed to, and says what is ahead."""
+def cost_checker(agreed: bool, name: Path) -> Callable[[Cost], None]:
+    """Return the function that a campaign calls before it flies.
 
-    def told(cost: Cost) -> None:
+    It refuses more than a day without consent, and prints the cost.
+    """
+
+    def check_cost(cost: Cost) -> None:
         refuse_if_long(cost, agreed, name)
         print(f"{name}: {cost.words}", file=sys.stderr)
 
-    return told
+    return check_cost
 
 
-def say_rewritten(folder: Path, names: Sequence[str]) -> None:
-    """Say which files were not as they had been written."""
+def note_rewritten(folder: Path, names: Sequence[str]) -> None:
+    """Print which files were damaged and are written again."""
     for name in names:
         print(
-            f"note: {folder / name} was not as it had been written; it is written again from the journal",
+            f"note: {folder / name} was not as it had been written; it is written again from the"
+            " journal",
             file=sys.stderr,
         )
 
 
 def failures(statuses: Mapping[str, int]) -> str:
-    """How many flights failed, and in which way."""
+    """Describe how many flights failed, and how."""
     failed = {status: number for status, number in statuses.items() if status != "ok"}
     if not failed:
         return "none failed"
-    return f"{sum(failed.values())} failed ({', '.join(f'{number} {status}' for status, number in failed.items())})"
+    return (
+        f"{sum(failed.values())} failed"
+        f" ({', '.join(f'{number} {status}' for status, number in failed.items())})"
+    )
 
 
 def _check(args: argparse.Namespace) -> int:
-    spec = asked_campaign(args)
+    """Print the cost of a campaign; return the exit code."""
+    spec = requested_campaign(args)
     for note in noise_notes(spec):
         print(f"note: {note}", file=sys.stderr)
+    # Check flights run on a copy, so that nothing of the user's is touched.
     with scratch_folder("check") as scratch:
         mission = campaign_run.find_mission(spec, scratch.path)
         if needs_copy(spec):
             make_copy(spec, mission, scratch.path)
-        settled, pace = campaign_run.check_campaign(spec, mission, scratch.path)
-    cost = Cost(size_of(spec), 0, pace, args.workers or usable_cores(), settled.engine)
-    described = describe_campaign(settled.spec, mission, cost.size.flights, "")
+        engine_choice, pace = campaign_run.check_campaign(spec, mission, scratch.path)
+    cost = Cost(size_of(spec), 0, pace, args.workers or usable_cores(), engine_choice.engine)
+    described = describe_campaign(engine_choice.spec, mission, cost.size.flights, "")
     joint = joint_words(described)
     remarks = corners_only_words(described["campaign"]["epistemic"])
-    asked = (
+    day_note = (
         "; more than a day of this machine: `campaign run` needs --yes or --hours"
         if cost.is_long
         else ""
     )
     if args.json:
-        found = {
-            "engine": settled.engine,
-            "engine_why": list(settled.reasons),
+        document = {
+            "engine": engine_choice.engine,
+            "engine_why": list(engine_choice.reasons),
             "joint_level": joint_level(described),
             "joint": joint,
             "bounds_hold_at": points_flown(described["campaign"]["epistemic"]),
         }
-        print(json.dumps(_cost_json(cost) | found))
+        print(json.dumps(_cost_json(cost) | document))
     else:
-        told = [f"{cost.words}{asked}", f"engine {settled.words}", *joint, *remarks]
+        messages = [f"{cost.words}{day_note}", f"engine {engine_choice.words}", *joint, *remarks]
         if cost.size.trial_conditions < cost.size.conditions:
-            told.append(
-                f"{cost.size.trial_conditions} of {cost.size.conditions} conditions were tried out: each turbulence with its weakest and "
-                "strongest wind and winds between them"
+            messages.append(
+                f"{cost.size.trial_conditions} of {cost.size.conditions} conditions were tried out: each"
+                " turbulence with its weakest and strongest wind and winds between them"
             )
-        print("\n".join(f"{args.campaign}: {line}" for line in told))
+        print("\n".join(f"{args.campaign}: {line}" for line in messages))
     return 0
 
 
 def _cost_json(cost: Cost) -> dict[str, Any]:
+    """Return the cost for --json."""
     size = cost.size
     return {
         "flights": size.flights,
@@ -233,10 +262,12 @@ def _cost_json(cost: Cost) -> dict[str, Any]:
 
 
 def _run(args: argparse.Namespace) -> int:
-    spec = asked_campaign(args)
+    """Fly a campaign; return the exit code."""
+    spec = requested_campaign(args)
     for note in (*noise_notes(spec), *bounds_notes(spec)):
         print(f"note: {note}", file=sys.stderr)
     shard = parse_shard(args.shard) if args.shard is not None else None
+    # Whoever gives a number of hours knows the size.
     agreed = args.yes or args.hours is not None
     command = flying_command(args, args.out)
     command += [] if args.shard is None else ["--shard", args.shard]
@@ -244,7 +275,7 @@ def _run(args: argparse.Namespace) -> int:
     try:
         with ExitStack() as stack:
             executor = _executor(args, stack)
-            # Before anything is made or tried out: what is too long at any pace need not be.
+            # Refuse first what is too long at any pace, before anything is created or tried out.
             size = size_of(spec, 1 if shard is None else shard.count)
             fastest = (
                 "jsbsim"
@@ -264,7 +295,7 @@ def _run(args: argparse.Namespace) -> int:
                 on_progress=view.update,
                 command=shlex.join(command),
                 shard=shard,
-                before_flying=tell_cost(agreed, args.campaign),
+                before_flying=cost_checker(agreed, args.campaign),
             )
     except KeyboardInterrupt:
         print(
@@ -272,7 +303,7 @@ def _run(args: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         raise
-    say_rewritten(summary.folder, summary.rewritten)
+    note_rewritten(summary.folder, summary.rewritten)
     epistemic = spec.as_dict()["epistemic"]
     if args.json:
         print(json.dumps(_summary_json(summary) | {"bounds_hold_at": points_flown(epistemic)}))
@@ -286,7 +317,9 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _done_before(folder: Path) -> int:
-    """Flights that need not be flown again; whether the folder may be flown into is asked later."""
+    """Return the number of stored flights; 0 for a folder that cannot be read, which is reported
+    later.
+    """
     try:
         return read_status(folder).done
     except BadInputError:
@@ -294,12 +327,12 @@ def _done_before(folder: Path) -> int:
 
 
 def _executor(args: argparse.Namespace, stack: ExitStack) -> Executor:
-    """What flies the cases, closed with the stack. Raises BadInputError."""
+    """Return the executor of the cases, closed with the stack. Raises BadInputError."""
     if args.dask is not None:
         if args.serial or args.workers is not None:
             raise BadInputError(
-                "--dask: the cluster's workers fly; leave out --workers and --serial, and give the number to: dask worker "
-                "--nworkers"
+                "--dask: the cluster's workers fly; leave out --workers and --serial, and give the"
+                " number to: dask worker --nworkers"
             )
         # Imported here: Dask is an extra.
         from uqharness.campaign.execution import DaskExecutor
@@ -311,6 +344,7 @@ def _executor(args: argparse.Namespace, stack: ExitStack) -> Executor:
 
 
 def _summary_json(summary: CampaignSummary) -> dict[str, Any]:
+    """Return the summary of a run for --json."""
     progress = summary.progress
     return {
         "folder": str(summary.folder),
@@ -326,12 +360,16 @@ def _summary_json(summary: CampaignSummary) -> dict[str, Any]:
 
 
 def _sentence(summary: CampaignSummary) -> str:
+    """Return the summary of a run as a sentence."""
     progress = summary.progress
     text = f"{summary.folder}: {summary.cases} flights done"
     if summary.done_before:
         text += f", {summary.done_before} of them before this run"
     text += f", {failures(summary.statuses)}"
     if summary.cases > summary.done_before:
-        text += f"; {progress.flown_s / 3600.0:.2f} flight h in {clock(progress.elapsed_s)} on {progress.workers} workers"
+        text += (
+            f"; {progress.flown_s / 3600.0:.2f} flight h in {clock(progress.elapsed_s)} on"
+            f" {progress.workers} workers"
+        )
         text += f", {progress.hours_per_core_hour:.0f} flight h per core h, engine {summary.engine}"
     return text

@@ -69,9 +69,9 @@ from uqharness.replay import (
     UNSEEN,
     ReplayJob,
     ReplayModel,
-    as_flown,
     at_rows,
     fly_all,
+    split_job,
     surface_positions,
 )
 
@@ -91,7 +91,7 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
             between,
             unseen=unseen_,
         )
-        pieces.append(as_flown(job, on_time))
+        pieces.append(split_job(job, on_time))
     flights = iter(fly_all([piece for of in pieces for piece in of], map_))
     columns = [CHANNELS.index(c) for c in setup.outputs]
     raw, outputs = [], []

@@ -190,7 +190,7 @@ def _at_places(
     if not further and not any(places.values()):
         return setup
     later = [
-        f.with_commands_later((places.get(f.name, 0.0) + further) * PLACES * f.record.dt_s)
+        f.with_delayed_commands((places.get(f.name, 0.0) + further) * PLACES * f.record.dt_s)
         for f in setup.flights
     ]
     cut = [s for f in later for s in segments(f, tuple(model.measured), setup.segments[0].arm_m)]

@@ -30,15 +30,15 @@ from sysid.effects import V_REFERENCE_MPS, Columns, Effect, MadeColumns
 from sysid.parallel import SERIAL, Processes
 from sysid.units import FT_M, LBF_FT_NM, LBF_N
 from uqharness.identification.linearised.types import Flown, Point, Setup, late_by, unseen_share
-from uqharness.identification.replay_fit import jumping_in
+from uqharness.identification.replay_fit import jumping_flights
 from uqharness.replay import (
     CONTROLS,
-    FELT,
+    JUMPING_CHANNELS,
     SENSOR_OF,
     ForcedModel,
     ReplayModel,
     Segment,
-    StatesOf,
+    SegmentStates,
     altitudes,
     by_run,
     control_setters,
@@ -168,7 +168,7 @@ def _scale(qbar: FloatArray, mass: MassProperties) -> FloatArray:
 class ProbeJob:
     """One segment to probe: x (n, 8) reference states, controls (n, c) positions, properties in force."""
 
-    straight: ReplayModel
+    direct_model: ReplayModel
     segment: Segment
     x: FloatArray
     controls: FloatArray
@@ -179,7 +179,7 @@ class ProbeJob:
 
 def probe_all(jobs: Sequence[ProbeJob], map_: Processes = SERIAL) -> list[Probe]:
     """Force the model along references, all states asked for at once: jobs of one model and the same properties."""
-    found = force_all(jobs[0].straight, [_asked(job) for job in jobs], jobs[0].properties, map_)
+    found = force_all(jobs[0].direct_model, [_asked(job) for job in jobs], jobs[0].properties, map_)
     return [_probe_of(job, forced) for job, forced in zip(jobs, found, strict=True)]
 
 
@@ -191,7 +191,7 @@ def _moved(job: ProbeJob) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArra
     """Rows that are forced as they are, ``coarse`` rows at which the model is asked for slopes, and the states (k, coarse, 8) and
     controls (k, coarse, c) of these: AIR moved, then controls, then banks where rates of the wind angles are asked for."""
     coarse, (n, controls) = _coarse(len(job.x)), job.controls.shape
-    banks = _BANKED if job.straight.by_rates and not job.consistent else ()
+    banks = _BANKED if job.direct_model.by_rates and not job.consistent else ()
     first = len(AIR) + controls
     x, u = (np.repeat(v[None, coarse], first + len(banks), axis=0) for v in (job.x, job.controls))
     for k, step in enumerate(_STEPS):
@@ -207,14 +207,14 @@ def _moved(job: ProbeJob) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArra
     return coarse if job.consistent else np.arange(n), coarse, x, u
 
 
-def _asked(job: ProbeJob) -> StatesOf:
+def _asked(job: ProbeJob) -> SegmentStates:
     """All states that a probe asks of the model, one behind the other."""
     base, coarse, moved, turned = _moved(job)
     x = np.concatenate([job.x[base], *moved])
     rows = np.concatenate([base, *[coarse] * len(moved)])
     motion = {name: x[:, k] for k, name in enumerate(STATES)}
-    height = altitudes(job.straight, job.segment, job.height_m[rows])
-    return StatesOf(job.segment, motion, np.concatenate([job.controls[base], *turned]), height)
+    height = altitudes(job.direct_model, job.segment, job.height_m[rows])
+    return SegmentStates(job.segment, motion, np.concatenate([job.controls[base], *turned]), height)
 
 
 def _probe_of(job: ProbeJob, found: ForcedModel) -> Probe:
@@ -705,7 +705,7 @@ def _felt_at(p: Probe, outputs: Sequence[str], place_m: FloatArray) -> FloatArra
 def as_felt(felt: FloatArray, outputs: Sequence[str]) -> FloatArray:
     """(n, m) outputs of accelerometers that feel ``felt`` (n, 3), zero in all others."""
     out = np.zeros((len(felt), len(outputs)))
-    for name, value in zip(FELT, felt.T, strict=True):
+    for name, value in zip(JUMPING_CHANNELS, felt.T, strict=True):
         if name in outputs:
             out[:, outputs.index(name)] = value
     return out
@@ -796,7 +796,7 @@ def servo_change(
 
 def with_jumps(setup: Setup, model: ReplayModel) -> Setup:
     """The setup with the flights in which some control of the model jumps: what accelerometers miss of that is estimated."""
-    return replace(setup, jumping=tuple(jumping_in(model, setup.segments, setup.late)))
+    return replace(setup, jumping=tuple(jumping_flights(model, setup.segments, setup.late)))
 
 
 def middles(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[FloatArray]:
@@ -868,7 +868,7 @@ def bends_of(
         )
         motion = {name: x[:, k] for k, name in enumerate(STATES)}
         asked.append(
-            StatesOf(
+            SegmentStates(
                 segment, motion, u + np.concatenate([middle, end]), altitudes(straight, segment, h)
             )
         )

@@ -237,7 +237,7 @@ class Bench(ExitStack):
         ]
 
     def __enter__(self) -> Bench:
-        self.model, self.straight = map(self.enter_context, self._folders)
+        self.model, self.direct_model = map(self.enter_context, self._folders)
         return self
 
 

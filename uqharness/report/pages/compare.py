@@ -14,7 +14,7 @@ from uqharness.replay import (
     CHANNELS,
     HISTORIES,
     History,
-    have,
+    have_columns,
     read_histories,
     shown_channel,
     with_shown_names,
@@ -301,7 +301,7 @@ def _coefficient_section(
     figures = []
     series = [("{}_flight", "second thin", ""), ("{}_model", "first thin", "")]
     for c in COEFFICIENTS:
-        if have(histories, (f"{c}_flight", f"{c}_model")):
+        if have_columns(histories, (f"{c}_flight", f"{c}_model")):
             coefficient_series = [(key.format(c), kind, words) for key, kind, words in series]
             label = (
                 f"{c} [-] that the flight demanded and that the model gives, segments end to end."

@@ -43,7 +43,7 @@ from uqharness.replay import (
     CHANNELS,
     History,
     axis_label,
-    have,
+    have_columns,
     read_histories,
     shown_channel,
     with_shown_names,
@@ -104,7 +104,7 @@ def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     details = read_document(folder / DETAILS, Bounds) if (folder / DETAILS).is_file() else {}
     pieces = read_histories(folder / RESIDUALS)
     # Residuals of another command or version lack columns.
-    if pieces and not have(pieces, needed := [*form.states, *form.coefficients]):
+    if pieces and not have_columns(pieces, needed := [*form.states, *form.coefficients]):
         raise BadInputError(
             f"{folder / RESIDUALS}: must have the columns {', '.join(needed)}; run its command"
             " again"
@@ -472,7 +472,7 @@ def within_section(
     figures = []
     has_noise_apart = False
     for c in names:
-        if not have(pieces, (c, f"{c}_lower", f"{c}_upper")):
+        if not have_columns(pieces, (c, f"{c}_lower", f"{c}_upper")):
             continue
         band = (
             [h.columns[f"{c}_lower"] for h in pieces],
@@ -489,7 +489,7 @@ def within_section(
         share = 100.0 * float(np.mean(inside))
         # Bounds without sensor noise, if the form separates it.
         ends = (f"{c}_model_lower", f"{c}_model_upper")
-        model = [(end, "second", "") for end in ends] if have(pieces, ends) else []
+        model = [(end, "second", "") for end in ends] if have_columns(pieces, ends) else []
         has_noise_apart = has_noise_apart or bool(model)
         label = (
             f"Flight minus model, {c} [-], along the pieces within its bounds: {share:.1f} % of the"

@@ -16,7 +16,7 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from uqharness.errors import BadInputError
-from uqharness.replay import HISTORIES, History, have, read_histories, shown_channel
+from uqharness.replay import HISTORIES, History, have_columns, read_histories, shown_channel
 from uqharness.report.history import Z95, Model, end_to_end, history_section
 from uqharness.report.pages.compare import in_shown_unit, ratio_figure
 from uqharness.report.parts import (
@@ -1094,7 +1094,7 @@ def _coefficient_figures(
     """Draw demanded minus modelled coefficients before and after."""
     out = []
     for c in names:
-        if not have(histories, (f"{c}_gap_before", f"{c}_gap_after")):
+        if not have_columns(histories, (f"{c}_gap_before", f"{c}_gap_after")):
             continue
         noise = gap["coefficients"].get(c, {}).get("noise_rms")
         # 95 % band of the noise, if it is known.

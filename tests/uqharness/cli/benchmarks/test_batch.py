@@ -8,7 +8,7 @@ import pytest
 
 from uqharness.batch import VECTORS, target_names
 from uqharness.cli.benchmarks import batch as benchmark_batch
-from uqharness.cli.benchmarks.batch import measure_batch, said
+from uqharness.cli.benchmarks.batch import as_text, measure_batch
 
 
 @pytest.mark.usefixtures("flights_here")
@@ -27,7 +27,7 @@ def test_every_loop_is_measured_and_said(monkeypatch):
     campaigns = {"e_1_flight_hours_per_hour", "e_2_flight_hours_per_hour", "e_2_over_1"}
     assert set(found) == loops | campaigns
     assert all(value > 0.0 for value in found.values())
-    text = said(found)
+    text = as_text(found)
     assert len(text.splitlines()) == 2 + 2 * len(ends) + 3
     # What is compiled for is put back.
     assert VECTORS not in os.environ

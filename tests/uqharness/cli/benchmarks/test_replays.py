@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.cli.benchmarks.batch import measure_replays, said_of_replays
+from uqharness.cli.benchmarks.batch import measure_replays, replay_lines
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.replay import in_lanes
@@ -13,9 +13,9 @@ from uqharness.simulator import find_aircraft
 
 def test_replays_are_measured_and_said(tmp_path, monkeypatch):
     compiled = []
-    made = in_lanes._made
+    made = in_lanes._compile
     monkeypatch.setattr(
-        in_lanes, "_made", lambda job, names: compiled.append(job) or made(job, names)
+        in_lanes, "_compile", lambda job, names: compiled.append(job) or made(job, names)
     )
     flight = tmp_path / "flight.parquet"
     main(["fly", "espaaro", "--script", "flight-ident", "--noise", "--out", str(flight)])
@@ -25,7 +25,7 @@ def test_replays_are_measured_and_said(tmp_path, monkeypatch):
     )  # in a round once for the replays and once for identify: nothing is remembered
     assert set(found) == {"f_replays_per_s", "g_compile_s", "h_identify_s"}
     assert all(value > 0.0 for value in found.values())
-    assert len(said_of_replays(found)) == len(found)
+    assert len(replay_lines(found)) == len(found)
 
 
 def test_a_short_flight_is_refused(tmp_path):

@@ -88,7 +88,7 @@ def test_a_report_flies_the_worst_and_the_median_flight_again_where_that_is_chea
         ["cross_track_median_m", "case_id"], ascending=[False, True]
     )
     cases = rows["case_id"].tolist()
-    monkeypatch.setattr(verbs, "MOST_SHOWN_S", 1e6)
+    monkeypatch.setattr(verbs, "MAX_REFLOWN_S", 1e6)
     assert call("report", out, "--json") == 0
     assert (
         json.loads(capsys.readouterr().out)["flown_again"]
@@ -100,9 +100,9 @@ def test_a_report_flies_the_worst_and_the_median_flight_again_where_that_is_chea
     assert "the page has no new ground track: the aircraft has changed" in capsys.readouterr().err
     asked.clear()
     monkeypatch.setattr(verbs, "track_cases", lambda frame: tuple(cases[:2]))
-    monkeypatch.setattr(verbs, "MOST_SHOWN_S", 1.0)
+    monkeypatch.setattr(verbs, "MAX_REFLOWN_S", 1.0)
     assert call("report", out) == 0
-    monkeypatch.setattr(verbs, "MOST_SHOWN_S", 1e6)
+    monkeypatch.setattr(verbs, "MAX_REFLOWN_S", 1e6)
     (out / "rerun" / "x").mkdir(parents=True)
     (out / "rerun" / "x" / "record.parquet").touch()
     assert call("report", out) == 0

@@ -14,7 +14,7 @@ from tests.uqharness.identification.linearised.test_gusts import DT, MASS, N, pr
 from uqharness.identification.linearised import linearise
 from uqharness.identification.linearised.fit import fit_at, fly
 from uqharness.identification.linearised.types import Point, Setup, unseen
-from uqharness.replay import CONTROLS, FELT
+from uqharness.replay import CONTROLS, JUMPING_CHANNELS
 from uqharness.replay.model import ReplayFolder
 from uqharness.replay.segments import Commands, Segment
 from uqharness.simulator.aircraft import find_aircraft
@@ -100,7 +100,7 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
     controls = np.tile([-1.0, 0.0, 0.0, 55.0], (25, 1))
     controls[8:, 0] += 4.0
     controls[15:, 1] -= 3.0
-    outputs = (*FELT, "q_radps")
+    outputs = (*JUMPING_CHANNELS, "q_radps")
     arm = (0.1, 0.0, 0.05)
     segment = Segment(
         "step",
@@ -141,7 +141,7 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
     controls = np.tile([-1.0, 0.0, 0.0, 55.0], (25, 1))
     controls[8:12, 0] += 4.0
     controls[15:19, 1] -= 3.0
-    outputs = (*FELT, "p_radps", "q_radps", "r_radps")
+    outputs = (*JUMPING_CHANNELS, "p_radps", "q_radps", "r_radps")
     segment = Segment(
         "step",
         "f",

@@ -569,7 +569,9 @@ def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
             model, setup, Point({}, {"lateness/f/controls": late_s}, ())
         )
         found = refine_gusts._between([positions(model, acts) for acts in both], shares)
-        expected = positions(model, make_setup(aircraft, [flight.with_commands_later(late_s)], ()))
+        expected = positions(
+            model, make_setup(aircraft, [flight.with_delayed_commands(late_s)], ())
+        )
         rows = positions(model, setup)
         alone, nothing = refine_gusts.acting(model, setup, Point({}, {}, ()))
     assert [acts is setup for acts in alone] == [True]

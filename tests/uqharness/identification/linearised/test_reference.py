@@ -7,7 +7,7 @@ import pytest
 
 from uqharness.cli.main import main
 from uqharness.identification.linearised.linearise import property_slopes
-from uqharness.replay import CONTROLS, ReplayFolder, Segment, StatesOf, force_all
+from uqharness.replay import CONTROLS, ReplayFolder, Segment, SegmentStates, force_all
 from uqharness.simulator import find_aircraft
 
 NAMES = ("uq/scale/CLalpha", "uq/scale/CDi", "uq/scale/Cmadot", "uq/scale/Cmq")
@@ -43,7 +43,7 @@ def test_a_slope_has_what_lift_does_to_the_rate_of_alpha_and_to_induced_drag(gli
 
         def load(name: str, value: float) -> np.ndarray:
             # Forces at a state are read after rates of alpha and beta have settled there.
-            asked = [StatesOf(segment, motion, controls, height)]
+            asked = [SegmentStates(segment, motion, controls, height)]
             forced = force_all(straight, asked, {**values, name: value})[0]
             return np.hstack([forced.aero_force, forced.aero_moment])
 
