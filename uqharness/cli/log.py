@@ -46,7 +46,7 @@ VERBS: Table = {
     "info": ("log:add_info", "contents and findings of a log, and the purposes it serves"),
     "map": ("log:add_map_proposal", "propose a signal map for a log"),
     "import": ("log:add_import", "turn a log into a flight record"),
-    "export": ("log_export:add_export", "write a flight for FlightGear"),
+    "export": ("log:add_export", "write a flight for FlightGear"),
 }
 
 

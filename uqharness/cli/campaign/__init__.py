@@ -13,16 +13,16 @@ VERBS: Table = {
     "report": ("campaign.folder:add_report", "write report.html and the figures"),
     "merge": ("campaign.folder:add_merge", "merge shards and write the tables"),
     "rerun": ("campaign.folder:add_rerun", "fly one case again with full output and a plot"),
-    "verify": ("campaign.whole:add_verify", "check a folder against its digests"),
+    "verify": ("campaign.folder:add_verify", "check a folder against its digests"),
     "salvage": (
-        "campaign.whole:add_salvage",
+        "campaign.folder:add_salvage",
         "repair a damaged campaign: keep sound flights, fly the rest again",
     ),
     "convergence": (
-        "campaign.studies:add_convergence",
+        "campaign.folder:add_convergence",
         "convergence over flights and epistemic samples",
     ),
-    "area": ("campaign.studies:add_area", "area metric of real flights against the p-boxes"),
+    "area": ("campaign.folder:add_area", "area metric of real flights against the p-boxes"),
 }
 _EXAMPLE = """example:
   uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
