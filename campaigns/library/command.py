@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from campaigns.library.flying import Progress, fly, fly_shard
-from campaigns.library.plan import Plan, cell_name
+from campaigns.library.plan import Plan, Shard, cell_name
 from campaigns.library.store import pack, records, refuse_other_flights, shard_table
 from campaigns.library.study import exit_code, log_progress
 from uqharness.campaign.execution.processes import ProcessExecutor
@@ -132,17 +132,23 @@ def _rerun(plan: Plan, args: argparse.Namespace) -> int:
                 print(f"{shard.file}: same digest {record.results[:12]}", flush=True)
                 continue
             alike = False
-            old = shard_table(args.shards, shard).to_pandas()
-            new = parse_table(content, Path(shard.file)).to_pandas()
-            unlike = ~((old == new) | (old.isna() & new.isna()))
-            columns = ", ".join(f"{name} in {n}" for name, n in unlike.sum().items() if n)
-            print(
-                f"{shard.file}: other digest; of {len(old)} flights there differ: "
-                f"{columns or 'none, as far as the shard keeps them'}",
-                flush=True,
-            )
+            difference = _difference(args.shards, shard, content)
+            print(f"{shard.file}: other digest{difference}", flush=True)
     finally:
         executor.close()
     if not count:
         raise BadInputError(f"--cell {args.cell}: no such shard was flown; see status")
     return 0 if alike else 1
+
+
+def _difference(folder: Path, shard: Shard, content: bytes) -> str:
+    """Describe in how many flights of a shard the columns differ from those that are kept."""
+    try:
+        old = shard_table(folder, shard).to_pandas()
+    except BadInputError:
+        return ", and the stored file is missing or damaged"
+    new = parse_table(content, Path(shard.file)).to_pandas()
+    unlike = ~((old == new) | (old.isna() & new.isna()))
+    columns = ", ".join(f"{name} in {number}" for name, number in unlike.sum().items() if number)
+    columns = columns or "none, as far as the shard keeps them"
+    return f"; of {len(old)} flights there differ: {columns}"

@@ -180,15 +180,15 @@ def cell_table(
     """
     cell, index = cell_name(condition), records(folder, condition)
     packed = _packed_cell(folder, cell) if cell in _packed_records(folder) else None
-    frames = []
-    for shard in plan.only([cell]):
-        if shard.number in index:
-            table, cases = shard_table(folder, shard, packed), plan.cases(shard)
-            refuse_other_flights(index[shard.number], cases, shard)
-            frames.append(unpacked(table, cases, plan.resolution))
+    frames, read = [], []
+    for shard in (s for s in plan.only([cell]) if s.number in index):
+        table, cases = shard_table(folder, shard, packed), plan.cases(shard)
+        refuse_other_flights(index[shard.number], cases, shard)
+        frames.append(unpacked(table, cases, plan.resolution))
+        read.append(index[shard.number])
     if not frames:
         raise BadInputError(f"{folder / cell}: nothing flown yet; run the command fly")
-    return pd.concat(frames, ignore_index=True), [index[number] for number in sorted(index)]
+    return pd.concat(frames, ignore_index=True), read
 
 
 def pack(plan: Plan, folder: Path) -> Path:

@@ -215,7 +215,7 @@ def test_the_published_size_is_planned():
     assert Path(found.mission.aircraft).name == "espaaro"
 
 
-def test_packed_flights_are_those_of_the_shards(plan, tmp_path):
+def test_packed_flights_are_those_of_the_shards(plan, tmp_path, capsys):
     """One file in the place of the folder; a shard that is flown after it takes precedence, and damage is seen."""
     shards = tmp_path / "shards"
     flown(plan, shards, shards=list(plan.shards())[:4])
@@ -231,8 +231,12 @@ def test_packed_flights_are_those_of_the_shards(plan, tmp_path):
     assert table["epistemic_id"].tolist()[:64] == plan.epistemic_ids
     assert flown(plan, shards) == 2
     after = cell_table(plan, shards, plan.conditions[0])[0]
-    assert pack(plan, shards) == path
+    study = Study("study", "what?", lambda: plan, tmp_path, lambda plan, shards, out: ["made"])
+    assert main(study, ["pack"]) == 0
+    assert capsys.readouterr().out == f"{path}\n"
     shutil.rmtree(shards)
+    few = plan.with_flights(2)
+    assert [record.shard for record in cell_table(few, shards, plan.conditions[0])[1]] == [0]
     pd.testing.assert_frame_equal(cell_table(plan, shards, plan.conditions[0])[0], after)
     content = bytearray(path.read_bytes())
     content[1000] ^= 255
