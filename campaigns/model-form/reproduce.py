@@ -65,9 +65,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     failures = verdict(rows, fits)
     text = tables(rows, fits) + failure_lines(failures, "Coverage and widths are as asked for.")
-    left_out = [answer for answer in answers if "left_out" in answer]
+    omitted = [answer for answer in answers if "left_out" in answer]
     text += "".join(
-        f"- left out: {a['case']}, seed {a['seed']}: {a['left_out']}\n" for a in left_out
+        f"- left out: {a['case']}, seed {a['seed']}: {a['left_out']}\n" for a in omitted
     )
     write_text(args.out / "tables.md", text)
     for name, frame in (("coverage", summary(rows, COVERAGE)), ("parts", summary(fits, PARTS))):
