@@ -1,6 +1,8 @@
-"""A vehicle without aerodynamics, held on heading and airspeed in the air of the E-SPAARO: what its aerodynamics would see.
+"""A vehicle without aerodynamics, held on heading and airspeed in the air of the E-SPAARO: what its
+aerodynamics would see.
 
-A stiff feedback holds it; recorded are the total wind less the steady wind and the rotation of the air, both in heading axes.
+A stiff feedback holds it; recorded are the total wind less the steady wind and the rotation of the
+air, both in heading axes.
 """
 
 from __future__ import annotations
@@ -22,95 +24,16 @@ from uqharness.simulator.staging import Staging
 Source = Literal["jsbsim", "host", "plain-tustin", "plain-milspec"]
 
 AIR_XML = PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "air.xml"
+VEHICLE = Path(__file__).parent / "pinned.xml"
 BURN_IN_S = 120.0
-"""Left out of every record; JSBSim's filters start at rest and the slowest time constant is some 12 s."""
-
-
-VEHICLE = """<?xml version="1.0"?>
-<fdm_config name="pinned" version="2.0" release="ALPHA">
-  <fileheader>
-    <author>uqharness</author>
-    <description>Held on a commanded velocity and attitude; no aerodynamics</description>
-  </fileheader>
-  <metrics>
-    <wingarea unit="M2">1.97</wingarea> <wingspan unit="M">{span_m}</wingspan> <chord unit="M">0.53</chord>
-    <location name="AERORP" unit="M"><x>0</x><y>0</y><z>0</z></location>
-    <location name="EYEPOINT" unit="M"><x>0</x><y>0</y><z>0</z></location>
-    <location name="VRP" unit="M"><x>0</x><y>0</y><z>0</z></location>
-  </metrics>
-  <mass_balance negated_crossproduct_inertia="false">
-    <ixx>1</ixx> <iyy>1</iyy> <izz>1</izz> <emptywt unit="SLUG">1</emptywt>
-    <location name="CG" unit="M"><x>0</x><y>0</y><z>0</z></location>
-  </mass_balance>
-  <ground_reactions/>
-  <external_reactions>
-    <property value="0">pin/north-fps</property>
-    <property value="0">pin/east-fps</property>
-    <property value="0">pin/height-ft</property>
-    <property value="0">pin/phi-rad</property>
-    <property value="0">pin/theta-rad</property>
-    <property value="0">pin/psi-rad</property>
-    <force name="north" frame="LOCAL">
-      <function>
-        <product> <v>5</v> <difference> <p>pin/north-fps</p> <p>velocities/v-north-fps</p> </difference> </product>
-      </function>
-      <location unit="M"><x>0</x><y>0</y><z>0</z></location> <direction><x>1</x><y>0</y><z>0</z></direction>
-    </force>
-    <force name="east" frame="LOCAL">
-      <function>
-        <product> <v>5</v> <difference> <p>pin/east-fps</p> <p>velocities/v-east-fps</p> </difference> </product>
-      </function>
-      <location unit="M"><x>0</x><y>0</y><z>0</z></location> <direction><x>0</x><y>1</y><z>0</z></direction>
-    </force>
-    <force name="up" frame="LOCAL">
-      <function>
-        <sum>
-          <v>32.17</v> <product> <v>5</v> <p>velocities/v-down-fps</p> </product>
-          <product> <v>6</v> <difference> <p>pin/height-ft</p> <p>position/h-sl-ft</p> </difference> </product>
-        </sum>
-      </function>
-      <location unit="M"><x>0</x><y>0</y><z>0</z></location> <direction><x>0</x><y>0</y><z>-1</z></direction>
-    </force>
-    <moment name="roll" frame="BODY">
-      <function>
-        <difference>
-          <product> <v>25</v> <difference> <p>pin/phi-rad</p> <p>attitude/phi-rad</p> </difference> </product>
-          <product> <v>10</v> <p>velocities/p-rad_sec</p> </product>
-        </difference>
-      </function>
-      <direction><x>1</x><y>0</y><z>0</z></direction>
-    </moment>
-    <moment name="pitch" frame="BODY">
-      <function>
-        <difference>
-          <product> <v>25</v> <difference> <p>pin/theta-rad</p> <p>attitude/theta-rad</p> </difference> </product>
-          <product> <v>10</v> <p>velocities/q-rad_sec</p> </product>
-        </difference>
-      </function>
-      <direction><x>0</x><y>1</y><z>0</z></direction>
-    </moment>
-    <moment name="yaw" frame="BODY">
-      <function>
-        <difference>
-          <product>
-            <v>25</v>
-            <sin> <difference> <p>pin/psi-rad</p> <p>attitude/psi-rad</p> </difference> </sin>
-          </product>
-          <product> <v>10</v> <p>velocities/r-rad_sec</p> </product>
-        </difference>
-      </function>
-      <direction><x>0</x><y>0</y><z>1</z></direction>
-    </moment>
-  </external_reactions>
-  {system}
-  <aerodynamics/>
-</fdm_config>
-"""
+"""Left out of every record; JSBSim's filters start at rest and the slowest time constant is some 12
+s."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One measurement. ``heading_deg`` counts clockwise from the direction the wind blows from (0: into the wind)."""
+    """One measurement. ``heading_deg`` counts clockwise from the direction the wind blows from (0:
+    into the wind)."""
 
     heading_deg: float
     V_mps: float = 22.2
@@ -132,38 +55,43 @@ class Condition:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What the aerodynamics met, in heading axes, after the burn-in: arrays (n,) by component, m/s and rad/s."""
+class Gusts:
+    """Gusts that the aerodynamics met, in heading axes, after the burn-in: arrays (n,) by
+    component, m/s and rad/s."""
 
     source: Source
     condition: Condition
     series: dict[Component, FloatArray]
 
     def q_slope_correlation(self) -> float:
-        """Correlation of q with dw/dt; negative when q is the air's rotation -dw/dx."""
-        w, q = self.series["w"], self.series["q"]
-        return float(np.corrcoef(0.5 * (q[1:] + q[:-1]), np.diff(w))[0, 1])
+        """Correlate q with dw/dt; negative when q is the air's rotation -dw/dx."""
+        return self._slope_correlation("q", "w")
 
     def r_slope_correlation(self) -> float:
-        """Correlation of r with dv/dt; positive when r is the air's rotation +dv/dx."""
-        v, r = self.series["v"], self.series["r"]
+        """Correlate r with dv/dt; positive when r is the air's rotation +dv/dx."""
+        return self._slope_correlation("r", "v")
+
+    def _slope_correlation(self, rate: Component, velocity: Component) -> float:
+        r, v = self.series[rate], self.series[velocity]
         return float(np.corrcoef(0.5 * (r[1:] + r[:-1]), np.diff(v))[0, 1])
 
 
 def write_vehicle(folder: Path, b_m: float, air_xml: Path | None) -> Staging:
-    """Write the aircraft ``pinned`` below ``folder``, with or without the air system, ready for ``open_fdm``."""
+    """Write the aircraft ``pinned`` below ``folder``, with or without the air system, ready for
+    ``open_fdm``."""
     staging = Staging(folder, "pinned")
     home = staging.folder
     (home / "Systems").mkdir(parents=True, exist_ok=True)
     if air_xml is not None:
         shutil.copyfile(air_xml, home / "Systems" / "air.xml")
     system = '<system file="air"/>' if air_xml is not None else ""
-    (home / "pinned.xml").write_text(VEHICLE.format(span_m=b_m, system=system), encoding="utf-8")
+    text = VEHICLE.read_text(encoding="utf-8").format(span_m=b_m, system=system)
+    (home / "pinned.xml").write_text(text, encoding="utf-8")
     return staging
 
 
 def open_pinned(staging: Staging, condition: Condition, settings: dict[str, float]) -> Any:
-    """The vehicle initialised on ``condition``, with ``settings`` (property: value) made before initialising."""
+    """Initialise the vehicle on ``condition``, with ``settings`` (property: value) made before."""
     fdm = engine.open_fdm(staging, condition.dt_s)
     psi = condition.psi_rad
     wind_n, wind_e = steady_wind_mps(condition)
@@ -192,33 +120,30 @@ def open_pinned(staging: Staging, condition: Condition, settings: dict[str, floa
 
 
 def steady_wind_mps(condition: Condition) -> tuple[float, float]:
-    """Velocity of the air, north and east."""
+    """Return the velocity of the air, north and east."""
     towards = np.radians(condition.wind_from_deg + 180.0)
     return condition.wind_mps * float(np.cos(towards)), condition.wind_mps * float(np.sin(towards))
 
 
-def measure(source: Source, condition: Condition) -> Seen:
+def measure(source: Source, condition: Condition) -> Gusts:
     """Fly the pinned vehicle and record the gusts that its aerodynamics would use."""
-    with scratch_folder() as scratch:
-        plain = source.startswith("plain")
-        staging = write_vehicle(scratch.path, condition.b_m, None if plain else AIR_XML)
-        fdm = open_pinned(staging, condition, {} if plain else _air_settings(source, condition))
-    if plain:
-        _start_plain(fdm, source, condition)
-    return _record(fdm, source, condition)
-
-
-def _air_settings(source: Source, condition: Condition) -> dict[str, float]:
-    return {
+    plain = source.startswith("plain")
+    settings = {
         "air/wind-mps": condition.wind_mps,
         "air/wind-from-deg": condition.wind_from_deg,
         "air/turbulence-w20-kt": condition.W20_kt,
         "air/turbulence-source": 0.0 if source == "jsbsim" else 1.0,
     }
+    with scratch_folder() as scratch:
+        staging = write_vehicle(scratch.path, condition.b_m, None if plain else AIR_XML)
+        fdm = open_pinned(staging, condition, {} if plain else settings)
+    if plain:
+        _start_plain(fdm, source, condition)
+    return _record(fdm, source, condition)
 
 
 def _start_plain(fdm: Any, source: Source, condition: Condition) -> None:
-    # JSBSim as its manual has it: wind in atmosphere/wind-..., the turbulence switched on after initialising.
+    # As in JSBSim's manual: wind in atmosphere/wind-..., turbulence on after initialising.
     wind_n, wind_e = steady_wind_mps(condition)
     fdm["atmosphere/wind-north-fps"] = wind_n / FT_M
     fdm["atmosphere/wind-east-fps"] = wind_e / FT_M
@@ -229,17 +154,13 @@ def _start_plain(fdm: Any, source: Source, condition: Condition) -> None:
     fdm["atmosphere/turb-type"] = 4.0 if source == "plain-tustin" else 3.0
 
 
-def _record(fdm: Any, source: Source, condition: Condition) -> Seen:
+def _record(fdm: Any, source: Source, condition: Condition) -> Gusts:
     skip = round(BURN_IN_S / condition.dt_s)
     n = skip + round(condition.duration_s / condition.dt_s)
-    rates = (
-        [f"atmosphere/{axis}-turb-rad_sec" for axis in "pqr"]
-        if source.startswith("plain")
-        else _RATES
-    )
-    getters = [engine.handle(fdm, name).get_double_value for name in (*_WIND, *rates, *_ATTITUDE)]
-    rows = np.empty((n, len(getters)))
-    run = fdm.run
+    plain = [f"atmosphere/{axis}-turb-rad_sec" for axis in "pqr"]
+    names = (*_WIND, *(plain if source.startswith("plain") else _RATES), *_ATTITUDE)
+    getters = [engine.handle(fdm, name).get_double_value for name in names]
+    setters, inputs = [], np.empty((n, 0))
     if source == "host":
         gusts = dryden_gusts(
             n,
@@ -251,19 +172,16 @@ def _record(fdm: Any, source: Source, condition: Condition) -> Seen:
             seed=condition.seed,
         )
         setters = [engine.handle(fdm, f"air/host/{name}").set_double_value for name in _HOST]
-        values = np.column_stack([gusts.component(name) for name in COMPONENTS]).tolist()
-        for k in range(n):
-            for put, value in zip(setters, values[k], strict=True):
-                put(value)
-            run()
-            rows[k] = [get() for get in getters]
-    else:
-        for k in range(n):
-            run()
-            rows[k] = [get() for get in getters]
+        inputs = np.column_stack([gusts.component(name) for name in COMPONENTS])
+    rows = np.empty((n, len(getters)))
+    for k, values in enumerate(inputs.tolist()):
+        for put, value in zip(setters, values, strict=True):
+            put(value)
+        fdm.run()
+        rows[k] = [get() for get in getters]
     if not np.all(np.isfinite(rows[-1])):
         raise BadInputError(f"{source}: the air turned to NaN")
-    return Seen(source, condition, _in_heading_axes(rows[skip:], condition))
+    return Gusts(source, condition, _in_heading_axes(rows[skip:], condition))
 
 
 _WIND = tuple(f"atmosphere/total-wind-{axis}-fps" for axis in ("north", "east", "down"))

@@ -1,5 +1,5 @@
-"""Faults of ten kinds sown into an aircraft's XML, each with the channels in which an engineer would look for it first; and
-rewritings that change nothing."""
+"""Faults of ten kinds sown into an aircraft's XML, each with the channels in which an engineer
+would look for it first; and rewritings that change nothing."""
 
 from __future__ import annotations
 
@@ -11,27 +11,26 @@ from typing import Any
 from lxml import etree
 
 Edit = Callable[[Any], None]
-CHANNEL = {
-    "DRAG": ("CX", "CZ"),
-    "LIFT": ("CZ", "CX"),
-    "SIDE": ("CY",),
-    "X": ("CX",),
-    "Y": ("CY",),
-    "Z": ("CZ",),
-    "ROLL": ("Cl",),
-    "PITCH": ("Cm",),
-    "YAW": ("Cn",),
-}
-"""Wind axes turn with incidence, so that what is put into drag or lift shows in both."""
-
-
+_BODY = (
+    ("SIDE", "CY"),
+    ("X", "CX"),
+    ("Y", "CY"),
+    ("Z", "CZ"),
+    ("ROLL", "Cl"),
+    ("PITCH", "Cm"),
+    ("YAW", "Cn"),
+)
+CHANNEL = {"DRAG": ("CX", "CZ"), "LIFT": ("CZ", "CX")} | {axis: (c,) for axis, c in _BODY}
+"""Wind axes turn with incidence, so that a change of drag or lift shows in both."""
 _ONE_LATE = "2"
-"""JSBSim's own count: its ring of n values gives back the one of n - 1 frames before, so that 1 delays nothing."""
+"""JSBSim's count: its ring of n values returns the one of n - 1 frames before, so that 1 delays
+nothing."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A kind, what was done in words, the channels that may come first, and the edit of the parsed file."""
+    """A kind, the change in words, the channels that may come first, and the edit of the parsed
+    file."""
 
     kind: str
     words: str
@@ -40,7 +39,8 @@ class Fault:
 
 
 def faults(root: Any, terms: dict[str, str], surface: str) -> Iterator[Fault]:
-    """Every fault of an aircraft. terms: axis -> name of a function, or of a property, that carries a coefficient there.
+    """Yield every fault of an aircraft. terms: axis -> name of a function, or of a property, that
+    carries a coefficient there.
 
     surface: ``<output>`` or actuator of the elevator's position.
     """
@@ -49,10 +49,7 @@ def faults(root: Any, terms: dict[str, str], surface: str) -> Iterator[Fault]:
         kind, factor = kinds[number % 3]
         yield Fault(kind, f"{term} times {factor:g}", CHANNEL[axis], _times(term, factor))
     roll, pitch = (next(t for a, t in terms.items() if a == name) for name in ("ROLL", "PITCH"))
-    if (
-        root.find(".//axis//function") is not None
-        and root.find(f".//axis/function[@name='{pitch}']") is not None
-    ):
+    if root.find(f".//axis/function[@name='{pitch}']") is not None:
         yield Fault("frame", f"{pitch} about the roll axis", ("Cl", "Cm"), _to_axis(pitch, "ROLL"))
         yield Fault("frame", f"{roll} about the yaw axis", ("Cn", "Cl"), _to_axis(roll, "YAW"))
     else:
@@ -68,9 +65,9 @@ def faults(root: Any, terms: dict[str, str], surface: str) -> Iterator[Fault]:
 
 
 def _named(root: Any, name: str) -> Any:
-    found = root.find(f".//function[@name='{name}']")
-    if found is not None:
-        return found
+    function = root.find(f".//function[@name='{name}']")
+    if function is not None:
+        return function
     return next(e for e in root.iter("property") if (e.text or "").strip() == name)
 
 
@@ -139,7 +136,7 @@ def _chord(root: Any) -> None:
 
 
 def _late(surface: str) -> Edit:
-    """The component that puts the surface where it stands answers a frame later."""
+    """Delay the component that sets the surface's position by a frame."""
 
     def edit(root: Any) -> None:
         actuator = root.find(f".//actuator[@name='{surface}']")
@@ -150,35 +147,22 @@ def _late(surface: str) -> Edit:
         component = output.getparent()
         output.text = "late/elevator-before"
         late = etree.Element("actuator", name="late/elevator")
-        rows = (
-            ("input", "late/elevator-before", {}),
-            ("delay", _ONE_LATE, {"type": "frames"}),
-            ("output", surface, {}),
-        )
-        for tag, text, more in rows:
-            etree.SubElement(late, tag, more).text = text
+        etree.SubElement(late, "input").text = "late/elevator-before"
+        etree.SubElement(late, "delay", {"type": "frames"}).text = _ONE_LATE
+        etree.SubElement(late, "output").text = surface
         component.addnext(late)
 
     return edit
 
 
 def benign(root: Any, seed: int) -> str:
-    """Rewrite an aircraft so that nothing it computes changes but the last digits; what was done."""
+    """Rewrite an aircraft so that only the last digits of its results change, and return the kinds
+    of edits."""
     rng = random.Random(seed)
-    done = rng.sample(
-        (
-            "comments",
-            "spaces",
-            "numbers",
-            "order of products",
-            "order of sums",
-            "names of functions",
-        ),
-        3,
-    )
-    for what in done:
-        _REWRITE[what](root, rng)
-    return ", ".join(sorted(done))
+    kinds = rng.sample(tuple(_REWRITE), 3)
+    for kind in kinds:
+        _REWRITE[kind](root, rng)
+    return ", ".join(sorted(kinds))
 
 
 def _comments(root: Any, rng: random.Random) -> None:
@@ -211,16 +195,12 @@ def _order(tag: str) -> Callable[[Any, random.Random], None]:
 
 
 def _names(root: Any, rng: random.Random) -> None:
-    """Functions of an axis that nothing else reads."""
+    """Rename functions of an axis that nothing else reads."""
     text = etree.tostring(root, encoding="unicode")
     for node in root.iter("function"):
         name = node.get("name", "")
-        if (
-            node.getparent().tag == "axis"
-            and name
-            and text.count(f">{name}<") == 0
-            and rng.random() < 0.5
-        ):
+        unread = name and f">{name}<" not in text
+        if node.getparent().tag == "axis" and unread and rng.random() < 0.5:
             node.set("name", f"{name}-renamed")
 
 

@@ -1,8 +1,10 @@
-"""Known truth for the studies: linear longitudinal and lateral motion of an E-SPAARO-like aircraft, with turbulence.
+"""Known truth for the studies: linear longitudinal and lateral motion of an E-SPAARO-like aircraft,
+with turbulence.
 
-Perturbations about level flight at 22.2 m/s in sea-level air, x body along the flight path at trim. Derivatives are
-nondimensional, as in the body-axis build-up CX CZ Cm / CY Cl Cn; surfaces in degrees. The motion is integrated exactly
-for inputs held over each sample (matrix exponential); gusts come in five times a sample, so that they move the aircraft within it.
+Perturbations about level flight at 22.2 m/s in sea-level air, x body along the flight path at trim.
+Derivatives are nondimensional, as in the body-axis build-up CX CZ Cm / CY Cl Cn; surfaces in
+degrees. The motion is integrated exactly for inputs held over each sample (matrix exponential);
+gusts come in five times a sample, so that they move the aircraft within it.
 """
 
 from __future__ import annotations
@@ -22,10 +24,11 @@ S, C, B, V0 = 1.97, 0.53, 3.66, 22.2
 QS = 0.5 * RHO * V0**2 * S
 DT = 0.02
 FINE = 5
-"""Steps a sample in turbulence. With one, gusts would begin to act at the next sample, and a filter that assumes so look right."""
+"""Steps a sample in turbulence. With one, gusts would begin to act at the next sample, and a filter
+that assumes so look right."""
 DEG = np.pi / 180.0
 
-# E-SPAARO flight estimates (dissertation Table 2.6); CX_V, CZ_V and CZ_q, which it does not print, of usual size.
+# E-SPAARO flight estimates (dissertation Table 2.6); CX_V, CZ_V and CZ_q are not printed there.
 LON_TRUTH = {
     "CX_alpha": 0.30,
     "CX_V": -0.12,
@@ -61,7 +64,7 @@ LAT_NOISE = np.array([0.1 * DEG, 0.2 * DEG, 0.2 * DEG, 0.5 * DEG, 0.16])
 
 
 def _longitudinal_accelerations(x: Any, u: Any, theta: Any) -> tuple[Any, Any]:
-    """Perturbation specific forces ax, az at the CG, m/s2."""
+    """Return perturbation specific forces ax, az at the CG, m/s2."""
     cxa, cxv, cza, czv, czq, czd, _, _, _, bx, bz, _ = theta
     ax = QS / MASS * (cxv * x[0] / V0 + cxa * x[1]) + bx
     az = QS / MASS * (czv * x[0] / V0 + cza * x[1] + czq * C / (2.0 * V0) * x[2] + czd * u[0]) + bz
@@ -69,7 +72,8 @@ def _longitudinal_accelerations(x: Any, u: Any, theta: Any) -> tuple[Any, Any]:
 
 
 def longitudinal_rate(x: Any, u: Any, theta: Any) -> FloatArray:
-    """dx/dt of V, alpha, q, theta (m/s, rad, rad/s, rad); V and vane include the gust; u = elevator."""
+    """Return dx/dt of V, alpha, q, theta (m/s, rad, rad/s, rad); V and vane include the gust; u =
+    elevator."""
     ax, az = _longitudinal_accelerations(x, u, theta)
     cma, cmq, cmd, bias = theta[6], theta[7], theta[8], theta[11]
     moment = QS * C / IYY * (cma * x[1] + cmq * C / (2.0 * V0) * x[2] + cmd * u[0]) + bias
@@ -77,7 +81,7 @@ def longitudinal_rate(x: Any, u: Any, theta: Any) -> FloatArray:
 
 
 def longitudinal_output(x: Any, u: Any, theta: Any) -> FloatArray:
-    """V, alpha, q, theta, ax, az."""
+    """Return V, alpha, q, theta, ax, az."""
     ax, az = _longitudinal_accelerations(x, u, theta)
     return np.array([x[0] + 0.0 * ax, x[1] + 0.0 * ax, x[2] + 0.0 * ax, x[3] + 0.0 * ax, ax, az])
 
@@ -91,7 +95,7 @@ def _lateral_acceleration(x: Any, u: Any, theta: Any) -> Any:
 
 
 def lateral_rate(x: Any, u: Any, theta: Any) -> FloatArray:
-    """dx/dt of beta, p, r, phi (rad, rad/s, rad/s, rad); u = aileron, rudder."""
+    """Return dx/dt of beta, p, r, phi (rad, rad/s, rad/s, rad); u = aileron, rudder."""
     _, _, _, _, clb, clp, clr, cla, cld, cnb, cnp, cnr, cna, cnd, _, bias_p, bias_r = theta
     h, ay = B / (2.0 * V0), _lateral_acceleration(x, u, theta)
     roll = QS * B * (clb * x[0] + clp * h * x[1] + clr * h * x[2] + cla * u[0] + cld * u[1])
@@ -103,7 +107,7 @@ def lateral_rate(x: Any, u: Any, theta: Any) -> FloatArray:
 
 
 def lateral_output(x: Any, u: Any, theta: Any) -> FloatArray:
-    """beta, p, r, phi, ay."""
+    """Return beta, p, r, phi, ay."""
     ay = _lateral_acceleration(x, u, theta)
     return np.array([x[0] + 0.0 * ay, x[1] + 0.0 * ay, x[2] + 0.0 * ay, x[3] + 0.0 * ay, ay])
 
@@ -111,7 +115,8 @@ def lateral_output(x: Any, u: Any, theta: Any) -> FloatArray:
 def matrices(
     plane: Plane, theta: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A (4, 4), B (4, nu), state bias (4,), C (m, 4), D (m, nu), output bias (m,), read off the (linear) equations."""
+    """Return A (4, 4), B (4, nu), state bias (4,), C (m, 4), D (m, nu) and output bias (m,) of the
+    (linear) equations."""
     probes = 4 + plane.inputs + 1
     x, u = np.zeros((4, probes)), np.zeros((plane.inputs, probes))
     x[:, :4], u[:, 4:-1] = np.eye(4), np.eye(plane.inputs)
@@ -126,7 +131,8 @@ def matrices(
 
 @dataclass(frozen=True)
 class Plane:
-    """One of the two motions: names, true values, noise (m,), and its equations, which also take lanes."""
+    """One of the two motions: names, true values, noise (m,), and its equations, which also take
+    lanes."""
 
     name: str
     truth: dict[str, float]
@@ -142,7 +148,8 @@ class Plane:
         return [*self.truth, *self.biases]
 
     def draw(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """True values +-25 % about nominal, biases of sensor size, and a start off by up to 30 % (biases 0)."""
+        """Draw true values +-25 % about nominal, biases of sensor size, and a start off by up to 30
+        % (biases 0)."""
         nominal = np.array(list(self.truth.values()))
         true = nominal * rng.uniform(0.75, 1.25, nominal.size)
         start = nominal * rng.uniform(0.7, 1.3, nominal.size)
@@ -157,7 +164,8 @@ LATERAL = Plane("lateral", LAT_TRUTH, LAT_BIASES, LAT_NOISE, 2, lateral_rate, la
 
 
 def manoeuvres(plane: Plane, lengths: list[int]) -> list[FloatArray]:
-    """Inputs (n, nu) in degrees: 3-2-1-1 and doublets, one pattern a segment, alternating between surfaces."""
+    """Make inputs (n, nu) in degrees: 3-2-1-1 and doublets, one pattern a segment, alternating
+    between surfaces."""
     out = []
     for number, n in enumerate(lengths):
         time = np.arange(n) * DT
@@ -179,7 +187,8 @@ def manoeuvres(plane: Plane, lengths: list[int]) -> list[FloatArray]:
 def simulate(
     plane: Plane, theta: FloatArray, inputs: list[FloatArray], gusts: list[FloatArray] | None = None
 ) -> list[FloatArray]:
-    """Outputs (n, m) a segment from zero perturbation; gusts (FINE n, 4): increments of the states by moving air, FINE a sample."""
+    """Return outputs (n, m) a segment from zero perturbation; gusts (FINE n, 4): increments of the
+    states by moving air, FINE a sample."""
     fine = 1 if gusts is None else FINE
     A, Bm, xb, Cm, D, yb = matrices(plane, theta)
     n = A.shape[0]
@@ -211,10 +220,12 @@ def dryden(
     rng: np.random.Generator,
     height_m: float = 100.0,
 ) -> list[FloatArray]:
-    """Increments (FINE n, 4) a segment of the air-relative states as Dryden gusts change (MIL-F-8785C, low altitude).
+    """Draw increments (FINE n, 4) a segment of the air-relative states as Dryden gusts change
+    (MIL-F-8785C, low altitude).
 
-    wind_kt: wind at 20 ft, 15 = light. Longitudinal: u_g on V, w_g on alpha; lateral: v_g on beta. First and second
-    order forming filters discretised exactly; the gradient terms (p_g, q_g, r_g) are left out.
+    wind_kt: wind at 20 ft, 15 = light. Longitudinal: u_g on V, w_g on alpha; lateral: v_g on beta.
+    First and second order forming filters discretised exactly; the gradient terms (p_g, q_g, r_g)
+    are left out.
     """
     feet = height_m / 0.3048
     shape = 0.177 + 0.000823 * feet
@@ -234,7 +245,8 @@ def dryden(
 
 
 def _first_order(sigma: float, tau: float, n: int, rng: np.random.Generator) -> FloatArray:
-    """Stationary samples (n,), FINE a record's, of sigma sqrt(2 tau)/(1 + tau s) driven by white noise."""
+    """Draw stationary samples (n,), FINE a record's, of sigma sqrt(2 tau)/(1 + tau s) driven by
+    white noise."""
     a = np.exp(-DT / FINE / tau)
     white = rng.normal(size=n) * sigma * np.sqrt(1.0 - a**2)
     white[0] = rng.normal() * sigma
@@ -242,7 +254,8 @@ def _first_order(sigma: float, tau: float, n: int, rng: np.random.Generator) -> 
 
 
 def _second_order(sigma: float, tau: float, n: int, rng: np.random.Generator) -> FloatArray:
-    """Stationary samples (n,), FINE a record's, of sigma sqrt(tau) (1 + sqrt(3) tau s)/(1 + tau s)^2 driven by white noise."""
+    """Draw stationary samples (n,), FINE a record's, of sigma sqrt(tau) (1 + sqrt(3) tau s)/(1 +
+    tau s)^2 driven by white noise."""
     A = np.array([[0.0, 1.0], [-1.0 / tau**2, -2.0 / tau]])
     gain = np.array([0.0, 1.0])
     out = sigma * np.sqrt(tau) / tau**2 * np.array([1.0, np.sqrt(3.0) * tau])
@@ -263,7 +276,7 @@ def _second_order(sigma: float, tau: float, n: int, rng: np.random.Generator) ->
 def fly(
     plane: Plane, theta: FloatArray, lengths: list[int], wind_kt: float, rng: np.random.Generator
 ) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Inputs (n, nu) and noisy measurements (n, m) a segment; wind_kt 0 = calm air."""
+    """Return inputs (n, nu) and noisy measurements (n, m) a segment; wind_kt 0 = calm air."""
     inputs = manoeuvres(plane, lengths)
     gusts = dryden(plane, lengths, wind_kt, rng) if wind_kt > 0.0 else None
     clean = simulate(plane, theta, inputs, gusts)

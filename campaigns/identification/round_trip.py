@@ -1,10 +1,12 @@
-"""The round trip of chapter 2: log, identify, XML, and the identified aircraft beside a flight that was not used.
+"""The round trip of chapter 2: log, identify, XML, and the identified aircraft beside a flight that
+was not used.
 
     python -m campaigns.identification.round_trip --out campaigns/identification/round-trip
 
-The synthetic aircraft with dynamic stall flies scripts/flight-ident.xml and flight-validation.xml in calm air with Table
-2.1's noise, logged as DataFlash. Three forms of it are identified from the first log through JSBSim (`uqharness identify`,
-output error), written into their XML, and replayed beside the second (`uqharness compare`):
+The synthetic aircraft with dynamic stall flies scripts/flight-ident.xml and flight-validation.xml
+in calm air with Table 2.1's noise, logged as DataFlash. Three forms of it are identified from the
+first log through JSBSim (`uqharness identify`, output error), written into their XML, and replayed
+beside the second (`uqharness compare`):
 
     right  the form that was flown: lift lost by separation, its constants known
     SL     without the loss of lift
@@ -17,12 +19,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from campaigns.identification.flights import fly_flights
+from campaigns.library.study import exit_code, log_progress, study_parser
 from uqharness.errors import BadInputError
 from uqharness.files import write_text
 from uqharness.identification.compare import LIMIT, Comparison, compare
@@ -38,7 +40,8 @@ FLOWN = "synthetic_stall"
 
 @dataclass(frozen=True)
 class Form:
-    """A model's form: what of the flown aircraft it switches off, by property; what is not free follows from that."""
+    """A model's form: what of the flown aircraft it switches off, by property; what is not free
+    follows from that."""
 
     name: str
     off: tuple[str, ...]
@@ -62,17 +65,16 @@ class RoundTrip:
 
 
 def aircraft_of(form: Form, folder: Path) -> Aircraft:
-    """The flown aircraft with the form's effects switched off, in ``folder``. Raises BadInputError where the XML lacks one."""
+    """Write the flown aircraft with the form's effects switched off. Raises BadInputError where the
+    XML lacks one."""
     if folder.exists() and not folder.is_dir():
         raise BadInputError(f"{folder}: exists and is no folder")
-    left = write_estimates(
-        find_aircraft(FLOWN),
-        {name: Estimate(0.0, f"identified model {form.name}: {form.about}") for name in form.off},
-        folder,
-    )
-    if left:
+    zero = Estimate(0.0, f"identified model {form.name}: {form.about}")
+    missing = write_estimates(find_aircraft(FLOWN), dict.fromkeys(form.off, zero), folder)
+    if missing:
         raise BadInputError(
-            f"aircraft '{FLOWN}' declares no property {left[0]}, which form {form.name} switches off"
+            f"aircraft '{FLOWN}' declares no property {missing[0]}, which form {form.name} "
+            "switches off"
         )
     return find_aircraft(folder)
 
@@ -85,7 +87,8 @@ def round_trip(
     free: Sequence[str] | None = None,
     workers: int | None = None,
 ) -> RoundTrip:
-    """Identify ``form`` from the log ``identified``, write it to ``folder``/FORM and compare that with the log ``validation``.
+    """Identify ``form`` from the log ``identified``, write it to ``folder``/FORM and compare that
+    with the log ``validation``.
 
     free: the properties estimated; default all of the card's that the form has.
     """
@@ -107,14 +110,15 @@ def round_trip(
 
 
 def says_which(trips: Sequence[RoundTrip]) -> bool:
-    """Whether the right form reaches the floor and SLM, if it was tried, does not."""
+    """Return whether the right form reaches the floor and SLM, if it was tried, does not."""
     return all(
         trip.gap.reached == (trip.form.name == "right") for trip in trips if trip.form.name != "SL"
     )
 
 
 def document(trips: Sequence[RoundTrip]) -> Mapping[str, object]:
-    """For round-trip.json: verdict, rms over noise by channel and by manoeuvre, what was identified."""
+    """Return round-trip.json: verdict, rms over noise by channel and by manoeuvre, the identified
+    parameters."""
     return {
         "limit": LIMIT,
         "forms": {
@@ -134,7 +138,7 @@ def document(trips: Sequence[RoundTrip]) -> Mapping[str, object]:
 
 
 def markdown(trips: Sequence[RoundTrip]) -> str:
-    """The verdict by channel, as text."""
+    """Return the verdict by channel, as text."""
     channels = [c for c, g in trips[0].gap.channels.items() if g.judged]
     lines = [
         f"Rms of measured minus re-flown over noise, flight not used; the floor is {LIMIT}.",
@@ -160,58 +164,39 @@ def run(
     duration_s: float | None = None,
     suffix: str = ".bin",
 ) -> list[RoundTrip]:
-    """Fly (the first ``duration_s``), identify and compare; round-trip.json and round-trip.md in ``folder``.
+    """Fly (the first ``duration_s``), identify and compare; write round-trip.json and
+    round-trip.md.
 
-    suffix: of the logs, .bin (DataFlash, with the commands as they were) or .parquet (a flight record).
+    suffix: of the logs, .bin (DataFlash, with the commands as they were) or .parquet (a flight
+    record).
     """
     folder.mkdir(parents=True, exist_ok=True)
     logs = fly_flights(FLOWN, folder, seed, "none", duration_s, suffix)
     trips = []
     for form in forms:
         trips.append(round_trip(form, logs[0], logs[2], folder, free, workers))
-        print(f"{form.name}: {verdict(trips[-1].gap)}", file=sys.stderr)
+        log_progress(f"{form.name}: {verdict(trips[-1].gap)}")
         write_text(folder / "round-trip.json", json.dumps(document(trips), indent=1) + "\n")
         write_text(folder / "round-trip.md", markdown(trips))
     return trips
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m campaigns.identification.round_trip",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        help="folder for logs, aircraft, round-trip.md and round-trip.json",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=1, help="of the noise in the first flight (default 1)"
-    )
-    parser.add_argument(
-        "--forms", nargs="+", default=[f.name for f in FORMS], choices=[f.name for f in FORMS]
-    )
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="processes (default: one a core, 8 at most)"
-    )
-    parser.add_argument("--json", action="store_true", help="print round-trip.json")
-    chosen = parser.parse_args(arguments)
-    try:
-        trips = run(
-            chosen.out,
-            chosen.seed,
-            [f for f in FORMS if f.name in chosen.forms],
-            workers=chosen.workers,
-        )
-    except BadInputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    print(json.dumps(document(trips)) if chosen.json else markdown(trips))
+    """Run the study and return the process's exit code."""
+    parser = study_parser(__doc__, out="logs, aircraft, round-trip.md and round-trip.json")
+    option, names = parser.add_argument, [form.name for form in FORMS]
+    option("--seed", type=int, default=1, help="of the noise in the first flight (1)")
+    option("--forms", nargs="+", default=names, choices=names)
+    option("--workers", type=int, metavar="N", help="processes (one a core, 8 at most)")
+    option("--json", action="store_true", help="print round-trip.json")
+    args = parser.parse_args(arguments)
+    return exit_code(lambda: _run(args))
+
+
+def _run(args: argparse.Namespace) -> int:
+    forms = [form for form in FORMS if form.name in args.forms]
+    trips = run(args.out, args.seed, forms, workers=args.workers)
+    print(json.dumps(document(trips)) if args.json else markdown(trips))
     return 0 if says_which(trips) else 1
 
 

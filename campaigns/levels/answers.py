@@ -1,35 +1,35 @@
-"""Do the answers of statements keep their level, from flights to yes or no? Simulated campaigns of four corners in common air.
+"""Do the answers of statements keep their level, from flights to yes or no? Simulated campaigns of
+four corners in common air.
 
     python -m campaigns.levels.answers --out campaigns/levels [--repeats 400]
 
-A flight of an hour is aborted with probability q, at a moment that is uniform in it, in all corners alike. Clusters of k excursions
-arrive beyond a small radius at one rate; the strongest of them go on to the radius asked about, in a harder corner more of them. An
-aborted flight counts as one excursion, so that the worst corner has a + q/(1 - q/2) excursions per hour flown
+A flight of an hour is aborted with probability q, at a moment that is uniform in it, in all corners
+alike. Clusters of k excursions arrive beyond a small radius at one rate; the strongest of them go
+on to the radius asked about, in a harder corner more of them. An aborted flight counts as one
+excursion, so that the worst corner has a + q/(1 - q/2) excursions per hour flown
 (levels/reproduce.py).
 
-Each campaign is asked four questions: whether excursions are at most a little less frequent than at the worst corner (a yes is
-wrong), whether aborted flights are (a yes is wrong), whether excursions are at most a little more frequent (a no is wrong), and
-whether both are at most four times as frequent, which is true: so often a yes is given. 5 in 100 may be wrong. Writes
-DIR/answers.csv. Exit code 0: every level is kept, and is not where the small radius is hidden; 1: otherwise; 2: bad input.
+Each campaign is asked four questions: whether excursions are at most a little less frequent than at
+the worst corner (a yes is wrong), whether aborted flights are (a yes is wrong), whether excursions
+are at most a little more frequent (a no is wrong), and whether both are at most four times as
+frequent, which is true: so often a yes is given. 5 in 100 may be wrong. Writes DIR/answers.csv.
+Exit code 0: every level is kept, and is not where the small radius is hidden; 1: otherwise; 2: bad
+input.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from campaigns.levels.reproduce import allowed
+from campaigns.levels.study import LevelStudy, allowed
 from uqharness.campaign.statements import statements
-from uqharness.files import write_bytes
 from uqharness.statistics import NO, YES
-from uqharness.text_tables import csv_text, text_table
 
 ERROR, SEED = 0.05, 20161225
 NEAR_M, ASKED_M = 10.0, 15.0
@@ -37,20 +37,24 @@ REACH = (0.25, 0.5, 0.75, 1.0)
 """Of each corner: the share of the worst corner's clusters that it has."""
 LITTLE, AMPLE = 1e-6, 4.0
 ASSUMED = 2.0
+_COLUMNS = """campaign flights worst_per_h:.4g wrong_yes:.4f wrong_yes_losses:.4f wrong_no:.4f
+    missed_share:.4f yes_to_four_times:.3f silent:.3f infinite_limits:.4f
+    median_limit_over_truth:.3g kept"""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """A campaign's truth: clusters of ``cluster``; excursions per hour flown [1/h] beyond the small radius and, at the worst
-    corner, beyond the one asked about; chance ``abort``; ``near``: whether the campaign counts beyond the small radius."""
+    """A campaign's truth: clusters of ``cluster``; excursions per hour flown [1/h] beyond the small
+    radius and, at the worst corner, beyond the one asked about; chance ``abort``;
+    ``counts_near``: whether the campaign counts beyond the small radius."""
 
-    name: str
+    campaign: str
     flights: int
     cluster: int
     near_per_h: float
     rate: float
     abort: float = 0.0
-    near: bool = True
+    counts_near: bool = True
 
     @property
     def loss_per_h(self) -> float:
@@ -78,39 +82,37 @@ TRUTHS = (
     Truth("single excursions and aborted flights", 200, 1, 0.6, 0.1, 0.03),
     Truth("clusters of 4 and aborted flights", 200, 4, 0.8, 0.06, 0.02),
     Truth("half of the flights aborted", 60, 1, 0.0, 0.0, 0.5),
-    Truth("clusters of 4, of which the campaign knows nothing", 80, 4, 0.8, 0.1, near=False),
+    Truth("clusters of 4, of which the campaign knows nothing", 80, 4, 0.8, 0.1, counts_near=False),
 )
 
 
 @dataclass(frozen=True)
 class Level:
-    """Shares of repeats: wrong yes to excursions, to aborted flights, wrong no; share of flights with an excursion above its limit;
-    yes to four times the rate; no excursion at the worst corner; infinite upper limits. And the median upper limit over the truth.
+    """Shares of repeats: wrong yes to excursions, to aborted flights, wrong no; share of flights
+    with an excursion above its limit; yes to four times the rate; no excursion at the worst corner;
+    infinite upper limits. And the median upper limit over the truth.
     """
 
     wrong_yes: float
     wrong_yes_losses: float
     wrong_no: float
-    share: float
-    ample_yes: float
+    missed_share: float
+    yes_to_four_times: float
     silent: float
-    infinite: float
-    over_truth: float
+    infinite_limits: float
+    median_limit_over_truth: float
 
 
-def flown(truth: Truth, generator: np.random.Generator) -> pd.DataFrame:
-    """The case table of one campaign."""
+def simulated(truth: Truth, generator: np.random.Generator) -> pd.DataFrame:
+    """Simulate the case table of one campaign."""
     n, corners = truth.flights, len(REACH)
     lost = generator.random(n) < truth.abort
     hours = np.where(lost, generator.random(n), 1.0)
-    near = generator.poisson(truth.near_per_h / truth.cluster * hours)
+    clusters_near = generator.poisson(truth.near_per_h / truth.cluster * hours)
     further = truth.rate / truth.near_per_h if truth.near_per_h else 0.0
     # A cluster that a corner has, every harder corner has.
-    asked = (
-        generator.multinomial(near, [*np.diff([0.0, *REACH]) * further, 1.0 - further])[:, :-1]
-        .cumsum(axis=1)
-        .T
-    )
+    reach = [*np.diff([0.0, *REACH]) * further, 1.0 - further]
+    clusters = generator.multinomial(clusters_near, reach)[:, :-1].cumsum(axis=1).T
     return pd.DataFrame(
         {
             "wind_mps": 3.0,
@@ -118,8 +120,8 @@ def flown(truth: Truth, generator: np.random.Generator) -> pd.DataFrame:
             "epistemic_id": np.repeat([f"{k}" for k in range(corners)], n),
             "status": np.tile(np.where(lost, "diverged", "ok"), corners),
             "duration_s": np.tile(3600.0 * hours, corners),
-            f"excursions_{NEAR_M:g}m": np.tile(1.0 * truth.cluster * near, corners),
-            f"excursions_{ASKED_M:g}m": 1.0 * truth.cluster * asked.ravel(),
+            f"excursions_{NEAR_M:g}m": np.tile(1.0 * truth.cluster * clusters_near, corners),
+            f"excursions_{ASKED_M:g}m": 1.0 * truth.cluster * clusters.ravel(),
             f"excursions_{ASKED_M:g}m_3d": np.nan,
             "extrapolated_share": 0.0,
             "loss_of_control": 0.0,
@@ -127,49 +129,33 @@ def flown(truth: Truth, generator: np.random.Generator) -> pd.DataFrame:
     )
 
 
-def settings(
-    truth: Truth, acceptable_per_h: float, acceptable_loss_per_h: float
-) -> Mapping[str, Any]:
-    """A campaign's settings, as its file has them."""
-    further = {"dispersion_radius_m": [NEAR_M]} if truth.near else {}
+def settings(truth: Truth, per_h: float, loss_per_h: float) -> Mapping[str, Any]:
+    """Return a campaign's settings, as its file has them, with these acceptable rates."""
+    air = {"duration_s": 3600.0, "flights": truth.flights}
+    metrics = {"excursion_radius_m": [ASKED_M], "dispersion": ASSUMED}
+    metrics |= {"acceptable_per_h": per_h, "acceptable_loss_per_h": loss_per_h}
     return {
         "stop": {"rule": "flights"},
-        "aleatory": {
-            "duration_s": 3600.0,
-            "flights": truth.flights,
-            "wind_mps": [3.0],
-            "turbulence": ["severe"],
-        },
-        "metrics": {
-            "excursion_radius_m": [ASKED_M],
-            "dispersion": ASSUMED,
-            "acceptable_per_h": acceptable_per_h,
-            "acceptable_loss_per_h": acceptable_loss_per_h,
-            **further,
-        },
+        "aleatory": air | {"wind_mps": [3.0], "turbulence": ["severe"]},
+        "metrics": metrics | ({"dispersion_radius_m": [NEAR_M]} if truth.counts_near else {}),
     }
 
 
 def measured(truth: Truth, repeats: int, seed: int = SEED) -> Level:
-    """Fly and ask ``repeats`` campaigns."""
-    generator = np.random.default_rng(
-        [seed, truth.flights, truth.cluster, round(1e6 * truth.rate), round(1e6 * truth.abort)]
-    )
+    """Fly ``repeats`` campaigns and answer their questions."""
+    key = [truth.flights, truth.cluster, round(1e6 * truth.rate), round(1e6 * truth.abort)]
+    generator = np.random.default_rng([seed, *key])
     worst, loss = truth.worst_per_h, truth.loss_per_h
-    # What is not tested is asked with room: a yes needs both.
+    # A yes needs both rates: the one that is not tested is asked with room.
     room = 100.0
-    less, more = (1.0 - LITTLE) * worst, (1.0 + LITTLE) * worst
-    questions = (
-        (less, room),
-        (room, (1.0 - LITTLE) * loss),
-        (more, room),
-        (AMPLE * worst, AMPLE * worst),
-    )
+    less, more = 1.0 - LITTLE, 1.0 + LITTLE
+    questions = ((less * worst, room), (room, less * loss), (more * worst, room))
     rows = []
     for _ in range(repeats):
-        frame = flown(truth, generator)
+        frame = simulated(truth, generator)
         below, losses, above, ample = (
-            statements(frame, settings(truth, *question))[0] for question in questions
+            statements(frame, settings(truth, *question))[0]
+            for question in (*questions, (AMPLE * worst, AMPLE * worst))
         )
         upper = above.worst.upper
         rows.append(
@@ -188,47 +174,22 @@ def measured(truth: Truth, repeats: int, seed: int = SEED) -> Level:
     return Level(*table[:, :-1].mean(axis=0).tolist(), float(np.median(table[:, -1])))
 
 
-def kept(level: Level, repeats: int) -> bool:
-    """Whether no answer was wrong more often than allowed, chance in so many repeats (three standard deviations) granted, and
-    limits are mostly finite: an infinite one is never wrong."""
-    wrong = max(level.wrong_yes, level.wrong_yes_losses, level.wrong_no, level.share)
-    return wrong <= allowed(ERROR, repeats) and level.infinite <= 0.5
+def keeps_level(level: Level, repeats: int) -> bool:
+    """Return whether no answer was wrong more often than allowed, and limits are mostly finite: an
+    infinite one is never wrong."""
+    wrong = max(level.wrong_yes, level.wrong_yes_losses, level.wrong_no, level.missed_share)
+    return wrong <= allowed(ERROR, repeats) and level.infinite_limits <= 0.5
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m campaigns.levels.answers", description="Do answers keep their level?"
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--repeats", type=int, default=400)
-    args = parser.parse_args(argv)
-    if args.repeats < 100:
-        print("answers: error: --repeats: 100 at least, or nothing is shown", file=sys.stderr)
-        return 2
-    found = [(truth, measured(truth, args.repeats)) for truth in TRUTHS]
-    rows = [
-        {
-            "campaign": truth.name,
-            "flights": str(truth.flights),
-            "worst_per_h": f"{truth.worst_per_h:.4g}",
-            "wrong_yes": f"{level.wrong_yes:.4f}",
-            "wrong_yes_losses": f"{level.wrong_yes_losses:.4f}",
-            "wrong_no": f"{level.wrong_no:.4f}",
-            "missed_share": f"{level.share:.4f}",
-            "yes_to_four_times": f"{level.ample_yes:.3f}",
-            "silent": f"{level.silent:.3f}",
-            "infinite_limits": f"{level.infinite:.4f}",
-            "median_limit_over_truth": f"{level.over_truth:.3g}",
-            "kept": "yes" if kept(level, args.repeats) else "no",
-        }
-        for truth, level in found
-    ]
-    args.out.mkdir(parents=True, exist_ok=True)
-    write_bytes(args.out / "answers.csv", csv_text(rows).encode())
-    print("\n".join(text_table(rows)))
-    return 0 if all(kept(level, args.repeats) == truth.near for truth, level in found) else 1
+def passes(results: Sequence[tuple[Truth, Level]], repeats: int) -> bool:
+    """Return whether every level is kept, and is not where the small radius is hidden."""
+    return all(keeps_level(level, repeats) == truth.counts_near for truth, level in results)
 
+
+STUDY = LevelStudy(
+    __doc__, "answers.csv", 400, 100, _COLUMNS, TRUTHS, measured, keeps_level, passes
+)
+main = STUDY.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,4 +1,5 @@
-"""Faults that are built into a log as it was read, before any map, grid or check: what is done, and what a check should say."""
+"""Faults that are built into a log as it was read, before any map, grid or check: the change, and
+the finding due."""
 
 from __future__ import annotations
 
@@ -24,13 +25,13 @@ DEG = 180.0 / np.pi
 
 @dataclass(frozen=True)
 class Fault:
-    """What is done to channels, and what should be said of them.
+    """A change of channels, and the finding due.
 
     kind      scale | late | stuck | held | interpolated | wrapped | estimate
     size      factor, lateness [s], samples a value is held for, or span of the wrap
     channels  signals of the record; lateness moves the whole message that carries them
     codes     findings that count as this fault
-    says      channel names that count as right, where they are not ``channels``
+    aliases   channel names that count as right, where they are not ``channels``
     """
 
     name: str
@@ -38,12 +39,12 @@ class Fault:
     size: float
     channels: tuple[str, ...]
     codes: tuple[str, ...]
-    says: tuple[str, ...] = ()
+    aliases: tuple[str, ...] = ()
 
     @property
     def named(self) -> tuple[str, ...]:
         """Channels that a finding has to name."""
-        return self.says or self.channels
+        return self.aliases or self.channels
 
 
 UNIT = ("unit", "sign")
@@ -87,13 +88,14 @@ FAULTS = (
 def seeded(
     raw: RawLog, signals: SignalMap, card: AirframeCard | None, fault: Fault
 ) -> tuple[RawLog, AirframeCard | None] | None:
-    """The log and the card with a fault; None where the log has no such channel of its own.
+    """Return the log and the card with a fault; None where the log has no such channel.
 
-    Of a surface that comes from servo outputs the PWM is turned over about its neutral, as if the table were reversed.
+    Of a surface that comes from servo outputs the PWM is turned over about its neutral, as if the
+    table were reversed.
     """
     if fault.kind == "estimate":
-        made = _estimated(raw, signals, fault.channels)
-        return None if made is None else (made, card)
+        changed = _estimated(raw, signals, fault.channels)
+        return None if changed is None else (changed, card)
     done: set[tuple[str, int, str]] = set()
     for channel in fault.channels:
         entry = _source(raw, signals, channel)
@@ -122,51 +124,41 @@ def _source(raw: RawLog, signals: SignalMap, channel: str) -> Entry | None:
 
 
 def _estimated(raw: RawLog, signals: SignalMap, channels: tuple[str, ...]) -> RawLog | None:
-    """The log with what an estimator would make of attitude, ground velocity and a steady wind in place of sensors."""
+    """Replace sensors by an estimate from attitude, ground velocity and a steady wind."""
     times = Times(raw)
     names = ("phi_rad", "theta_rad", "psi_rad", "vn_mps", "ve_mps", "vd_mps", "V_mps")
-    found = {n: resolve(raw, n, signals.entries.get(n, ()), times) for n in names}
+    sources = {n: resolve(raw, n, signals.entries.get(n, ()), times) for n in names}
     entries = {n: _source(raw, signals, n) for n in channels}
-    if any(c is None for c in found.values()) or any(e is None for e in entries.values()):
+    if None in sources.values() or None in entries.values():
         return None
     messages = dict(raw.messages)
     for name, entry in entries.items():
         table = messages[(entry.message, entry.instance)]
-        at = {
-            n: np.interp(
-                table.time_s, c.time_s, np.unwrap(c.values) if n == "psi_rad" else c.values
-            )
-            for n, c in found.items()
-        }
+        step = float(np.median(np.diff(table.time_s)))
+        at = {}
+        for n, c in sources.items():
+            values = np.unwrap(c.values) if n == "psi_rad" else c.values
+            at[n] = np.interp(table.time_s, c.time_s, values)
         if name in RATES:
-            phi, theta, psi = (at[n] for n in names[:3])
-            made = body_rates_of_attitude(phi, theta, psi, float(np.median(np.diff(table.time_s))))[
-                RATES.index(name)
-            ]
+            rates = body_rates_of_attitude(*(at[n] for n in names[:3]), step)
+            estimate = rates[RATES.index(name)]
         else:
-            ground = np.stack([at[n] for n in names[3:6]])
-            # The filter smooths what a receiver gives.
-            kernel = np.ones(max(1, round(0.5 / float(np.median(np.diff(table.time_s))))))
-            ground = np.stack(
-                [
-                    np.convolve(g, kernel, "same") / np.convolve(np.ones(g.size), kernel, "same")
-                    for g in ground
-                ]
-            )
+            # The filter smooths a receiver's velocity.
+            kernel = np.ones(max(1, round(0.5 / step)))
+            weights = np.convolve(np.ones(table.time_s.size), kernel, "same")
+            ground = np.stack([np.convolve(at[n], kernel, "same") / weights for n in names[3:6]])
             u, v, w = to_body(at, ground - _steady_wind(at)[:, None])
             speed = np.sqrt(u**2 + v**2 + w**2)
-            made = {
-                "V_mps": speed,
-                "alpha_rad": np.arctan2(w, u),
-                "beta_rad": np.arcsin(v / speed),
-            }[name]
-        fields = {**table.fields, entry.fields[0]: made / entry.scale}
+            air = {"V_mps": speed, "alpha_rad": np.arctan2(w, u), "beta_rad": np.arcsin(v / speed)}
+            estimate = air[name]
+        fields = {**table.fields, entry.fields[0]: estimate / entry.scale}
         messages[(entry.message, entry.instance)] = MessageTable(table.time_s, fields)
     return replace(raw, messages=messages)
 
 
 def _steady_wind(at: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    """(3,) wind that makes the airspeed fit best: of the motion with the nose into the relative wind."""
+    """Return the wind (3,) that fits the airspeed best, of motion with the nose into the relative
+    wind."""
     nose = to_earth(at, np.stack([at["V_mps"], 0.0 * at["V_mps"], 0.0 * at["V_mps"]]))
     wind = np.array(
         [np.mean(at[n] - a) for n, a in zip(("vn_mps", "ve_mps", "vd_mps"), nose, strict=True)]
@@ -229,7 +221,7 @@ def _altered(
 
 
 def cut(raw: RawLog, start_s: float, end_s: float) -> RawLog:
-    """The part of a log between two times."""
+    """Return the part of a log between two times."""
     out = {}
     for key, table in raw.messages.items():
         rows = (table.time_s >= start_s) & (table.time_s <= end_s)

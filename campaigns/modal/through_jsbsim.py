@@ -1,7 +1,9 @@
-"""The modal example's outputs from the nonlinear JSBSim model: trim, linearise, read the modes, for changed coefficients.
+"""The modal example's outputs from the nonlinear JSBSim model: trim, linearise, read the modes, for
+changed coefficients.
 
-Only the longitudinal motion is trimmed and linearised. The aircraft's small lateral constants (CY_0, Cl_0, Cn_0) accelerate it
-sideways all the while, which the longitudinal derivatives do not feel.
+Only the longitudinal motion is trimmed and linearised. The aircraft's small lateral constants
+(CY_0, Cl_0, Cn_0) accelerate it sideways all the while, which the longitudinal derivatives do not
+feel.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ _THRUST = "propulsion/thrust-N"
 class ModalTrim:
     """Level flight of the unchanged model and the matrix that leads back to it.
 
-    ``x`` (3,): alpha [rad], elevator and throttle in the card's units; ``solve`` (3, 3): inverse of d(u', w', q')/dx.
+    ``x`` (3,): alpha [rad], elevator and throttle in the card's units; ``solve`` (3, 3): inverse of
+    d(u', w', q')/dx.
     """
 
     aircraft: Aircraft
@@ -49,10 +52,10 @@ class ModalTrim:
 
 def nominal_trim(aircraft: Aircraft, V_mps: float = V_MPS) -> ModalTrim:
     """Trim the model as it is. Raises BadInputError if there is no trim."""
-    found = find_trim(aircraft, SteadyCondition(V_mps))
-    if not found.converged:
-        raise BadInputError(f"{aircraft.name}: {found.reason}")
-    x = np.array([found.alpha_rad, found.controls["elevator"], found.controls["throttle"]])
+    trim = find_trim(aircraft, SteadyCondition(V_mps))
+    if not trim.converged:
+        raise BadInputError(f"{aircraft.name}: {trim.reason}")
+    x = np.array([trim.alpha_rad, trim.controls["elevator"], trim.controls["throttle"]])
     steps = np.array([1e-4, 1e-2, 1e-1])
     columns = [
         (_residual(aircraft, V_mps, x + h, {}) - _residual(aircraft, V_mps, x - h, {}))
@@ -79,7 +82,8 @@ def _residual(
 
 
 def trim_again(start: ModalTrim, properties: Mapping[str, float]) -> FloatArray:
-    """(3,) trim with changed properties, by chords from the nominal one. Raises BadInputError if it does not come to rest."""
+    """Return the trim (3,) with changed properties, by chords from the nominal one. Raises
+    BadInputError without convergence."""
     x = start.x
     for _ in range(15):
         residual = _residual(start.aircraft, start.V_mps, x, properties)
@@ -90,24 +94,18 @@ def trim_again(start: ModalTrim, properties: Mapping[str, float]) -> FloatArray:
 
 
 def linear_model(start: ModalTrim, properties: Mapping[str, float]) -> tuple[FloatArray, float]:
-    """A (4, 4) over (u, w, q, theta) about the trim with ``properties``, and the slope of thrust with u [N per m/s]."""
+    """Return A (4, 4) over (u, w, q, theta) about the trim with ``properties``, and the slope of
+    thrust with u [N per m/s]."""
     x = trim_again(start, properties)
     centre, controls = _level(start.V_mps, x), _controls(x)
 
     def derivative(step: FloatArray) -> tuple[FloatArray, float]:
-        state = BodyState(
-            centre.u + step[0],
-            0.0,
-            centre.w + step[1],
-            0.0,
-            centre.theta + step[3],
-            0.0,
-            q=float(step[2]),
-        )
-        acceleration, out = force_state(
-            start.aircraft, state, controls, 0.0, properties, (_THRUST,)
-        )
-        return np.array([*acceleration[list(_LONGITUDINAL)], step[2]]), out.get(_THRUST, math.nan)
+        u, w, theta = centre.u + step[0], centre.w + step[1], centre.theta + step[3]
+        state = BodyState(u, 0.0, w, 0.0, theta, 0.0, q=float(step[2]))
+        settings = (controls, 0.0, properties, (_THRUST,))
+        acceleration, outputs = force_state(start.aircraft, state, *settings)
+        rates = np.array([*acceleration[list(_LONGITUDINAL)], step[2]])
+        return rates, outputs.get(_THRUST, math.nan)
 
     A, slope = np.empty((4, 4)), math.nan
     for column, step in enumerate(_STEPS):
@@ -121,38 +119,39 @@ def linear_model(start: ModalTrim, properties: Mapping[str, float]) -> tuple[Flo
 
 
 def outputs_of(start: ModalTrim, values: Mapping[str, float]) -> FloatArray:
-    """(3,) phugoid damping, short-period damping and frequency [rad/s] with these coefficients."""
+    """Return phugoid damping, short-period damping and frequency [rad/s] (3,) with these
+    coefficients."""
     A, _ = linear_model(start, {f"aero/{name}": value for name, value in values.items()})
     phugoid_zeta, _, zeta, wn = longitudinal_modes(A)
     return np.array([phugoid_zeta, zeta, wn])
 
 
 def jsbsim_study(
-    aircraft: Aircraft, on_progress: Callable[[int, int], None] | None = None
+    aircraft: Aircraft, callback: Callable[[int, int], None] = lambda done, total: None
 ) -> Study:
-    """Nominal, 1 % steps and all 2^10 corners through JSBSim, mass, area, chord and inertia at their means."""
+    """Evaluate nominal, 1 % steps and all 2^10 corners by JSBSim, with mass, area, chord and
+    inertia at their means."""
     start = nominal_trim(aircraft)
     names = tuple(NOMINAL)
     centre = np.array(list(NOMINAL.values()))
     lower, upper = np.array(list(intervals().values())).T
     points = np.vstack([centre, centre + np.diag(0.01 * centre), corners(lower, upper)])
-    found = np.empty((len(points), len(OUTPUTS)))
+    values = np.empty((len(points), len(OUTPUTS)))
     for k, point in enumerate(points):
-        found[k] = outputs_of(start, dict(zip(names, point.tolist(), strict=True)))
-        if on_progress is not None:
-            on_progress(k + 1, len(points))
+        values[k] = outputs_of(start, dict(zip(names, point.tolist(), strict=True)))
+        callback(k + 1, len(points))
     d = len(names)
     outputs = {
         output: Evaluations(
-            nominal=found[:1, k], forward=found[1 : d + 1, k], corners=found[d + 1 :, k : k + 1]
+            nominal=values[:1, k], forward=values[1 : d + 1, k], corners=values[d + 1 :, k : k + 1]
         )
         for k, output in enumerate(OUTPUTS)
     }
     return Study(names, lower, upper, centre, 0.01 * centre, np.empty((0, d)), False, outputs)
 
 
-def what_is_left_out(aircraft: Aircraft) -> list[tuple[str, FloatArray]]:
-    """From the chapter's linear model to JSBSim's, one term after another.
+def successive_models(aircraft: Aircraft) -> list[tuple[str, FloatArray]]:
+    """Return models from the chapter's linear one to JSBSim's, one term after another.
 
     Each with its phugoid zeta and wn [rad/s] and short-period zeta and wn.
     """

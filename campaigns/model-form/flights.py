@@ -1,9 +1,11 @@
-"""The study's flights: one to make bounds from, three to judge them by, each without noise and with as much of it as is wanted.
+"""The study's flights: one to make bounds from, three to judge them by, each without noise and with
+any amount of it.
 
-A flight is flown without sensor noise, so the autopilot hears none; noise of Table 2.1 is added to the record afterwards. Each
-noisy record so has a noise-free twin, and in still air all seeds share one flight. The true model error is what the flown
-aircraft's coefficients are at the noise-free states minus what the model's are there, behind the filter that residuals pass. What
-the air's own rotation does to the flown aircraft is therefore no model error.
+A flight is flown without sensor noise, so the autopilot hears none; noise of Table 2.1 is added to
+the record afterwards. Each noisy record so has a noise-free twin, and in still air all seeds share
+one flight. The true model error is what the flown aircraft's coefficients are at the noise-free
+states minus what the model's are there, behind the filter that residuals pass. The effect of the
+air's rotation on the flown aircraft is therefore no model error.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -24,7 +26,7 @@ from sysid.aerodynamics import (
     with_sensor_noise,
     without_air_rotation,
 )
-from sysid.aerodynamics.residuals import Passage, PieceNoise
+from sysid.aerodynamics.residuals import PieceNoise
 from sysid.estimation import NoiseSize
 from sysid.model_form.fit import with_noise
 from sysid.record import FlightRecord
@@ -44,7 +46,7 @@ from uqharness.simulator.aircraft import Aircraft, find_aircraft
 from uqharness.simulator.mission import read_script
 from uqharness.simulator.own_mission import PLANS, THREE_TWO_ONE_ONE, Manoeuvre, Plan, script
 
-MODEL = "espaaro"
+MODEL, TRUTH = "espaaro", "espaaro_truth"
 CUTOFFS = Cutoffs()
 SPEEDS = (18.5, 21.0, 27.0)
 BOUNDS = Plan(
@@ -73,47 +75,41 @@ BOUNDS = Plan(
     ),
     settle_s=12.0,
 )
-"""As flight-bounds, over a wider range of speeds; the pull-up reaches 11 deg of incidence, where lift separates."""
+"""As flight-bounds, over a wider range of speeds; the pull-up reaches 11 deg of incidence, where
+lift separates."""
 _CHOSEN = (0, 1, 2, 3, 6)  # of the validation flight's manoeuvres: one of each kind
 
 
 @dataclass(frozen=True)
 class Case:
-    """Which aircraft flies, in what air."""
+    """The aircraft that flies, and its air."""
 
     name: str
-    flown: str
+    aircraft: str
     turbulence: str
 
 
 CASES = (
     Case("nominal-calm", MODEL, "none"),
     Case("nominal-light", MODEL, "light"),
-    Case("truth-calm", "espaaro_truth", "none"),
-    Case("truth-light", "espaaro_truth", "light"),
+    Case("truth-calm", TRUTH, "none"),
+    Case("truth-light", TRUTH, "light"),
 )
 
 
 def validation_plan(speed_mps: float) -> Plan:
-    """Five manoeuvres of the validation flight, all at one speed; sizes go down with it, so that load factors stay alike."""
+    """Return five manoeuvres of the validation flight at one speed; sizes go down with it, so that
+    load factors stay alike."""
     plan = next(p for p in PLANS if p.name == "flight-validation")
-    moved = tuple(
-        replace(
-            m,
-            name=f"{m.name.partition(',')[0]}, {speed_mps:g} m/s",
-            size=round(m.size * 20.0 / speed_mps, 1),
-            recovery_s=5.0,
-            speed_mps=None,
+    manoeuvres = []
+    for m in (plan.manoeuvres[k] for k in _CHOSEN):
+        name, size = (
+            f"{m.name.partition(',')[0]}, {speed_mps:g} m/s",
+            round(m.size * 20.0 / speed_mps, 1),
         )
-        for m in (plan.manoeuvres[k] for k in _CHOSEN)
-    )
-    return replace(
-        plan,
-        name=f"study-validation-{speed_mps:g}",
-        speed_mps=speed_mps,
-        manoeuvres=moved,
-        settle_s=10.0,
-    )
+        manoeuvres.append(replace(m, name=name, size=size, recovery_s=5.0, speed_mps=None))
+    name, moved = f"study-validation-{speed_mps:g}", tuple(manoeuvres)
+    return replace(plan, name=name, speed_mps=speed_mps, manoeuvres=moved, settle_s=10.0)
 
 
 PLANS_FLOWN = (BOUNDS, *(validation_plan(speed) for speed in SPEEDS))
@@ -123,10 +119,10 @@ PLANS_FLOWN = (BOUNDS, *(validation_plan(speed) for speed in SPEEDS))
 class Quiet:
     """A noise-free flight.
 
-    record, measured  as flown, and surfaces with measured positions
-    true              residuals whose delta is the true model error, states noise-free, both filtered
-    unit              the same pieces with the noise that Table 2.1's figures give
-    air               what tells of the air's rotation
+    record, measured  as flown, and surfaces with measured positions true              residuals
+    whose delta is the true model error, states noise-free, both filtered unit              the same
+    pieces with the noise that Table 2.1's figures give air               pieces from which the
+    air's rotation follows
     """
 
     record: FlightRecord
@@ -137,43 +133,32 @@ class Quiet:
 
 
 def quiet_flight(case: Case, plan: Plan, seed: int) -> Quiet:
-    """A plan flown once without sensor noise. Raises BadInputError when the flight does not end well."""
-    if case.turbulence == "none":
-        return _still(case.flown, plan)
-    return _flown(case.flown, case.turbulence, plan, seed)
+    """Fly a plan once without sensor noise. Raises BadInputError when the flight does not end
+    well."""
+    # In still air all seeds share one flight.
+    return _fly(case.aircraft, case.turbulence, plan, 0 if case.turbulence == "none" else seed)
 
 
-@cache
-def _still(flown: str, plan: Plan) -> Quiet:
-    return _flown(flown, "none", plan, 0)
-
-
-def _flown(flown: str, turbulence: str, plan: Plan, seed: int) -> Quiet:
-    record = _record(find_aircraft(flown), turbulence, plan, seed)
+@lru_cache(maxsize=16)
+def _fly(aircraft: str, turbulence: str, plan: Plan, seed: int) -> Quiet:
+    record = _record(find_aircraft(aircraft), turbulence, plan, seed)
     measured = measured_surfaces([record])
     flight = _flight(plan.name, record, measured)
     model = find_aircraft(MODEL)
     with model_pair(measured) as pair:
-        said = flight_residuals(pair, flight, model.accelerometer_m, CUTOFFS)
+        arm = model.accelerometer_m
+        residuals = flight_residuals(pair, flight, arm, CUTOFFS)
         air = tuple(air_pieces(flight.record, flight.pieces, pair.of(flight), CUTOFFS.airspeed_hz))
-        unit = with_sensor_noise(
-            said,
-            flight.record,
-            flight.pieces,
-            pair.of(flight),
-            model.accelerometer_m,
-            table_noise(),
-        )
-    deltas = [np.zeros_like(p.delta) for p in said.pieces]
-    if flown != MODEL:
-        with prediction_of(find_aircraft(flown), measured) as pair:
-            other = flight_residuals(pair, flight, model.accelerometer_m, CUTOFFS)
-        # Both are what was demanded minus what one of the two says.
-        deltas = [a.delta - b.delta for a, b in zip(said.pieces, other.pieces, strict=True)]
-    true = replace(
-        said, pieces=tuple(replace(p, delta=d) for p, d in zip(said.pieces, deltas, strict=True))
-    )
-    return Quiet(record, measured, true, unit, air)
+        flight_of = (flight.record, flight.pieces, pair.of(flight))
+        unit = with_sensor_noise(residuals, *flight_of, arm, table_noise())
+    deltas = [np.zeros_like(p.delta) for p in residuals.pieces]
+    if aircraft != MODEL:
+        with prediction_of(find_aircraft(aircraft), measured) as pair:
+            other = flight_residuals(pair, flight, arm, CUTOFFS)
+        # Each is the measured coefficient minus the prediction of one of the two aircraft.
+        deltas = [a.delta - b.delta for a, b in zip(residuals.pieces, other.pieces, strict=True)]
+    pieces = (replace(p, delta=d) for p, d in zip(residuals.pieces, deltas, strict=True))
+    return Quiet(record, measured, replace(residuals, pieces=tuple(pieces)), unit, air)
 
 
 def _record(aircraft: Aircraft, turbulence: str, plan: Plan, seed: int) -> FlightRecord:
@@ -189,9 +174,9 @@ def _record(aircraft: Aircraft, turbulence: str, plan: Plan, seed: int) -> Fligh
             raise BadInputError(
                 f"{plan.name}, seed {seed}: the flight did not end well: {recorded.reason}"
             )
-        kept = scratch.path / "record.parquet"
-        table.to_parquet(kept)
-        return FlightRecord.read(kept)
+        copy = scratch.path / "record.parquet"
+        table.to_parquet(copy)
+        return FlightRecord.read(copy)
 
 
 def _flight(name: str, record: FlightRecord, measured: tuple[str, ...]) -> Flight:
@@ -199,18 +184,20 @@ def _flight(name: str, record: FlightRecord, measured: tuple[str, ...]) -> Fligh
 
 
 def model_pair(measured: tuple[str, ...]) -> AbstractContextManager[ReplayPair]:
-    """The model, opened."""
+    """Open the model."""
     return prediction_of(find_aircraft(MODEL), measured)
 
 
 def table_noise() -> dict[str, float]:
-    """Channel -> standard deviation of Table 2.1, as the model's card has it; these are the true sizes throughout."""
+    """Return standard deviations of Table 2.1 by channel, as in the model's card; these are the
+    true sizes throughout."""
     return {c: s for c, s in find_aircraft(MODEL).card.sensors.noise_std.items() if np.isfinite(s)}
 
 
 @dataclass(frozen=True)
 class Noisy:
-    """A flight's measured residuals and the noise that its samples show, by what the card is off: factor -> channel -> size."""
+    """A flight's measured residuals and the noise estimated from its samples, by the factor of the
+    card's error and channel."""
 
     residuals: Residuals
     unit: Residuals
@@ -218,7 +205,8 @@ class Noisy:
     sizes: Mapping[float, Mapping[str, NoiseSize]]
 
     def knowing(self, sizes: Mapping[str, NoiseSize]) -> Residuals:
-        """The residuals with noise of these sizes, without the air's rotation. Gains are those of the noise-free flight."""
+        """Return the residuals with noise of these sizes, without the air's rotation; gains are
+        those of the noise-free flight."""
         pieces = []
         for piece, twin in zip(self.residuals.pieces, self.unit.pieces, strict=True):
             assert twin.noise is not None
@@ -230,14 +218,15 @@ class Noisy:
         )[0]
 
     def exactly(self) -> Residuals:
-        """The residuals with the true noise, known without doubt."""
+        """Return the residuals with the true noise, known exactly."""
         return self.knowing({c: NoiseSize(s, 0.0) for c, s in table_noise().items()})
 
 
 def noisy_twin(
     quiet: Quiet, pair: ReplayPair, stream: tuple[int, ...], card_factors: tuple[float, ...]
 ) -> Noisy:
-    """The flight with noise of Table 2.1 from the stream, its states as measured forced upon the model."""
+    """Add noise of Table 2.1 from the stream to a flight, and force the measured states upon the
+    model."""
     std = table_noise()
     channels = {c: quiet.record[c] for c in std if c in quiet.record}
     record = quiet.record.with_columns(with_noise(channels, std, np.random.default_rng(stream)))
@@ -251,14 +240,10 @@ def noisy_twin(
 
 
 def _resized(noise: PieceNoise, sizes: Mapping[str, NoiseSize]) -> PieceNoise:
-    """Noise of Table 2.1 made that of other sizes: gains are proportional to them."""
-    std = table_noise()
-
-    def other(p: Passage) -> Passage:
+    """Scale noise of Table 2.1 to other sizes: gains are proportional to them."""
+    std, passages = table_noise(), []
+    for p in (p for p in noise.passages if p.channel in sizes):
         size = sizes[p.channel]
-        return replace(p, gain=p.gain * (size.std / std[p.channel]), spread=size.spread)
-
+        passages.append(replace(p, gain=p.gain * (size.std / std[p.channel]), spread=size.spread))
     states = {c: (sizes[c].std, weights) for c, (_, weights) in noise.states.items() if c in sizes}
-    return PieceNoise(
-        tuple(other(p) for p in noise.passages if p.channel in sizes), states, noise.n
-    )
+    return PieceNoise(tuple(passages), states, noise.n)

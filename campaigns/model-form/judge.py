@@ -1,8 +1,8 @@
-"""What one seed of one case says of the bounds: how they are made, and how much of the true error they hold.
+"""One seed of one case: the bounds, and how much of the true error they hold.
 
-The true error at a sample is held against delta(x) +- t sqrt(leverage + tau_u^2 + tau_eta^2), at noise-free states: once as it
-stands, once stretched to hold zero, as all bounds of this project are. Samples of the noisy flights are held against the same with
-the sensors' noise added back.
+The true error at a sample is held against delta(x) +- t sqrt(leverage + tau_u^2 + tau_eta^2), at
+noise-free states: once as it stands, once stretched to hold zero, as all bounds of this project
+are. Samples of the noisy flights are held against the same with the sensors' noise added back.
 """
 
 from __future__ import annotations
@@ -46,12 +46,13 @@ _MOST = 120  # samples of one flight in a picture
 
 
 def run_seed(case: Case, seed: int, picture: bool = False) -> dict[str, Any]:
-    """Everything that the tables need of one seed; ``picture``: with the histories that are drawn. Raises BadInputError."""
+    """Return everything that the tables need of one seed; ``picture``: with the histories to draw.
+    Raises BadInputError."""
     quiet = [quiet_flight(case, plan, 10 * seed + k) for k, plan in enumerate(PLANS_FLOWN)]
-    number = CASES.index(case)
+    number, factors = CASES.index(case), tuple(CARDS.values())
     with model_pair(quiet[0].measured) as pair:
         noisy = [
-            noisy_twin(q, pair, (seed, number, k), tuple(CARDS.values()) if k == 0 else (1.0,))
+            noisy_twin(q, pair, (seed, number, k), (1.0,) if k else factors)
             for k, q in enumerate(quiet)
         ]
     forms = fitted_ways(noisy[0])
@@ -60,20 +61,20 @@ def run_seed(case: Case, seed: int, picture: bool = False) -> dict[str, Any]:
     for way, fitted in forms.items():
         rows += _rows(way, fitted, quiet[1:], noisy[1:])
         fits += [_fit_row(way, c, fitted[c], quiet[0].true, published[c]) for c in COEFFICIENTS]
-    out: dict[str, Any] = {"case": case.name, "seed": seed, "rows": rows, "fits": fits}
+    result: dict[str, Any] = {"case": case.name, "seed": seed, "rows": rows, "fits": fits}
     if picture:
-        out["histories"] = _histories(forms["default"], published, quiet[1:], noisy[1:])
-    return out
+        result["histories"] = _histories(forms["default"], published, quiet[1:], noisy[1:])
+    return result
 
 
 def fitted_ways(noisy: Noisy) -> dict[str, dict[str, FittedBounds]]:
-    """Way -> coefficient -> bounds from one noisy flight."""
-    made = {way: fit_bounds(noisy.knowing(noisy.sizes[factor])) for way, factor in CARDS.items()}
-    return {**made, EXACT: fit_bounds(noisy.exactly())}
+    """Fit bounds to one noisy flight: by way and coefficient."""
+    fits = {way: fit_bounds(noisy.knowing(noisy.sizes[factor])) for way, factor in CARDS.items()}
+    return {**fits, EXACT: fit_bounds(noisy.exactly())}
 
 
 def form_of(fitted: Mapping[str, FittedBounds], rate_hz: float) -> ModelForm:
-    """A model form of the study's model."""
+    """Make a model form of the study's model."""
     model = find_aircraft(MODEL)
     return ModelForm(
         AircraftReference(model.name, content_hash(model)),
@@ -85,91 +86,83 @@ def form_of(fitted: Mapping[str, FittedBounds], rate_hz: float) -> ModelForm:
     )
 
 
-def whole_interval(
+def error_interval(
     bounds: CoefficientBounds, states: Mapping[str, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Middle and half-width (n,) of the interval of the whole model error, before it is stretched to hold zero."""
+    """Return middle and half-width (n,) of the interval of the total model error, before it is
+    stretched to hold zero."""
     return bounds.sample_middle(states, np.zeros(len(states["V_mps"])))
 
 
 def _rows(
     way: str, fitted: Mapping[str, FittedBounds], quiet: list[Quiet], noisy: list[Noisy]
 ) -> list[dict[str, Any]]:
-    rate = 1.0 / noisy[0].residuals.dt_s
-    form = form_of(fitted, rate)
+    form = form_of(fitted, 1.0 / noisy[0].residuals.dt_s)
     measured = [n.knowing(n.sizes[1.0]) for n in noisy]
-    whole = coverage(form, together(measured)) if way == "default" else {}
-    out = []
+    pooled = coverage(form, together(measured)) if way == "default" else {}
+    rows = []
     for speed, q, m in zip(SPEEDS, quiet, measured, strict=True):
-        third = coverage(form, m) if way == "default" else {}
-        states = q.true.states
+        single, states = coverage(form, m) if way == "default" else {}, q.true.states
         for k, c in enumerate(COEFFICIENTS):
             bounds, true = fitted[c].bounds, q.true.delta[:, k]
-            middle, half = whole_interval(bounds, states)
-            far = bounds.distance(states)
-            known = far == 0.0
+            middle, half = error_interval(bounds, states)
+            distance = bounds.distance(states)
+            covered = distance == 0.0
             plain = np.abs(true - middle) <= half
-            clipped = (true >= np.minimum(middle - half, 0.0)) & (
-                true <= np.maximum(middle + half, 0.0)
-            )
+            low, high = np.minimum(middle - half, 0.0), np.maximum(middle + half, 0.0)
+            stretched = (true >= low) & (true <= high)
             row = {
                 "way": way,
                 "coefficient": c,
                 "speed_mps": speed,
                 "n": len(true),
-                "outside": float(np.mean(~known)),
-                "furthest": float(far.max()),
-                "inside": _share(plain, known),
-                "inside_stretched": _share(clipped, known),
+                "outside": float(np.mean(~covered)),
+                "furthest": float(distance.max()),
+                "inside": _mean(plain, covered),
+                "inside_stretched": _mean(stretched, covered),
                 "inside_all": float(plain.mean()),
-                "inside_stretched_all": float(clipped.mean()),
-                "width": _mean(2.0 * half, known),
+                "inside_stretched_all": float(stretched.mean()),
+                "width": _mean(2.0 * half, covered),
                 "true_rms": float(np.sqrt(np.mean(true**2))),
             }
-            if third:
-                factor = whole[c].conformal
-                row |= {"third": third[c].share[0.95], "third_error": third[c].error[0.95]}
-                row |= (
-                    {}
-                    if factor is None
-                    else {"conformal": factor.factor, "conformal_level": factor.level}
-                )
-            out.append(finite(row))
-    return out
+            if single:
+                row |= {"third": single[c].share[0.95], "third_error": single[c].error[0.95]}
+                factor = pooled[c].conformal
+                if factor is not None:
+                    row |= {"conformal": factor.factor, "conformal_level": factor.level}
+            rows.append(finite(row))
+    return rows
 
 
-def _share(inside: NDArray[np.bool_], known: NDArray[np.bool_]) -> float:
-    return float(inside[known].mean()) if known.any() else float("nan")
-
-
-def _mean(values: FloatArray, known: NDArray[np.bool_]) -> float:
-    return float(values[known].mean()) if known.any() else float("nan")
+def _mean(values: NDArray[Any], chosen: NDArray[np.bool_]) -> float:
+    return float(values[chosen].mean()) if chosen.any() else float("nan")
 
 
 def _fit_row(
     way: str, coefficient: str, fitted: FittedBounds, true: Residuals, published: FittedBounds
 ) -> dict[str, Any]:
-    """Parts of one coefficient, beside what they stand for in the data: the true error, and what of it no polynomial holds."""
+    """Return parts of one coefficient, beside the true error and the part of it that no polynomial
+    holds."""
     bounds, states = fitted.bounds, true.states
     assert bounds.parts is not None
     assert fitted.separation is not None
     error = true.delta[:, COEFFICIENTS.index(coefficient)]
-    middle, half = whole_interval(bounds, states)
+    middle, half = error_interval(bounds, states)
     low, high = bounds.bounds(states)
-    today = published.bounds.bounds(states)
-    kept = {k: v for k, v in asdict(bounds.parts).items() if k not in ("flight", "noise")}
+    print_ = published.bounds.bounds(states)
+    chosen = {k: v for k, v in asdict(bounds.parts).items() if k not in ("flight", "noise")}
     return finite(
         {
             "way": way,
             "coefficient": coefficient,
-            **kept,
+            **chosen,
             "log_odds": fitted.separation.components().log_odds,
             "true_rms": float(np.sqrt(np.mean(error**2))),
             "left_rms": float(np.sqrt(np.mean((error - middle) ** 2))),
             "middle_rms": float(np.sqrt(np.mean(middle**2))),
             "width": float(np.mean(2.0 * half)),
             "persistent_width": float(np.mean(high - low)),
-            "published_width": float(np.mean(today[1] - today[0])),
+            "published_width": float(np.mean(print_[1] - print_[0])),
         }
     )
 
@@ -180,27 +173,28 @@ def _histories(
     quiet: list[Quiet],
     noisy: list[Noisy],
 ) -> dict[str, Any]:
-    """Coefficient -> curves along the three flights: true error, measured residual, bounds as published and by parts."""
-    out: dict[str, Any] = {}
+    """Return curves along the three flights by coefficient: true error, residual, bounds as
+    published and by parts."""
+    histories: dict[str, Any] = {}
     for k, c in enumerate(COEFFICIENTS):
         curves: dict[str, list[float]] = {}
         for q, n in zip(quiet, noisy, strict=True):
             states = q.true.states
-            keep = np.linspace(0, len(q.true.delta) - 1, _MOST).round().astype(int)
-            middle, half = whole_interval(fitted[c].bounds, states)
+            chosen = np.linspace(0, len(q.true.delta) - 1, _MOST).round().astype(int)
+            middle, half = error_interval(fitted[c].bounds, states)
             lasting = fitted[c].bounds.interval(states)
-            today = published[c].bounds.bounds(states)
-            found = {
+            printed = published[c].bounds.bounds(states)
+            samples = {
                 "true": q.true.delta[:, k],
                 "measured": n.residuals.delta[:, k],
                 "lower": middle - half,
                 "upper": middle + half,
                 "lasting_lower": lasting[0],
                 "lasting_upper": lasting[1],
-                "today_lower": today[0],
-                "today_upper": today[1],
+                "today_lower": printed[0],
+                "today_upper": printed[1],
             }
-            for name, values in found.items():
-                curves.setdefault(name, []).extend(float(f"{v:.4g}") for v in values[keep])
-        out[c] = curves
-    return out
+            for name, values in samples.items():
+                curves.setdefault(name, []).extend(float(f"{v:.4g}") for v in values[chosen])
+        histories[c] = curves
+    return histories

@@ -1,12 +1,18 @@
-"""The study's tables, and what of it falls short of what was asked."""
+"""The study's tables and pictures, and which of its results fail."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from sysid.aerodynamics.coefficients import COEFFICIENTS
+from uqharness.files import write_text
+from uqharness.report.svg import Chart, Scale, scale, standalone
 from uqharness.text_tables import markdown_table
 
 from .flights import CASES, SPEEDS
@@ -26,64 +32,43 @@ TITLES = {
     "truth-calm": "The reference truth flies, still air",
     "truth-light": "The reference truth flies, light turbulence",
 }
+LEGEND = (
+    ("fillrange", "as published"),
+    ("fill2", "whole model error"),
+    ("first", "its persistent part"),
+    ("third", "true error"),
+)
 
 
 def summary(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
-    """Means over seeds of all figures, and how many seeds."""
-    grouped = (
-        rows.drop(columns=["seed"])
-        .astype({"found": float} if "found" in rows else {})
-        .groupby(list(by), sort=False)
-    )
-    return (
-        grouped.mean().map(lambda v: float(f"{v:.4g}")).assign(seeds=grouped.size()).reset_index()
-    )
-
-
-def mean_and_error(values: pd.Series) -> tuple[float, float]:
-    """Mean over seeds and its standard error."""
-    known = values.dropna()
-    error = float(known.std(ddof=1) / math.sqrt(len(known))) if len(known) > 1 else math.nan
-    return float(known.mean()), error
+    """Return means over seeds of all figures, and how many seeds."""
+    numbers = rows.drop(columns=["seed"]).astype({"found": float} if "found" in rows else {})
+    groups = numbers.groupby(list(by), sort=False)
+    means = groups.mean().map(lambda v: float(f"{v:.4g}"))
+    return means.assign(seeds=groups.size()).reset_index()
 
 
 def tables(rows: pd.DataFrame, fits: pd.DataFrame) -> str:
-    """The study as markdown."""
-    lines = [
-        f"{rows['seed'].nunique()} seed(s); means over seeds, ± standard errors of the mean.",
-        "",
-    ]
+    """Return the study as markdown."""
+    seeds = rows["seed"].nunique()
+    text = f"{seeds} seed(s); means over seeds, ± standard errors of the mean.\n\n"
     for case in (c.name for c in CASES if c.name in set(rows["case"])):
-        mine, made = rows[rows["case"] == case], fits[fits["case"] == case]
-        lines += [
-            f"## {TITLES[case]}",
-            "",
-            f"{mine['seed'].nunique()} seeds. What the parts are:",
-            "",
-        ]
-        lines += [
-            markdown_table(_part_rows(made)),
-            "",
-            "What they hold of three other flights:",
-            "",
-        ]
-        lines += [markdown_table(_coverage_rows(mine)), ""]
-    lines += [
-        "## Noise in the card wrong by two",
-        "",
-        "Least share of the true error inside over the speeds [%], (mean width over ",
-    ]
-    lines[-1] += "that of noise known exactly):"
-    lines += ["", markdown_table(_card_rows(rows))]
-    return "\n".join(lines)
+        part = rows[rows["case"] == case]
+        text += f"## {TITLES[case]}\n\n{part['seed'].nunique()} seeds. What the parts are:\n\n"
+        text += markdown_table(_part_rows(fits[fits["case"] == case]))
+        text += "\n\nWhat they hold of three other flights:\n\n"
+        text += markdown_table(_coverage_rows(part)) + "\n\n"
+    text += "## Noise in the card wrong by two\n\n"
+    text += "Least share of the true error inside over the speeds [%], (mean width over "
+    return text + "that of noise known exactly):\n\n" + markdown_table(_card_rows(rows))
 
 
 def _part_rows(fits: pd.DataFrame) -> list[dict[str, str]]:
-    out = []
+    table = []
     for c in COEFFICIENTS:
-        mine = fits[(fits["coefficient"] == c) & (fits["way"] == "default")]
-        mean = mine.drop(columns=["case", "way", "coefficient", "found"]).mean()
-        out.append(
+        part = fits[(fits["coefficient"] == c) & (fits["way"] == "default")]
+        mean = part.drop(columns=["case", "way", "coefficient", "found"]).mean()
+        table.append(
             {
                 "coefficient": c,
                 "true error, rms": f"{mean['true_rms']:.3g}",
@@ -91,8 +76,8 @@ def _part_rows(fits: pd.DataFrame) -> list[dict[str, str]]:
                 "persistent": f"{mean['persistent']:.2g}",
                 "transient": f"{mean['transient']:.2g}",
                 "time [s]": f"{mean['transient_time_s']:.2g}",
-                "found in": f"{int(mine['found'].sum())} of {len(mine)}",
-                "log odds": f"{mine['log_odds'].median():.3g}",
+                "found in": f"{int(part['found'].sum())} of {len(part)}",
+                "log odds": f"{part['log_odds'].median():.3g}",
                 "not above ±": f"{1.96 * mean['not_above']:.2g}",
                 "width": f"{mean['width']:.3g}",
                 "of it persistent": f"{mean['persistent_width']:.3g}",
@@ -100,99 +85,132 @@ def _part_rows(fits: pd.DataFrame) -> list[dict[str, str]]:
                 "of that": f"{100 * mean['persistent_width'] / mean['published_width']:.1f} %",
             }
         )
-    return out
+    return table
 
 
 def _coverage_rows(rows: pd.DataFrame) -> list[dict[str, str]]:
-    out = []
-    for c in COEFFICIENTS:
-        for speed in SPEEDS:
-            mine = rows[(rows["coefficient"] == c) & (rows["speed_mps"] == speed)]
-            usual, known = mine[mine["way"] == "default"], mine[mine["way"] == EXACT]
-            inside, stretched, third = (
-                _percent(usual[k]) for k in ("inside", "inside_stretched", "third")
-            )
-            out.append(
-                {
-                    "coefficient": c,
-                    "m/s": f"{speed:g}",
-                    "true error inside [%]": inside,
-                    "stretched to zero": stretched,
-                    "noisy samples [%]": third,
-                    "width": f"{usual['width'].mean():.3g}",
-                    "over noise known": f"{usual['width'].mean() / known['width'].mean():.2f}",
-                    "outside the data [%]": f"{100 * usual['outside'].mean():.1f}",
-                    "conformal": f"{usual['conformal'].mean():.2f}",
-                }
-            )
-    return out
+    table = []
+    for (c, speed), part in rows.groupby(["coefficient", "speed_mps"], sort=False):
+        usual, exact = part[part["way"] == "default"], part[part["way"] == EXACT]
+        table.append(
+            {
+                "coefficient": c,
+                "m/s": f"{speed:g}",
+                "true error inside [%]": _percent(usual["inside"]),
+                "stretched to zero": _percent(usual["inside_stretched"]),
+                "noisy samples [%]": _percent(usual["third"]),
+                "width": f"{usual['width'].mean():.3g}",
+                "over noise known": f"{usual['width'].mean() / exact['width'].mean():.2f}",
+                "outside the data [%]": f"{100 * usual['outside'].mean():.1f}",
+                "conformal": f"{usual['conformal'].mean():.2f}",
+            }
+        )
+    order = [(c, f"{speed:g}") for c in COEFFICIENTS for speed in SPEEDS]
+    return sorted(table, key=lambda row: order.index((row["coefficient"], row["m/s"])))
 
 
-def _percent(values: pd.Series) -> str:
-    mean, error = mean_and_error(100.0 * values)
-    return f"{mean:.1f} ± {error:.1f}"
+def _percent(shares: pd.Series) -> str:
+    percent = 100.0 * shares.dropna()
+    n = len(percent)
+    error = float(percent.std(ddof=1) / math.sqrt(n)) if n > 1 else math.nan
+    return f"{float(percent.mean()):.1f} ± {error:.1f}"
 
 
 def _card_rows(rows: pd.DataFrame) -> list[dict[str, str]]:
-    out = []
+    table = []
     for case in (c.name for c in CASES if c.name in set(rows["case"])):
-        mine = rows[rows["case"] == case]
-        known = mine[mine["way"] == EXACT].groupby("coefficient")["width"].mean()
+        of_case = rows[rows["case"] == case].groupby("way")
+        exact = of_case.get_group(EXACT).groupby("coefficient")["width"].mean()
         for way in CARDS:
-            part = mine[mine["way"] == way]
-            least = (
-                part.groupby(["coefficient", "speed_mps"])["inside"]
-                .mean()
-                .groupby("coefficient")
-                .min()
-            )
-            width = part.groupby("coefficient")["width"].mean() / known
-            out.append(
-                {
-                    "case": case,
-                    "card": way,
-                    **{c: f"{100 * least[c]:.1f} ({width[c]:.2f})" for c in COEFFICIENTS},
-                }
-            )
-    return out
+            part = of_case.get_group(way)
+            inside = part.groupby(["coefficient", "speed_mps"])["inside"].mean()
+            least = inside.groupby("coefficient").min()
+            width = part.groupby("coefficient")["width"].mean() / exact
+            figures = {c: f"{100 * least[c]:.1f} ({width[c]:.2f})" for c in COEFFICIENTS}
+            table.append({"case": case, "card": way, **figures})
+    return table
 
 
 def verdict(rows: pd.DataFrame, fits: pd.DataFrame) -> list[str]:
-    """What fails, in words. Empty when all is well.
+    """List failures, none when all is well.
 
-    Mean shares of the true error below LEAST_INSIDE (bounds not stretched to hold zero, the card right or wrong by two), widths
-    above MOST_WIDTH times those of the noise known exactly, noisy samples outside THIRD, effects not found.
+    Mean shares of the true error below LEAST_INSIDE (bounds not stretched to hold zero, the card
+    right or wrong by two), widths above MOST_WIDTH times those of the noise known exactly, noisy
+    samples outside THIRD, effects not found.
     """
-    out = []
-    means = rows.groupby(["case", "way", "coefficient", "speed_mps"], sort=False).mean(
-        numeric_only=True
-    )
+    failures = []
+    keys = ["case", "way", "coefficient", "speed_mps"]
+    means = rows.groupby(keys, sort=False).mean(numeric_only=True)
     for (case, way, c, speed), row in means.iterrows():  # type: ignore[misc]
         where = f"{case}, {way}, {c} at {speed:g} m/s"
         if row["inside"] < LEAST_INSIDE:
             stretched = f"{100 * row['inside_stretched']:.1f} % with the bounds stretched to zero"
-            out.append(
-                f"{where}: {100 * row['inside']:.1f} % of the true error inside, {stretched}"
-            )
+            inside = f"{100 * row['inside']:.1f} % of the true error inside"
+            failures.append(f"{where}: {inside}, {stretched}")
         if way != "default":
             continue
         ratio = row["width"] / means.loc[(case, EXACT, c, speed), "width"]
         if ratio > MOST_WIDTH:
-            out.append(f"{where}: {ratio:.2f} times as wide as with the noise known")
+            failures.append(f"{where}: {ratio:.2f} times as wide as with the noise known")
         if not THIRD[0] <= row["third"] <= THIRD[1]:
-            out.append(f"{where}: {100 * row['third']:.1f} % of the noisy samples inside")
-    calm = fits[(fits["case"] == "truth-calm") & (fits["way"] == "default")]
+            failures.append(f"{where}: {100 * row['third']:.1f} % of the noisy samples inside")
+    usual = fits[fits["way"] == "default"].astype({"found": float})
+    share = usual.groupby(["case", "coefficient"])["found"].mean()
     for effect, c in EFFECTS.items():
-        share = calm[calm["coefficient"] == c]["found"].astype(float).mean()
-        if share < VISIBLE:
-            out.append(
-                f"{effect}: a model error of {c} is found in {100 * share:.0f} % of the seeds in still air"
-            )
-    nominal = fits[(fits["case"] == "nominal-calm") & (fits["way"] == "default")]
+        calm = share.get(("truth-calm", c), math.nan)
+        if calm < VISIBLE:
+            words = f"is found in {100 * calm:.0f} % of the seeds in still air"
+            failures.append(f"{effect}: a model error of {c} {words}")
     for c in COEFFICIENTS:
-        share = nominal[nominal["coefficient"] == c]["found"].astype(float).mean()
-        if share > 1.0 - VISIBLE:
-            out.append(
-                f"nominal-calm: a model error of {c} that is not there is found in {100 * share:.0f} % of the seeds"
-            )
-    return out
+        nominal = share.get(("nominal-calm", c), math.nan)
+        if nominal > 1.0 - VISIBLE:
+            words = f"that is not there is found in {100 * nominal:.0f} % of the seeds"
+            failures.append(f"nominal-calm: a model error of {c} {words}")
+    return failures
+
+
+def write_pictures(answers: Sequence[Mapping[str, Any]], out: Path) -> list[Path]:
+    """Draw figures/<C>.svg: the bounds as published, the new parts and the true error along the
+    flights that judge them.
+
+    Nothing is drawn where no seed has histories.
+    """
+    folder, paths = out / "figures", []
+    drawn = {answer["case"]: answer for answer in answers}
+    for c in COEFFICIENTS if drawn else ():
+        charts = [
+            (_chart(c, case, drawn[case]["histories"][c]).svg(), words)
+            for case, words in TITLES.items()
+            if case in drawn
+        ]
+        title = f"{c}: bounds and true error, seed {next(iter(drawn.values()))['seed']}"
+        folder.mkdir(parents=True, exist_ok=True)
+        paths.append(folder / f"{c}.svg")
+        write_text(paths[-1], standalone(charts, title, LEGEND, 2))
+    return paths
+
+
+def _chart(coefficient: str, case: str, curves: Mapping[str, Sequence[float]]) -> Chart:
+    data = {name: np.asarray(values, dtype=float) for name, values in curves.items()}
+    n = len(data["true"])
+    at, length = np.arange(n), n / len(SPEEDS)
+    bands = (("today_lower", "today_upper", "fillrange"), ("lower", "upper", "fill2"))
+    ends = [data[k] for low, high, _ in bands for k in (low, high)]
+    y = scale(f"model error, {coefficient} [-]", [*ends, data["true"]])
+    label = (
+        f"{coefficient}, {TITLES[case]}: bounds as published from "
+        f"{data['today_lower'].min():.2g} to {data['today_upper'].max():.2g}, of the model error "
+        f"{data['lower'].min():.2g} to {data['upper'].max():.2g}."
+    )
+    names = tuple(((k + 0.5) * length, f"{speed:g}") for k, speed in enumerate(SPEEDS))
+    x = Scale("along the flights at these speeds [m/s]", 0.0, n - 1.0, names)
+    chart = Chart(f"{coefficient}-{case}", label, x, y)
+    for low, high, kind in bands:
+        chart.band(at, data[low], data[high], kind)
+    for name in ("lasting_lower", "lasting_upper"):
+        chart.line(at, data[name], "first thin")
+    for k in range(1, len(SPEEDS)):
+        chart.upright(k * length - 0.5, "joint")
+    chart.level(0.0, "zero")
+    chart.line(at, data["true"], "third")
+    return chart

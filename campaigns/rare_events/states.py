@@ -1,4 +1,5 @@
-"""Of which states of the loitering E-SPAARO the distance to come is predicted. No file is read or written here."""
+"""The states of the loitering E-SPAARO from which its future distance is predicted. No file is read
+or written here."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ _VECTORS = {
 }
 _PLACE = ("nav/north-m", "nav/east-m")
 CENTRE_EAST_M = 120.0
-"""The circle's centre lies so far east of the start (scripts/loiter.xml); a score may be off, an estimate is not."""
+"""The circle's centre lies so far east of the start (scripts/loiter.xml); a score may be off, an
+estimate is not."""
 
 PROPERTIES = (*_PLAIN.values(), *(name for pair in _VECTORS.values() for name in pair), *_PLACE)
 _EACH = (
@@ -44,11 +46,13 @@ _EACH = (
 NAMES = tuple(
     f"{name}{factor}" for factor in ("", " x sine", " x cosine") for name in ("one", *_EACH)
 )[1:]
-"""The regressors: each state, and its products with sine and cosine of the place on the circle: the wind has a direction."""
+"""The regressors: each state, and its products with sine and cosine of the place on the circle: the
+wind has a direction."""
 
 
 def regressors(values: Mapping[str, FloatArray], distance_m: FloatArray) -> FloatArray:
-    """(..., len(NAMES)) of PROPERTIES (...) and the distance from the circle (...) [m]; SI units and radians."""
+    """Return (..., len(NAMES)) of PROPERTIES (...) and the distance from the circle (...) [m]; SI
+    units and radians."""
     north, east = values[_PLACE[0]], values[_PLACE[1]] - CENTRE_EAST_M
     away = np.maximum(np.sqrt(north * north + east * east), 1e-6)
     sine, cosine = east / away, north / away
@@ -75,37 +79,37 @@ class LoiterScore:
     def of(
         self, values: Mapping[str, FloatArray], distance_m: FloatArray, closing_mps: FloatArray
     ) -> FloatArray:
-        """(paths,) [-]: 0 at the radius, negative inside it."""
+        """Return (paths,) [-]: 0 at the radius, negative inside it."""
         return self.predicted.score(regressors(values, distance_m), distance_m)
 
 
 @dataclass
 class Recorder:
-    """A score that records the states that it is asked about, for ``fit``; paths are not to be split."""
+    """A score that records the states it is called with, for ``fit``; paths must not be split."""
 
     properties: tuple[str, ...] = PROPERTIES
-    _seen: list[Mapping[str, FloatArray]] = field(default_factory=list)
+    _states: list[Mapping[str, FloatArray]] = field(default_factory=list)
     _distances: list[FloatArray] = field(default_factory=list)
 
     def of(
         self, values: Mapping[str, FloatArray], distance_m: FloatArray, closing_mps: FloatArray
     ) -> FloatArray:
-        """(paths,) [m]: the distance."""
-        self._seen.append(values)
+        """Return (paths,) [m]: the distance."""
+        self._states.append(values)
         self._distances.append(distance_m)
         return distance_m
 
     def distances(self) -> FloatArray:
-        """(paths, checkpoints) [m] of the flights that came to their end."""
-        return np.stack(self._distances, axis=1)[self._whole()]
+        """Return (paths, checkpoints) [m] of the flights that were completed."""
+        return np.stack(self._distances, axis=1)[self._complete()]
 
     def values(self) -> dict[str, FloatArray]:
-        """Each property (paths, checkpoints) of the same flights."""
-        whole = self._whole()
+        """Return each property (paths, checkpoints) of the same flights."""
+        complete = self._complete()
         return {
-            name: np.stack([each[name] for each in self._seen], axis=1)[whole]
+            name: np.stack([each[name] for each in self._states], axis=1)[complete]
             for name in self.properties
         }
 
-    def _whole(self) -> NDArray[np.bool_]:
+    def _complete(self) -> NDArray[np.bool_]:
         return np.isfinite(np.stack(self._distances, axis=1)).all(axis=1)

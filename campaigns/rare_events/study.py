@@ -1,16 +1,18 @@
-"""One corner in one air: flights that are split, flights that are not, and what came of them. No file is read or written here."""
+"""One corner in one air: flights with and without splitting, and their counts. No file is read or
+written here."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from campaigns.full_size.plan import Plan, cell_name, identity
+from campaigns.library.plan import Plan, cell_name, identity
 from campaigns.rare_events.states import LoiterScore, Recorder, regressors
 from uqharness.batch import ready
 from uqharness.campaign.cases import Case, Part, build_cases
@@ -36,22 +38,25 @@ from uqharness.flight import (
 from uqharness.statistics import Levels, Occupancy, pilot, run
 
 FIRST_ROOT, FIRST_PILOT = 1_000_000, 2_000_000
-"""Aleatory ids of replicates and of the pilot; plain flights begin at 0, so that no air is met twice."""
+"""Aleatory ids of replicates and of the pilot; plain flights begin at 0, so that no air is met
+twice."""
 GRID = np.arange(-12.0, 0.001, 0.05)
 """Scores between which the pilot interpolates, in standard deviations to the radius."""
 TOP = -0.5
-"""No level lies above: half a standard deviation short of the radius one path in three goes on beyond it."""
+"""No level lies above: half a standard deviation short of the radius one path in three goes on
+beyond it."""
 SHARE = 0.004
-"""Share of its time that a path spends above the first level. A branch costs as much as half a minute of plain flight, because
-its air is made for it: few branches from many roots cost less than many from few."""
+"""Share of its time that a path spends above the first level. A branch costs as much as half a
+minute of plain flight, because its air is made for it: few branches from many roots cost less than
+many from few."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is flown in one piece: flights of a replicate, of the pilot (and their length [s]), and plain ones.
+    """Flights of one piece: of a replicate, of the pilot (and their length [s]), and plain ones.
 
-    A checkpoint is ``step_s`` from the next: 3 s jump over levels. Scores aim at the radius ``aim_m``, the largest at most. Of each
-    replicate ``noted`` excursions beyond each radius are
+    A checkpoint is ``step_s`` from the next: 3 s jump over levels. Scores aim at the radius
+    ``aim_m``, the largest at most. Of each replicate ``noted`` excursions beyond each radius are
     kept with their path.
     """
 
@@ -66,8 +71,9 @@ class Size:
 
 
 @dataclass(frozen=True)
-class Tuned:
-    """Levels and predictions that the pilot chose, the seconds of a core that it took, and the hours that it flew unsplit."""
+class Tuning:
+    """Levels and predictions that the pilot chose, the seconds of a core that it took, and the
+    hours that it flew unsplit."""
 
     levels: Levels
     predicted: DistancePredictor
@@ -76,9 +82,10 @@ class Tuned:
 
 
 @dataclass(frozen=True)
-class Counted:
-    """What a piece found, by radius: ``probability`` of a first excursion per flight, ``events`` per flight, their mean square
-    (plain flights alone, else NaN). ``path_s`` were flown between checkpoints by ``most`` paths side by side at most."""
+class Counts:
+    """The result of a piece, by radius: ``probability`` of a first excursion per flight, ``events``
+    per flight, their mean square (plain flights alone, else NaN). ``path_s`` were flown between
+    checkpoints by ``most`` paths side by side at most."""
 
     flights: int
     probability: tuple[float, ...]
@@ -101,10 +108,11 @@ class Study:
 
     def __post_init__(self) -> None:
         """Raises BadInputError for a corner that the campaign lacks."""
-        known = self.plan.epistemic_ids
-        if self.corner not in known:
+        corners = self.plan.epistemic_ids
+        if self.corner not in corners:
             raise BadInputError(
-                f"--corner {self.corner}: not one of {known[0]} to {known[-1]} ({len(known)} corners)"
+                f"--corner {self.corner}: not one of {corners[0]} to {corners[-1]} "
+                f"({len(corners)} corners)"
             )
 
     @property
@@ -132,7 +140,7 @@ class Study:
         return float(ready(self._one).lanes.dt_s)
 
     def cases(self, first: int, count: int) -> tuple[Case, ...]:
-        """Flights of so many aleatory ids."""
+        """Build the flights of so many aleatory ids."""
         place = self.plan.epistemic_ids.index(self.corner)
         air = ((self.condition.wind_mps, self.condition.turbulence),)
         return build_cases(
@@ -142,28 +150,28 @@ class Study:
         )
 
     def replicate_cases(self, number: int) -> tuple[Case, ...]:
-        """The flights with which a replicate begins."""
+        """Build the flights with which a replicate begins."""
         return self.cases(FIRST_ROOT + number * self.size.roots, self.size.roots)
 
     def plain_cases(self, number: int) -> tuple[Case, ...]:
-        """The flights of a piece that is not split."""
+        """Build the flights of a piece that is not split."""
         return self.cases(number * self.size.plain, self.size.plain)
 
-    def tuned_by(self, cases: Sequence[Case], tuned: Tuned) -> str:
-        """One digest of what decides a replicate: its flights, levels and checkpoints."""
-        return digest_of_rows(
-            [identity(tuple(cases)), repr((tuned.levels, tuned.predicted, self.size.step_s))]
-        )
+    def tuned_identity(self, cases: Sequence[Case], tuning: Tuning) -> str:
+        """Digest what decides a replicate: its flights, levels and checkpoints."""
+        settings = repr((tuning.levels, tuning.predicted, self.size.step_s))
+        return digest_of_rows([identity(tuple(cases)), settings])
 
-    def tune(self) -> Tuned:
-        """Predictions and first levels from flights that are not split; further ones from rounds with these. None is counted.
+    def tune(self) -> Tuning:
+        """Fit predictions and first levels to flights that are not split; further ones from rounds
+        with these. None is counted.
 
         Raises BadInputError where the rounds find no level up to TOP.
         """
-        begun, size = time.process_time(), self.size
+        started, size, kinds = time.process_time(), self.size, len(self.radii_m)
         recorder = Recorder()
-        flown = self._pilot_paths(0, CheckpointPlan(size.step_s, recorder))
-        nothing = run(flown, size.pilot_roots, Levels(()), len(self.radii_m))
+        paths = self._pilot_paths(0, CheckpointPlan(size.step_s, recorder))
+        unsplit = run(paths, size.pilot_roots, Levels(()), kinds)
         distance = recorder.distances()
         states = regressors(recorder.values(), distance)
         predicted = fit_predictors(
@@ -174,19 +182,12 @@ class Study:
         plain = Occupancy(GRID, above / score.size, above.astype(float))
         watch = CheckpointPlan(size.step_s, LoiterScore(predicted))
         try:
-            levels = pilot(
-                lambda number: self._pilot_paths(1 + number, watch),
-                size.pilot_roots,
-                len(self.radii_m),
-                GRID,
-                TOP,
-                size.share,
-                plain,
-            )
+            start = lambda number: self._pilot_paths(1 + number, watch)  # noqa: E731
+            levels = pilot(start, size.pilot_roots, kinds, GRID, TOP, size.share, plain)
         except ValueError as error:
             raise BadInputError(f"{self.name}: {error}") from error
-        plain_h = nothing.steps * size.step_s / 3600.0
-        return Tuned(levels, predicted, time.process_time() - begun, plain_h)
+        plain_h = unsplit.steps * size.step_s / 3600.0
+        return Tuning(levels, predicted, time.process_time() - started, plain_h)
 
     def _pilot_paths(self, number: int, watch: CheckpointPlan) -> LoiterPaths:
         count = self.size.pilot_roots
@@ -201,75 +202,57 @@ class Study:
     def _seed(self) -> int:
         return int(self.plan.spec.campaign.seed)
 
-    def replicate(self, number: int, tuned: Tuned) -> tuple[Counted, list[FirstExcursion]]:
-        """Fly one replicate: what it counted, and the excursions that are kept with their path."""
-        begun, cases, size = time.process_time(), self.replicate_cases(number), self.size
-        watch = CheckpointPlan(size.step_s, LoiterScore(tuned.predicted), size.noted)
-        paths = LoiterPaths(
-            [case.flight for case in cases], [case.aleatory_id for case in cases], self._seed, watch
-        )
-        found = run(paths, size.roots, tuned.levels, len(self.radii_m))
-        nothing = (float("nan"),) * len(self.radii_m)
-        probability, events = (
-            tuple(map(float, each)) for each in (found.probability, found.events)
-        )
-        core_s = time.process_time() - begun
-        flown_s = found.steps * size.step_s
-        return Counted(
-            size.roots, probability, events, nothing, found.ended, flown_s, found.most, core_s
-        ), paths.hits
+    def replicate(self, number: int, tuning: Tuning) -> tuple[Counts, list[FirstExcursion]]:
+        """Fly one replicate and return its counts, and the excursions that are kept with their
+        path."""
+        started, cases, size = time.process_time(), self.replicate_cases(number), self.size
+        watch = CheckpointPlan(size.step_s, LoiterScore(tuning.predicted), size.noted)
+        flights, ids = [case.flight for case in cases], [case.aleatory_id for case in cases]
+        paths = LoiterPaths(flights, ids, self._seed, watch)
+        result = run(paths, size.roots, tuning.levels, len(self.radii_m))
+        by_radius = (result.probability, result.events, [math.nan] * len(self.radii_m))
+        probability, events, squares = (tuple(map(float, each)) for each in by_radius)
+        path_s, core_s = result.steps * size.step_s, time.process_time() - started
+        counts = (size.roots, probability, events, squares, result.ended, path_s, result.most)
+        return Counts(*counts, core_s), paths.hits
 
-    def plain(self, number: int) -> Counted:
-        """Fly one piece of flights that are not split. One that ends early counts one excursion at least, as in ``run``."""
-        begun, cases = time.process_time(), self.plain_cases(number)
-        flown = fly_group(BATCH, [case.flight for case in cases])
-        counts = np.array(
-            [[one.metrics[f"excursions_{radius:g}m"] for radius in self.radii_m] for one in flown]
-        )
-        failed = np.array([one.status != "ok" for one in flown])
+    def plain(self, number: int) -> Counts:
+        """Fly one piece of flights that are not split. One that ends early counts one excursion at
+        least, as in ``run``."""
+        started, cases = time.process_time(), self.plain_cases(number)
+        results = fly_group(BATCH, [case.flight for case in cases])
+        names = [f"excursions_{radius:g}m" for radius in self.radii_m]
+        counts = np.array([[one.metrics[name] for name in names] for one in results])
+        failed = np.array([one.status != "ok" for one in results])
         counts = np.maximum(np.nan_to_num(counts), failed[:, None])
-        share, mean, square = (
-            (counts > 0).mean(axis=0),
-            counts.mean(axis=0),
-            (counts**2).mean(axis=0),
-        )
-        found = (tuple(map(float, each)) for each in (share, mean, square))
-        flown_s = 3600.0 * self.hours * len(cases)
-        return Counted(
-            len(cases),
-            *found,
-            float(failed.mean()),
-            flown_s,
-            len(cases),
-            time.process_time() - begun,
-        )
+        means = (np.mean(each, axis=0) for each in (counts > 0, counts, counts**2))
+        by_radius = (tuple(map(float, each)) for each in means)
+        cost = (3600.0 * self.hours * len(cases), len(cases), time.process_time() - started)
+        return Counts(len(cases), *by_radius, float(failed.mean()), *cost)
 
     def reflown(self, hit: FirstExcursion) -> tuple[float, int]:
-        """The path of an excursion in JSBSim: its distance in that row [m], and rows beyond the radius by then (1: as here)."""
+        """Fly the path of an excursion in JSBSim.
+
+        Returns its distance in the excursion's row [m], and how many rows lie beyond the radius by
+        then (1: as here).
+        """
         case = self.cases(hit.aleatory_id, 1)[0]
         flight = replace(case.flight, duration_s=hit.frame * self.dt_s - case.flight.burn_in_s)
         mission = staged_mission(flight)
-        flown = record_mission(
-            mission, flight, scored_signals(mission), OPTIONAL_SIGNALS, splits=hit.splits
-        )
-        distance = np.abs(flown.signals[DISTANCE])
+        signals = scored_signals(mission)
+        record = record_mission(mission, flight, signals, OPTIONAL_SIGNALS, splits=hit.splits)
+        distance = np.abs(record.signals[DISTANCE])
         return float(distance[-1]), int((distance > self.radii_m[hit.kind]).sum())
 
 
 def chosen_hits(hits: Sequence[FirstExcursion], count: int) -> list[FirstExcursion]:
-    """Excursions of branched paths to fly again: the farthest radius first, a root once before any comes a second time."""
-    left = sorted(
-        (hit for hit in hits if hit.splits), key=lambda hit: (-hit.kind, hit.aleatory_id, hit.frame)
-    )
-    chosen: list[FirstExcursion] = []
-    while left and len(chosen) < count:
-        used: set[int] = set()
-        rest = []
-        for hit in left:
-            if hit.aleatory_id in used:
-                rest.append(hit)
-            else:
-                used.add(hit.aleatory_id)
-                chosen.append(hit)
-        left = rest
-    return chosen[:count]
+    """Choose excursions of branched paths to fly again: the farthest radius first, a root once
+    before any a second time."""
+    order = sorted((h for h in hits if h.splits), key=lambda h: (-h.kind, h.aleatory_id, h.frame))
+    turn: Counter[int] = Counter()
+    turns = []
+    for hit in order:
+        turns.append(turn[hit.aleatory_id])
+        turn[hit.aleatory_id] += 1
+    ranked = sorted(zip(turns, range(len(order)), strict=True))
+    return [order[place] for _, place in ranked[:count]]

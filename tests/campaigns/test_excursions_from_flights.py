@@ -8,8 +8,8 @@ import shutil
 import pytest
 
 from campaigns.excursions.full_size import plan as stand_ins
-from campaigns.full_size.folder import cell_table, lines
-from campaigns.full_size.plan import COPY, Plan
+from campaigns.library.plan import COPY, Plan
+from campaigns.library.store import cell_table, records
 from uqharness.campaign.engines import bounds_notes, named_aircraft
 from uqharness.campaign.spec.campaign import read_bounds
 from uqharness.simulator import content_hash, find_aircraft
@@ -69,7 +69,7 @@ def test_a_copy_that_is_missing_is_made_again(tmp_path):
 def test_shards_are_of_these_files_and_whole(model):
     plan, shards = full_size.plan(model), full_size.HOME / model / "shards"
     for condition in plan.conditions[:: len(plan.conditions) // 3]:
-        if lines(shards, condition):
+        if records(shards, condition):
             frame, used = cell_table(plan, shards, condition)
             assert len(frame) == 1600 * len(used)
             assert (frame["status"] == "ok").mean() > 0.9

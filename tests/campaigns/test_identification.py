@@ -27,7 +27,7 @@ from campaigns.identification.reproduce import (
     summary,
     true_values,
 )
-from campaigns.identification.through_jsbsim import covered, one_seed, said
+from campaigns.identification.through_jsbsim import covered, one_seed, words_of
 from tests.helpers import sixdof, stall_model
 from uqharness.cli.main import main
 from uqharness.replay.model import CONTROLS
@@ -199,7 +199,7 @@ def test_published_tables_are_whole(case):
         np.testing.assert_array_equal(table.loc[list(names), "published"], true_values(case, names))
     else:
         np.testing.assert_allclose(table.loc[list(names), "true"], true_values(case, names))
-        assert table["published"].isna().sum() == len(case.held)
+        assert table["published"].isna().sum() == len(case.omitted)
 
 
 def test_table_and_its_figures():
@@ -266,7 +266,8 @@ def test_coverage_through_jsbsim_counts_what_has_no_estimate():
     table = pd.DataFrame({"z": [0.1, -1.9, 2.1, np.nan], "method": "filter error"})
     assert covered(table) == 0.5
     assert (
-        said(table) == "50 % of 4 intervals hold the truth, rms of error / std 1.64 (filter error)"
+        words_of(table)
+        == "50 % of 4 intervals hold the truth, rms of error / std 1.64 (filter error)"
     )
 
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from campaigns.levels.reproduce import ERROR, TRUTHS, kept, main, measured
+from campaigns.levels.reproduce import ERROR, TRUTHS, keeps_level, main, measured
 from tests.helpers.few import few
 
 REPEATS = 1500
 
 
-@pytest.mark.parametrize("truth", few(TRUTHS, 3), ids=lambda truth: truth.name)
+@pytest.mark.parametrize("truth", few(TRUTHS, 3), ids=lambda truth: truth.campaign)
 def test_limits_keep_their_level(truth):
-    assert kept(measured(truth, REPEATS), REPEATS)
+    assert keeps_level(measured(truth, REPEATS), REPEATS)
 
 
 def test_limits_that_take_too_little_into_account_do_not():
@@ -22,12 +22,12 @@ def test_limits_that_take_too_little_into_account_do_not():
         "clusters at the carried limit of 4, rare",
     )
     by_name = {
-        truth.name: measured(truth, REPEATS)
+        truth.campaign: measured(truth, REPEATS)
         for truth in TRUTHS
-        if truth.name in (aborted, clustered)
+        if truth.campaign in (aborted, clustered)
     }
-    assert by_name[aborted].as_scheduled > 0.9
-    assert by_name[clustered].unclustered > 5.0 * ERROR
+    assert by_name[aborted].losses_as_scheduled > 0.9
+    assert by_name[clustered].excursions_if_poisson > 5.0 * ERROR
 
 
 def test_it_writes_its_table(tmp_path, capsys):

@@ -15,23 +15,23 @@ from campaigns.levels.answers import (
     REACH,
     TRUTHS,
     Level,
-    flown,
-    kept,
+    keeps_level,
     main,
     measured,
+    simulated,
 )
 
 COMMITTED = Path(__file__).parents[2] / "campaigns" / "levels" / "answers.csv"
 
 
 def named(name: str):
-    return next(truth for truth in TRUTHS if truth.name == name)
+    return next(truth for truth in TRUTHS if truth.campaign == name)
 
 
 def test_flights_have_the_rates_they_are_said_to_have():
     """Per hour flown at each corner, and the share of flights with an excursion at the worst."""
     truth = replace(named("clusters of 4 and aborted flights"), flights=1_000_000, abort=0.3)
-    frame = flown(truth, np.random.default_rng(1))
+    frame = simulated(truth, np.random.default_rng(1))
     frame["lost"] = 1.0 * (frame["status"] != "ok")
     sums = frame.groupby("epistemic_id")[
         [f"excursions_{ASKED_M:g}m", f"excursions_{NEAR_M:g}m", "lost", "duration_s"]
@@ -52,8 +52,8 @@ def test_flights_have_the_rates_they_are_said_to_have():
 @pytest.mark.parametrize("name", ["half of the flights aborted", "clusters of 2"])
 def test_answers_keep_their_level(name):
     level = measured(named(name), 60)
-    assert kept(level, 60)
-    assert level.ample_yes > 0.1
+    assert keeps_level(level, 60)
+    assert level.yes_to_four_times > 0.1
 
 
 def test_answers_do_not_where_clusters_are_assumed_away():
@@ -62,13 +62,13 @@ def test_answers_do_not_where_clusters_are_assumed_away():
 
 
 def test_limits_that_say_nothing_keep_no_level():
-    assert not kept(Level(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, float("inf")), 1000)
+    assert not keeps_level(Level(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, float("inf")), 1000)
 
 
 def test_the_committed_table_is_of_these_campaigns_and_keeps_its_levels():
     rows = list(csv.DictReader(COMMITTED.read_text(encoding="utf-8").splitlines()))
-    assert [row["campaign"] for row in rows] == [truth.name for truth in TRUTHS]
-    assert [row["kept"] == "yes" for row in rows] == [truth.near for truth in TRUTHS]
+    assert [row["campaign"] for row in rows] == [truth.campaign for truth in TRUTHS]
+    assert [row["kept"] == "yes" for row in rows] == [truth.counts_near for truth in TRUTHS]
 
 
 def test_too_few_repeats_are_refused(tmp_path, capsys):

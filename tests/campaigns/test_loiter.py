@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from campaigns.excursions.full_size import plan
-from campaigns.full_size.cells import flown_cell
+from campaigns.library.store import cell_table
 from campaigns.loiter.full_size import METRICS, Share, main, published_shares, write_tables
 from tests.helpers.shards import flown
 from uqharness.flight import COEFFICIENTS
@@ -85,9 +85,9 @@ def test_the_pbox_has_its_quantiles_and_the_picture_its_charts(folders):
 def test_the_print_is_as_in_the_table_and_ranges_are_compared_by_their_limits():
     table = published_shares()
     assert table.loc["CX", "altitude_max"] == 0.7427
-    assert Share("m", "CX", (0.2, 0.3), (0.1, 0.4), (0.4, 0.5)).beside == "overlaps"
-    assert Share("m", "CX", (0.2, 0.3), (0.1, 0.35), (0.4, 0.5)).beside == "below"
-    assert Share("m", "CX", (0.6, 0.7), (0.55, 0.8), (0.4, 0.5)).beside == "above"
+    assert Share("m", "CX", 0.2, 0.3, 0.1, 0.4, 0.4, 0.5).beside == "overlaps"
+    assert Share("m", "CX", 0.2, 0.3, 0.1, 0.35, 0.4, 0.5).beside == "below"
+    assert Share("m", "CX", 0.6, 0.7, 0.55, 0.8, 0.4, 0.5).beside == "above"
 
 
 def test_nothing_flown_is_bad_input(tmp_path, capsys):
@@ -96,7 +96,7 @@ def test_nothing_flown_is_bad_input(tmp_path, capsys):
 
 
 def test_a_cell_is_analysed_as_a_campaign_is(folders, tmp_path):
-    found, used = flown_cell(plan(), folders["printed"] / "shards", plan().condition("severe-3"))
-    assert found.coefficients == COEFFICIENTS
-    assert [line.airs for line in used] == [25]
-    assert json.dumps(write_tables(found, tmp_path)).count("reduce") >= 1
+    shards, condition = folders["printed"] / "shards", plan().condition("severe-3")
+    frame, used = cell_table(plan(), shards, condition)
+    assert [record.airs for record in used] == [25]
+    assert json.dumps(write_tables(frame, tmp_path)).count("reduce") >= 1

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from campaigns.modal.reproduce import PUBLISHED, compare, published, table_text
-from campaigns.modal.through_jsbsim import linear_model, nominal_trim, outputs_of, what_is_left_out
+from campaigns.library.study import published_table
+from campaigns.modal.reproduce import compare, published, table_text
+from campaigns.modal.through_jsbsim import linear_model, nominal_trim, outputs_of, successive_models
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.sensitivity import analyse
@@ -133,7 +133,7 @@ def test_printed_tables_are_all_there():
         table = published(output)
         assert list(table.index) == list(NOMINAL)
         assert (table["proposed_min"].astype(float) <= table["proposed_max"].astype(float)).all()
-    loiter = pd.read_csv(PUBLISHED / "table_4_7.csv", comment="#", index_col=0)
+    loiter = published_table("4.7", index_col=0)
     for quantity in ("cross_track", "altitude", "speed"):
         assert (loiter[f"{quantity}_min"] <= loiter[f"{quantity}_max"]).all()
     assert loiter["cross_track_max"].idxmax() == "Cn"
@@ -203,7 +203,7 @@ def test_a_model_without_level_flight_is_refused(espaaro):
 
 
 def test_what_the_linear_model_leaves_out_ends_at_jsbsim(espaaro):
-    rows = what_is_left_out(espaaro)
+    rows = successive_models(espaaro)
     assert rows[-2][1] == pytest.approx(rows[-1][1], rel=1e-3)
     # The thrust that falls with speed trebles the phugoid's damping; the short period hardly moves.
     first, thrust = rows[0][1], rows[1][1]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from campaigns.library.study import seed_range
 from sysid.aerodynamics import noise_variance, with_sensor_noise
 from sysid.aerodynamics.coefficients import COEFFICIENTS
 from sysid.model_form.fit import fit_bounds
@@ -80,7 +81,7 @@ def test_gains_of_the_noise_free_flight_serve_the_noisy_one():
     ours, theirs = (fit_bounds(r) for r in (quick, full))
     for c in COEFFICIENTS:
         widths = [
-            np.mean(JUDGE.whole_interval(f[c].bounds, quiet.true.states)[1]) for f in (ours, theirs)
+            np.mean(JUDGE.error_interval(f[c].bounds, quiet.true.states)[1]) for f in (ours, theirs)
         ]
         assert widths[0] == pytest.approx(widths[1], rel=0.05)
 
@@ -142,7 +143,7 @@ def test_tables_verdicts_and_pictures_say_so(answers, tmp_path):
         fits.assign(found=fits["case"] == "truth-calm"),
     )
     assert good == []
-    paths = STUDY.write_pictures([a for a in answers if "histories" in a], tmp_path)
+    paths = TABLES.write_pictures([a for a in answers if "histories" in a], tmp_path)
     assert [p.stem for p in paths] == list(COEFFICIENTS)
     assert "true error" in paths[0].read_text()
 
@@ -170,8 +171,8 @@ def test_what_is_there_is_not_flown_again(answers, tmp_path, monkeypatch, capsys
     kept = json.loads((tmp_path / "seeds" / "truth-calm-001.json").read_text())
     assert len(kept["rows"]) == 4 * 3 * 6
     with pytest.raises(ValueError, match="a number of seeds"):
-        STUDY.seed_range("4-1")
-    assert list(STUDY.seed_range("7-9")) == [7, 8, 9]
+        seed_range("4-1")
+    assert list(seed_range("7-9")) == [7, 8, 9]
 
 
 def test_the_p_box_by_parts_is_held_against_the_published_one(tmp_path, monkeypatch, capsys):
@@ -186,7 +187,7 @@ def test_the_p_box_by_parts_is_held_against_the_published_one(tmp_path, monkeypa
             for k, centre in enumerate(levels[folder.name])
         ]
 
-    monkeypatch.setattr(PBOX, "_flown", flown)
+    monkeypatch.setattr(PBOX, "fly_samples", flown)
     command = ["--out", str(tmp_path), "--seeds", "1", "--cases", "nominal-calm"]
     assert PBOX.main(command) == 0
     said = capsys.readouterr().out

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from campaigns.full_size.plan import Plan
+from campaigns.library.plan import Plan
 from campaigns.rare_events import closed_form, coverage, reproduce
 from campaigns.rare_events.folder import JSBSIM, LEVELS, PLAIN, REPLICATES, Folder
 from campaigns.rare_events.rates import rates
 from campaigns.rare_events.states import CENTRE_EAST_M, NAMES, PROPERTIES, regressors
-from campaigns.rare_events.study import TOP, Counted, Size, Study, Tuned, chosen_hits
+from campaigns.rare_events.study import TOP, Counts, Size, Study, Tuning, chosen_hits
 from sysid.units import FT_M
 from uqharness.campaign.rare_events import DistancePredictor, FirstExcursion
 from uqharness.errors import BadInputError
@@ -50,7 +50,7 @@ rearm_m = 1
 """
 SIZE = Size(roots=3, plain=4, noted=2)
 NOW = tuple(float(name == "distance") for name in NAMES)
-TUNED = Tuned(
+TUNING = Tuning(
     Levels((-4.0, -2.0), 2), DistancePredictor(10.0, (1.0,), (NOW,), (0.0,), (1.0,)), 0.5, 1.0
 )
 """Levels 4 and 2 m inside 10 m."""
@@ -64,7 +64,7 @@ def study_of(folder: Path, text: str = SHORT) -> Study:
 
 
 def flown(study: Study, folder: Folder) -> None:
-    folder.keep_tuned(TUNED)
+    folder.keep_tuning(TUNING)
     reproduce.fly(study, folder, 2)
     reproduce.fly_plain(study, folder, 1)
 
@@ -81,7 +81,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Folder]:
 def test_a_kill_costs_the_piece_in_the_air(done, tmp_path, monkeypatch):
     study, kept = done
     other = Folder(tmp_path / "other", study.radii_m)
-    other.keep_tuned(TUNED)
+    other.keep_tuning(TUNING)
     whole, begun = Study.replicate, []
 
     def killed(self, number, tuned):
@@ -93,13 +93,13 @@ def test_a_kill_costs_the_piece_in_the_air(done, tmp_path, monkeypatch):
     monkeypatch.setattr(Study, "replicate", killed)
     with pytest.raises(KeyboardInterrupt):
         reproduce.fly(study, other, 2)
-    assert list(other.lines(REPLICATES)) == [0]
+    assert list(other.pieces(REPLICATES)) == [0]
     reproduce.fly(study, other, 2)
     assert begun == [0, 1, 1]
     timeless = [
         {
-            number: replace(line, counted=replace(line.counted, core_s=0.0, squares=()))
-            for number, line in each.lines(REPLICATES).items()
+            number: replace(line, counts=replace(line.counts, core_s=0.0, squares=()))
+            for number, line in each.pieces(REPLICATES).items()
         }
         for each in (kept, other)
     ]
@@ -137,7 +137,7 @@ def test_tables_refuse_what_other_flights_left(done, tmp_path, capsys):
         reproduce.tables(study, kept)
     levels.write_text("{}")
     with pytest.raises(BadInputError, match="no levels of a pilot"):
-        kept.tuned()
+        kept.tuning()
     levels.write_bytes(before)
 
 
@@ -145,12 +145,12 @@ def test_bad_input_is_told(tmp_path, capsys):
     with pytest.raises(BadInputError, match="--corner 1: not one of 000000 to 111111"):
         replace(study_of(tmp_path), corner="1")
     assert reproduce.main(["tables", "--cell", "calm-3"]) == 2
-    assert reproduce.main(["tables", "--shards", str(tmp_path)]) == 2
+    assert reproduce.main(["tables", "--studies", str(tmp_path)]) == 2
     assert "run the command fly" in capsys.readouterr().err
 
 
-def counted(share: float, mean: float, flights: int = 6, square: float = math.nan) -> Counted:
-    return Counted(flights, (share,), (mean,), (square,), 0.0, 1.0, 1, 1.0)
+def counted(share: float, mean: float, flights: int = 6, square: float = math.nan) -> Counts:
+    return Counts(flights, (share,), (mean,), (square,), 0.0, 1.0, 1, 1.0)
 
 
 def test_rates_agree_with_plain_flights_or_do_not():
@@ -215,10 +215,10 @@ def test_paths_of_many_roots_are_chosen_first():
 def test_a_pilot_that_has_replicates_and_no_levels_is_refused(done, tmp_path):
     study, kept = done
     folder = Folder(tmp_path / "torn", study.radii_m)
-    folder.add(REPLICATES, kept.lines(REPLICATES)[0])
+    folder.add(REPLICATES, kept.pieces(REPLICATES)[0])
     with pytest.raises(BadInputError, match="has replicates and no levels"):
         reproduce.fly(study, folder, 1)
-    assert folder.lines(PLAIN) == {}
+    assert folder.pieces(PLAIN) == {}
 
 
 def test_the_pilot_fits_predictions_and_finds_levels(done, tmp_path):
@@ -234,8 +234,8 @@ def test_the_pilot_fits_predictions_and_finds_levels(done, tmp_path):
     assert list(tuned.levels.scores) == sorted(tuned.levels.scores)
     assert tuned.levels.scores[-1] <= TOP
     kept = Folder(tmp_path, short.radii_m)
-    kept.keep_tuned(tuned)
-    assert kept.tuned() == tuned
+    kept.keep_tuning(tuned)
+    assert kept.tuning() == tuned
     with pytest.raises(BadInputError, match="fly more or longer paths than 1 in the pilot"):
         replace(short, size=replace(short.size, pilot_roots=1, pilot_s=12.0, aim_m=math.inf)).tune()
 
@@ -349,7 +349,7 @@ def test_repeats_of_the_closed_form_are_kept_with_their_limits():
     found = closed_form.Coverage(
         (closed_form.Repeat(known, known), closed_form.Repeat(none, known)), (0.004, 0.05)
     )
-    assert (found.repeats, found.probability, found.events) == (2, 1, 0)
+    assert (len(found.studies), found.probability, found.events) == (2, 1, 0)
     assert found.ratio == pytest.approx((0.004 + 0.003) / 2 / 0.004)
     first, second = found.rows("splitting")
     assert (first["probability_held"], first["events_held"], second["probability_held"]) == (

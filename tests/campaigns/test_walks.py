@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from campaigns.excursions.full_size import plan as corners_plan
-from campaigns.full_size.cells import common_airs
+from campaigns.library.tables import common_airs
 from tests.helpers.campaign_scripts import campaign_script
 from tests.helpers.shards import flown
 from uqharness.errors import BadInputError

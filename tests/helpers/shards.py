@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from campaigns.full_size.flying import fly
-from campaigns.full_size.plan import Plan, Shard
+from campaigns.library.flying import fly
+from campaigns.library.plan import Plan, Shard
 from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.flight import FlightResult, FlightSpec

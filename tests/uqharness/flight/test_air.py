@@ -13,7 +13,7 @@ import pytest
 from campaigns.air.pinned import (
     AIR_XML,
     Condition,
-    Seen,
+    Gusts,
     Source,
     measure,
     open_pinned,
@@ -119,7 +119,7 @@ def test_plain_jsbsim_is_not(heading_deg: float) -> None:
 
 def test_ten_percent_more_wind_is_noticed() -> None:
     seen = measure("host", replace(SHORT, W20_kt=33.0))
-    judged = compare(Seen("host", SHORT, seen.series))
+    judged = compare(Gusts("host", SHORT, seen.series))
     assert {row.component for row in judged if not row.within(0.03)} >= {"p", "q", "r"}
 
 
