@@ -48,8 +48,8 @@ def test_a_lock_is_taken_once_and_given_back_at_the_end_of_its_process(tmp_path:
     path = tmp_path / "lock"
     path.touch()
     held = (
-        "import os, sys\nfrom uqharness.files import lock_at_once\n"
-        "print(lock_at_once(os.open(sys.argv[1], os.O_RDWR)), flush=True)\nsys.stdin.read()"
+        "import os, sys\nfrom uqharness.files import try_lock\n"
+        "print(try_lock(os.open(sys.argv[1], os.O_RDWR)), flush=True)\nsys.stdin.read()"
     )
     with subprocess.Popen(
         [sys.executable, "-c", held, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE

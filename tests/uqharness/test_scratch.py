@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="kills and forks as POSI
 
 _HOLD = """
 import sys, time
-from uqharness.files import scratch_folder, without_scratch
+from uqharness.files import scratch_folder, hide_scratch_paths
 held = scratch_folder("held")
 (held.path / "big").write_text("x")
 print(held.path, flush=True)

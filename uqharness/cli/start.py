@@ -67,7 +67,7 @@ def _run_here(argv: Sequence[str] | None, ends: _EndSignals | None = None) -> in
     code = _run(argv, ends)
     scratch = sys.modules.get("uqharness.files")
     if scratch is not None:
-        scratch.sweep()  # workers that were killed on the way left their folders
+        scratch.remove_abandoned_folders()  # workers that were killed on the way left their folders
     if ends.received:
         atexit._run_exitfuncs()
         for stream in (sys.stdout, sys.stderr):

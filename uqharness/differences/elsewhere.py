@@ -374,4 +374,7 @@ def _child(job: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    _child(Path(sys.argv[1]), Path(sys.argv[2]))
+    # Imported again under its own name: a worker process cannot unpickle functions of __main__.
+    from uqharness.differences import elsewhere
+
+    elsewhere._child(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -496,8 +496,8 @@ def _plugin_system(aircraft: Aircraft, section: AeroSection) -> str:
         if not name:
             if declaration(section.main, "uq/active") is not None:
                 raise BadInputError(
-                    f"{section.main.where(node)}: the plugin's system is part of the aircraft's main"
-                    " XML; move it to a file, "
+                    f"{section.main.where(node)}: the plugin's system is part of the aircraft's"
+                    " main XML; move it to a file, "
                     f'<system file="{SYSTEM}"/>, so that bounds can replace it'
                 )
             continue

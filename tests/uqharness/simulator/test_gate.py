@@ -14,7 +14,7 @@ from uqharness.simulator.staging import MAX_DEPTH, leads_out, screen_file, tag_e
 def test_what_is_taken_out_leaves_every_other_byte_and_line() -> None:
     raw = b'<a>\r\n<output name="x>y"/>\n<b><output>kept</output></b>\n<output>\n<c file="/etc"/></output><input/><c/>\n</a>\n'
     found = screen_file(raw, "a.xml")
-    assert [(tag, line) for tag, line in found.taken_out] == [
+    assert [(tag, line) for tag, line in found.removed] == [
         ("output", 2),
         ("output", 4),
         ("input", 5),
@@ -35,7 +35,7 @@ def test_an_element_made_by_an_entity_is_refused() -> None:
     with pytest.raises(BadInputError, match="leads out"):
         screen_file(path, "a.xml")
     # Text from an entity is what stock systems have.
-    assert screen_file(b'<!DOCTYPE a [<!ENTITY on "1">]><a><v>&on;</v></a>', "a.xml").taken_out == ()
+    assert screen_file(b'<!DOCTYPE a [<!ENTITY on "1">]><a><v>&on;</v></a>', "a.xml").removed == ()
 
 
 def test_entities_do_not_multiply() -> None:
@@ -132,4 +132,4 @@ def test_references_are_named_as_jsbsim_opens_them():
 def test_an_encoding_in_which_nothing_can_be_taken_out():
     with pytest.raises(BadInputError, match="UTF-16"):
         screen_file("<a><output/></a>".encode("utf-16"), "a.xml")
-    assert screen_file("<a><b/></a>".encode("utf-16"), "a.xml").taken_out == ()
+    assert screen_file("<a><b/></a>".encode("utf-16"), "a.xml").removed == ()

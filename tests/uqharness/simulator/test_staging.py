@@ -55,7 +55,7 @@ def test_a_second_root_may_be_edited(folder: Path, tmp_path: Path) -> None:
     second = copy_staging(first, tmp_path / "second")
     second.xml.write_text("<gone/>")
     assert first.xml.read_bytes() != second.xml.read_bytes()
-    assert [real for _, real in second.user_folders] == [real for _, real in first.shown]
+    assert [real for _, real in second.user_folders] == [real for _, real in first.user_folders]
     assert all(at.is_relative_to(tmp_path / "second") for at, _ in second.user_folders)
 
 
