@@ -1,4 +1,6 @@
-"""The compiled engine: an aircraft's XML traced to a small typed form, compiled, and flown in many lanes at once."""
+"""The compiled engine: an aircraft's XML traced to a small typed form, compiled, and flown in many
+lanes at once.
+"""
 
 import lazy_loader
 

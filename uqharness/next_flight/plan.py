@@ -1,4 +1,5 @@
-"""From a campaign's sensitivity to the next test flight: which coefficient, where in its states, and what to fly.
+"""From a campaign's sensitivity to the next test flight: which coefficient, where in its states,
+and what to fly.
 
 Pure but for the flights that it simulates: writes nothing outside a temporary folder.
 """
@@ -75,12 +76,12 @@ from uqharness.text_tables import text_table
 
 @dataclass(frozen=True)
 class Prospect:
-    """Mean widths of one coefficient's interval over the mission: now, after the flight, after as many seconds of what was flown
-    before, and after endless flying, the scatter being what it is. narrowing, parameter_narrowing: shares of the width, and of its
-    parameter part, that go.
+    """Mean widths of one coefficient's interval over the mission: now, after the flight, after as
+    many seconds of what was flown before, and after endless flying, the scatter being what it is.
+    narrowing, parameter_narrowing: shares of the width, and of its parameter part, that go.
 
-    redone: what bounds made again will show. Their scatter is that of other speeds: noise grows as the dynamic pressure falls.
-    """
+    redone: what bounds made again will show. Their scatter is that of other speeds: noise grows as
+    the dynamic pressure falls."""
 
     now: Width
     then: Width
@@ -107,7 +108,9 @@ class Prospect:
 def prospects(
     form: ModelForm, mission: Occupancy, flown: Residuals, weight: float, trials: Sequence[Trial]
 ) -> dict[str, Prospect]:
-    """Of every coefficient, from a simulated flight's states. weight: see `sysid.model_form.information_gain.information`."""
+    """Of every coefficient, from a simulated flight's states. weight: see
+    `sysid.model_form.information_gain.information`.
+    """
     behind_s = sum(f.seconds for f in form.flights)
     new_s = sum(float(p.time_s[-1] - p.time_s[0]) for p in flown.pieces)
     scatter = scatter_ratios(form, flown, trials)
@@ -132,7 +135,9 @@ def prospects(
 
 
 def scatter_ratios(form: ModelForm, flown: Residuals, trials: Sequence[Trial]) -> dict[str, float]:
-    """Coefficient -> residual variance at a flight's speeds over that behind the bounds, by the trend of the model's trials."""
+    """Coefficient -> residual variance at a flight's speeds over that behind the bounds, by the
+    trend of the model's trials.
+    """
     out = {}
     speeds = np.array([float(np.mean(t.states["V_mps"])) for t in trials])
     counts = np.array([float(len(t.delta)) for t in trials])
@@ -169,16 +174,22 @@ def widths_over(form: ModelForm, mission: Occupancy) -> dict[str, Width]:
 
 
 WORTH = 0.05
-"""Share by which a flight must narrow the interval in the mission's flight states to be worth flying."""
+"""Share by which a flight must narrow the interval in the mission's flight states to be worth
+flying.
+"""
 SENSORS = 1.3
-"""Up to this ratio of the scatter's standard deviation to that of the model's own simulated flight it is noise and air."""
+"""Up to this ratio of the scatter's standard deviation to that of the model's own simulated flight
+it is noise and air.
+"""
 _TURN_RAD = math.radians(8.0)
 _TRIES = 8
 
 
 @dataclass(frozen=True)
 class Options:
-    """minutes: the flight's length at most; speeds_mps: of the points (default: the mission's); seed of the simulations."""
+    """minutes: the flight's length at most; speeds_mps: of the points (default: the mission's);
+    seed of the simulations.
+    """
 
     minutes: float = 5.0
     speeds_mps: tuple[float, ...] = ()
@@ -187,8 +198,8 @@ class Options:
 
 @dataclass(frozen=True)
 class Where:
-    """Quartiles (3,) of one state: in the data behind the bounds, on the mission, and of the uncertainty there, which is
-    occupancy times prediction variance."""
+    """Quartiles (3,) of one state: in the data behind the bounds, on the mission, and of the
+    uncertainty there, which is occupancy times prediction variance."""
 
     state: str
     data: FloatArray
@@ -198,7 +209,9 @@ class Where:
 
 @dataclass(frozen=True)
 class Planned:
-    """A test point of the flight. gain: share of the mean width that it took when it was chosen, given those before it."""
+    """A test point of the flight. gain: share of the mean width that it took when it was chosen,
+    given those before it.
+    """
 
     point: TestPoint
     start_s: float
@@ -210,11 +223,12 @@ class Planned:
 class NextFlight:
     """What to fly for ``coefficient``, and what that will bring.
 
-    scatter, simulated_scatter  s of the bounds, and of the same fit to the flight as the model alone, with its sensors, flies it
-    extrapolated  share of the mission outside the data          states  of the planned flight, name -> (n,), filtered
-    end_s         length of the flight                            refused  points that the model did not bear
-    bounds_then   the coefficient's interval with the flight's data, but for beta
-    """
+    scatter, simulated_scatter  s of the bounds, and of the same fit to the flight as the model
+    alone, with its sensors, flies it
+    extrapolated  share of the mission outside the data          states  of the planned flight, name
+    -> (n,), filtered
+    end_s         length of the flight                            refused  points that the model did
+    not bear bounds_then   the coefficient's interval with the flight's data, but for beta"""
 
     coefficient: str
     prospects: Mapping[str, Prospect]
@@ -241,7 +255,9 @@ class NextFlight:
 
     @property
     def form_is_short(self) -> bool:
-        """Whether the scatter is more than sensors and air explain, so that a term is missing (or the air was rougher)."""
+        """Whether the scatter is more than sensors and air explain, so that a term is missing (or
+        the air was rougher).
+        """
         return self.scatter > SENSORS * self.simulated_scatter
 
 
@@ -249,24 +265,28 @@ def check_form(form: ModelForm, aircraft: Aircraft, coefficient: str, where: str
     """Refuse bounds that cannot be narrowed by flying. Raises BadInputError saying what to do."""
     if form.aircraft.name != aircraft.name:
         raise BadInputError(
-            f"{where}: the bounds belong to aircraft '{form.aircraft.name}', the campaign flew '{aircraft.name}'; give the bounds "
-            "of the aircraft that flew (uqharness bounds)"
+            f"{where}: the bounds belong to aircraft '{form.aircraft.name}', the campaign flew"
+            f" '{aircraft.name}'; give the bounds of the aircraft that flew (uqharness bounds)"
         )
     if coefficient not in form.coefficients:
         raise BadInputError(
-            f"{where}: has no bounds for {coefficient}; it has {', '.join(form.coefficients)}. Make them with uqharness bounds"
+            f"{where}: has no bounds for {coefficient}; it has {', '.join(form.coefficients)}. Make"
+            " them with uqharness bounds"
         )
     bounds = form.coefficients[coefficient]
     if all(not any(term) for term in bounds.terms):
         raise BadInputError(
-            f"{where}: the bounds of {coefficient} are constant: they depend on no flight state, so there is no place in which "
-            "data would narrow them more than elsewhere. Make bounds of order 1 or 2 from a flight that moves "
-            f"{', '.join(bounds.states)} (uqharness bounds --order 2), then ask again"
+            f"{where}: the bounds of {coefficient} are constant: they depend on no flight state, so"
+            " there is no place in which data would narrow them more than elsewhere. Make bounds"
+            f" of order 1 or 2 from a flight that moves {', '.join(bounds.states)} (uqharness"
+            " bounds --order 2), then ask again"
         )
 
 
 def allowed_states(form: ModelForm, mission: Occupancy) -> dict[str, tuple[float, float]]:
-    """What test points may reach: the range of data and mission together, half as wide again on either side, and 60 deg of bank."""
+    """What test points may reach: the range of data and mission together, half as wide again on
+    either side, and 60 deg of bank.
+    """
     out: dict[str, tuple[float, float]] = {}
     for bounds in form.coefficients.values():
         for k, state in enumerate(bounds.states):
@@ -286,7 +306,9 @@ def allowed_states(form: ModelForm, mission: Occupancy) -> dict[str, tuple[float
 def conditions_of(
     mission: Occupancy, flight: TestFlight, speeds_mps: Sequence[float]
 ) -> list[Condition]:
-    """Speeds at which the mission flies (quantiles 5, 50, 95 %), straight and in its turns; without an autopilot as it flies."""
+    """Speeds at which the mission flies (quantiles 5, 50, 95 %), straight and in its turns; without
+    an autopilot as it flies.
+    """
     if not flight.has_autopilot:
         return [Condition()]
     speeds = sorted(speeds_mps) or [
@@ -325,8 +347,8 @@ def _check_minutes(flight: TestFlight, options: Options) -> None:
     least = QUIET_S + REST_S + RECOVERY_S + _before(flight)
     if 60.0 * options.minutes < least:
         raise BadInputError(
-            f"--minutes {options.minutes:g}: no test point fits; the shortest takes {least / 60.0:.2g} minutes with what comes "
-            "before it"
+            f"--minutes {options.minutes:g}: no test point fits; the shortest takes"
+            f" {least / 60.0:.2g} minutes with what comes before it"
         )
 
 
@@ -337,7 +359,10 @@ def _before(flight: TestFlight) -> float:
 def try_library(
     form: ModelForm, mission: Occupancy, flight: TestFlight, options: Options, cutoffs: Cutoffs
 ) -> tuple[list[Trial], list[Refused]]:
-    """Every test point of the library, flown by the model. Raises BadInputError if it bears none."""
+    """Every test point of the library, flown by the model.
+
+    Raises BadInputError if it bears none.
+    """
     conditions = conditions_of(mission, flight, options.speeds_mps)
     speed = float(np.median(mission.states["V_mps"]))
     points = library(flight.aircraft, conditions, unit_times(flight.aircraft, speed, 100.0))
@@ -347,8 +372,9 @@ def try_library(
     if not trials:
         first = refused[0]
         raise BadInputError(
-            f"of {len(points)} test points '{flight.aircraft.name}' bears none; the first, {first.point.name}: {first.reason}. "
-            "Give other --speeds, or bounds from a flight that moves more"
+            f"of {len(points)} test points '{flight.aircraft.name}' bears none; the first,"
+            f" {first.point.name}: {first.reason}. Give other --speeds, or bounds from a flight"
+            " that moves more"
         )
     return trials, refused
 
@@ -381,8 +407,9 @@ def plan_from(
     )
     if not chosen:
         raise BadInputError(
-            f"--minutes {options.minutes:g}: no test point fits or narrows anything; the shortest takes "
-            f"{(min(o.seconds for o in offers) + _before(flight)) / 60.0:.2g} minutes with what comes before it"
+            f"--minutes {options.minutes:g}: no test point fits or narrows anything; the shortest"
+            f" takes {(min(o.seconds for o in offers) + _before(flight)) / 60.0:.2g} minutes with"
+            " what comes before it"
         )
     gains: dict[int, float] = {}
     before = _mean_half_width(form, coefficient, states)
@@ -440,7 +467,10 @@ def _where(form: ModelForm, coefficient: str, mission: Occupancy) -> tuple[Where
 def _simulate(
     flight: TestFlight, picked: Sequence[tuple[TestPoint, float]], seed: int, form: ModelForm
 ) -> tuple[Residuals, list[tuple[TestPoint, float]], list[Refused]]:
-    """The whole flight by the model; a point at which it ends is taken out. Raises BadInputError if it never ends well."""
+    """The whole flight by the model; a point at which it ends is taken out.
+
+    Raises BadInputError if it never ends well.
+    """
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
     left, lost = list(picked), list[Refused]()
     with scratch_folder() as scratch:
@@ -479,18 +509,22 @@ _ON_AUTOPILOT_S = 4.0
 
 
 def bounds_of(campaign: CampaignMission, folder: Path, coefficient: str) -> Path:
-    """The model form that the campaign in ``folder`` flew. Raises BadInputError for other bounds, saying what to do."""
+    """The model form that the campaign in ``folder`` flew.
+
+    Raises BadInputError for other bounds, saying what to do.
+    """
     if campaign.spec.inputs.model_form is not None:
         return campaign.spec.inputs.model_form
     if not _constant(campaign):
         raise BadInputError(
-            f"{folder}: flew the bounds that the aircraft carries; give the model-form.json that they were made from with "
-            "--bounds (constant ones tell nothing of where data are lacking)"
+            f"{folder}: flew the bounds that the aircraft carries; give the model-form.json that"
+            " they were made from with --bounds (constant ones tell nothing of where data are"
+            " lacking)"
         )
     raise BadInputError(
-        f"{folder}: flew constant bounds of {coefficient}, which depend on no flight state: nothing says where data are "
-        "lacking. Make bounds from flights (uqharness bounds AIRCRAFT --flight FILE --out DIR) and give them with "
-        "--bounds DIR/model-form.json"
+        f"{folder}: flew constant bounds of {coefficient}, which depend on no flight state: nothing"
+        " says where data are lacking. Make bounds from flights (uqharness bounds AIRCRAFT"
+        " --flight FILE --out DIR) and give them with --bounds DIR/model-form.json"
     )
 
 
@@ -500,7 +534,9 @@ def _constant(campaign: CampaignMission) -> bool:
 
 
 def aircraft_of(campaign: CampaignMission) -> Aircraft:
-    """What is flown: the author's aircraft, but for a trimmed start, whose initial conditions lie in the campaign's copy."""
+    """What is flown: the author's aircraft, but for a trimmed start, whose initial conditions lie
+    in the campaign's copy.
+    """
     own = campaign.spec.start is not None or campaign.mission.source == Path()
     return find_aircraft(campaign.mission.aircraft if own else campaign.mission.source)
 
@@ -508,7 +544,9 @@ def aircraft_of(campaign: CampaignMission) -> Aircraft:
 def flight_of(
     campaign: CampaignMission, aircraft: Aircraft, form: ModelForm, turbulence: str
 ) -> TestFlight:
-    """The test flight as it is simulated: the mission's script and air of that intensity, recorded at the bounds' rate."""
+    """The test flight as it is simulated: the mission's script and air of that intensity, recorded
+    at the bounds' rate.
+    """
     held = campaign.spec.start is None and has_autopilot(aircraft)
     begin_s = _ON_AUTOPILOT_S if held else min(float(campaign.spec.aleatory.burn_in_s), _BURN_IN_S)
     steps = max(1, round(1.0 / (min(form.filtering.rate_hz, 60.0) * aircraft.dt_s)))
@@ -527,7 +565,10 @@ def flight_of(
 def missing_in(
     form: ModelForm, aircraft: Aircraft, coefficient: str, flights: Sequence[Path]
 ) -> list[MissingTerm]:
-    """Terms that the flights show to be missing in a coefficient's polynomial. Raises BadInputError."""
+    """Terms that the flights show to be missing in a coefficient's polynomial.
+
+    Raises BadInputError.
+    """
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
     residuals = together(residuals_of(aircraft, flights, cutoffs))
     try:
@@ -558,41 +599,48 @@ def warnings_of(
     aircraft, out = flight.aircraft, []
     if form.aircraft.sha256 != content_hash(aircraft) and campaign.spec.start is None:
         out.append(
-            f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was"
+            f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the"
+            " model as it was"
         )
     if not campaign.same_aircraft:
         out.append(
-            "the campaign was made by uqharness 0.1: whether its aircraft is as it was cannot be told, nor whether its table is"
+            "the campaign was made by uqharness 0.1: whether its aircraft is as it was cannot be"
+            " told, nor whether its table is"
         )
     if campaign.spec.inputs.model_form is None:
         kind = (
             "constant ones" if _constant(campaign) else "perhaps: those that the aircraft carries"
         )
         out.append(
-            f"the campaign flew other bounds than these ({kind}): which coefficient wins may differ with these"
+            f"the campaign flew other bounds than these ({kind}): which coefficient wins may differ"
+            " with these"
         )
     elif bounds is not None and bounds.read_bytes() != campaign.spec.inputs.model_form.read_bytes():
         out.append(
-            "the campaign flew other bounds than these: which coefficient wins may differ with these"
+            "the campaign flew other bounds than these: which coefficient wins may differ with"
+            " these"
         )
     known = {f.sha256 for f in form.flights}
     others = [p.name for p in flights if file_sha256(p) not in known]
     if others:
         out.append(
-            f"--flight {', '.join(others)}: not among the flights behind the bounds; its scatter may differ"
+            f"--flight {', '.join(others)}: not among the flights behind the bounds; its scatter"
+            " may differ"
         )
     if campaign.failed and flown:
         out.append(
-            f"{campaign.failed} flights of the campaign failed and do not count for the mission's states"
+            f"{campaign.failed} flights of the campaign failed and do not count for the mission's"
+            " states"
         )
     if not flight.noise:
         out.append(
-            f"aircraft '{aircraft.name}' has no sensors system: the flight was simulated without sensor noise"
+            f"aircraft '{aircraft.name}' has no sensors system: the flight was simulated without"
+            " sensor noise"
         )
     if not flight.has_autopilot:
         out.append(
-            f"aircraft '{aircraft.name}' has none of this project's autopilot: test points are steps added to the commands while "
-            "the mission is flown, at its speed and bank alone"
+            f"aircraft '{aircraft.name}' has none of this project's autopilot: test points are"
+            " steps added to the commands while the mission is flown, at its speed and bank alone"
         )
     return out
 
@@ -606,7 +654,9 @@ Row = Mapping[str, float | None]
 def achieved(
     before: ModelForm, after: ModelForm, mission: Occupancy, planned: Path
 ) -> dict[str, Row]:
-    """Coefficient -> widths, narrowings and, where ``planned`` is a next-flight.json, those predicted there."""
+    """Coefficient -> widths, narrowings and, where ``planned`` is a next-flight.json, those
+    predicted there.
+    """
     predicted = _planned(planned)
     then, now = widths_over(after, mission), widths_over(before, mission)
     return {

@@ -1,4 +1,6 @@
-"""Test points that a next flight could consist of: which control, how far, how long, at which speed and bank."""
+"""Test points that a next flight could consist of: which control, how far, how long, at which speed
+and bank.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ _SURFACES = ("elevator", "aileron", "rudder")
 
 @dataclass(frozen=True)
 class Steps:
-    """Steps of a control about where it stands: ``pattern`` of (units, sign), ``size`` in the control's unit, from ``start_s``."""
+    """Steps of a control about where it stands: ``pattern`` of (units, sign), ``size`` in the
+    control's unit, from ``start_s``.
+    """
 
     control: str
     size: float
@@ -59,7 +63,9 @@ class Steps:
 
 @dataclass(frozen=True)
 class Condition:
-    """What a test point begins from: true airspeed and bank of a steady turn (0: straight, + right). None: as the mission flies."""
+    """What a test point begins from: true airspeed and bank of a steady turn (0: straight, +
+    right). None: as the mission flies.
+    """
 
     speed_mps: float | None = None
     bank_deg: float = 0.0
@@ -75,7 +81,9 @@ class Condition:
 
 @dataclass(frozen=True)
 class TestPoint:
-    """``kind`` in words, the steps (none: steady flight, controls as they stand), and ``rest_s`` after the last of them."""
+    """``kind`` in words, the steps (none: steady flight, controls as they stand), and ``rest_s``
+    after the last of them.
+    """
 
     kind: str
     steps: tuple[Steps, ...]
@@ -104,10 +112,11 @@ def half_travel(card: InputCard) -> float:
 def library(
     aircraft: Aircraft, conditions: Sequence[Condition], unit_s: Mapping[str, float]
 ) -> list[TestPoint]:
-    """Steady flight, doublets both ways, 3-2-1-1, throttle doublets and all axes in turn, at every condition.
+    """Steady flight, doublets both ways, 3-2-1-1, throttle doublets and all axes in turn, at every
+    condition.
 
-    unit_s: seconds of one unit by control. Amplitudes follow the card's stops; which of them an aircraft bears, a simulation tells.
-    """
+    unit_s: seconds of one unit by control. Amplitudes follow the card's stops; which of them an
+    aircraft bears, a simulation tells."""
     kinds = [*_kinds(aircraft, unit_s)]
     return [replace(point, condition=c) for c in conditions for point in kinds]
 
@@ -145,7 +154,8 @@ def _kinds(aircraft: Aircraft, unit_s: Mapping[str, float]) -> Iterator[TestPoin
                     (0.6 if control == "elevator" else 1.0) * share * half_travel(inputs[control])
                 )
                 steps_of.append(Steps(control, size, unit_s[control], start_s=start))
-                # The next axis begins while this one still moves: this separates products of states.
+                # The next axis begins while this one still moves: this separates products of
+                # states.
                 start += 1.5 * unit_s[control]
             yield TestPoint(
                 f"doublets of {', '.join(surfaces)} {share:.0%}", tuple(steps_of), nowhere
@@ -179,7 +189,9 @@ AUTOPILOT = (
 )
 """Properties by which this project's autopilot is known."""
 RECOVERY_S = 8.0
-"""On the autopilot after a point: from an unsettled state, controls that stand still lead into a dive."""
+"""On the autopilot after a point: from an unsettled state, controls that stand still lead into a
+dive.
+"""
 TRANSITION_S = 14.0
 """To another speed or bank, on the autopilot."""
 MOST_BANK_RAD, MOST_PITCH_RAD, MOST_LOSS_M = math.radians(60.0), math.radians(30.0), 35.0
@@ -198,7 +210,8 @@ class Timed:
 
 
 def schedule(points: Sequence[TestPoint], begin_s: float) -> tuple[list[Timed], float]:
-    """When each point is flown, and the end of the flight. Points of one condition should stand together.
+    """When each point is flown, and the end of the flight. Points of one condition should stand
+    together.
 
     begin_s: when the mission has settled and the first transition may begin.
     """
@@ -221,7 +234,10 @@ def script_text(
     name: str,
     purpose: str,
 ) -> bytes:
-    """The script as XML: the file ``mission`` with the points of `schedule` added. Raises BadInputError as parse_xml does."""
+    """The script as XML: the file ``mission`` with the points of `schedule` added.
+
+    Raises BadInputError as parse_xml does.
+    """
     tree = parse_xml(mission)
     root = tree.getroot()
     run = root.find("run")
@@ -265,8 +281,9 @@ def script_text(
     events[-1].tail = "\n  "
     # Comments above the mission's root are left out: they tell of the mission.
     said = (
-        f"\n  {purpose}, made by uqharness next-flight from {mission.name}, in still air unless the host says otherwise.\n"
-        f"  {MANOEUVRE_PROPERTY} counts the test points, 0 in between; the event that sets a number bears the point's name.\n"
+        f"\n  {purpose}, made by uqharness next-flight from {mission.name}, in still air unless the"
+        f" host says otherwise.\n  {MANOEUVRE_PROPERTY} counts the test points, 0 in between; the"
+        " event that sets a number bears the point's name.\n"
     )
     body = etree.tostring(root, encoding="unicode", with_tail=False)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n<!--{said}-->\n{body}\n'.encode()
@@ -312,7 +329,9 @@ def _events(
 
 
 def _safety_pilot() -> etree._Element:
-    """Ends a point whose attitude or height gets out of hand: the autopilot takes over, and the point's record ends there."""
+    """Ends a point whose attitude or height gets out of hand: the autopilot takes over, and the
+    point's record ends there.
+    """
     event = etree.Element("event", name="safety pilot", persistent="true")
     condition = etree.SubElement(event, "condition", logic="OR")
     condition.text = (
@@ -375,7 +394,9 @@ def _stands_at(card: InputCard) -> str | None:
 
 
 def _heading_for(condition: Condition) -> Iterator[etree._Element]:
-    """Speed, and a circle that begins here and now: its centre abeam, so that no transition to it is flown."""
+    """Speed, and a circle that begins here and now: its centre abeam, so that no transition to it
+    is flown.
+    """
     if condition.speed_mps is None:
         return
     bank = math.radians(abs(condition.bank_deg))
@@ -404,7 +425,10 @@ _GOLDEN = 0.6180339887498949
 
 @dataclass(frozen=True)
 class Occupancy:
-    """States of a mission, name -> (n,), evenly spaced in time. ``flights`` were flown, ``failed`` more did not end well."""
+    """States of a mission, name -> (n,), evenly spaced in time.
+
+    ``flights`` were flown, ``failed`` more did not end well.
+    """
 
     states: Mapping[str, FloatArray]
     flights: int
@@ -417,17 +441,19 @@ class Occupancy:
         missing = [n for n in names if n not in self.states]
         if missing:
             raise BadInputError(
-                f"the bounds depend on {', '.join(missing)}, which {self.source} does not tell; known are {', '.join(self.states)}"
+                f"the bounds depend on {', '.join(missing)}, which {self.source} does not tell;"
+                f" known are {', '.join(self.states)}"
             )
         return {n: self.states[n] for n in names}
 
 
 @dataclass(frozen=True)
 class CampaignMission:
-    """A finished campaign opened to fly some of it again. ``cases`` are those that ended well, ``failed`` how many did not.
+    """A finished campaign opened to fly some of it again. ``cases`` are those that ended well,
+    ``failed`` how many did not.
 
-    ``same_aircraft`` False: made by uqharness 0.1, which left no identity that tells whether the aircraft is as it was.
-    """
+    ``same_aircraft`` False: made by uqharness 0.1, which left no identity that tells whether the
+    aircraft is as it was."""
 
     folder: Path
     spec: CampaignSpec
@@ -438,11 +464,14 @@ class CampaignMission:
 
 
 def open_campaign(folder: Path) -> CampaignMission:
-    """Raises BadInputError where the campaign's aircraft, script or versions are not what they were."""
+    """Raises BadInputError where the campaign's aircraft, script or versions are not what they
+    were.
+    """
     manifest = read_complete(folder)
     spec = spec_of(manifest)
     mission = find_mission(spec, folder)
-    # What this version calls the same aircraft is not what 0.1 did: its hash may differ with not a byte changed.
+    # What this version calls the same aircraft is not what 0.1 did: its hash may differ with not a
+    # byte changed.
     but_for = () if has_digests(manifest) else ("uqharness", "aircraft")
     refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""), but_for)
     if needs_copy(spec):
@@ -474,7 +503,10 @@ def some_cases(cases: Sequence[Case], count: int) -> list[Case]:
 
 
 def fly_mission(campaign: CampaignMission, count: int) -> Occupancy:
-    """States of ``count`` of the campaign's flights, after their burn-in. Raises BadInputError if none ended well."""
+    """States of ``count`` of the campaign's flights, after their burn-in.
+
+    Raises BadInputError if none ended well.
+    """
     parts: list[dict[str, FloatArray]] = []
     failed, seconds = 0, 0.0
     for case in some_cases(campaign.cases, count):
@@ -486,8 +518,8 @@ def fly_mission(campaign: CampaignMission, count: int) -> Occupancy:
             failed += 1
     if not parts:
         raise BadInputError(
-            f"{campaign.folder}: all its flights failed, so the mission's flight states are not known; give records of complete "
-            "flights with --occupancy FILE..."
+            f"{campaign.folder}: all its flights failed, so the mission's flight states are not"
+            " known; give records of complete flights with --occupancy FILE..."
         )
     names = [n for n in parts[0] if all(n in p for p in parts)]
     merged = {n: np.concatenate([p[n] for p in parts]) for n in names}
@@ -495,7 +527,9 @@ def fly_mission(campaign: CampaignMission, count: int) -> Occupancy:
 
 
 def _fly(spec: FlightSpec) -> tuple[dict[str, FloatArray], bool]:
-    """States (n,) after the burn-in, true values as the bounds see them in a campaign, and whether the flight ended well."""
+    """States (n,) after the burn-in, true values as the bounds see them in a campaign, and whether
+    the flight ended well.
+    """
     mission = staged_mission(spec)
     table = {n: s for n, s in properties.sources(mission.aircraft).items() if n in STATES}
     needed = {n: s for n, s in table.items() if n in properties.STANDARD}
@@ -511,7 +545,10 @@ def _fly(spec: FlightSpec) -> tuple[dict[str, FloatArray], bool]:
 
 
 def recorded_mission(paths: Sequence[Path], aircraft: Aircraft, cutoff_hz: float) -> Occupancy:
-    """The same from flight records or logs of the mission, smoothed as the bounds' data were. Raises BadInputError."""
+    """The same from flight records or logs of the mission, smoothed as the bounds' data were.
+
+    Raises BadInputError.
+    """
     parts: list[dict[str, FloatArray]] = []
     seconds = 0.0
     for path in paths:

@@ -1,4 +1,6 @@
-"""Test points tried on the model: flown in simulation, refused where they leave what may be flown, measured by what they tell."""
+"""Test points tried on the model: flown in simulation, refused where they leave what may be flown,
+measured by what they tell.
+"""
 
 from __future__ import annotations
 
@@ -42,14 +44,17 @@ from uqharness.simulator import (
 from uqharness.simulator import aircraft as properties
 
 WIDER = 0.5
-"""A state may leave what has been flown by this share of its range: flight tests go on step by step."""
+"""A state may leave what has been flown by this share of its range: flight tests go on step by
+step.
+"""
 _FALLBACK_UNIT_S = 0.5
 _PEAK = 2.331122
 
 
 @dataclass(frozen=True)
 class TestFlight:
-    """How test flights are flown: aircraft, mission script, what holds it, and the air and noise they meet.
+    """How test flights are flown: aircraft, mission script, what holds it, and the air and noise
+    they meet.
 
     begin_s: when the first transition may begin. ``rate_hz`` of the record.
     """
@@ -68,7 +73,9 @@ class TestFlight:
 
 @dataclass(frozen=True)
 class Trial:
-    """A test point as flown: states name -> (n,), filtered as the bounds' data are, and what noise and air left, delta (n, 6)."""
+    """A test point as flown: states name -> (n,), filtered as the bounds' data are, and what noise
+    and air left, delta (n, 6).
+    """
 
     point: TestPoint
     states: Mapping[str, FloatArray]
@@ -95,11 +102,12 @@ def has_noise(aircraft: Aircraft) -> bool:
 
 
 def unit_times(aircraft: Aircraft, speed_mps: float, altitude_m: float) -> dict[str, float]:
-    """Seconds of one unit by control, from the model's own modes: a doublet then has most of its power where the mode answers.
+    """Seconds of one unit by control, from the model's own modes: a doublet then has most of its
+    power where the mode answers.
 
-    The spectrum of a doublet of half width T, (4/w) sin^2(wT/2), is largest at tan(wT/2) = wT, wT = 2.33. The elevator follows the
-    short period, aileron and rudder the dutch roll. 0.5 s for a model that cannot be trimmed at that speed.
-    """
+    The spectrum of a doublet of half width T, (4/w) sin^2(wT/2), is largest at tan(wT/2) = wT, wT =
+    2.33. The elevator follows the short period, aileron and rudder the dutch roll. 0.5 s for a
+    model that cannot be trimmed at that speed."""
     found: dict[str, float] = {}
     try:
         trim = find_trim(aircraft, SteadyCondition(speed_mps, altitude_m))
@@ -108,9 +116,11 @@ def unit_times(aircraft: Aircraft, speed_mps: float, altitude_m: float) -> dict[
     except (BadInputError, ArithmeticError, ValueError, np.linalg.LinAlgError):
         pass
     pitch, yaw = (
-        float(f"{min(max(_PEAK / found[m], 0.2), 3.0):.1g}")
-        if found.get(m, 0.0) > 0.0
-        else _FALLBACK_UNIT_S
+        (
+            float(f"{min(max(_PEAK / found[m], 0.2), 3.0):.1g}")
+            if found.get(m, 0.0) > 0.0
+            else _FALLBACK_UNIT_S
+        )
         for m in ("short_period", "dutch_roll")
     )
     return {"elevator": pitch, "aileron": yaw, "rudder": yaw, "throttle": round(3.0 * pitch, 1)}
@@ -119,7 +129,9 @@ def unit_times(aircraft: Aircraft, speed_mps: float, altitude_m: float) -> dict[
 def fly_points(
     flight: TestFlight, points: Sequence[TestPoint], seed: int, path: Path
 ) -> tuple[bool, float, str]:
-    """Fly the points, write the record; whether it ended well, how long it flew, and why it ended."""
+    """Fly the points, write the record; whether it ended well, how long it flew, and why it
+    ended.
+    """
     script = path.with_suffix(".xml")
     text = script_text(
         flight.mission,
@@ -172,7 +184,8 @@ def try_points(
     cutoffs: Cutoffs,
     seed: int,
 ) -> tuple[list[Trial], list[Refused]]:
-    """Fly every point once, those of a condition in one flight. A point at which a flight ends is refused, the rest flown again.
+    """Fly every point once, those of a condition in one flight. A point at which a flight ends is
+    refused, the rest flown again.
 
     allowed: state -> smallest and largest value that a point, with its recovery, may reach.
     """
@@ -210,7 +223,10 @@ def _judged(
         rows = frame[(frame["time_s"] >= start_s) & (frame["time_s"] <= end_s + RECOVERY_S)]
         reason = ""
         if "h_m" in rows and float(rows["h_m"].iloc[0] - rows["h_m"].min()) > MOST_LOSS_M:
-            reason = f"it loses {float(rows['h_m'].iloc[0] - rows['h_m'].min()):.0f} m, allowed are {MOST_LOSS_M:g}"
+            reason = (
+                f"it loses {float(rows['h_m'].iloc[0] - rows['h_m'].min()):.0f} m, allowed are"
+                f" {MOST_LOSS_M:g}"
+            )
         for state, (low, high) in allowed.items():
             values = rows[state].to_numpy()
             if reason:
@@ -218,7 +234,10 @@ def _judged(
             # Single samples are the sensors' noise.
             least, most = np.percentile(values, [1.0, 99.0])
             if least < low or most > high:
-                reason = f"{state} reaches {least if least < low else most:.3g}, allowed are {low:.3g} to {high:.3g}"
+                reason = (
+                    f"{state} reaches {least if least < low else most:.3g}, allowed are {low:.3g}"
+                    f" to {high:.3g}"
+                )
                 break
         if reason:
             bad.append(Refused(point, reason))

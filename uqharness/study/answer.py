@@ -1,4 +1,6 @@
-"""The answer of a study in four lines: answer, why, what the model lacked and what adding it bought, what to do next."""
+"""The answer of a study in four lines: answer, why, what the model lacked and what adding it
+bought, what to do next.
+"""
 
 from __future__ import annotations
 
@@ -79,7 +81,8 @@ SAME = 0.02
 
 @dataclass(frozen=True)
 class Width:
-    """How wide a p-box is: the area between its sides [unit of the metric], and its median [low, high].
+    """How wide a p-box is: the area between its sides [unit of the metric], and its median [low,
+    high].
 
     Infinite, with the reason, where flights failed: their error may be anything.
     """
@@ -91,7 +94,9 @@ class Width:
 
 @dataclass(frozen=True)
 class Flown:
-    """A finished campaign: its folder, flights, settings, statements, and the rows of its sensitivity.csv."""
+    """A finished campaign: its folder, flights, settings, statements, and the rows of its
+    sensitivity.csv.
+    """
 
     folder: Path
     frame: pd.DataFrame
@@ -101,7 +106,9 @@ class Flown:
 
 
 def read_flown(out: Path, both: bool) -> dict[str, Flown]:
-    """The campaigns in a study's folder by when they were flown; ``both``: before and after refinement. Raises BadInputError."""
+    """The campaigns in a study's folder by when they were flown; ``both``: before and after
+    refinement. Raises BadInputError.
+    """
     return {
         when: _read(out / f"campaign-{when}") for when in ((BEFORE, AFTER) if both else (BEFORE,))
     }
@@ -145,7 +152,9 @@ def performance(flown: Mapping[str, Flown]) -> Iterator[Sentence]:
 
 
 def asked_of(flown: Flown) -> list[Statement]:
-    """The statements about the smallest radius, one a condition; none where no distance from a path is known."""
+    """The statements about the smallest radius, one a condition; none where no distance from a path
+    is known.
+    """
     return [
         item for condition in conditions(flown.frame) for item in _asked(flown.signed, condition)
     ]
@@ -161,7 +170,9 @@ def answer_words(item: Statement) -> str:
 
 
 def _asked(signed: Sequence[Statement], condition: Condition) -> list[Statement]:
-    """The statement about the smallest radius, which is what is asked; none where no distance from a path is known."""
+    """The statement about the smallest radius, which is what is asked; none where no distance from
+    a path is known.
+    """
     here = [
         item
         for item in signed
@@ -186,27 +197,32 @@ def _tally(flown: Flown) -> Sentence:
         named = [item.cell.condition.label for item in asked if item.answer == answer]
         if named:
             words.append(f"{_ANSWERS[answer]} in {len(named)} ({', '.join(named)})")
-    text = f"At most {counted(asked[0].acceptable_per_h, 'excursion')} beyond {radius:g} m per flight hour at every corner? "
+    text = (
+        f"At most {counted(asked[0].acceptable_per_h, 'excursion')} beyond {radius:g} m per flight"
+        " hour at every corner? "
+    )
     text += f"Of {len(asked)} conditions: "
     answers = {item.answer for item in asked}
-    return text + "; ".join(
-        words
-    ) + ".", BAD if NO in answers else WARN if OPEN in answers else GOOD
+    return text + "; ".join(words) + ".", (
+        BAD if NO in answers else WARN if OPEN in answers else GOOD
+    )
 
 
 def _excursions(item: Statement, before: Statement | None) -> Sentence:
     cell = item.cell
     asked = (
-        f"In {cell.condition.words}: at most {counted(item.acceptable_per_h, 'excursion')} beyond {cell.radius_m:g} m per flight hour "
-        f"at every corner? {answer_words(item).capitalize()}: {_rates(item)}"
+        f"In {cell.condition.words}: at most {counted(item.acceptable_per_h, 'excursion')} beyond"
+        f" {cell.radius_m:g} m per flight hour at every corner? {answer_words(item).capitalize()}:"
+        f" {_rates(item)}"
     )
     if item.flight_share:
         asked += f"; {item.flight_share}"
     if before is None:
         return asked + ".", _LEVELS[item.answer]
-    return f"{asked}. Before refinement: {_ANSWERS[before.answer]}, {_rates(before)}.", _LEVELS[
-        item.answer
-    ]
+    return (
+        f"{asked}. Before refinement: {_ANSWERS[before.answer]}, {_rates(before)}.",
+        _LEVELS[item.answer],
+    )
 
 
 def _rates(item: Statement) -> str:
@@ -218,8 +234,8 @@ def _rates(item: Statement) -> str:
         f"no finite {sure}" if math.isinf(item.worst.upper) else f"{sure} {item.worst.upper:.3g}/h"
     )
     return (
-        f"{item.best.rate:.3g} (best corner) to {item.worst.rate:.3g} (worst) per hour in {hours:.3g} h per corner, "
-        f"{upper} at the worst corner"
+        f"{item.best.rate:.3g} (best corner) to {item.worst.rate:.3g} (worst) per hour in"
+        f" {hours:.3g} h per corner, {upper} at the worst corner"
     )
 
 
@@ -242,7 +258,9 @@ def width_of(rows: pd.DataFrame, metric: str) -> Width | None:
 
 
 def area(found: Sequence[Sample]) -> float:
-    """Area between the envelopes of the samples' distribution functions, in the unit of the values; none may be unknown."""
+    """Area between the envelopes of the samples' distribution functions, in the unit of the values;
+    none may be unknown.
+    """
     values = np.unique(np.concatenate([sample.values for sample in found]))
     lower, upper = envelope(found, values)
     return float(np.sum((upper - lower)[:-1] * np.diff(values)))
@@ -253,11 +271,14 @@ def _pbox_sentence(
 ) -> Sentence:
     text = f"Median {words} of a typical {duration_s:g} s flight, best to worst corner: "
     if len(sides) == 1:
-        return f"{text}{_span(sides[0])} {unit} ({condition.label}).", PLAIN if not sides[
-            0
-        ].reason else WARN
+        return f"{text}{_span(sides[0])} {unit} ({condition.label}).", (
+            PLAIN if not sides[0].reason else WARN
+        )
     before, after = sides
-    text += f"{_span(before)} {unit} before refinement, {_span(after)} {unit} after ({condition.label}); "
+    text += (
+        f"{_span(before)} {unit} before refinement, {_span(after)} {unit} after"
+        f" ({condition.label}); "
+    )
     if after.reason:
         return f"{text}the p-box after refinement has no finite width: {after.reason}.", WARN
     if before.reason:
@@ -273,7 +294,10 @@ def _pbox_sentence(
         return f"{text}the p-box became narrower by {100 * (1 - ratio):.0f} % ({sizes}).", PLAIN
     if ratio > 1.0 + SAME:
         return (
-            f"{text}the p-box did NOT become narrower, it is {100 * (ratio - 1):.0f} % wider ({sizes}).",
+            (
+                f"{text}the p-box did NOT become narrower, it is {100 * (ratio - 1):.0f} % wider"
+                f" ({sizes})."
+            ),
             WARN,
         )
     return f"{text}the p-box did NOT become narrower ({sizes}).", WARN
@@ -307,7 +331,10 @@ def _ended(flown: Mapping[str, Flown]) -> Sentence:
 def _outside(rows: pd.DataFrame, condition: Condition) -> Iterator[Sentence]:
     share = rows["extrapolated_share"].mean()
     if not math.isnan(share):
-        text = f"{percent(share)} of the scored time in {condition.words} was flown outside the states that the bounds come from"
+        text = (
+            f"{percent(share)} of the scored time in {condition.words} was flown outside the states"
+            " that the bounds come from"
+        )
         yield (
             (text + (", where they are extrapolated." if share > 0 else ".")),
             WARN if share > MUCH_OUTSIDE else PLAIN,
@@ -315,7 +342,9 @@ def _outside(rows: pd.DataFrame, condition: Condition) -> Iterator[Sentence]:
 
 
 def _widest(shares: Sequence[Mapping[str, str]], condition: Condition) -> Iterator[Sentence]:
-    """Which coefficient's bounds give each p-box most of its width, from sensitivity.csv; nothing where that is undefined."""
+    """Which coefficient's bounds give each p-box most of its width, from sensitivity.csv; nothing
+    where that is undefined.
+    """
     rows = [row for row in shares if row["condition"] == condition.label and row["share_max"]]
     parts = []
     for metric, words, _ in _QUANTITIES:
@@ -328,7 +357,10 @@ def _widest(shares: Sequence[Mapping[str, str]], condition: Condition) -> Iterat
             )
     if parts:
         yield (
-            f"What a next flight should reduce in {condition.words}: the bounds of {'; '.join(parts)}.",
+            (
+                f"What a next flight should reduce in {condition.words}: the bounds of"
+                f" {'; '.join(parts)}."
+            ),
             PLAIN,
         )
 
@@ -342,7 +374,10 @@ _NAMED = 3
 
 @dataclass(frozen=True)
 class Answer:
-    """Lines without the question; ``lacked`` is empty for a study without refinement. ``level``: good, warn or bad."""
+    """Lines without the question; ``lacked`` is empty for a study without refinement.
+
+    ``level``: good, warn or bad.
+    """
 
     level: str
     answer: str
@@ -359,8 +394,8 @@ def answer_of(
 ) -> Answer:
     """The answer from the finished campaigns, before and after, and refinement.json.
 
-    verdict: all sentences of the study, which answer where no campaign counts excursions. no: stages whose own answer is no.
-    """
+    verdict: all sentences of the study, which answer where no campaign counts excursions. no:
+    stages whose own answer is no."""
     last = flown.get(AFTER) or flown.get(BEFORE)
     asked = asked_of(last) if last is not None else []
     remark = f" These stages answered no: {', '.join(no)} (log/STAGE.txt)." if no else ""
@@ -397,13 +432,18 @@ def answer_of(
 
 
 def _grouped(asked: Sequence[Statement]) -> str:
-    """Conditions by answer, in the order yes, no, inconclusive: ``yes in 3 and 7 m/s, no in 12 m/s wind with light turbulence``."""
+    """Conditions by answer, in the order yes, no, inconclusive: ``yes in 3 and 7 m/s, no in 12 m/s
+    wind with light turbulence``.
+    """
     found: dict[str, list[Condition]] = {}
     for item in sorted(asked, key=lambda s: _ORDER.index(s.answer)):
         found.setdefault(answer_words(item), []).append(item.cell.condition)
     airs = {item.cell.condition.turbulence for item in asked}
     if len(airs) == 1:
-        return f"{', '.join(f'{answer} in {_winds(here)}' for answer, here in found.items())} wind with {_air(airs.pop())}"
+        return (
+            f"{', '.join(f'{answer} in {_winds(here)}' for answer, here in found.items())} wind"
+            f" with {_air(airs.pop())}"
+        )
     return "; ".join(f"{answer} in {_named(here)}" for answer, here in found.items())
 
 
@@ -425,7 +465,9 @@ def _named(found: Sequence[Condition]) -> str:
 
 
 def _why(asked: Sequence[Statement]) -> str:
-    """The rate of the hardest condition of each answer with the limit that decides, hours, and what happened to the flights."""
+    """The rate of the hardest condition of each answer with the limit that decides, hours, and what
+    happened to the flights.
+    """
     one_air = len({item.cell.condition.turbulence for item in asked}) == 1
     parts = []
     for answer in _ORDER:
@@ -485,7 +527,9 @@ def _rate(item: Statement, answer: str) -> str:
 
 
 def _lacked(refinement: Mapping[str, Any], flown: Mapping[str, Flown], same: bool) -> str:
-    """Effects by name, and what adding them bought; ``same``: whether the answers before and after are."""
+    """Effects by name, and what adding them bought; ``same``: whether the answers before and after
+    are.
+    """
     effects = [e for e in refinement["effects"] if not e["withdrawn"]]
     if not effects:
         if refinement["verdict"] == "no-missing-effect":
@@ -544,20 +588,23 @@ def _next(last: Flown, asked: Sequence[Statement]) -> str:
     if beyond:
         item = min(beyond, key=lambda s: s.best.lower)
         return (
-            f"Next: change the autopilot, the radius or the wind limit: {item.cell.condition.label} fails at the best corner too "
-            f"(at least {item.best.lower:.2g}/h), so no better model changes it."
+            f"Next: change the autopilot, the radius or the wind limit: {item.cell.condition.label}"
+            f" fails at the best corner too (at least {item.best.lower:.2g}/h), so no better model"
+            " changes it."
         )
     if refused:
         item = refused[0]
         return (
-            f"Next: a better model may change the no in {item.cell.condition.label}: the best corner has {item.best.rate:.2g}/h. "
-            f"{_flight(last, item.cell.condition)}"
+            f"Next: a better model may change the no in {item.cell.condition.label}: the best"
+            f" corner has {item.best.rate:.2g}/h. {_flight(last, item.cell.condition)}"
         ).rstrip()
     return f"Next: nothing for this question. {_flight(last, _drawn(last))}".rstrip()
 
 
 def _undecided(last: Flown, found: Sequence[Statement]) -> Iterator[str]:
-    """What would decide the conditions that are inconclusive: hours where they are too few, else what the reason asks for."""
+    """What would decide the conditions that are inconclusive: hours where they are too few, else
+    what the reason asks for.
+    """
     short = [item for item in found if not item.reason]
     if short:
         item = max(short, key=lambda s: s.worst.upper)
@@ -567,11 +614,17 @@ def _undecided(last: Flown, found: Sequence[Statement]) -> Iterator[str]:
             yield from filter(None, [_flight(last, item.cell.condition)])
         else:
             hours = item.quiet_hours_needed
-            yield f"fly {hours:.3g} h per corner in {where} ([aleatory] flights); that much without an excursion is a yes."
+            yield (
+                f"fly {hours:.3g} h per corner in {where} ([aleatory] flights); that much without"
+                " an excursion is a yes."
+            )
     for reason in dict.fromkeys(item.reason for item in found if item.reason):
         here = [item for item in found if item.reason == reason]
         advice = "raise [metrics] dispersion" if here[0].dispersion.beyond else "remove the cause"
-        yield f"{advice} for {', '.join(item.cell.condition.label for item in here)}: {reason}, which more hours do not change."
+        yield (
+            f"{advice} for {', '.join(item.cell.condition.label for item in here)}: {reason}, which"
+            " more hours do not change."
+        )
 
 
 def _answer_widest(last: Flown, condition: Condition) -> str:
@@ -583,7 +636,10 @@ def _answer_widest(last: Flown, condition: Condition) -> str:
     if not rows:
         return ""
     first = max(rows, key=lambda row: float(row["share_max"]))
-    return f"{first['coefficient']} makes {100 * float(first['share_max']):.0f} % of the cross-track p-box"
+    return (
+        f"{first['coefficient']} makes {100 * float(first['share_max']):.0f} % of the cross-track"
+        " p-box"
+    )
 
 
 def _flight(last: Flown, condition: Condition) -> str:
@@ -634,7 +690,10 @@ def judge(
     if ended:
         found.append(
             (
-                f"Flown but ended early: {', '.join(ended)}; what was recorded until then was used.",
+                (
+                    f"Flown but ended early: {', '.join(ended)}; what was recorded until then was"
+                    " used."
+                ),
                 WARN,
             )
         )
@@ -656,7 +715,8 @@ def _refined(document: Mapping[str, Any]) -> Iterator[Sentence]:
     flights = f"from {', '.join(_stems(document['train']))}"
     if effects:
         named = "; ".join(
-            f"{e['name']}, {e['value']:.4g} ± {e['std']:.2g}{'' if e['unit'] in ('', '1') else ' ' + e['unit']}"
+            f"{e['name']}, {e['value']:.4g} ±"
+            f" {e['std']:.2g}{'' if e['unit'] in ('', '1') else ' ' + e['unit']}"
             + (f" ({e['property']})" if e["property"] else "")
             for e in effects
         )
@@ -727,7 +787,10 @@ def _coverage(out: Path, flights: Sequence[str], both: bool) -> Iterator[Sentenc
         shares = {c: row["0.95"] for c, row in coverage.items()}
         low, high = min(shares, key=lambda c: shares[c]), max(shares, key=lambda c: shares[c])
         which = f" {when} refinement" if both else ""
-        text = f"Of {named}, {100 * shares[low]:.1f} % ({low}) to {100 * shares[high]:.1f} % ({high}) lies inside"
+        text = (
+            f"Of {named}, {100 * shares[low]:.1f} % ({low}) to {100 * shares[high]:.1f} % ({high})"
+            " lies inside"
+        )
         text += f" the 95 % bounds{which}"
         verdicts = documents[when].get("verdicts", {})
         bad = [c for c, said in verdicts.items() if said == "fails"] or [
@@ -773,7 +836,10 @@ def _change(before: float | None, after: float | None) -> float:
 def _identified(document: Mapping[str, Any], code: int) -> Sentence:
     done = [row for row in document["parameters"].values() if row["status"] == "identified"]
     flights = ", ".join(_stems(document["flights"]))
-    text = f"{len(done)} of {len(document['parameters'])} parameters were identified from {flights} by {document['method']}"
+    text = (
+        f"{len(done)} of {len(document['parameters'])} parameters were identified from {flights} by"
+        f" {document['method']}"
+    )
     ratios = {
         c: v["rms"] / v["noise"]
         for c, v in document["fit"].items()
@@ -801,7 +867,9 @@ _NORTH, _EAST = "nav/north-m", "nav/east-m"
 
 @dataclass(frozen=True)
 class Asked:
-    """A finished campaign: its folder, its flights, and the statement of the smallest radius in the condition drawn, if any."""
+    """A finished campaign: its folder, its flights, and the statement of the smallest radius in the
+    condition drawn, if any.
+    """
 
     folder: Path
     frame: pd.DataFrame
@@ -809,11 +877,12 @@ class Asked:
 
 
 def fly_tracks(out: Path, asked: Mapping[str, Asked], workers: int | None = None) -> dict[str, Any]:
-    """Fly them into ``out``/tracks.parquet; what study.json keeps of it. ``asked``: when -> campaign, the last one chooses the air.
+    """Fly them into ``out``/tracks.parquet; what study.json keeps of it. ``asked``: when ->
+    campaign, the last one chooses the air.
 
-    The air is that in which the last campaign's worst corner went farthest from its path. Columns: when, model (``nominal``:
-    plugin off; ``worst corner``), epistemic_id, time_s, north_m, east_m, distance_m. Without such flights the reason is told.
-    """
+    The air is that in which the last campaign's worst corner went farthest from its path. Columns:
+    when, model (``nominal``: plugin off; ``worst corner``), epistemic_id, time_s, north_m, east_m,
+    distance_m. Without such flights the reason is told."""
     *_, last = asked.values()
     air = None if any(item.statement is None for item in asked.values()) else _tracks_air(last)
     if air is None or last.statement is None:
@@ -841,7 +910,9 @@ def fly_tracks(out: Path, asked: Mapping[str, Asked], workers: int | None = None
 
 
 def hardest(found: Sequence[Statement]) -> Statement | None:
-    """The statement about the smallest radius in the hardest condition; None where no distance from a path is known."""
+    """The statement about the smallest radius in the hardest condition; None where no distance from
+    a path is known.
+    """
     here = [item for item in found if item.cell.distance == "horizontal"]
     if not here:
         return None
@@ -865,7 +936,9 @@ def _tracks_air(asked: Asked) -> int | None:
 
 
 def _flights(asked: Asked, air: int) -> Iterator[tuple[str, str, FlightSpec]]:
-    """Model, epistemic id and flight of both: that of the worst corner as the campaign flew it, and without the plugin's deltas."""
+    """Model, epistemic id and flight of both: that of the worst corner as the campaign flew it, and
+    without the plugin's deltas.
+    """
     spec = spec_of(read_manifest(asked.folder))
     mission = find_mission(spec, asked.folder)
     if needs_copy(spec):
@@ -886,7 +959,9 @@ def _flights(asked: Asked, air: int) -> Iterator[tuple[str, str, FlightSpec]]:
 
 @dataclass(frozen=True)
 class _Recorder:
-    """A flight function for a worker: flies in JSBSim and leaves place and distance from the path in ``folder``."""
+    """A flight function for a worker: flies in JSBSim and leaves place and distance from the path
+    in ``folder``.
+    """
 
     folder: Path
 
@@ -897,7 +972,8 @@ class _Recorder:
         metric = mission.aircraft.card.metrics.get(_DISTANCE)
         if metric is None:
             raise BadInputError(
-                f"{mission.aircraft.name}: its card has no metric {_DISTANCE}, so no track can be drawn beside a path"
+                f"{mission.aircraft.name}: its card has no metric {_DISTANCE}, so no track can be"
+                " drawn beside a path"
             )
         table = {
             "north_m": Source(_NORTH),
@@ -931,7 +1007,8 @@ def _flown(
         ):
             if not (folder / _file(numbered[outcome.case_id])).is_file():
                 raise BadInputError(
-                    f"the flights of the ground track were not flown: {outcome.reason or outcome.status}"
+                    "the flights of the ground track were not flown:"
+                    f" {outcome.reason or outcome.status}"
                 )
         for (when, model, name), spec in flights.items():
             frame = pd.read_parquet(folder / _file(spec))

@@ -1,4 +1,6 @@
-"""Run a study: stage after stage, each skipped that is done and would come out the same; after a stop the same call goes on."""
+"""Run a study: stage after stage, each skipped that is done and would come out the same; after a
+stop the same call goes on.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,8 @@ def read_study(folder: Path) -> dict[str, Any] | None:
         raise BadInputError(f"{path}: {error}; choose another --out") from None
     if not isinstance(document, dict) or document.get("format") != _FORMAT:
         raise BadInputError(
-            f"{path}: written by another version of uqharness, or not by uqharness; choose another --out"
+            f"{path}: written by another version of uqharness, or not by uqharness; choose another"
+            " --out"
         )
     return document
 
@@ -89,10 +92,11 @@ def begin(spec: ChainSpec, command: str, version: str) -> dict[str, Any]:
 
 
 def refuse_foreign(folder: Path, old: Mapping[str, Any] | None, new: Mapping[str, Any]) -> None:
-    """BadInputError where the folder holds something else than this study: other files, or the stages of another study file.
+    """BadInputError where the folder holds something else than this study: other files, or the
+    stages of another study file.
 
-    The same file in the same place may have been edited, and the same content may have moved: the stages tell what still holds.
-    """
+    The same file in the same place may have been edited, and the same content may have moved: the
+    stages tell what still holds."""
     if old is None:
         others = (
             sorted(p.name for p in folder.iterdir() if p.name != LOCK and p.suffix != PART)
@@ -101,14 +105,17 @@ def refuse_foreign(folder: Path, old: Mapping[str, Any] | None, new: Mapping[str
         )
         if others:
             raise BadInputError(
-                f"--out {folder}: not empty and no study's folder (it has {others[0]}); choose another --out"
+                f"--out {folder}: not empty and no study's folder (it has {others[0]}); choose"
+                " another --out"
             )
         return
     elsewhere = old["path"] != new["path"] and old["hash"] != new["hash"]
     if old["study"] != new["study"] or elsewhere:
         raise BadInputError(
-            f'--out {folder}: this folder holds the study "{old["study"]}" of {old["path"]}, not "{new["study"]}" of '
-            f"{new['path']}; choose another --out, or remove the folder if its results are not wanted"
+            f'--out {folder}: this folder holds the study "{old["study"]}" of {old["path"]}, not'
+            f' "{new["study"]}" of '
+            f"{new['path']}; choose another --out, or remove the folder if its results are not"
+            " wanted"
         )
 
 
@@ -125,7 +132,9 @@ def content(path: Path) -> str:
 def stage_key(
     kind: str, options: Mapping[str, Any], inputs: Mapping[str, str], versions: Any
 ) -> str:
-    """What a stage's result depends on, as one hash: its command's kind and settings, what it reads, what computes it."""
+    """What a stage's result depends on, as one hash: its command's kind and settings, what it
+    reads, what computes it.
+    """
     text = json.dumps([kind, options, sorted(inputs.items()), versions], sort_keys=True)
     return sha256_hex(text.encode())
 
@@ -148,9 +157,9 @@ def run_chain(
 ) -> dict[str, Any]:
     """Run the stages that are missing into ``out``, each by ``run``; the content of its study.json.
 
-    A stage that ends with 1, its answer being no, is done, and the study goes on. Raises BadInputError for a folder of something
-    else, a second run in the same folder, and a stage that cannot use its input; KeyboardInterrupt passes. What is done is kept.
-    """
+    A stage that ends with 1, its answer being no, is done, and the study goes on. Raises
+    BadInputError for a folder of something else, a second run in the same folder, and a stage that
+    cannot use its input; KeyboardInterrupt passes. What is done is kept."""
     check_folder(out)
     stages = plan(spec, out)
     new = begin(spec, command, uqharness.__version__)
@@ -266,7 +275,9 @@ def _settle(
     save: Callable[[], None],
     say: Say,
 ) -> None:
-    """Bring one stage to done, unless it is and would come out the same; ``row`` is brought up to date and saved."""
+    """Bring one stage to done, unless it is and would come out the same; ``row`` is brought up to
+    date and saved.
+    """
     inputs = {label: content(path) for label, path in stage.inputs.items()}
     missing = [label for label, digest in inputs.items() if not digest]
     if missing:
@@ -303,8 +314,8 @@ def _settle(
     lost = [name for name, digest in row["outputs"].items() if not digest]
     if lost:
         raise BadInputError(
-            f"ended with {code} and left no {', '.join(lost)}, which the study goes on from; what it said is in "
-            f"{out / LOGS / stage.name}.txt"
+            f"ended with {code} and left no {', '.join(lost)}, which the study goes on from; what"
+            f" it said is in {out / LOGS / stage.name}.txt"
         )
     save()
     say(f"  {row['seconds']:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no"))
@@ -318,13 +329,17 @@ def _outputs(stage: Stage, out: Path) -> dict[str, str]:
 
 
 def _make_room(stage: Stage, row: Mapping[str, Any], out: Path, same: bool) -> None:
-    """Take away what an earlier run of this stage left, unless the stage goes on from it. Flights of a campaign are put aside."""
+    """Take away what an earlier run of this stage left, unless the stage goes on from it.
+
+    Flights of a campaign are put aside.
+    """
     if same and stage.resumes:
         return
     for path in stage.owns:
         if path.is_dir() and not row["key"]:
             raise BadInputError(
-                f"{path}: is there, and not from this study; move it away, for the stage writes there"
+                f"{path}: is there, and not from this study; move it away, for the stage writes"
+                " there"
             )
         if stage.kind == "campaign" and path.is_dir():
             aside = out / _SUPERSEDED / f"{stage.name}-{row['key'][:12]}"
@@ -345,8 +360,8 @@ def _refuse_other_model(form: Path, folder: Path) -> None:
     said, flown = read_bounds(form).aircraft.sha256, content(folder)
     if said != flown:
         raise BadInputError(
-            f"{form}: these bounds are of another model ({said[:12]}) than {folder} ({flown[:12]}); "
-            f"remove {form.parent} and run again"
+            f"{form}: these bounds are of another model ({said[:12]}) than {folder} ({flown[:12]});"
+            f" remove {form.parent} and run again"
         )
 
 
@@ -370,7 +385,9 @@ def _call(run: Command, stage: Stage, out: Path, workers: int | None) -> int:
 
 @contextlib.contextmanager
 def _quiet(said: TextIO) -> Iterator[None]:
-    """On a terminal the stage's own progress is seen; in a pipe its remarks go where its results go."""
+    """On a terminal the stage's own progress is seen; in a pipe its remarks go where its results
+    go.
+    """
     if sys.stderr.isatty():
         yield
         return

@@ -1,8 +1,8 @@
-"""STUDY.toml of `uqharness study`: flights, what is done with them, and the campaign flown before and after, strictly validated.
+"""STUDY.toml of `uqharness study`: flights, what is done with them, and the campaign flown before
+and after, strictly validated.
 
-The sections of a campaign stand in the same file under the names they have in campaign.toml. Errors name file, line, what was
-received and what is allowed. Paths are relative to the file.
-"""
+The sections of a campaign stand in the same file under the names they have in campaign.toml. Errors
+name file, line, what was received and what is allowed. Paths are relative to the file."""
 
 from __future__ import annotations
 
@@ -24,9 +24,8 @@ CAMPAIGN_SECTIONS = ("campaign", "aleatory", "epistemic", "metrics", "stop", "st
 
 
 class StudySection(Section):
-    """What is asked, of which aircraft. ``servos`` goes to every stage that replays a flight; ``air`` to `instrument`, where the
-    aircraft lacks the plugin.
-    """
+    """What is asked, of which aircraft. ``servos`` goes to every stage that replays a flight;
+    ``air`` to `instrument`, where the aircraft lacks the plugin."""
 
     name: str = Field(pattern=rf"^{_NAME}$")
     question: str = Field(min_length=1)
@@ -79,7 +78,9 @@ class CompareSection(Section):
 
 
 class BoundsSection(Section):
-    """Flights that the model-form bounds are made from, flights that they are checked on, and options of `uqharness bounds`."""
+    """Flights that the model-form bounds are made from, flights that they are checked on, and
+    options of `uqharness bounds`.
+    """
 
     flights: Names
     validate_on: Annotated[tuple[str, ...], BeforeValidator(listed)] = ()
@@ -107,7 +108,9 @@ class BoundsSection(Section):
 
 
 class RefineSection(Section):
-    """Flights that choose the effect, flights that only show what it did, and an effects file of your own."""
+    """Flights that choose the effect, flights that only show what it did, and an effects file of
+    your own.
+    """
 
     train: Names
     test: Names
@@ -135,14 +138,16 @@ class _Document(Section):
             self.identify or self.compare or self.bounds or self.refine or self.campaign is not None
         ):
             raise ValueError(
-                "asks for nothing; give at least one of [identify], [compare], [bounds], [refine], [campaign]"
+                "asks for nothing; give at least one of [identify], [compare], [bounds], [refine],"
+                " [campaign]"
             )
         return self
 
 
 @dataclass(frozen=True)
 class ChainSpec:
-    """A validated study. ``path`` is its file, ``source`` the file's text; ``campaign`` is validated without the aircraft's bounds.
+    """A validated study. ``path`` is its file, ``source`` the file's text; ``campaign`` is
+    validated without the aircraft's bounds.
 
     ``campaign_data`` holds the campaign's sections as they stand in the file.
     """
@@ -175,7 +180,10 @@ class ChainSpec:
 
 
 def read_chain(path: str | Path) -> ChainSpec:
-    """Read and validate a study file. Raises BadInputError that lists every mistake as ``file:line: ...``."""
+    """Read and validate a study file.
+
+    Raises BadInputError that lists every mistake as ``file:line: ...``.
+    """
     path = Path(path)
     data, text = read_toml(path)
     try:
@@ -205,7 +213,9 @@ def read_chain(path: str | Path) -> ChainSpec:
 def _campaign(
     document: _Document, sections: Mapping[str, Any], path: Path, text: str
 ) -> CampaignSpec | None:
-    """The campaign's sections as campaign.toml would be validated; the study itself says which aircraft and which bounds."""
+    """The campaign's sections as campaign.toml would be validated; the study itself says which
+    aircraft and which bounds.
+    """
     if not sections:
         return None
     campaign, epistemic = sections.get("campaign"), sections.get("epistemic")
@@ -223,7 +233,8 @@ def _campaign(
     if isinstance(epistemic, dict) and "parameters" in epistemic:
         raise refuse(
             ("epistemic", "parameters"),
-            "a draw of parameters belongs to one model, and a study flies two; use `uqharness campaign run` for it",
+            "a draw of parameters belongs to one model, and a study flies two; use `uqharness"
+            " campaign run` for it",
         )
     if document.bounds is not None and isinstance(epistemic, dict) and "bounds" in epistemic:
         raise refuse(
@@ -237,7 +248,9 @@ def _campaign(
 
 
 def _check(spec: ChainSpec) -> None:
-    """BadInputError for flights that are not there, are named twice, or would judge what was made from them."""
+    """BadInputError for flights that are not there, are named twice, or would judge what was made
+    from them.
+    """
     problems = [*_naming(spec), *_unknown(spec), *_roles(spec)]
     if problems:
         raise BadInputError(*(f"{spec.path}:{line}: {text}" for line, text in problems))
@@ -253,12 +266,18 @@ def _naming(spec: ChainSpec) -> Iterable[tuple[int, str]]:
         if name in seen:
             yield (
                 line,
-                f"[[{place[0]}]] name = {as_toml(name)}: another flight has this name; give each its own",
+                (
+                    f"[[{place[0]}]] name = {as_toml(name)}: another flight has this name; give"
+                    " each its own"
+                ),
             )
         elif name not in wanted:
             yield (
                 line,
-                f"[[{place[0]}]] name = {as_toml(name)}: no section uses this flight; name it in one, or leave it out",
+                (
+                    f"[[{place[0]}]] name = {as_toml(name)}: no section uses this flight; name it"
+                    " in one, or leave it out"
+                ),
             )
         seen.add(name)
 
@@ -286,7 +305,10 @@ def _unknown(spec: ChainSpec) -> Iterable[tuple[int, str]]:
                 there = ", ".join(known) or "none"
                 yield (
                     line,
-                    f"[{section}] {key}: no flight is named {as_toml(name)}; [[fly]] and [[logs]] have: {there}",
+                    (
+                        f"[{section}] {key}: no flight is named {as_toml(name)}; [[fly]] and"
+                        f" [[logs]] have: {there}"
+                    ),
                 )
         for name in dict.fromkeys(n for n in names if names.count(n) > 1):
             yield line, f"[{section}] {key}: {as_toml(name)} is named twice"
@@ -331,5 +353,8 @@ def _roles(spec: ChainSpec) -> Iterable[tuple[int, str]]:
                 line = line_of(spec.source, mine)
                 yield (
                     line,
-                    f"[{mine[0]}] {mine[1]}: {as_toml(name)} is also in [{other[0]}] {other[1]}; {why}. Name another flight",
+                    (
+                        f"[{mine[0]}] {mine[1]}: {as_toml(name)} is also in [{other[0]}]"
+                        f" {other[1]}; {why}. Name another flight"
+                    ),
                 )

@@ -1,4 +1,6 @@
-"""The stages of a study: which commands are run, on what, into which folders, and what has to be the same for one to be skipped."""
+"""The stages of a study: which commands are run, on what, into which folders, and what has to be
+the same for one to be skipped.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +26,15 @@ BEFORE, AFTER = "before", "after"
 class Stage:
     """One command of a study.
 
-    kind       fly, import, instrument, identify, compare, bounds, validate-bounds, campaign, sensitivity, refine
-    folder     of the results, relative to the study's; ``argv`` are the words after ``uqharness`` that repeat the stage
+    kind       fly, import, instrument, identify, compare, bounds, validate-bounds, campaign,
+    sensitivity, refine
+    folder     of the results, relative to the study's; ``argv`` are the words after ``uqharness``
+    that repeat the stage
     inputs     label -> file, or folder of an aircraft, whose content the result depends on
     options    the settings it depends on beside them, as plain JSON types
     outputs    files, or folders of an aircraft, that later stages and the verdict read
-    owns       what is removed before the stage begins anew; ``resumes``: it goes on by itself from what a killed run left
+    owns       what is removed before the stage begins anew; ``resumes``: it goes on by itself from
+    what a killed run left
     workers    whether it takes --workers, on which no result depends
     writes     content of a file made for the stage beforehand (a campaign's), and its path
     """
@@ -55,7 +60,9 @@ class Stage:
 
 @dataclass(frozen=True)
 class _Model:
-    """The aircraft at one point of the study: how a command names it, its folder, and its label among the inputs."""
+    """The aircraft at one point of the study: how a command names it, its folder, and its label
+    among the inputs.
+    """
 
     word: str
     folder: Path
@@ -63,7 +70,10 @@ class _Model:
 
 
 def plan(spec: ChainSpec, out: Path) -> list[Stage]:
-    """All stages, in the order in which they run. Raises BadInputError for aircraft, scripts and files that are not there."""
+    """All stages, in the order in which they run.
+
+    Raises BadInputError for aircraft, scripts and files that are not there.
+    """
     return list(_Planner(spec, out).stages())
 
 
@@ -302,9 +312,9 @@ class _Planner:
         data = {section: dict(content) for section, content in spec.campaign_data.items()}
         inside = model.folder.is_relative_to(self.out)
         data["campaign"] |= {
-            "aircraft": model.folder.relative_to(self.out).as_posix()
-            if inside
-            else str(model.folder)
+            "aircraft": (
+                model.folder.relative_to(self.out).as_posix() if inside else str(model.folder)
+            )
         }
         options = {
             **data,
@@ -409,7 +419,9 @@ class _Planner:
         return {self._label(self.records[name]): self.records[name] for name in names}
 
     def _label(self, path: Path) -> str:
-        """Name of something that a stage leaves: the same from whichever folder the study is run."""
+        """Name of something that a stage leaves: the same from whichever folder the study
+        is run.
+        """
         return path.relative_to(self.out).as_posix()
 
     def _model(self, folder: Path) -> _Model:
@@ -442,7 +454,10 @@ class _Planner:
         return path
 
     def _tried(self, read: Callable[[Any], object], value: object, *location: str) -> None:
-        """Let a command's own reader look at an option now, not minutes later. Raises BadInputError."""
+        """Let a command's own reader look at an option now, not minutes later.
+
+        Raises BadInputError.
+        """
         try:
             read(value)
         except BadInputError as error:
@@ -451,7 +466,8 @@ class _Planner:
     def _refused(self, why: object, *location: str | int) -> BadInputError:
         section = f"[[{location[0]}]]" if isinstance(location[1], int) else f"[{location[0]}]"
         return BadInputError(
-            f"{self.spec.path}:{line_of(self.spec.source, location)}: {section} {location[-1]}: {why}"
+            f"{self.spec.path}:{line_of(self.spec.source, location)}: {section} {location[-1]}:"
+            f" {why}"
         )
 
 

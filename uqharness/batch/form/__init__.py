@@ -1,1 +1,3 @@
-"""The intermediate form: typed values without control flow, functions of them, programs, and passes over both."""
+"""The intermediate form: typed values without control flow, functions of them, programs, and passes
+over both.
+"""

@@ -1,4 +1,6 @@
-"""A program flown by numpy over all lanes: the reference whose bits compiled code has, and the way without a compiler."""
+"""A program flown by numpy over all lanes: the reference whose bits compiled code has, and the way
+without a compiler.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,10 @@ from uqharness.batch.form.program import BLOCK, Feed, Feeds, Program, Section, S
 
 @dataclass(frozen=True)
 class _Plan:
-    """A function as a list of calls. Constants stand in ``values``; each call is (place, function, places of arguments)."""
+    """A function as a list of calls.
+
+    Constants stand in ``values``; each call is (place, function, places of arguments).
+    """
 
     values: list[Any]
     loads: list[tuple[int, int]]

@@ -1,9 +1,10 @@
-"""The intermediate form: a graph of typed values, built without repetition, with constants folded and without control flow.
+"""The intermediate form: a graph of typed values, built without repetition, with constants folded
+and without control flow.
 
-A ``Builder`` makes values; a value that was made before is not made again, and an operation on constants is a constant. ``finish``
-keeps what outputs and stores need and gives a ``Function``, which passes rewrite, ``machine`` compiles and ``evaluate``
-computes in numpy. State is read once at the begin of a frame and written once at its end: ``load`` after ``store`` gives the
-stored value.
+A ``Builder`` makes values; a value that was made before is not made again, and an operation on
+constants is a constant. ``finish`` keeps what outputs and stores need and gives a ``Function``,
+which passes rewrite, ``machine`` compiles and ``evaluate`` computes in numpy. State is read once at
+the begin of a frame and written once at its end: ``load`` after ``store`` gives the stored value.
 """
 
 from __future__ import annotations
@@ -25,12 +26,16 @@ import numpy as np
 # compared as NaN. There is no fused multiply-add.
 
 F64, I64, I1, TABLE = "f64", "i64", "i1", "table"
-"""Kinds of values: a double, its 64 bits as an integer, a truth value; and a row of constant doubles, the same in all lanes."""
+"""Kinds of values: a double, its 64 bits as an integer, a truth value; and a row of constant
+doubles, the same in all lanes.
+"""
 
 
 @dataclass(frozen=True)
 class Operation:
-    """``kinds`` of the arguments, ``result`` kind, ``compute`` over numpy arrays (None: expanded before it is computed)."""
+    """``kinds`` of the arguments, ``result`` kind, ``compute`` over numpy arrays (None: expanded
+    before it is computed).
+    """
 
     kinds: tuple[str, ...]
     result: str
@@ -111,13 +116,17 @@ OPERATIONS: Mapping[str, Operation] = {
     "select": Operation((I1, F64, F64), F64, np.where),
     "lookup": Operation((TABLE, F64), F64, _looked_up),
 }
-"""``min(a, b)`` is ``a if a < b else b`` and ``max(a, b)`` is ``a if a > b else b``: with a NaN, or two zeros, the second. ``ne``
-is true for a NaN, the other comparisons are false. ``bits`` and ``double`` view the 64 bits as an integer and back; ``ishr``
-fills with zeros. ``lookup`` gives the number of a table at an index, cut to a whole one and held at the ends; at 0 for a NaN."""
+"""``min(a, b)`` is ``a if a < b else b`` and ``max(a, b)`` is ``a if a > b else b``: with a NaN, or
+two zeros, the second. ``ne`` is true for a NaN, the other comparisons are false. ``bits`` and
+``double`` view the 64 bits as an integer and back; ``ishr`` fills with zeros. ``lookup`` gives the
+number of a table at an index, cut to a whole one and held at the ends; at 0 for a NaN."""
 
 
 def numpy_of(operation: str) -> Callable[..., Any]:
-    """What computes the operation over numpy arrays or scalars. Raises ValueError for a transcendental one."""
+    """What computes the operation over numpy arrays or scalars.
+
+    Raises ValueError for a transcendental one.
+    """
     compute = OPERATIONS[operation].compute
     if compute is None:
         raise ValueError(f"{operation} is computed only after form.maths.lower has written it out")
@@ -125,7 +134,10 @@ def numpy_of(operation: str) -> Callable[..., Any]:
 
 
 def computed(operation: str, arguments: Sequence[Any]) -> Any:
-    """The operation over numpy arrays or scalars, without warnings of numpy. Raises ValueError for a transcendental one."""
+    """The operation over numpy arrays or scalars, without warnings of numpy.
+
+    Raises ValueError for a transcendental one.
+    """
     compute = numpy_of(operation)
     with np.errstate(all="ignore"):
         return compute(*arguments)
@@ -137,7 +149,10 @@ Known = Constant | tuple[float, ...]
 
 
 class Node(NamedTuple):
-    """An operation on earlier nodes. ``const`` has its ``value``; ``input`` and ``load`` have the ``name`` of what they read."""
+    """An operation on earlier nodes.
+
+    ``const`` has its ``value``; ``input`` and ``load`` have the ``name`` of what they read.
+    """
 
     operation: str
     kind: str
@@ -171,8 +186,8 @@ class Function:
 
 @dataclass(slots=True, eq=False)
 class Value:
-    """A value of a builder, never changed. Arithmetic operators work on doubles and numbers; comparisons are methods, so that
-    ``==`` stays Python's."""
+    """A value of a builder, never changed. Arithmetic operators work on doubles and numbers;
+    comparisons are methods, so that ``==`` stays Python's."""
 
     builder: Builder
     index: int
@@ -282,7 +297,9 @@ class Builder:
         return self._leaf(("input", name), "input", F64, None, name)
 
     def load(self, slot: str) -> Value:
-        """The double in a slot of the state: what was stored in this frame, else what the last frame left."""
+        """The double in a slot of the state: what was stored in this frame, else what the last
+        frame left.
+        """
         if slot in self.state:
             return self.state[slot]
         return self._leaf(("load", slot), "load", F64, None, slot)
@@ -300,7 +317,10 @@ class Builder:
         return value
 
     def op(self, operation: str, *arguments: Value | float) -> Value:
-        """The operation on the arguments, folded where they are constants. Raises ValueError for wrong kinds."""
+        """The operation on the arguments, folded where they are constants.
+
+        Raises ValueError for wrong kinds.
+        """
         return Value(self, self._place(operation, tuple([self.value(a).index for a in arguments])))
 
     def again(self, node: Node, values: Sequence[Value]) -> Value:
@@ -328,7 +348,8 @@ class Builder:
         meaning = OPERATIONS[operation]
         if tuple([node.kind for node in nodes]) != meaning.kinds:
             raise ValueError(
-                f"{operation} takes {', '.join(meaning.kinds)}; received {', '.join(n.kind for n in nodes)}"
+                f"{operation} takes {', '.join(meaning.kinds)}; received"
+                f" {', '.join(n.kind for n in nodes)}"
             )
         if meaning.compute is not None and None not in [node.value for node in nodes]:
             made = self.constant(
@@ -345,7 +366,9 @@ class Builder:
     def finish(
         self, outputs: Mapping[str, Value], stores: Mapping[str, Value] | None = None
     ) -> Function:
-        """The function that computes ``outputs`` and the stored slots; what they do not need is left out."""
+        """The function that computes ``outputs`` and the stored slots; what they do not need is
+        left out.
+        """
         stores = self.state if stores is None else stores
         return _compact(
             self.nodes,
@@ -402,7 +425,9 @@ def rebuilt(
     operations: Collection[str],
     rule: Callable[[Builder, Node, list[Value]], Value],
 ) -> Function:
-    """The function with each of these ``operations`` made by ``rule`` in a new builder; all else stays."""
+    """The function with each of these ``operations`` made by ``rule`` in a new builder; all else
+    stays.
+    """
     if not any(node.operation in operations for node in function.nodes):
         return function
     builder = Builder()
@@ -467,7 +492,9 @@ def evaluate(
     inputs: Mapping[str, np.ndarray],
     state: Mapping[str, np.ndarray] | None = None,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Outputs and the state after the frame, computed by numpy over lanes; the reference for the compiled code."""
+    """Outputs and the state after the frame, computed by numpy over lanes; the reference for the
+    compiled code.
+    """
     lanes = max([np.size(a) for a in (*inputs.values(), *(state or {}).values())], default=1)
     last = _last_uses(function)
     values: list[Any] = [None] * len(function.nodes)

@@ -1,10 +1,11 @@
-"""Transcendental functions written out in IEEE operations: the same bits on every processor and at every vector width.
+"""Transcendental functions written out in IEEE operations: the same bits on every processor and at
+every vector width.
 
-Each function here takes values and returns the value of its expansion; ``lower`` expands all of a function of the intermediate
-form. Errors are below 2 units in the last place (tests/uqharness/batch/form/test_maths.py measures them). Special values follow
-C99, annex F, with two limits: the trigonometric functions give NaN beyond 1,600,000 (their reduction has 2^20 quarter turns) and
-``fmod`` gives NaN where the quotient is 2^50 or more.
-"""
+Each function here takes values and returns the value of its expansion; ``lower`` expands all of a
+function of the intermediate form. Errors are below 2 units in the last place
+(tests/uqharness/batch/form/test_maths.py measures them). Special values follow C99, annex F, with
+two limits: the trigonometric functions give NaN beyond 1,600,000 (their reduction has 2^20 quarter
+turns) and ``fmod`` gives NaN where the quotient is 2^50 or more."""
 
 from __future__ import annotations
 
@@ -27,8 +28,8 @@ SIGN = -(2**63)
 """The sign bit, as an i64."""
 
 _MAGIC = 6755399441055744.0
-"""1.5 * 2^52: a double of at most 2^51 in size that is added to it loses its fraction, to the nearest, and is an integer in the
-low bits."""
+"""1.5 * 2^52: a double of at most 2^51 in size that is added to it loses its fraction, to the
+nearest, and is an integer in the low bits."""
 
 
 @dataclass(frozen=True)
@@ -399,7 +400,9 @@ def power(x: Value, y: Value) -> Value:
 
 
 def _short_power(x: Value, y: float) -> Value | None:
-    """The power by multiplications, a root or a division; None if the exponent needs the general way."""
+    """The power by multiplications, a root or a division; None if the exponent needs the general
+    way.
+    """
     if y == 0.0:
         return x.builder.constant(1.0)
     if y == 0.5:
@@ -437,7 +440,10 @@ def _power_at_the_ends(x: Value, y: Value, size: Value, value: Value) -> Value:
 
 
 def _exp(x: Value, low: Value) -> Value:
-    """e^(x + low), low far smaller than x. A NaN gives some number: the caller puts the NaN back."""
+    """e^(x + low), low far smaller than x.
+
+    A NaN gives some number: the caller puts the NaN back.
+    """
     b = x.builder
     held = b.op("max", b.op("min", x, 720.0), -760.0)
     n = rounded(held * (1.0 / math.log(2.0)))
@@ -462,7 +468,8 @@ def _scaled(x: Value) -> _Scaled:
     bits = b.op("bits", tiny.choose(x * 2.0**54, x))
     # Exponent and mantissa counted from sqrt(1/2): what is above goes into k.
     shifted = b.op("isub", bits, b.integer(_ROOT_HALF_BITS))
-    # The exponent's 12 bits put into the low bits of 2^52 give a double without a conversion; negative ones through an offset.
+    # The exponent's 12 bits put into the low bits of 2^52 give a double without a conversion;
+    # negative ones through an offset.
     offset = b.op("ishr", b.op("iadd", shifted, b.integer(1024 << 52)), b.integer(52))
     k = b.op("double", b.op("ior", offset, b.op("bits", b.constant(2.0**52)))) - (2.0**52 + 1024.0)
     mantissa = b.op(
@@ -493,7 +500,9 @@ def _times(a: Two, parts: tuple[float, ...]) -> Two:
 
 
 def _at_the_ends(x: Value, value: Value) -> Value:
-    """A logarithm's special values: NaN below 0 and for NaN, -infinity at 0, infinity at infinity."""
+    """A logarithm's special values: NaN below 0 and for NaN, -infinity at 0, infinity at
+    infinity.
+    """
     value = x.eq(0.0).choose(-math.inf, value)
     value = x.lt(math.inf).choose(value, x)
     return x.lt(0.0).choose(math.nan, value)
@@ -508,7 +517,9 @@ _LEAST, _MOST = 2.0**-1074, sys.float_info.max
 
 
 def lower(function: Function) -> Function:
-    """The function with every transcendental operation written out; what was constant becomes a constant."""
+    """The function with every transcendental operation written out; what was constant becomes a
+    constant.
+    """
 
     return rebuilt(
         function, TRANSCENDENTAL, lambda _, node, arguments: EXPANSIONS[node.operation](*arguments)
@@ -578,11 +589,14 @@ def atan2(y: Value, x: Value) -> Value:
 
 
 def fmod(x: Value, y: Value) -> Value:
-    """The rest of x after whole multiples of y, exact, with the sign of x; NaN for y = 0 and where the quotient is 2^50 or more."""
+    """The rest of x after whole multiples of y, exact, with the sign of x; NaN for y = 0 and where
+    the quotient is 2^50 or more.
+    """
     b = x.builder
     ax, ay = b.op("abs", x), b.op("abs", y)
     q = b.op("floor", ax / ay)
-    # q has at most 50 bits, its upper part 25: every partial product is exact. The rounded quotient may be one too large.
+    # q has at most 50 bits, its upper part 25: every partial product is exact. The rounded quotient
+    # may be one too large.
     upper = b.op("floor", q * 2.0**-25) * 2.0**25
     lower_part = q - upper
     y_upper = b.op("double", b.op("iand", b.op("bits", ay), b.integer(-(1 << 27))))
@@ -619,10 +633,11 @@ EXPANSIONS: Mapping[str, Callable[..., Value]] = {
 
 
 def _reduced(x: Value) -> tuple[Value, Two]:
-    """Quarter turns n (a double) and the angle left, in two doubles: x = n pi/2 + r, |r| at most pi/4.
+    """Quarter turns n (a double) and the angle left, in two doubles: x = n pi/2 + r, |r| at most
+    pi/4.
 
-    pi/2 is cut in parts of 33 bits: their products with n (20 bits) are exact, so what is left is right to 2^-130 absolutely.
-    """
+    pi/2 is cut in parts of 33 bits: their products with n (20 bits) are exact, so what is left is
+    right to 2^-130 absolutely."""
     b = x.builder
     x = b.op("abs", x).le(TRIGONOMETRIC_LIMIT).choose(x, math.nan)
     n = rounded(x * (2.0 / math.pi))
@@ -654,7 +669,9 @@ def _sign_from(n: Value, bit: int) -> Value:
 
 
 def _half_angle(x: Value) -> tuple[Value, Value, Value]:
-    """Whether |x| < 1/2; there |x|, elsewhere sqrt((1 - |x|) / 2), whose arc sine is half of acos|x|; its arc sine less itself."""
+    """Whether |x| < 1/2; there |x|, elsewhere sqrt((1 - |x|) / 2), whose arc sine is half of
+    acos|x|; its arc sine less itself.
+    """
     b = x.builder
     size = b.op("abs", x)
     near = size.lt(0.5)
@@ -664,15 +681,17 @@ def _half_angle(x: Value) -> tuple[Value, Value, Value]:
 
 
 def _upper_angle(y: Value, x: Value) -> Value:
-    """The angle of the point (x, y) between 0 and pi, y not negative: a quarter, half ... of pi and an arc tangent.
+    """The angle of the point (x, y) between 0 and pi, y not negative: a quarter, half ... of pi and
+    an arc tangent.
 
-    Beyond a tangent of 1/2 it is counted from 45 degrees: there the difference of the coordinates is exact.
-    """
+    Beyond a tangent of 1/2 it is counted from 45 degrees: there the difference of the coordinates
+    is exact."""
     b = y.builder
     ax, sign = b.op("abs", x), sign_bit(x)
     steep = y.gt(ax)
     small, large = b.op("min", y, ax), steep.choose(y, ax)
-    # Both infinite: as if they were equal. Both 0: 0 over the least number. A NaN stands last in each choice, which keeps it.
+    # Both infinite: as if they were equal. Both 0: 0 over the least number. A NaN stands last in
+    # each choice, which keeps it.
     least, most = b.constant(_LEAST), b.constant(_MOST)
     high = small.ge(b.op("max", 0.5 * large, least))
     n = high.choose(b.op("min", most, y) - b.op("min", most, ax), steep.choose(-ax, y))
@@ -680,7 +699,8 @@ def _upper_angle(y: Value, x: Value) -> Value:
     r = flipped(n / d, sign)
     z = r * r
     pi, rest = PI_PARTS
-    # By how much the angle's base is below or above pi/2: the signs of x and of its distance go together.
+    # By how much the angle's base is below or above pi/2: the signs of x and of its distance go
+    # together.
     base = pi / 2 - flipped(high.choose(pi / 4, steep.choose(0.0, pi / 2)), sign)
     total = quick_sum(base, r)
     return total.high + (total.low + (r * z * polynomial(z, ATAN) + base * (rest / pi)))
@@ -693,16 +713,19 @@ def _upper_angle(y: Value, x: Value) -> Value:
 # and ``COSINE`` with its name.
 
 SINE, COSINE = "#sine/", "#cosine/"
-"""Begins of the names of slots that have the sine and cosine of the angle in the slot named behind them."""
+"""Begins of the names of slots that have the sine and cosine of the angle in the slot named behind
+them.
+"""
 
 _PREFIXES = {"sin": SINE, "cos": COSINE}
 
 
 def without_angles(program: Program) -> Program:
-    """The program with sines and cosines of such slots, and of their negatives, read in the place of computed.
+    """The program with sines and cosines of such slots, and of their negatives, read in the place
+    of computed.
 
-    A slot counts if each section that stores it stores its sine and cosine too and no stream feeds it. Before the first section
-    that stores it its sine and cosine are what their slots begin with.
+    A slot counts if each section that stores it stores its sine and cosine too and no stream feeds
+    it. Before the first section that stores it its sine and cosine are what their slots begin with.
     """
     fed = {name for stream in program.streams for name in stream.columns}
     angles = {name.removeprefix(SINE) for name in program.slots if name.startswith(SINE)} - fed

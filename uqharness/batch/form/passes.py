@@ -1,7 +1,8 @@
-"""Passes over programs. None changes a bit of what is recorded, or of the slots that are to be kept.
+"""Passes over programs. None changes a bit of what is recorded, or of the slots that are to be
+kept.
 
-``optimised`` puts them together. Slots that only sections know may stand at other values behind it, or be missing.
-"""
+``optimised`` puts them together. Slots that only sections know may stand at other values behind it,
+or be missing."""
 
 from __future__ import annotations
 
@@ -43,10 +44,11 @@ _STORE = 2
 
 
 def sunk(program: Program, keep: Collection[str] = (), stride: int = 1) -> Program:
-    """The program with such values moved; no bit changes of what is recorded in frames that ``stride`` divides, nor of ``keep``.
+    """The program with such values moved; no bit changes of what is recorded in frames that
+    ``stride`` divides, nor of ``keep``.
 
-    Behind a call that ends in another frame a moved slot is as old as the last frame in which it was computed.
-    """
+    Behind a call that ends in another frame a moved slot is as old as the last frame in which it
+    was computed."""
     intervals = _intervals(program, frozenset(keep), stride)
     sections: list[Section] = []
     slots = dict(program.slots)
@@ -110,7 +112,9 @@ def _intervals(program: Program, keep: frozenset[str], stride: int) -> dict[str,
 
 
 def _needed_more_often(name: str, every: int, moved: Sequence[Section]) -> bool:
-    """Whether a part that has been moved loads the slot in frames that ``every`` does not divide."""
+    """Whether a part that has been moved loads the slot in frames that ``every`` does not
+    divide.
+    """
     return any(part.when.every % every and name in part.function.slots for part in moved)
 
 
@@ -162,7 +166,9 @@ def _split(function: Function, names: Collection[str], turns: int, number: int) 
 
 
 def _cone(function: Function, goals: Iterable[int], edge: Collection[int]) -> set[int]:
-    """All nodes that the goals are made of; what stands behind the nodes of ``edge`` is left out."""
+    """All nodes that the goals are made of; what stands behind the nodes of ``edge`` is
+    left out.
+    """
     found: set[int] = set()
     todo, stop = list(goals), set(edge)
     while todo:
@@ -214,12 +220,11 @@ def lowered(program: Program) -> Program:
 
 
 def optimised(program: Program, keep: Collection[str] = (), stride: int = 1) -> Program:
-    """The program written out, with less work: sections joined, what nobody needs left out, what never changes done before, what is
-    seldom looked at done when it is.
+    """The program written out, with less work: sections joined, what nobody needs left out, what
+    never changes done before, what is seldom looked at done when it is.
 
-    ``keep`` are slots that are read from the state behind a call; records are kept anyway, in frames that ``stride`` divides. Slots
-    that are no longer used are gone.
-    """
+    ``keep`` are slots that are read from the state behind a call; records are kept anyway, in
+    frames that ``stride`` divides. Slots that are no longer used are gone."""
     program = alive(joined(alive(lowered(program), keep)), keep)
     return trimmed(hoisted(joined(sunk(program, keep, stride))), keep)
 
@@ -227,7 +232,9 @@ def optimised(program: Program, keep: Collection[str] = (), stride: int = 1) -> 
 def for_what_follows(
     first: Program, second: Program, program: Program, keep: Collection[str]
 ) -> tuple[Program, Program]:
-    """Two programs that each run one frame before ``program``, without what neither it nor ``keep`` needs; written out."""
+    """Two programs that each run one frame before ``program``, without what neither it nor ``keep``
+    needs; written out.
+    """
     wanted = {*program.slots, *keep}
     later = lowered(alive(joined(second), wanted))
     loaded = {name for section in later.sections for name in section.function.slots}
@@ -236,8 +243,8 @@ def for_what_follows(
 
 
 def joined(program: Program) -> Program:
-    """Neighbours that run at the same times and in the same lanes made one section, so that values pass without memory and what
-    both compute is computed once. Sections that store nothing go."""
+    """Neighbours that run at the same times and in the same lanes made one section, so that values
+    pass without memory and what both compute is computed once. Sections that store nothing go."""
     groups: list[list[Section]] = []
     for section in (s for s in program.sections if s.function.stores):
         group = groups[-1] if groups else None
@@ -269,7 +276,9 @@ def _one(sections: Sequence[Section]) -> Section:
 
 
 def alive(program: Program, keep: Collection[str] = ()) -> Program:
-    """Without stores that nothing needs: no section of this or a later frame that has an effect, no mask, no counter, no record."""
+    """Without stores that nothing needs: no section of this or a later frame that has an effect, no
+    mask, no counter, no record.
+    """
     while True:
         needed = _needed(program, frozenset(keep) | frozenset(program.records))
         sections = []
@@ -290,7 +299,9 @@ def alive(program: Program, keep: Collection[str] = ()) -> Program:
 
 
 def _needed(program: Program, behind: frozenset[str]) -> list[frozenset[str]]:
-    """For each section the slots whose values behind it somebody needs: the least solution around the frames' circle."""
+    """For each section the slots whose values behind it somebody needs: the least solution around
+    the frames' circle.
+    """
     reads = [slots_read(section.function) for section in program.sections]
     end = behind
     while True:
@@ -311,11 +322,11 @@ def _needed(program: Program, behind: frozenset[str]) -> list[frozenset[str]]:
 
 
 def hoisted(program: Program) -> Program:
-    """What depends on constants and slots that no frame changes is computed before the first frame of a call, in ``prelude``.
+    """What depends on constants and slots that no frame changes is computed before the first frame
+    of a call, in ``prelude``.
 
-    Of such values those are kept, in slots '#once/<k>', that something else uses and that cost more than a load. Raises ValueError
-    for a program that has a prelude.
-    """
+    Of such values those are kept, in slots '#once/<k>', that something else uses and that cost more
+    than a load. Raises ValueError for a program that has a prelude."""
     if program.prelude is not None:
         raise ValueError("the program has a prelude")
     changing = {slot for section in program.sections for slot in section.function.stores}
@@ -336,14 +347,18 @@ def hoisted(program: Program) -> Program:
 def _hoisted(
     function: Function, changing: set[str], before: Builder, places: dict[int, str]
 ) -> Function:
-    """The function with loads in the place of what is computed in ``before``; ``places`` are values of it and their slots."""
+    """The function with loads in the place of what is computed in ``before``; ``places`` are values
+    of it and their slots.
+    """
     fixed, effort = _fixed(function, changing)
     builder = Builder()
     early: list[Value | None] = []
     late: list[Value | None] = []
 
     def value(index: int) -> Value:
-        """A node's value in the frame: loaded if it is made beforehand and worth it, else computed."""
+        """A node's value in the frame: loaded if it is made beforehand and worth it, else
+        computed.
+        """
         known = late[index]
         if known is not None:
             return known
@@ -372,7 +387,9 @@ def _hoisted(
 
 
 def _fixed(function: Function, changing: set[str]) -> tuple[list[bool], list[int]]:
-    """Of each node whether it stays the same in all frames, and roughly what it costs with all it is made of."""
+    """Of each node whether it stays the same in all frames, and roughly what it costs with all it
+    is made of.
+    """
     fixed: list[bool] = []
     effort: list[int] = []
     for node in function.nodes:
@@ -419,8 +436,8 @@ def settled(
 ) -> Program:
     """``program`` with what is constant folded, when programs ``before`` have each run one frame.
 
-    varying: slots that differ between lanes before the first of them. between: programs that run any number of frames before it.
-    """
+    varying: slots that differ between lanes before the first of them. between: programs that run
+    any number of frames before it."""
     known: Known = {}
     for one in before:
         one = lowered(one)
@@ -449,7 +466,10 @@ def _begin(known: Known, program: Program, varying: Collection[str]) -> None:
 
 
 def _step(known: Known, section: Section, once: bool) -> bool:
-    """Take one section into account; whether it taught anything. ``once``: it runs now, and not again."""
+    """Take one section into account; whether it taught anything.
+
+    ``once``: it runs now, and not again.
+    """
     mask = None if section.when.mask is None else known.get(section.when.mask)
     if section.when.mask is not None and mask == 0.0:
         return False

@@ -1,8 +1,9 @@
-"""A flight as a program: sections that run in the order of a frame over slots of state, streams that feed slots, slots recorded.
+"""A flight as a program: sections that run in the order of a frame over slots of state, streams
+that feed slots, slots recorded.
 
-A section is a ``Function`` that loads and stores slots; between sections values pass through slots alone. Frames are counted from
-1. All lanes run in lockstep; a section may run in every n-th frame, in one frame, or in lanes whose mask slot is not 0.
-"""
+A section is a ``Function`` that loads and stores slots; between sections values pass through slots
+alone. Frames are counted from 1. All lanes run in lockstep; a section may run in every n-th frame,
+in one frame, or in lanes whose mask slot is not 0."""
 
 from __future__ import annotations
 
@@ -17,8 +18,8 @@ from uqharness.batch.form.ir import Function
 
 @dataclass(frozen=True)
 class When:
-    """When a section runs: in frames k with k % ``every`` == 0, or in frame ``at`` alone; and only in lanes where slot ``mask`` is
-    not 0: the others keep what they have."""
+    """When a section runs: in frames k with k % ``every`` == 0, or in frame ``at`` alone; and only
+    in lanes where slot ``mask`` is not 0: the others keep what they have."""
 
     every: int = 1
     at: int | None = None
@@ -27,7 +28,9 @@ class When:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a frame. ``function`` has no inputs and no outputs: it loads slots and stores slots. ``name`` is for messages."""
+    """A part of a frame. ``function`` has no inputs and no outputs: it loads slots and stores
+    slots. ``name`` is for messages.
+    """
 
     name: str
     function: Function
@@ -36,12 +39,13 @@ class Section:
 
 @dataclass(frozen=True)
 class Stream:
-    """Numbers from outside: rows of ``columns``, which are put into the slots of those names at the begin of a frame.
+    """Numbers from outside: rows of ``columns``, which are put into the slots of those names at the
+    begin of a frame.
 
-    A row is taken in frames k with k % ``every`` == 0. Its number is k // every - 1, or, with ``counter``, what stands in that
-    slot at the begin of the frame, for each lane its own (a whole number, 0 or more). Lanes share rows: each lane has its offset in
-    the stream's array (``form.flying.Feed``).
-    """
+    A row is taken in frames k with k % ``every`` == 0. Its number is k // every - 1, or, with
+    ``counter``, what stands in that slot at the begin of the frame, for each lane its own (a whole
+    number, 0 or more). Lanes share rows: each lane has its offset in the stream's array
+    (``form.flying.Feed``)."""
 
     name: str
     columns: tuple[str, ...]
@@ -54,11 +58,10 @@ class Program:
     """A frame of a flight.
 
     sections  in the order in which they run
-    slots     names of the state to their value before the first frame (a lane's own values replace it)
-    streams   what is fed
-    records   slots that are recorded behind a frame
-    prelude   computed once before the frames of a call, from slots that no frame changes, into slots that only it stores
-    """
+    slots     names of the state to their value before the first frame (a lane's own values replace
+    it) streams   what is fed records   slots that are recorded behind a frame prelude   computed
+    once before the frames of a call, from slots that no frame changes, into slots that only it
+    stores"""
 
     sections: tuple[Section, ...]
     slots: Mapping[str, float]
@@ -84,10 +87,11 @@ class Feed(NamedTuple):
     array      (rows, columns of the stream), doubles
     first_row  number of the row that stands at each lane's offset
     offsets    (lanes,), a row of ``array`` for each lane, int64; lanes may share
-    rows       how many rows each lane has from its offset on; None: as many as every lane has to the end of ``array``
+    rows       how many rows each lane has from its offset on; None: as many as every lane has to
+    the end of ``array``
 
-    A row that a lane does not have: an error before the call, or NaN where the row comes from a counter.
-    """
+    A row that a lane does not have: an error before the call, or NaN where the row comes from a
+    counter."""
 
     array: np.ndarray
     first_row: int
@@ -113,12 +117,16 @@ class Flyer(Protocol):
         streams: Feeds | None = None,
         stride: int = 1,
     ) -> np.ndarray:
-        """Fly frames ``first_frame`` and on (from 1), ``state`` in place; the records of frames that ``stride`` divides."""
+        """Fly frames ``first_frame`` and on (from 1), ``state`` in place; the records of frames
+        that ``stride`` divides.
+        """
 
 
 @dataclass(frozen=True)
 class Call:
-    """A call of ``fly``, checked: feeds in the order of the program's streams, and the array that takes the records."""
+    """A call of ``fly``, checked: feeds in the order of the program's streams, and the array that
+    takes the records.
+    """
 
     feeds: tuple[Feed, ...]
     records: np.ndarray
@@ -132,8 +140,8 @@ def checked(
     streams: Feeds | None,
     stride: int,
 ) -> Call:
-    """The call's feeds and an array for its records. Raises ValueError for arrays of other shapes, rows that are not there,
-    streams without numbers."""
+    """The call's feeds and an array for its records. Raises ValueError for arrays of other shapes,
+    rows that are not there, streams without numbers."""
     if state.ndim != 3 or state.shape[1:] != (len(program.slots), BLOCK):
         raise ValueError(
             f"the state has shape (blocks, {len(program.slots)}, {BLOCK}); received {state.shape}"
@@ -142,13 +150,15 @@ def checked(
         raise ValueError("the state is an array of doubles in one piece that can be written")
     if first_frame < 1 or frames < 0 or stride < 1:
         raise ValueError(
-            f"frames count from 1 and a stride is at least 1; received {first_frame}, {frames} frames, stride {stride}"
+            f"frames count from 1 and a stride is at least 1; received {first_frame}, {frames}"
+            f" frames, stride {stride}"
         )
     streams = streams or {}
     wanted = {stream.name for stream in program.streams}
     if set(streams) != wanted:
         raise ValueError(
-            f"streams {', '.join(sorted(wanted)) or 'none'} are needed; received {', '.join(sorted(streams)) or 'none'}"
+            f"streams {', '.join(sorted(wanted)) or 'none'} are needed; received"
+            f" {', '.join(sorted(streams)) or 'none'}"
         )
     lanes, last = state.shape[0] * BLOCK, first_frame + frames - 1
     feeds = tuple(
@@ -168,12 +178,14 @@ def _checked_feed(stream: Stream, feed: Feed, lanes: int, first: int, last: int)
         or not array.flags.c_contiguous
     ):
         raise ValueError(
-            f"stream {name}: doubles of shape (rows, {columns}) in one piece are needed; received {array.shape}"
+            f"stream {name}: doubles of shape (rows, {columns}) in one piece are needed; received"
+            f" {array.shape}"
         )
     given = np.asarray(feed.offsets)
     if given.ndim != 1 or not 0 < len(given) <= lanes or given.dtype.kind not in "iu":
         raise ValueError(
-            f"stream {name}: a whole offset for each of up to {lanes} lanes is needed; received {given.shape}"
+            f"stream {name}: a whole offset for each of up to {lanes} lanes is needed; received"
+            f" {given.shape}"
         )
     offsets = np.ascontiguousarray(
         np.concatenate([given, np.full(lanes - len(given), given[-1])]).astype(np.int64)
@@ -181,7 +193,8 @@ def _checked_feed(stream: Stream, feed: Feed, lanes: int, first: int, last: int)
     rows = len(array) - int(offsets.max()) if feed.rows is None else feed.rows
     if offsets.min() < 0 or rows < 0 or int(offsets.max()) + rows > len(array):
         raise ValueError(
-            f"stream {name}: offsets {offsets.min()} to {offsets.max()} with {rows} rows leave the {len(array)} rows given"
+            f"stream {name}: offsets {offsets.min()} to {offsets.max()} with {rows} rows leave the"
+            f" {len(array)} rows given"
         )
     if stream.counter is not None and rows == 0:
         raise ValueError(f"stream {name}: a stream with a counter needs a row")
@@ -196,7 +209,9 @@ def _checked_feed(stream: Stream, feed: Feed, lanes: int, first: int, last: int)
 
 
 def blocked(rows: Sequence[np.ndarray], lanes: int) -> np.ndarray:
-    """Rows of lanes, or numbers, as (blocks, rows, BLOCK); the last block is filled up with copies of the last lane."""
+    """Rows of lanes, or numbers, as (blocks, rows, BLOCK); the last block is filled up with copies
+    of the last lane.
+    """
     blocks = -(-lanes // BLOCK)
     flat = np.empty((len(rows), blocks * BLOCK))
     for k, row in enumerate(rows):
@@ -213,8 +228,8 @@ def unblocked(array: np.ndarray, lanes: int) -> list[np.ndarray]:
 def begun(
     program: Program, lanes: int, values: Mapping[str, np.ndarray | float] | None = None
 ) -> np.ndarray:
-    """The state before the first frame: the program's values, those of ``values`` in their place, numbers or one for each lane.
-    Raises ValueError for a slot that the program does not have."""
+    """The state before the first frame: the program's values, those of ``values`` in their place,
+    numbers or one for each lane. Raises ValueError for a slot that the program does not have."""
     values = values or {}
     strange = [name for name in values if name not in program.slots]
     if strange:
@@ -229,7 +244,9 @@ def begun(
 
 
 def shared(pieces: Mapping[Any, np.ndarray], keys: Sequence[Hashable], first_row: int) -> Feed:
-    """One feed of equally long ``pieces``, each of which several lanes may share; ``keys`` name the piece of each lane."""
+    """One feed of equally long ``pieces``, each of which several lanes may share; ``keys`` name the
+    piece of each lane.
+    """
     rows = len(next(iter(pieces.values())))
     starts = {key: k * rows for k, key in enumerate(pieces)}
     array = np.ascontiguousarray(np.concatenate(list(pieces.values())))
@@ -237,7 +254,9 @@ def shared(pieces: Mapping[Any, np.ndarray], keys: Sequence[Hashable], first_row
 
 
 def stepped(flyer: Flyer, values: Mapping[str, np.ndarray], lanes: int) -> dict[str, np.ndarray]:
-    """Every slot of a program behind one frame that begins with ``values``; those that the program does not have are left out."""
+    """Every slot of a program behind one frame that begins with ``values``; those that the program
+    does not have are left out.
+    """
     program = flyer.program
     state = begun(
         program, lanes, {name: value for name, value in values.items() if name in program.slots}
@@ -253,8 +272,8 @@ def slot(program: Program, state: np.ndarray, name: str, lanes: int) -> np.ndarr
 
 
 def carried(state: np.ndarray, program: Program, other: Program) -> np.ndarray:
-    """The state as the slots of another program, by name: how a program's start becomes that of the program behind a pass. Slots
-    that ``program`` does not have begin with the other's values."""
+    """The state as the slots of another program, by name: how a program's start becomes that of the
+    program behind a pass. Slots that ``program`` does not have begin with the other's values."""
     rows = {name: row for row, name in enumerate(program.slots)}
     out = np.empty((len(state), len(other.slots), BLOCK))
     for row, (name, first) in enumerate(other.slots.items()):

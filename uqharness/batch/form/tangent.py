@@ -1,9 +1,9 @@
-"""Derivatives by forward mode: a function of the intermediate form becomes one that computes its values and their rates of change
-as well.
+"""Derivatives by forward mode: a function of the intermediate form becomes one that computes its
+values and their rates of change as well.
 
-Run it before ``form.maths.lower``: derivatives are those of sin, exp, pow ... themselves. Directions share all values. Where a
-value jumps or bends (floor, lookup, select, min, max, abs) the derivative is that of the branch taken.
-"""
+Run it before ``form.maths.lower``: derivatives are those of sin, exp, pow ... themselves.
+Directions share all values. Where a value jumps or bends (floor, lookup, select, min, max, abs) the
+derivative is that of the branch taken."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ def tangent(
     inputs: Sequence[str] = (),
     moving: Mapping[str, Collection[str]] | None = None,
 ) -> Function:
-    """The function with, for each direction, derivatives as further inputs, slots and outputs (``rate_name``).
+    """The function with, for each direction, derivatives as further inputs, slots and outputs
+    (``rate_name``).
 
-    ``inputs`` are those whose derivative is given from outside; the others do not change. Every slot of the state has a derivative,
-    or, with ``moving``, those that are named for the direction; that of the others is 0 and has no slot. Raises ValueError for
-    operations on bits, which ``lower`` brings in: differentiate first.
-    """
+    ``inputs`` are those whose derivative is given from outside; the others do not change. Every
+    slot of the state has a derivative, or, with ``moving``, those that are named for the direction;
+    that of the others is 0 and has no slot. Raises ValueError for operations on bits, which
+    ``lower`` brings in: differentiate first."""
     builder = Builder()
     values: list[Value] = []
     rates: dict[str, list[Rate]] = {d: [] for d in directions}
@@ -72,12 +73,13 @@ def tangent(
 
 
 def tangent_program(program: Program, directions: Mapping[str, Mapping[str, float]]) -> Program:
-    """The program with derivatives of its slots: for each direction the slots that begin with a derivative, and which.
+    """The program with derivatives of its slots: for each direction the slots that begin with a
+    derivative, and which.
 
-    Slots that a direction can never reach have no derivative. Records are followed by their derivatives, direction by direction
-    (``rate_name``). Streams do not depend on anything. Run it before ``form.passes``; raises ValueError for operations on bits, for
-    a program with a prelude, and for slots that the program does not have.
-    """
+    Slots that a direction can never reach have no derivative. Records are followed by their
+    derivatives, direction by direction (``rate_name``). Streams do not depend on anything. Run it
+    before ``form.passes``; raises ValueError for operations on bits, for a program with a prelude,
+    and for slots that the program does not have."""
     if program.prelude is not None:
         raise ValueError("take the tangent of a program before what never changes is done before")
     for direction, begins in directions.items():

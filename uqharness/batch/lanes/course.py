@@ -1,8 +1,9 @@
-"""Flights of one program in progress: begun, flown piece by piece, held, and taken up again in other lanes.
+"""Flights of one program in progress: begun, flown piece by piece, held, and taken up again in
+other lanes.
 
-A held flight is numbers alone: the slots of its lane (integrators' histories, filters, delays, events, counters), what was
-recorded, where it stands. Its streams are functions of their seeds, its splits and the frame, and are made again up to there.
-"""
+A held flight is numbers alone: the slots of its lane (integrators' histories, filters, delays,
+events, counters), what was recorded, where it stands. Its streams are functions of their seeds, its
+splits and the frame, and are made again up to there."""
 
 from __future__ import annotations
 
@@ -84,14 +85,19 @@ _TURNS = 200
 
 @dataclass(frozen=True)
 class Begun:
-    """``values``: slot to its value in each lane behind the initialising frames. ``noise``: by seed, drawn up to there."""
+    """``values``: slot to its value in each lane behind the initialising frames.
+
+    ``noise``: by seed, drawn up to there.
+    """
 
     values: dict[str, FloatArray]
     noise: Mapping[int, Noise]
 
 
 def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
-    """Initialise. Raises BadInputError for a property that cannot be set, or that initialising has overwritten."""
+    """Initialise. Raises BadInputError for a property that cannot be set, or that initialising has
+    overwritten.
+    """
     count = len(specs)
     loaded = _loaded(lanes, specs)
     values = start_state(
@@ -132,7 +138,8 @@ def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
             values |= dict(zip(WIND, blown.T, strict=True))
     if lanes.points and (values[TOUCHED] >= 0.0).any():
         raise BadInputError(
-            'the flight starts on the ground, where the batch engine computes no forces; fly it with engine = "jsbsim"'
+            "the flight starts on the ground, where the batch engine computes no forces; fly it"
+            ' with engine = "jsbsim"'
         )
     _require_kept(specs, given, values)
     return Begun(values, noise)
@@ -141,7 +148,9 @@ def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
 def settle(
     settlers: Sequence[tuple[str, Flyer]], values: dict[str, FloatArray], count: int
 ) -> None:
-    """Bring every lane's engines to their steady state. settlers: as `compiled_settlers` gives them."""
+    """Bring every lane's engines to their steady state. settlers: as `compiled_settlers` gives
+    them.
+    """
     for going, flyer in settlers:
         program = flyer.program
         state = begun(
@@ -191,8 +200,8 @@ def _require_kept(
         if moved.any():
             lane = int(np.argmax(moved))
             raise BadInputError(
-                f"property {name} was set to {wanted[lane]:g} and stands at {kept[lane]:g} after initialising: the model computes "
-                "it, so it cannot be set"
+                f"property {name} was set to {wanted[lane]:g} and stands at {kept[lane]:g} after"
+                " initialising: the model computes it, so it cannot be set"
             )
 
 
@@ -207,8 +216,8 @@ Splits = tuple[Split, ...]
 class Feeder:
     """Feeds of the next frames for the lanes that are still flying.
 
-    airs: each lane's; begun: noise by seed, where the lanes stand before their first frame. Lanes that go on behind ``frame``
-    frames have ``splits``, and their streams are made anew up to there.
+    airs: each lane's; begun: noise by seed, where the lanes stand before their first frame. Lanes
+    that go on behind ``frame`` frames have ``splits``, and their streams are made anew up to there.
     """
 
     def __init__(
@@ -234,8 +243,9 @@ class Feeder:
         self._windows: dict[Hashable, _Window] = {}
 
     def followed(self, lanes: Sequence[int], frame: int, splits: Sequence[Splits]) -> Feeder:
-        """A feeder behind ``frame`` frames whose lane k goes on with lane ``lanes[k]`` of this one, which is given up: streams that
-        are known go on where they stand, those of a new last split leave them there."""
+        """A feeder behind ``frame`` frames whose lane k goes on with lane ``lanes[k]`` of this one,
+        which is given up: streams that are known go on where they stand, those of a new last split
+        leave them there."""
         specs, airs = [self._specs[k] for k in lanes], [self._airs[k] for k in lanes]
         other = Feeder(self._lanes, specs, airs, None, frame, splits, self._target)
         other._branching = True
@@ -352,7 +362,9 @@ class Feeder:
         return made
 
     def _turbulence(self, alive: NDArray[np.intp], frames: int, state: FloatArray) -> Feed:
-        """Lanes of one air may stand at different rows: each air keeps those that any of its lanes may still need."""
+        """Lanes of one air may stand at different rows: each air keeps those that any of its lanes
+        may still need.
+        """
         counters = slot(self._program, state, COUNTER, len(alive)).astype(np.int64)
         seeds = [(self._specs[k].seed_turbulence, self._splits[k]) for k in alive]
         pieces = {}
@@ -393,7 +405,9 @@ def _air_of(
 
 
 def _turbulence_of(seed: int, splits: Splits, target: Target) -> Series:
-    """Normals alone: the filters are the aircraft's, so that the last split's are all that is heard."""
+    """Normals alone: the filters are the aircraft's, so that the last split's are all that is
+    heard.
+    """
     if splits:
         return _Behind(
             Turbulence(splits[-1].seed("turbulence"), target, splits[-1].turbulence_row),
@@ -441,9 +455,10 @@ _CHUNK = 4000
 
 
 _BEYOND_REASON = (
-    "a function of the aircraft had an argument that JSBSim ends for (mod by 0, a condition that is neither 0 "
-    "nor 1, a switch without such a case) or that is beyond the batch engine (sin, cos and tan beyond 1,600,000, "
-    'fmod with a quotient beyond 2^50, mod beyond 32 bits); fly the campaign with engine = "jsbsim"'
+    "a function of the aircraft had an argument that JSBSim ends for (mod by 0, a condition that is"
+    " neither 0 nor 1, a switch without such a case) or that is beyond the batch engine (sin, cos"
+    " and tan beyond 1,600,000, fmod with a quotient beyond 2^50, mod beyond 32 bits); fly the"
+    ' campaign with engine = "jsbsim"'
 )
 
 
@@ -478,9 +493,9 @@ class Branch(NamedTuple):
 class Held:
     """One flight behind ``frame`` frames: numbers that go on in any lane.
 
-    state (slots,) in the order of the program; records (channels, rows) of the scored part so far; air from which the host's
-    gusts are made; splits at which it branched; end, and whether it is still flying.
-    """
+    state (slots,) in the order of the program; records (channels, rows) of the scored part so far;
+    air from which the host's gusts are made; splits at which it branched; end, and whether it is
+    still flying."""
 
     spec: FlightSpec
     frame: int
@@ -492,7 +507,10 @@ class Held:
     flying: bool
 
     def branched(self, made: Ready, root: int, aleatory_id: int, level: int, branch: int) -> Held:
-        """The same flight whose air and noise go on with streams of that key. Raises ValueError for a flight that has ended."""
+        """The same flight whose air and noise go on with streams of that key.
+
+        Raises ValueError for a flight that has ended.
+        """
         if not self.flying:
             raise ValueError(
                 f"the flight has ended ({self.end.status}): there is nothing to branch"
@@ -508,8 +526,8 @@ class Course:
     """Flights side by side, all behind the same number of frames."""
 
     def __init__(self, made: Ready, held: Sequence[Held]) -> None:
-        """Take held flights up, each in a lane of its own; one may come several times. Raises ValueError unless all stand behind
-        the same frame."""
+        """Take held flights up, each in a lane of its own; one may come several times. Raises
+        ValueError unless all stand behind the same frame."""
         frames = {one.frame for one in held}
         if len(frames) != 1:
             raise ValueError(
@@ -535,7 +553,10 @@ class Course:
 
     @classmethod
     def begun(cls, made: Ready, specs: Sequence[FlightSpec]) -> Course:
-        """Flights before their first frame. Raises BadInputError for a start that cannot be flown."""
+        """Flights before their first frame.
+
+        Raises BadInputError for a start that cannot be flown.
+        """
         lanes, program = made.lanes, made.lanes.program
         started = begin(lanes, specs)
         burn, _ = row_counts(specs[0], lanes.dt_s * lanes.stride)
@@ -566,14 +587,18 @@ class Course:
         return sum(row_counts(self._held[0].spec, self._made.lanes.dt_s * stride)) * stride
 
     def fly(self, frame: int | None = None) -> None:
-        """Go on up to behind ``frame`` frames, default the end. Raises ValueError for a frame that is past, or is no row's."""
+        """Go on up to behind ``frame`` frames, default the end.
+
+        Raises ValueError for a frame that is past, or is no row's.
+        """
         lanes, program = self._made.lanes, self._made.lanes.program
         spec = self._held[0].spec
         stride = record_stride(spec, lanes.dt_s)
         goal = self.last if frame is None else frame
         if goal < self.frame or goal > self.last or goal % stride:
             raise ValueError(
-                f"a frame from {self.frame} to {self.last} that {stride} divides is needed; received {goal}"
+                f"a frame from {self.frame} to {self.last} that {stride} divides is needed;"
+                f" received {goal}"
             )
         burn, _ = row_counts(spec, lanes.dt_s * stride)
         chunk = max(1, _CHUNK // stride) * stride
@@ -605,11 +630,12 @@ class Course:
         self.frame = goal
 
     def follow(self, lanes: Sequence[int], branches: Sequence[Branch | None]) -> None:
-        """Go on with those lanes alone, in that order; one may come several times, and with a key it branches here.
+        """Go on with those lanes alone, in that order; one may come several times, and with a key
+        it branches here.
 
-        The bytes are those of ``held``, ``branched`` and another course, but streams go on where they stand and are not made anew.
-        What was recorded so far is dropped. Raises ValueError for a lane that has ended, and for none at all.
-        """
+        The bytes are those of ``held``, ``branched`` and another course, but streams go on where
+        they stand and are not made anew. What was recorded so far is dropped. Raises ValueError for
+        a lane that has ended, and for none at all."""
         if not lanes:
             raise ValueError("a course follows one lane at least; received none")
         place = {int(lane): k for k, lane in enumerate(self._alive)}
@@ -639,7 +665,9 @@ class Course:
         self._parts = [[one.records[:, :0]] for one in held]
 
     def taken(self) -> list[FloatArray]:
-        """Each lane's rows (channels, rows) since the last call, in the order of the program's records; they are dropped here."""
+        """Each lane's rows (channels, rows) since the last call, in the order of the program's
+        records; they are dropped here.
+        """
         found = [
             np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0] for parts in self._parts
         ]
@@ -657,7 +685,10 @@ class Course:
         return [one.splits for one in self._held]
 
     def watched(self, name: str) -> FloatArray:
-        """(lanes,) a slot's value in each lane that is flying, NaN elsewhere. Raises ValueError for what is no slot."""
+        """(lanes,) a slot's value in each lane that is flying, NaN elsewhere.
+
+        Raises ValueError for what is no slot.
+        """
         out = np.full(len(self._held), np.nan)
         if self._alive.size:
             out[self._alive] = slot(self._made.lanes.program, self._state, name, len(self._alive))
@@ -777,7 +808,10 @@ def fly_many(specs: Sequence[FlightSpec]) -> list[FlightResult]:
 
 
 def record_many(specs: Sequence[FlightSpec]) -> list[Recorded]:
-    """Fly without scoring: what was recorded of each flight, in the order given. Raises BadInputError as ``fly_many`` does."""
+    """Fly without scoring: what was recorded of each flight, in the order given.
+
+    Raises BadInputError as ``fly_many`` does.
+    """
     results: dict[int, Recorded] = {}
     groups: dict[Hashable, list[int]] = {}
     for k, spec in enumerate(specs):
@@ -802,7 +836,9 @@ def _program_key(spec: FlightSpec) -> Hashable:
 
 
 def _parts(specs: Sequence[FlightSpec], places: Sequence[int]) -> Iterator[Sequence[int]]:
-    """Groups whose records fit into memory; flights of one air stand together, so that its streams are made once."""
+    """Groups whose records fit into memory; flights of one air stand together, so that its streams
+    are made once.
+    """
     spec = specs[places[0]]
     lane_bytes = max(1.0, spec.duration_s * spec.record_rate_hz) * 20 * 8
     most = max(8, int(_RECORD_BYTES / lane_bytes) // 8 * 8)
@@ -811,7 +847,10 @@ def _parts(specs: Sequence[FlightSpec], places: Sequence[int]) -> Iterator[Seque
 
 
 def ready(spec: FlightSpec) -> Ready:
-    """The mission of a flight, translated once for all flights that one program flies. Raises BadInputError."""
+    """The mission of a flight, translated once for all flights that one program flies.
+
+    Raises BadInputError.
+    """
     staged = staged_mission(spec)
     key = (id(staged), _program_key(spec))
     found = _ready.get(key)
@@ -852,7 +891,8 @@ def forget() -> None:
 
 
 def refusals(spec: FlightSpec, varying: Collection[str] = ()) -> tuple[str, ...]:
-    """Sentences, with file and line, on what is not understood of a flight's aircraft and mission; empty: it can be flown.
+    """Sentences, with file and line, on what is not understood of a flight's aircraft and mission;
+    empty: it can be flown.
 
     varying: properties that differ between flights, beside those that ``spec`` sets.
     """

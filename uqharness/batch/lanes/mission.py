@@ -1,8 +1,8 @@
-"""A mission made ready to fly in lanes: its programs compiled, and what JSBSim has to say before the first frame.
+"""A mission made ready to fly in lanes: its programs compiled, and what JSBSim has to say before
+the first frame.
 
-JSBSim itself loads the aircraft once: mass, metrics and initial conditions are its numbers, so that units, defaults and
-``<initialize>`` files have one meaning.
-"""
+JSBSim itself loads the aircraft once: mass, metrics and initial conditions are its numbers, so that
+units, defaults and ``<initialize>`` files have one meaning."""
 
 from __future__ import annotations
 
@@ -79,8 +79,9 @@ class Loaded:
 
 @dataclass(frozen=True)
 class LaneMission:
-    """A mission for any number of lanes. ``inputs`` are properties that may differ between them, ``varying`` all slots that may;
-    a row is recorded every ``stride`` frames; ``steady``: engines begin in the steady state of their throttles."""
+    """A mission for any number of lanes. ``inputs`` are properties that may differ between them,
+    ``varying`` all slots that may; a row is recorded every ``stride`` frames; ``steady``: engines
+    begin in the steady state of their throttles."""
 
     mission: StagedMission
     flight: Flight
@@ -95,7 +96,9 @@ class LaneMission:
 
     @cached_property
     def program(self) -> Program:
-        """A frame of the flight with less work: made when it is flown, for who asks whether it can be does without."""
+        """A frame of the flight with less work: made when it is flown, for who asks whether it can
+        be does without.
+        """
         flight = self.flight
         between = (
             (*flight.steady, flight.renewed) if self.steady and flight.renewed is not None else ()
@@ -139,7 +142,9 @@ class LaneMission:
 
 
 def compiled_settlers(flight: Flight) -> tuple[tuple[str, Flyer], ...]:
-    """For each engine the slot that is not 0 while it is on its way to its steady state, and the turns of that way, compiled."""
+    """For each engine the slot that is not 0 while it is on its way to its steady state, and the
+    turns of that way, compiled.
+    """
     return tuple(
         (going(engine), compile_program(program, chosen_target()))
         for engine, program in zip(flight.propulsion.engines, flight.steady, strict=True)
@@ -147,14 +152,17 @@ def compiled_settlers(flight: Flight) -> tuple[tuple[str, Flyer], ...]:
 
 
 def _refuse_running(mission: StagedMission) -> None:
-    """BadInputError with file and line where the initial conditions start engines, which is not understood."""
+    """BadInputError with file and line where the initial conditions start engines, which is not
+    understood.
+    """
     start = mission.aircraft.folder / mission.script.initialize
     path = start if start.is_file() else start.with_name(f"{start.name}.xml")
     document = read_document(path)
     for node in document.root.walk():
         if node.tag == "running":
             raise BadInputError(
-                f"{document.where(node)}: <running> in initial conditions is not understood by the batch engine"
+                f"{document.where(node)}: <running> in initial conditions is not understood by the"
+                " batch engine"
             )
 
 
@@ -165,7 +173,10 @@ def make_mission(
     records: Sequence[str],
     optional: Sequence[str] = (),
 ) -> LaneMission:
-    """Translate the mission under the conditions of ``spec``, recorded at its rate. Raises BadInputError with file and line."""
+    """Translate the mission under the conditions of ``spec``, recorded at its rate.
+
+    Raises BadInputError with file and line.
+    """
     sources = read_sources(mission.aircraft, mission.script.path)
     _refuse_running(mission)
     _refuse_settling(mission)
@@ -223,13 +234,15 @@ def make_mission(
 def _refuse_settling(mission: StagedMission) -> None:
     if any(mark in mission.script.run_properties for mark in (RATES_HELD, RATES_FREE)):
         raise BadInputError(
-            f"{mission.script.path}: frames of JSBSim bring the control system to rest before the flight begins; "
-            'fly it with engine = "jsbsim"'
+            f"{mission.script.path}: frames of JSBSim bring the control system to rest before the"
+            ' flight begins; fly it with engine = "jsbsim"'
         )
 
 
 def initial_values(open_fdm: Callable[[], Any], fdm: Any = None) -> Callable[[str], float | None]:
-    """A property's value before initialising, as in ``fdm`` or a new instance; mass and metrics from one that was initialised."""
+    """A property's value before initialising, as in ``fdm`` or a new instance; mass and metrics
+    from one that was initialised.
+    """
     fdm = open_fdm() if fdm is None else fdm
     done = open_fdm()
     engine.run_ic(done)
@@ -238,7 +251,8 @@ def initial_values(open_fdm: Callable[[], Any], fdm: Any = None) -> Callable[[st
 
     def value(name: str) -> float | None:
         if name == "aero/qbar-area":
-            # JSBSim does not set it before it computes it: whatever stands in the memory would be read.
+            # JSBSim does not set it before it computes it: whatever stands in the memory would be
+            # read.
             return 0.0
         if name.startswith(INITIALISED):
             name = name.removeprefix(INITIALISED)
@@ -247,7 +261,8 @@ def initial_values(open_fdm: Callable[[], Any], fdm: Any = None) -> Callable[[st
         if name.startswith(_STATIC):
             return float(done[name]) if later(name) else None
         if name.startswith(_ENGINE):
-            # Engines that a script has set running: numbers of the C library, which differ in the last place between machines.
+            # Engines that a script has set running: numbers of the C library, which differ in the
+            # last place between machines.
             return rounded(float(fdm[name])) if exists(name) else None
         return float(fdm[name]) if exists(name) else None
 
@@ -255,7 +270,9 @@ def initial_values(open_fdm: Callable[[], Any], fdm: Any = None) -> Callable[[st
 
 
 def start_properties(sources: Sources) -> list[str]:
-    """JSBSim's initial conditions that the XML reads: they differ from lane to lane as starts do."""
+    """JSBSim's initial conditions that the XML reads: they differ from lane to lane as
+    starts do.
+    """
     parts = [(system.document, system.node) for system in sources.systems]
     parts += [
         part
@@ -273,7 +290,9 @@ def start_properties(sources: Sources) -> list[str]:
 
 
 def constant_properties(sources: Sources) -> Callable[[str], bool]:
-    """Whether a property keeps its value as long as nobody writes it: declared in the XML, or one of JSBSim's settings."""
+    """Whether a property keeps its value as long as nobody writes it: declared in the XML, or one
+    of JSBSim's settings.
+    """
     declared: set[str] = set()
     parts = [(system.document, system.node) for system in sources.systems]
     parts += [part for part in (sources.aerodynamics, sources.external) if part is not None]

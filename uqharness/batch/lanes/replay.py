@@ -1,8 +1,8 @@
-"""Replays in lanes: a record's controls fed step by step, from start states and under properties that differ between lanes.
+"""Replays in lanes: a record's controls fed step by step, from start states and under properties
+that differ between lanes.
 
-One program serves every step length: the step is a number of the lane. How many frames lie between two rows is the program's: what
-only rows show is computed in their frames alone.
-"""
+One program serves every step length: the step is a number of the lane. How many frames lie between
+two rows is the program's: what only rows show is computed in their frames alone."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ class ReplayLane:
 
 @dataclass(frozen=True)
 class ReplayProgram:
-    """A translated aircraft: ``controls`` are fed in the order given, ``inputs`` may differ between lanes, ``stride`` frames lie
-    between rows."""
+    """A translated aircraft: ``controls`` are fed in the order given, ``inputs`` may differ between
+    lanes, ``stride`` frames lie between rows."""
 
     flight: Flight
     program: Program
@@ -113,7 +113,9 @@ class ReplayProgram:
 
     @cached_property
     def renewer(self) -> Interpreter | None:
-        """The frame behind the engines' steady state, in which time stands still; None without engines."""
+        """The frame behind the engines' steady state, in which time stands still; None without
+        engines.
+        """
         return None if self.flight.renewed is None else Interpreter(self.flight.renewed)
 
 
@@ -126,9 +128,11 @@ def make_replay(
     records: Sequence[str],
     stride: int,
 ) -> ReplayProgram:
-    """Translate an aircraft for replays. ``open_fdm`` gives JSBSim with the aircraft loaded and set, nothing run.
+    """Translate an aircraft for replays. ``open_fdm`` gives JSBSim with the aircraft loaded and
+    set, nothing run.
 
-    ``controls`` are fed, ``inputs`` may differ between lanes; ``records`` are kept of every frame that ``stride`` divides.
+    ``controls`` are fed, ``inputs`` may differ between lanes; ``records`` are kept of every frame
+    that ``stride`` divides.
 
     Raises BadInputError with file and line for what is not understood.
     """
@@ -161,9 +165,10 @@ def traced(
     started: bool = False,
     renewed: bool = False,
 ) -> tuple[Flight, Stream, tuple[str, ...]]:
-    """The frames of an aircraft of any step, the stream of its controls, and the names of what may differ between lanes; arguments
-    of `make_replay`. started: its engines run when ``open_fdm`` gives it; renewed: a frame in which time stands still is wanted.
-    Raises BadInputError for what cannot be replayed."""
+    """The frames of an aircraft of any step, the stream of its controls, and the names of what may
+    differ between lanes; arguments of `make_replay`. started: its engines run when ``open_fdm``
+    gives it; renewed: a frame in which time stands still is wanted. Raises BadInputError for what
+    cannot be replayed."""
     values = Values(initial_values(open_fdm), constant_properties(sources))
     fed = Stream("controls", tuple(canonical(name) for name in controls))
     names = (*(canonical(name) for name in inputs), TERRAIN)
@@ -175,7 +180,8 @@ def traced(
     )
     if flight.propulsion.engines and not started:
         raise BadInputError(
-            "the aircraft has engines in <propulsion>, whose steady state takes more than two frames"
+            "the aircraft has engines in <propulsion>, whose steady state takes more than two"
+            " frames"
         )
     if flight.draws:
         raise BadInputError("the aircraft draws random numbers, which a replay does without")
@@ -189,8 +195,8 @@ def _renewed(flight: Flight) -> tuple[Program, ...]:
 def fly_replays(
     replay: ReplayProgram, jobs: Sequence[ReplayLane]
 ) -> Iterator[tuple[int, FloatArray]]:
-    """The number of each job, in any order, and its recorded properties (rows, records): at the start, then behind every ``stride``
-    frames."""
+    """The number of each job, in any order, and its recorded properties (rows, records): at the
+    start, then behind every ``stride`` frames."""
     values = _begun(replay, jobs)
     for part in _parts(replay, [len(job.controls) for job in jobs]):
         begin = {name: value[part] for name, value in values.items()}
@@ -205,8 +211,9 @@ def fly_replays(
 
 
 def _parts(replay: ReplayProgram, frames: Sequence[int]) -> Iterator[list[int]]:
-    """Jobs that are flown together, the longest first: as many as their records leave room for, and, beyond the lanes that lie side
-    by side, none that is much shorter than the first. Frames behind the end of a shorter one cost less than a call for each."""
+    """Jobs that are flown together, the longest first: as many as their records leave room for,
+    and, beyond the lanes that lie side by side, none that is much shorter than the first. Frames
+    behind the end of a shorter one cost less than a call for each."""
     row_bytes = 8 * len(replay.program.records) * BLOCK
     part: list[int] = []
     lanes = longest = 0
@@ -282,8 +289,9 @@ RATES = ("aero/alphadot-rad_sec", "aero/betadot-rad_sec")
 
 @dataclass(frozen=True)
 class StateProgram:
-    """A translated aircraft: ``controls`` are fed in the order given, properties ``given`` may differ between calls, ``records``
-    are read. ``renewer`` is a frame in which time stands still, for what reads RATES."""
+    """A translated aircraft: ``controls`` are fed in the order given, properties ``given`` may
+    differ between calls, ``records`` are read. ``renewer`` is a frame in which time stands still,
+    for what reads RATES."""
 
     flyer: Flyer
     controls: tuple[str, ...]
@@ -301,8 +309,9 @@ def make_states(
     records: Sequence[str],
     by_rates: bool = False,
 ) -> StateProgram:
-    """Translate and compile an aircraft, arguments as those of `make_replay`; by_rates: it reads RATES, which are to settle. Raises
-    BadInputError with file and line for what is not understood."""
+    """Translate and compile an aircraft, arguments as those of `make_replay`; by_rates: it reads
+    RATES, which are to settle. Raises BadInputError with file and line for what is not understood.
+    """
     flight, fed, _ = traced(sources, open_fdm, dt_s, controls, inputs, records, renewed=by_rates)
     start, wanted = start_section(), tuple(records)
     sections = (start, *flight.first.sections, *flight.second.sections)
@@ -339,8 +348,8 @@ def at_states(
     controls: FloatArray,
     properties: Mapping[str, float],
 ) -> FloatArray:
-    """(n, records) at n states: ``conditions`` by CONDITIONS and terrain_ft (n,), ``controls`` (n, c) in the units of their
-    properties."""
+    """(n, records) at n states: ``conditions`` by CONDITIONS and terrain_ft (n,), ``controls`` (n,
+    c) in the units of their properties."""
     out = np.empty((len(controls), len(program.records)))
     slots = program.flyer.program.slots
     same = {**{canonical(name): value for name, value in properties.items()}, STEP: dt_s}
@@ -368,8 +377,9 @@ def _read(flyer: Flyer, state: FloatArray, names: Sequence[str], count: int) -> 
 
 
 def _settle(program: StateProgram, renewer: Flyer, state: FloatArray, out: FloatArray) -> None:
-    """Records ``out`` (n, records) anew in frames in which time stands still, until RATES have settled; a force that outgrows the
-    acceleration that it is a part of settles nowhere, and no frame of it is better than another."""
+    """Records ``out`` (n, records) anew in frames in which time stands still, until RATES have
+    settled; a force that outgrows the acceleration that it is a part of settles nowhere, and no
+    frame of it is better than another."""
     count = len(out)
     before, moved = _read(program.flyer, state, RATES, count), np.full(count, np.inf)
     state, moving = (

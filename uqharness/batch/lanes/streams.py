@@ -1,10 +1,11 @@
-"""Numbers that flights are fed with, frame by frame: sensor noise, JSBSim's turbulence, host gusts, moving levels.
+"""Numbers that flights are fed with, frame by frame: sensor noise, JSBSim's turbulence, host gusts,
+moving levels.
 
-They are those that JSBSim's engine meets in the same case: noise and turbulence from JSBSim's generators, gusts and levels from
-``flight.dryden`` and ``flight.levels``. Compiled code makes them with the bits of numpy's forms. Each belongs to an air or to an
-epistemic sample, never to a lane; the numbers do not depend on how many frames are asked for at once, and ``copy.deepcopy`` gives
-a stream that goes on from where the first stands.
-"""
+They are those that JSBSim's engine meets in the same case: noise and turbulence from JSBSim's
+generators, gusts and levels from ``flight.dryden`` and ``flight.levels``. Compiled code makes them
+with the bits of numpy's forms. Each belongs to an air or to an epistemic sample, never to a lane;
+the numbers do not depend on how many frames are asked for at once, and ``copy.deepcopy`` gives a
+stream that goes on from where the first stands."""
 
 from __future__ import annotations
 
@@ -55,11 +56,16 @@ _SHARE = np.pi / 4.0
 """Of tries that give normals."""
 
 Tries = Callable[[int, int], tuple[FloatArray, int]]
-"""Takes the generator's state and a number of tries; gives their normals, in order, and the state behind them."""
+"""Takes the generator's state and a number of tries; gives their normals, in order, and the state
+behind them.
+"""
 
 
 class JsbsimNormals:
-    """The normals that JSBSim draws from a generator with this seed. ``tries`` may be a compiled form of ``numpy_tries``."""
+    """The normals that JSBSim draws from a generator with this seed.
+
+    ``tries`` may be a compiled form of ``numpy_tries``.
+    """
 
     def __init__(self, seed: int, tries: Tries | None = None) -> None:
         if not 0 <= seed < MODULUS:
@@ -101,11 +107,11 @@ def numpy_tries(state: int, count: int) -> tuple[FloatArray, int]:
 
 
 def polar_normals(drawn: Sequence[Any], m: random_numbers.Operations) -> tuple[Any, Any, Any]:
-    """Two normals of a try, and the square of its point's distance; the normals count if that is above 0 and at most 1.
+    """Two normals of a try, and the square of its point's distance; the normals count if that is
+    above 0 and at most 1.
 
-    ``drawn`` are four of the generator's numbers less 1, as doubles. JSBSim takes the C library's logarithm: normals agree to 3
-    units in the last place.
-    """
+    ``drawn`` are four of the generator's numbers less 1, as doubles. JSBSim takes the C library's
+    logarithm: normals agree to 3 units in the last place."""
     x, y = (_uniform(drawn[k], drawn[k + 1], m) * 2.0 - 1.0 for k in (0, 2))
     square = x * x + y * y
     scale = m.sqrt(random_numbers.logarithm(square, m) * -2.0 / square)
@@ -164,7 +170,9 @@ class Series(Protocol):
 
 
 def noise_streams(draws: Sequence[tuple[str, int]]) -> tuple[Stream, ...]:
-    """The streams for places that draw normals (slot, every), one for each rate, in the order of the rates."""
+    """The streams for places that draw normals (slot, every), one for each rate, in the order of
+    the rates.
+    """
     rates = sorted({every for _, every in draws})
     return tuple(
         Stream(f"noise/{rate}", tuple(slot for slot, every in draws if every == rate), rate)
@@ -175,10 +183,11 @@ def noise_streams(draws: Sequence[tuple[str, int]]) -> tuple[Stream, ...]:
 class Noise:
     """Normals that the systems of a flight draw from JSBSim's common generator.
 
-    draws    places of the frame in which a normal is drawn (slot, every), in their order: that with ``every`` draws in frames
+    draws    places of the frame in which a normal is drawn (slot, every), in their order: that with
+    ``every`` draws in frames
              that ``every`` divides
-    initial  what the initialising frames draw, (frames, first_draws): they come first; none where it begins behind ``frame`` frames
-    """
+    initial  what the initialising frames draw, (frames, first_draws): they come first; none where
+    it begins behind ``frame`` frames"""
 
     def __init__(
         self,
@@ -198,7 +207,8 @@ class Noise:
         self._period = math.lcm(*(stream.every for stream in self._streams))
         if self._period > _LONGEST_PERIOD:
             raise ValueError(
-                f"the draws repeat every {self._period} frames; {_LONGEST_PERIOD} at most are possible"
+                f"the draws repeat every {self._period} frames; {_LONGEST_PERIOD} at most are"
+                " possible"
             )
         # Over a period: which number of those drawn in it stands in each row and column.
         rates = np.array([every for _, every in draws], dtype=np.int64)
@@ -248,7 +258,9 @@ class Noise:
 
 
 class Turbulence:
-    """Normals of JSBSim's turbulence: a row (nu_u, nu_v, nu_w, nu_p) for each frame in which its filters run."""
+    """Normals of JSBSim's turbulence: a row (nu_u, nu_v, nu_w, nu_p) for each frame in which its
+    filters run.
+    """
 
     def __init__(self, seed: int, target: Target | None = None, row: int = 0) -> None:
         self._normals, self._row = JsbsimNormals(seed, _tries(target or _widest())), row
@@ -292,8 +304,9 @@ class HostGusts:
         self._gusts.keep_noise()
 
     def branched(self, split: Split) -> HostGusts | None:
-        """Gusts that leave these at the row where they stand, at the cost of a page; None where ``branch_from_now_on`` was not
-        called before the page was made. Raises ValueError for a split at another row."""
+        """Gusts that leave these at the row where they stand, at the cost of a page; None where
+        ``branch_from_now_on`` was not called before the page was made. Raises ValueError for a
+        split at another row."""
         if split.frame != self._row:
             raise ValueError(
                 f"the gusts stand at row {self._row}; received a split at {split.frame}"

@@ -1,7 +1,8 @@
-"""A program as one native function that flies many frames: for each W lanes all frames, so that their state stays in cache.
+"""A program as one native function that flies many frames: for each W lanes all frames, so that
+their state stays in cache.
 
-The state of W lanes is copied side by side, flown, and copied back. The function runs without Python's lock.
-"""
+The state of W lanes is copied side by side, flown, and copied back. The function runs without
+Python's lock."""
 
 from __future__ import annotations
 
@@ -36,7 +37,10 @@ class FlightKernel:
         streams: Feeds | None = None,
         stride: int = 1,
     ) -> np.ndarray:
-        """See ``form.flying.Flyer``. Raises ValueError for arguments that do not fit. Other threads of Python run meanwhile."""
+        """See ``form.flying.Flyer``.
+
+        Raises ValueError for arguments that do not fit. Other threads of Python run meanwhile.
+        """
         call = checked(self.program, state, first_frame, frames, streams, stride)
         feeds = [
             (f.array.ctypes.data, f.offsets.ctypes.data, f.first_row, f.rows) for f in call.feeds
@@ -63,12 +67,16 @@ def compile_program(program: Program, target: Target) -> FlightKernel:
 
 
 def printed_program(program: Program, target: Target) -> str:
-    """The text: ``void fly(state, scratch, feeds, records, {stride, times, first time}, blocks, first frame, last frame)``."""
+    """The text: ``void fly(state, scratch, feeds, records, {stride, times, first time}, blocks,
+    first frame, last frame)``.
+    """
     return _ProgramPrinter(program, target).text()
 
 
 class _ProgramPrinter:
-    """Slots stand at %slots, W doubles each, in the order of the program; ``%stream<k>`` is the k-th stream."""
+    """Slots stand at %slots, W doubles each, in the order of the program; ``%stream<k>`` is the
+    k-th stream.
+    """
 
     def __init__(self, program: Program, target: Target) -> None:
         self.program, self.target, self.width = program, target, target.width
@@ -197,7 +205,8 @@ done:
         tests = []
         if when.every != 1:
             tests.append(
-                f"  %{prefix}rest = urem i64 %k, {when.every}\n  %{prefix}test0 = icmp eq i64 %{prefix}rest, 0"
+                f"  %{prefix}rest = urem i64 %k, {when.every}\n  %{prefix}test0 = icmp eq i64"
+                f" %{prefix}rest, 0"
             )
         if when.at is not None:
             tests.append(f"  %{prefix}test1 = icmp eq i64 %k, {when.at}")
@@ -242,7 +251,10 @@ done:
                 f"  {part}.lane = add i64 %lane, {lane}",
                 f"  {part}.at = getelementptr i64, ptr {me}.given1, i64 {part}.lane",
                 f"  {part}.offset = load i64, ptr {part}.at, align 8",
-                f"  {part}.row = sub i64 {part}.offset, {'0' if stream.counter else me + '.given2'}",
+                (
+                    f"  {part}.row = sub i64 {part}.offset,"
+                    f" {'0' if stream.counter else me + '.given2'}"
+                ),
                 f"  {part}.start = mul i64 {part}.row, {len(stream.columns)}",
                 f"  {me}.base{lane} = getelementptr double, ptr {me}.given0, i64 {part}.start",
             ]
@@ -276,17 +288,21 @@ done:
             if stream.counter:
                 nan = self.vectors.splat(F64, "0x7FF8000000000000")
                 out.append(
-                    f"  {name}r = select {self.vectors.of(I1)} %{prefix}there, {self.vector} {value}, {self.vector} {nan}"
+                    f"  {name}r = select {self.vectors.of(I1)} %{prefix}there, {self.vector}"
+                    f" {value}, {self.vector} {nan}"
                 )
                 value = f"{name}r"
             out.append(
-                f"  {name}slot = getelementptr double, ptr %slots, i64 {self.rows[slot] * self.width}"
+                f"  {name}slot = getelementptr double, ptr %slots, i64"
+                f" {self.rows[slot] * self.width}"
             )
             out.append(f"  store {self.vector} {value}, ptr {name}slot, align 8")
         return [*out, f"  br label %{prefix}over", f"{prefix}over:"]
 
     def _counted_rows(self, stream: Stream, prefix: str, me: str) -> list[str]:
-        """Pointers to the row that each lane's counter asks for; where it is not there, to the lane's first row."""
+        """Pointers to the row that each lane's counter asks for; where it is not there, to the
+        lane's first row.
+        """
         assert stream.counter is not None
         names = ["first", "rows"]
         out = self._load(stream.counter, f"{prefix}count")
@@ -300,7 +316,10 @@ done:
             f"  %{prefix}low = fcmp oge {self.vector} %{prefix}from, {zero}",
             f"  %{prefix}high = fcmp olt {self.vector} %{prefix}from, {rows}",
             f"  %{prefix}there = and {truths} %{prefix}low, %{prefix}high",
-            f"  %{prefix}safe = select {truths} %{prefix}there, {self.vector} %{prefix}from, {self.vector} {zero}",
+            (
+                f"  %{prefix}safe = select {truths} %{prefix}there, {self.vector} %{prefix}from,"
+                f" {self.vector} {zero}"
+            ),
         ]
         for j in range(self.width):
             one = f"%{prefix}safe" if self.width == 1 else f"%{prefix}safe{j}"

@@ -1,4 +1,7 @@
-"""A function of the intermediate form as machine code that computes it once over lanes. Whole flights are ``machine.flight``'s."""
+"""A function of the intermediate form as machine code that computes it once over lanes.
+
+Whole flights are ``machine.flight``'s.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +25,8 @@ from uqharness.errors import BadInputError
 
 @dataclass(frozen=True)
 class Target:
-    """What is compiled for: LLVM's name of a processor, features put to it, and lanes that are computed side by side; ``rounds``:
-    whether the processor has an operation for floor (SSE4.1)."""
+    """What is compiled for: LLVM's name of a processor, features put to it, and lanes that are
+    computed side by side; ``rounds``: whether the processor has an operation for floor (SSE4.1)."""
 
     cpu: str
     features: str
@@ -34,7 +37,9 @@ class Target:
 SCALAR = Target("x86-64", "", 1, rounds=False)
 SSE2 = Target("x86-64", "", 2, rounds=False)
 AVX2 = Target("x86-64-v3", "", 8)
-"""Two registers side by side: a chain of operations waits less, which is worth more than what then goes through memory."""
+"""Two registers side by side: a chain of operations waits less, which is worth more than what then
+goes through memory.
+"""
 AVX512 = Target("x86-64-v4", "", 8)
 
 
@@ -58,7 +63,10 @@ def _features() -> Mapping[str, bool]:
 
 
 VECTORS = "UQHARNESS_VECTORS"
-"""Environment variable that names the target to compile for: scalar, sse2, avx2 or avx512. Results have the same bytes."""
+"""Environment variable that names the target to compile for: scalar, sse2, avx2 or avx512.
+
+Results have the same bytes.
+"""
 
 
 def target_names() -> tuple[str, ...]:
@@ -67,7 +75,10 @@ def target_names() -> tuple[str, ...]:
 
 
 def chosen_target() -> Target:
-    """The widest that this processor has, or that of VECTORS. Raises BadInputError for one that it does not have."""
+    """The widest that this processor has, or that of VECTORS.
+
+    Raises BadInputError for one that it does not have.
+    """
     there = targets()
     name = os.environ.get(VECTORS, "") or list(there)[-1]
     if name not in there:
@@ -87,11 +98,16 @@ class Code:
 def attributes(target: Target) -> str:
     """What a function must say for the widest registers to be used."""
     bits = max(64 * target.width, 128)
-    return f'attributes #0 = {{ nounwind "prefer-vector-width"="{bits}" "min-legal-vector-width"="{bits}" }}'
+    return (
+        f'attributes #0 = {{ nounwind "prefer-vector-width"="{bits}"'
+        f' "min-legal-vector-width"="{bits}" }}'
+    )
 
 
 def built(text: str, function: str, target: Target, listing: bool = False) -> Code:
-    """The text compiled; with ``listing`` the machine code as text too, which takes as long again."""
+    """The text compiled; with ``listing`` the machine code as text too, which takes as long
+    again.
+    """
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     module = llvm.parse_assembly(text)
@@ -101,8 +117,8 @@ def built(text: str, function: str, target: Target, listing: bool = False) -> Co
     )
     module.data_layout = str(machine.target_data)
     assembly = machine.emit_assembly(module) if listing else ""
-    # Constants are reached by distances of 32 bits, so code and constants must lie in one piece of memory, and nothing may be
-    # called from outside.
+    # Constants are reached by distances of 32 bits, so code and constants must lie in one piece of
+    # memory, and nothing may be called from outside.
     engine = llvm.create_mcjit_compiler(module, machine, use_lmm=True)
     engine.finalize_object()
     return Code(engine.get_function_address(function), assembly, engine)
@@ -133,12 +149,14 @@ _CALL = {"sqrt": "llvm.sqrt", "abs": "llvm.fabs"}
 _TYPES = {F64: "double", I64: "i64", I1: "i1"}
 
 Place = Callable[[str, str], tuple[str, int]]
-"""Where an ``input``, ``load``, ``output`` or ``store`` of that name reads or writes: a pointer and doubles from there."""
+"""Where an ``input``, ``load``, ``output`` or ``store`` of that name reads or writes: a pointer and
+doubles from there.
+"""
 
 
 class Vectors:
-    """Types and constants of W lanes; ``rounds``: whether the processor has an operation for floor. Raises ValueError for a width
-    that does not divide BLOCK."""
+    """Types and constants of W lanes; ``rounds``: whether the processor has an operation for floor.
+    Raises ValueError for a width that does not divide BLOCK."""
 
     def __init__(self, width: int, rounds: bool = True) -> None:
         if BLOCK % width:
@@ -209,7 +227,10 @@ class FunctionPrinter:
         self._written = 0
 
     def lines(self) -> list[str]:
-        """Loads, operations and stores. A value is stored as soon as it is there: kept to the end it would fill a register."""
+        """Loads, operations and stores.
+
+        A value is stored as soon as it is there: kept to the end it would fill a register.
+        """
         out: list[str] = []
         due = self._stores_due()
         for index, node in enumerate(self.function.nodes):
@@ -223,7 +244,9 @@ class FunctionPrinter:
         return out
 
     def _stores_due(self) -> dict[int, list[tuple[str, str, int]]]:
-        """Node to what is written behind it: a slot's new value not before its old one has been read."""
+        """Node to what is written behind it: a slot's new value not before its old one has been
+        read.
+        """
         read = {
             node.name: index
             for index, node in enumerate(self.function.nodes)
@@ -244,7 +267,8 @@ class FunctionPrinter:
             old, new = f"%{self.prefix}o{number}", f"%{self.prefix}n{number}"
             out.append(f"  {old} = load {vector}, ptr {at}, align 8")
             out.append(
-                f"  {new} = select {self.vectors.of(I1)} {self.mask}, {vector} {value}, {vector} {old}"
+                f"  {new} = select {self.vectors.of(I1)} {self.mask}, {vector} {value}, {vector}"
+                f" {old}"
             )
             value = new
         out.append(f"  store {vector} {value}, ptr {at}, align 8")
@@ -262,8 +286,8 @@ class FunctionPrinter:
         return self.vectors.splat(node.kind, str(node.value).lower())
 
     def _floor(self, index: int, x: str) -> list[str]:
-        """By the operation, or, where the processor has none, by adding 2^52, which leaves no fraction: LLVM would call the C
-        library."""
+        """By the operation, or, where the processor has none, by adding 2^52, which leaves no
+        fraction: LLVM would call the C library."""
         v, part = self.vectors, f"%{self.prefix}f{index}"
         kind, truth, suffix = v.of(F64), v.of(I1), v.suffix
         if v.rounds:
@@ -275,14 +299,19 @@ class FunctionPrinter:
             f"  {part}.down = fsub {kind} {part}.up, {large}",
             f"  {part}.near = call {kind} @llvm.copysign.{suffix}({kind} {part}.down, {kind} {x})",
             f"  {part}.above = fcmp ogt {kind} {part}.near, {x}",
-            f"  {part}.less = select {truth} {part}.above, {kind} {v.number(1.0)}, {kind} {v.number(0.0)}",
+            (
+                f"  {part}.less = select {truth} {part}.above, {kind} {v.number(1.0)}, {kind}"
+                f" {v.number(0.0)}"
+            ),
             f"  {part}.low = fsub {kind} {part}.near, {part}.less",
             f"  {part}.small = fcmp olt {kind} {part}.size, {large}",
             f"  {self.name(index)} = select {truth} {part}.small, {kind} {part}.low, {kind} {x}",
         ]
 
     def _lookup(self, index: int, table: str, place: str, count: int) -> list[str]:
-        """Each lane's number, loaded one by one; the index is held between 0 and the last, which a NaN fails."""
+        """Each lane's number, loaded one by one; the index is held between 0 and the last, which a
+        NaN fails.
+        """
         v, part = self.vectors, f"%{self.prefix}k{index}"
         kind, truth, whole = v.of(F64), v.of(I1), "i32" if v.width == 1 else f"<{v.width} x i32>"
         zero, last = v.number(0.0), v.number(count - 1.0)
@@ -336,11 +365,15 @@ class FunctionPrinter:
             test = f"%{self.prefix}c{index}"
             return [
                 f"  {test} = fcmp {order} {kinds[0]} {names[0]}, {names[1]}",
-                f"{me} select {self.vectors.of(I1)} {test}, {kinds[0]} {names[0]}, {kinds[1]} {names[1]}",
+                (
+                    f"{me} select {self.vectors.of(I1)} {test}, {kinds[0]} {names[0]}, {kinds[1]}"
+                    f" {names[1]}"
+                ),
             ]
         if operation in _CALL:
             return [
-                f"{me} call {kinds[0]} @{_CALL[operation]}.{self.vectors.suffix}({kinds[0]} {names[0]})"
+                f"{me} call {kinds[0]}"
+                + f" @{_CALL[operation]}.{self.vectors.suffix}({kinds[0]} {names[0]})"
             ]
         if operation == "floor":
             return self._floor(index, names[0])
@@ -361,10 +394,11 @@ def _hexadecimal(value: float) -> str:
 
 @dataclass(frozen=True)
 class Kernel:
-    """A compiled function. ``inputs``, ``slots`` and ``outputs`` name the rows; ``assembly`` is the machine code as text.
+    """A compiled function. ``inputs``, ``slots`` and ``outputs`` name the rows; ``assembly`` is the
+    machine code as text.
 
-    Calling it takes rows of lanes by name and gives outputs and the new state; ``run`` works in place on blocked arrays.
-    """
+    Calling it takes rows of lanes by name and gives outputs and the new state; ``run`` works in
+    place on blocked arrays."""
 
     inputs: tuple[str, ...]
     slots: tuple[str, ...]
@@ -388,7 +422,9 @@ class Kernel:
         return dict(zip(self.outputs, out, strict=True)), dict(zip(self.slots, after, strict=True))
 
     def run(self, inputs: np.ndarray, state: np.ndarray, outputs: np.ndarray) -> None:
-        """One frame on arrays of shape (blocks, rows, BLOCK), doubles, contiguous; ``state`` and ``outputs`` are written."""
+        """One frame on arrays of shape (blocks, rows, BLOCK), doubles, contiguous; ``state`` and
+        ``outputs`` are written.
+        """
         rows = (len(self.inputs), len(self.slots), len(self.outputs))
         for array, count in zip((inputs, state, outputs), rows, strict=True):
             if (
@@ -397,13 +433,17 @@ class Kernel:
                 or not array.flags.c_contiguous
             ):
                 raise ValueError(
-                    f"blocks of shape {(inputs.shape[0], count, BLOCK)} are wanted; received {array.shape} of {array.dtype}"
+                    f"blocks of shape {(inputs.shape[0], count, BLOCK)} are wanted; received"
+                    f" {array.shape} of {array.dtype}"
                 )
         self._call(inputs.ctypes.data, state.ctypes.data, outputs.ctypes.data, inputs.shape[0])
 
 
 def compiled(function: Function, target: Target) -> Kernel:
-    """Machine code of a lowered function. Raises ValueError for a transcendental operation, which ``form.maths.lower`` removes."""
+    """Machine code of a lowered function.
+
+    Raises ValueError for a transcendental operation, which ``form.maths.lower`` removes.
+    """
     code = built(printed(function, target), "frame", target, listing=True)
     pointer, count = ctypes.c_void_p, ctypes.c_int64
     call = ctypes.CFUNCTYPE(None, pointer, pointer, pointer, count)(code.address)

@@ -1,4 +1,6 @@
-"""Random normals as machine code: the same as ``flight.normals.numpy_pairs`` and of JSBSim's polar method, with the same bits."""
+"""Random normals as machine code: the same as ``flight.normals.numpy_pairs`` and of JSBSim's polar
+method, with the same bits.
+"""
 
 from __future__ import annotations
 
@@ -74,11 +76,11 @@ _ROUND = 8192
 
 
 def compiled_tries(target: Target, modulus: int, multiplier: int, points: Points) -> Tries:
-    """The polar method on Lehmer's generator: state and number of tries to normals, in order, and the state behind them.
+    """The polar method on Lehmer's generator: state and number of tries to normals, in order, and
+    the state behind them.
 
-    ``modulus`` is 2^31 - 1. ``points`` makes of four of the generator's numbers, less 1, two normals and the square by which they
-    count or not.
-    """
+    ``modulus`` is 2^31 - 1. ``points`` makes of four of the generator's numbers, less 1, two
+    normals and the square by which they count or not."""
     factors = [pow(multiplier, k, modulus) for k in range(1, 4 * BLOCK + 1)]
     drawing = built(_drawing(target, modulus, factors), "draw", target)
     choosing = built(_choosing(target), "choose", target)
@@ -86,7 +88,8 @@ def compiled_tries(target: Target, modulus: int, multiplier: int, points: Points
     draw = ctypes.CFUNCTYPE(integer, integer, integer, pointer)(drawing.address)
     choose = ctypes.CFUNCTYPE(integer, integer, pointer, pointer)(choosing.address)
     kernel = _kernel(target, points)
-    # Arrays are kept, for new ones cost as much as what is computed in them; each thread has its own.
+    # Arrays are kept, for new ones cost as much as what is computed in them; each thread has its
+    # own.
     kept = threading.local()
 
     def tries(state: int, count: int) -> tuple[FloatArray, int]:
@@ -116,10 +119,11 @@ def _kernel(target: Target, points: Points) -> Kernel:
 
 
 def _drawing(target: Target, modulus: int, factors: list[int]) -> str:
-    """``i64 draw(i64 state, i64 blocks, double* drawn)``: the generator's next numbers, less 1, and the state behind them.
+    """``i64 draw(i64 state, i64 blocks, double* drawn)``: the generator's next numbers, less 1, and
+    the state behind them.
 
-    Number k of try l stands at [l // BLOCK, k, l % BLOCK]; a block's numbers are leaps from the state before it.
-    """
+    Number k of try l stands at [l // BLOCK, k, l % BLOCK]; a block's numbers are leaps from the
+    state before it."""
     width = target.width
     parts = BLOCK // width
     vector, of = f"<{width} x i64>", f"<{width} x double>"
@@ -178,11 +182,11 @@ done:
 
 
 def _choosing(target: Target) -> str:
-    """``i64 choose(i64 tries, double* made, double* out)``: of made (blocks, {one, other, square}, BLOCK) the pairs that count.
+    """``i64 choose(i64 tries, double* made, double* out)``: of made (blocks, {one, other, square},
+    BLOCK) the pairs that count.
 
-    They stand side by side in their order; the value is how many. Every pair is stored where the next belongs; the place moves on
-    only if it counts.
-    """
+    They stand side by side in their order; the value is how many. Every pair is stored where the
+    next belongs; the place moves on only if it counts."""
     return f"""
 define i64 @choose(i64 %count, ptr noalias %made, ptr noalias %out) #0 {{
 entry:
@@ -253,7 +257,8 @@ def compiled_recursion(target: Target) -> dryden.Recur:
             or not drive.flags.c_contiguous
         ):
             raise ValueError(
-                f"{drive.size} steps are not a multiple of {_SIDE_BY_SIDE} segments of {powers.size} in one piece"
+                f"{drive.size} steps are not a multiple of {_SIDE_BY_SIDE} segments of"
+                f" {powers.size} in one piece"
             )
         out = np.empty(drive.size + 1)
         call(
@@ -273,7 +278,9 @@ def compiled_recursion(target: Target) -> dryden.Recur:
 
 
 def _text(target: Target) -> str:
-    """``void recur(drive, powers, inverse, i64 segments, i64 steps, double last, out)``: sums of segments, then their states."""
+    """``void recur(drive, powers, inverse, i64 segments, i64 steps, double last, out)``: sums of
+    segments, then their states.
+    """
     chains = range(_SIDE_BY_SIDE)
     sums = "\n".join(
         f"  %sum{c} = phi double [ 0.0, %segments ], [ %more{c}, %inner ]" for c in chains
@@ -292,8 +299,8 @@ def _text(target: Target) -> str:
         for c in chains
     )
     return f"""
-define void @recur(ptr noalias %drive, ptr noalias %powers, ptr noalias %inverse, i64 %count, i64 %steps, double %last,
-                   ptr noalias %out) #0 {{
+define void @recur(ptr noalias %drive, ptr noalias %powers, ptr noalias %inverse, i64 %count,
+                   i64 %steps, double %last, ptr noalias %out) #0 {{
 entry:
   store double %last, ptr %out, align 8
   %states = getelementptr double, ptr %out, i64 1

@@ -1,8 +1,8 @@
-"""US Standard Atmosphere 1976 as JSBSim 1.3.3 has it, dry, with its uniform temperature bias and sea level pressure.
+"""US Standard Atmosphere 1976 as JSBSim 1.3.3 has it, dry, with its uniform temperature bias and
+sea level pressure.
 
-Layers are those of the standard up to 298,556 ft of geopotential height; JSBSim's height is the distance from the sea level
-ellipsoid along the radius.
-"""
+Layers are those of the standard up to 298,556 ft of geopotential height; JSBSim's height is the
+distance from the sea level ellipsoid along the radius."""
 
 from __future__ import annotations
 
@@ -61,7 +61,8 @@ def trace_atmosphere(frame: Frame) -> None:
     temperature = pick([t for _, t in _LAYERS[:-1]]) + slope * above + bias
     exponent = _G0_FPS2 / _R_DRY
     isothermal = slope.eq(0.0)
-    # P = Pb (Tb/(Tb + L dh))^(g/RL), or Pb exp(-g dh/RTb) in an isothermal layer: eqs 33a and 33b of the standard
+    # P = Pb (Tb/(Tb + L dh))^(g/RL), or Pb exp(-g dh/RTb) in an isothermal layer: eqs 33a and 33b
+    # of the standard
     ratio = isothermal.choose(1.0, at_base / (at_base + slope * above))
     power = isothermal.choose(
         -(exponent * above / at_base),
@@ -99,7 +100,9 @@ def _breakpoints(bias: Value, at_sea_level: Value) -> list[Value]:
 
 
 def _trace_altitudes(frame: Frame) -> None:
-    """Density and pressure altitude: geometric heights [ft] at which the standard day has this density or pressure."""
+    """Density and pressure altitude: geometric heights [ft] at which the standard day has this
+    density or pressure.
+    """
     b = frame.builder
     density, pressure = frame.get("atmosphere/rho-slugs_ft3"), frame.get("atmosphere/P-psf")
     pressures = _breakpoints(b.constant(0.0), b.constant(SETTINGS["atmosphere/P-sl-psf"]))
@@ -187,7 +190,9 @@ def trace_ratios(frame: Frame) -> None:
 
 
 def _pitot(b: Builder, mach: Value, pressure: Value) -> Value:
-    """Total pressure [psf] behind a normal shock, if there is one, at a ratio of specific heats of 1.4."""
+    """Total pressure [psf] behind a normal shock, if there is one, at a ratio of specific heats of
+    1.4.
+    """
     square = mach * mach
     slow = 1.0 + 0.2 * square
     fast = 7.0 * square - 1.0

@@ -1,7 +1,8 @@
-"""What JSBSim's auxiliary model publishes: airspeed, incidence, dynamic pressure, load factors, pilot's accelerations, flight path.
+"""What JSBSim's auxiliary model publishes: airspeed, incidence, dynamic pressure, load factors,
+pilot's accelerations, flight path.
 
-It runs behind the systems and before the aerodynamics, so systems see the values of the frame before.
-"""
+It runs behind the systems and before the aerodynamics, so systems see the values of the frame
+before."""
 
 from __future__ import annotations
 
@@ -27,9 +28,13 @@ _LEAST_SQUARE = 1e-6
 def trace_auxiliary(frame: Frame) -> None:
     """Write everything that depends on the air and on the accelerations of the frame before."""
     b = frame.builder
-    pqr: Vector = tuple(frame.get(f"velocities/{a}-rad_sec") for a in "pqr")  # type: ignore[assignment]
+    pqr: Vector = tuple(  # type: ignore[assignment]
+        frame.get(f"velocities/{a}-rad_sec") for a in "pqr"
+    )
     uvw: Vector = tuple(frame.get(f"velocities/{a}-fps") for a in "uvw")  # type: ignore[assignment]
-    air: Vector = tuple(frame.get(f"atmosphere/total-wind-{axis}-fps") for axis in AXES)  # type: ignore[assignment]
+    air: Vector = tuple(  # type: ignore[assignment]
+        frame.get(f"atmosphere/total-wind-{axis}-fps") for axis in AXES
+    )
     u, v, w = (b.value(c) for c in minus(uvw, applied(matrix(frame, MATRIX), air)))
     for name, value in zip("uvw", (u, v, w), strict=True):
         frame.write(f"velocities/{name}-aero-fps", value)
@@ -125,7 +130,9 @@ def _accelerations(frame: Frame) -> None:
     frame.write("accelerations/Ny", y)
     frame.write("accelerations/Nz", -z)
     rates: Vector = tuple(frame.memory(name) for name in slots("rates"))  # type: ignore[assignment]
-    turning: Vector = tuple(frame.memory(name) for name in slots("rates", 0))  # type: ignore[assignment]
+    turning: Vector = tuple(  # type: ignore[assignment]
+        frame.memory(name) for name in slots("rates", 0)
+    )
     arm = structural_to_body(frame, "eyepoint")
     pilot = plus(plus(body, cross(turning, arm)), cross(rates, cross(rates, arm)))
     for axis, value in zip("xyz", pilot, strict=True):
@@ -134,8 +141,13 @@ def _accelerations(frame: Frame) -> None:
 
 
 def structural_to_body(frame: Frame, point: str) -> Vector:
-    """From the CG to metrics/<point>-x-in ... in body axes [ft]: x forward, z down, where structural axes have x aft and z up."""
-    return arm(frame, tuple(frame.get(f"metrics/{point}-{axis}-in") for axis in "xyz"))  # type: ignore[arg-type]
+    """From the CG to metrics/<point>-x-in ... in body axes [ft]: x forward, z down, where
+    structural axes have x aft and z up.
+    """
+    return arm(
+        frame,
+        tuple(frame.get(f"metrics/{point}-{axis}-in") for axis in "xyz"),  # type: ignore[arg-type]
+    )
 
 
 def arm(frame: Frame, at_in: tuple[Value, Value, Value]) -> Vector:
@@ -146,7 +158,9 @@ def arm(frame: Frame, at_in: tuple[Value, Value, Value]) -> Vector:
 
 
 def trace_start_distance(frame: Frame) -> None:
-    """From the ellipsoid below the start of the flight in its local axes [ft]: position/from-start-neu-...; systems see it late."""
+    """From the ellipsoid below the start of the flight in its local axes [ft]:
+    position/from-start-neu-...; systems see it late.
+    """
 
     start = [
         frame.memory(f"start/{k}")
@@ -186,7 +200,10 @@ _DOWN = 0.99
 
 
 def trace_ground(frame: Frame, points: Sequence[ContactPoint]) -> None:
-    """Remember the first contact. Behind the initialising frames TOUCHED tells of a flight that starts on the ground."""
+    """Remember the first contact.
+
+    Behind the initialising frames TOUCHED tells of a flight that starts on the ground.
+    """
     if not points:
         return
     b = frame.builder

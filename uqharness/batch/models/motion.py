@@ -1,10 +1,12 @@
-"""The motion of the aircraft: state in inertial axes, JSBSim's integrators, and what follows from the state.
+"""The motion of the aircraft: state in inertial axes, JSBSim's integrators, and what follows from
+the state.
 
-State (slots of ``Frame.memory``): attitude quaternion from inertial to body axes, body rates relative to inertial axes [rad/s],
-inertial position [ft] and velocity [ft/s], the earth's rotation angle [rad]; their derivatives of this frame and of up to four
-frames before. Found by experiment with JSBSim 1.3.3: the derivatives of the frame before move the state, the position moves with
-the velocity from before this step, and the attitude is brought to unit length only where it is off by more than 1e-10.
-"""
+State (slots of ``Frame.memory``): attitude quaternion from inertial to body axes, body rates
+relative to inertial axes [rad/s], inertial position [ft] and velocity [ft/s], the earth's rotation
+angle [rad]; their derivatives of this frame and of up to four frames before. Found by experiment
+with JSBSim 1.3.3: the derivatives of the frame before move the state, the position moves with the
+velocity from before this step, and the attitude is brought to unit length only where it is off by
+more than 1e-10."""
 
 from __future__ import annotations
 
@@ -59,8 +61,8 @@ _E2 = 1.0 - _RATIO * _RATIO
 class Place:
     """A point: ECEF coordinates, distance from the centre, and what follows from them.
 
-    ``to_local`` turns earth-fixed components to north, east, down of the ellipsoid; ``height_ft`` is geodetic.
-    """
+    ``to_local`` turns earth-fixed components to north, east, down of the ellipsoid; ``height_ft``
+    is geodetic."""
 
     ecef: Vector
     radius_ft: Value
@@ -146,7 +148,9 @@ WEIGHTS = {
     4: (23.0 / 12.0, -16.0 / 12.0, 5.0 / 12.0),
     5: (55.0 / 24.0, -59.0 / 24.0, 37.0 / 24.0, -9.0 / 24.0),
 }
-"""JSBSim's numbers of integrators to weights of the derivatives, newest first: none, Euler, trapezoidal, Adams-Bashforth 2 to 4."""
+"""JSBSim's numbers of integrators to weights of the derivatives, newest first: none, Euler,
+trapezoidal, Adams-Bashforth 2 to 4.
+"""
 INTEGRATORS = {
     "attitude": "simulation/integrator/position/rotational",
     "rates": "simulation/integrator/rate/rotational",
@@ -159,7 +163,9 @@ _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 def slots(part: str, back: int = -1) -> list[str]:
-    """Slots of a part of the state (attitude, rates, position, velocity), or of its derivative, ``back`` frames old."""
+    """Slots of a part of the state (attitude, rates, position, velocity), or of its derivative,
+    ``back`` frames old.
+    """
     names = [f"{part}/{k}" for k in range(_SIZE[part])]
     return names if back < 0 else [f"{name}/rate{back}" for name in names]
 
@@ -174,7 +180,9 @@ def _keep(frame: Frame, names: Sequence[str], values: Sequence[Value | float]) -
 
 
 def integrate(frame: Frame, methods: dict[str, int]) -> None:
-    """Move the state on by one step of the frame; ``methods`` names the integrator of each part (a key of WEIGHTS)."""
+    """Move the state on by one step of the frame; ``methods`` names the integrator of each part (a
+    key of WEIGHTS).
+    """
     new = {}
     for part, number in methods.items():
         weights = WEIGHTS[number]
@@ -203,7 +211,9 @@ def _unit(q: Sequence[Value]) -> list[Value]:
 
 
 def remember_derivatives(frame: Frame) -> None:
-    """Fill the histories, as JSBSim does when initialising ends: accelerations are those of the pass before this one."""
+    """Fill the histories, as JSBSim does when initialising ends: accelerations are those of the
+    pass before this one.
+    """
     for part in WEIGHTS_PARTS:
         newest = _read(frame, slots(part, 0))
         for back in range(1, 4):
@@ -371,15 +381,23 @@ def inertia_matrix(frame: Frame) -> Matrix:
 
 
 def trace_accelerations(frame: Frame) -> None:
-    """Forces and moments of this frame to the derivatives that move the next one (Stevens and Lewis, eqs 1.3-1 ff.)."""
+    """Forces and moments of this frame to the derivatives that move the next one (Stevens and
+    Lewis, eqs 1.3-1 ff.).
+    """
     b = frame.builder
-    force: Vector = tuple(frame.get(f"forces/fb{a}-total-lbs") for a in "xyz")  # type: ignore[assignment]
-    moment: Vector = tuple(frame.get(f"moments/{a}-total-lbsft") for a in "lmn")  # type: ignore[assignment]
+    force: Vector = tuple(  # type: ignore[assignment]
+        frame.get(f"forces/fb{a}-total-lbs") for a in "xyz"
+    )
+    moment: Vector = tuple(  # type: ignore[assignment]
+        frame.get(f"moments/{a}-total-lbsft") for a in "lmn"
+    )
     mass = frame.get("inertia/mass-slugs")
     inertia = inertia_matrix(frame)
     rates = _vector(_read(frame, slots("rates")))
     spin = vector(frame, SPIN)
-    pqr: Vector = tuple(frame.get(f"velocities/{a}-rad_sec") for a in "pqr")  # type: ignore[assignment]
+    pqr: Vector = tuple(  # type: ignore[assignment]
+        frame.get(f"velocities/{a}-rad_sec") for a in "pqr"
+    )
     uvw: Vector = tuple(frame.get(f"velocities/{a}-fps") for a in "uvw")  # type: ignore[assignment]
     turning = applied(inverse(inertia), minus(moment, cross(rates, applied(inertia, rates))))
     relative = plus(turning, cross(rates, spin))
@@ -427,7 +445,9 @@ _BITS = 44
 
 
 def rounded(value: float) -> float:
-    """To 44 bits: initial conditions pass through the C library's sines, which differ in the last place between machines."""
+    """To 44 bits: initial conditions pass through the C library's sines, which differ in the last
+    place between machines.
+    """
     fraction, exponent = math.frexp(value)
     return (
         math.ldexp(round(math.ldexp(fraction, _BITS)), exponent - _BITS)

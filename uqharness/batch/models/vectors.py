@@ -1,4 +1,7 @@
-"""Vectors, matrices and quaternions of values. A vector is three values, a matrix three rows, a quaternion scalar part first."""
+"""Vectors, matrices and quaternions of values.
+
+A vector is three values, a matrix three rows, a quaternion scalar part first.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +59,9 @@ def product(a: Matrix, b: Matrix) -> Matrix:
 
 
 def rotation(q: Quaternion) -> Matrix:
-    """The matrix that turns components into the axes of the attitude q (Stevens and Lewis, 2nd ed., eq 1.3-32)."""
+    """The matrix that turns components into the axes of the attitude q (Stevens and Lewis, 2nd ed.,
+    eq 1.3-32).
+    """
     q0, q1, q2, q3 = q
     s0, s1, s2, s3 = q0 * q0, q1 * q1, q2 * q2, q3 * q3
     return (
@@ -92,7 +97,10 @@ def inverse(m: Matrix) -> Matrix:
 
 
 def direction(x: Value, y: Value) -> tuple[Value, Value]:
-    """Cosine and sine of the angle of the point (x, y); NaN for the origin. Coordinates are 1e60 at most in size."""
+    """Cosine and sine of the angle of the point (x, y); NaN for the origin.
+
+    Coordinates are 1e60 at most in size.
+    """
     large = 2.0**300  # The square of a coordinate of 1e-200 would be 0.
     x, y = x * large, y * large
     inverse = 1.0 / x.builder.op("sqrt", x * x + y * y)

@@ -1,9 +1,9 @@
 """Wind, gusts and JSBSim's Tustin-discretised Dryden turbulence (atmosphere/turb-type 4).
 
-Turbulence: J. Yeager, "Implementation and testing of turbulence models for the F18-HARV", NASA CR-1998-206937; sizes and scale
-lengths of MIL-F-8785C, figures 7, 10 and 11. What JSBSim 1.3.3 makes of it (height above sea level, axes along the wind's
-azimuth with the rotation's sign reversed, the sign of q) is kept: docs/jsbsim-traps.md names it, the air system mends it.
-"""
+Turbulence: J. Yeager, "Implementation and testing of turbulence models for the F18-HARV", NASA
+CR-1998-206937; sizes and scale lengths of MIL-F-8785C, figures 7, 10 and 11. What JSBSim 1.3.3
+makes of it (height above sea level, axes along the wind's azimuth with the rotation's sign
+reversed, the sign of q) is kept: docs/jsbsim-traps.md names it, the air system mends it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ _PSI = "atmosphere/psiw-rad"
 DRAWS = tuple(f"#turbulence/nu-{k}" for k in ("u", "v", "w", "p"))
 COUNTER = "#turbulence/row"
 NORMALS = Stream("turbulence", DRAWS, counter=COUNTER)
-"""Standard normals of JSBSim's atmosphere generator, a row for each frame in which the filters run."""
+"""Standard normals of JSBSim's atmosphere generator, a row for each frame in which the
+filters run.
+"""
 MASK, HIGH = "#turbulence/on", "#turbulence/high"
 
 _HEIGHTS = (
@@ -55,7 +57,9 @@ _SIGMA = (
     (15.6, 17.6, 23.0, 23.6, 22.1, 20.0, 16.0, 15.1, 12.1, 7.9, 6.2, 5.1),
     (18.7, 21.5, 28.4, 30.2, 30.7, 31.0, 25.2, 23.1, 17.5, 10.7, 8.4, 7.2),
 )
-"""Root mean square of the vertical gust [ft/s] by severity 1 to 7 and height [ft]: MIL-F-8785C, figure 7."""
+"""Root mean square of the vertical gust [ft/s] by severity 1 to 7 and height [ft]: MIL-F-8785C,
+figure 7.
+"""
 
 
 def set_psi(frame: Frame, value: Value) -> None:
@@ -77,7 +81,9 @@ def set_psi(frame: Frame, value: Value) -> None:
 
 
 def set_size(frame: Frame, value: Value) -> None:
-    """Write atmosphere/wind-mag-fps: along the wind's azimuth; northwards where there was no wind."""
+    """Write atmosphere/wind-mag-fps: along the wind's azimuth; northwards where there was
+    no wind.
+    """
     none = _size(frame).eq(0.0)
     cosine, sine = _direction(frame)
     frame.store(_PSI, none.choose(0.0, frame.get(_PSI)))
@@ -126,7 +132,9 @@ def _keep_direction(frame: Frame, cosine: Value, sine: Value) -> None:
 
 
 def turn_gusts(frame: Frame) -> None:
-    """Host gusts [m/s] in heading axes to JSBSim's gusts, for an aircraft without the air system."""
+    """Host gusts [m/s] in heading axes to JSBSim's gusts, for an aircraft without the air
+    system.
+    """
     b = frame.builder
     psi = frame.get("attitude/psi-rad")
     u, v, w = (frame.get(f"air/host/{name}-mps") for name in "uvw")
@@ -137,15 +145,18 @@ def turn_gusts(frame: Frame) -> None:
 
 
 def trace_winds(frame: Frame) -> None:
-    """Turbulence, where it is on, in a section of its own; then the wind that the aircraft meets."""
+    """Turbulence, where it is on, in a section of its own; then the wind that the aircraft
+    meets.
+    """
     with frame.section("turbulence: whether"):
         kind = frame.get(TYPE)
         if kind.constant is None:
             _whether(frame, kind)
         elif kind.constant != 0.0 and frame.get(_SEVERITY).constant != 0.0:
             raise BadInputError(
-                f"{TYPE} stands at {kind.constant:g} from the start of the flight: the batch engine has turbulence of type 4 that "
-                "is switched on in flight, as the air system does it"
+                f"{TYPE} stands at {kind.constant:g} from the start of the flight: the batch engine"
+                " has turbulence of type 4 that is switched on in flight, as the air system"
+                " does it"
             )
     if kind.constant is None:
         with frame.section("turbulence: aloft", When(mask=HIGH)):
@@ -164,7 +175,8 @@ def _whether(frame: Frame, kind: Value) -> None:
     frame.remember("turbulence/speed", speed)
     high = b.op("and", on, frame.get("position/h-sl-ft").gt(1000.0))
     frame.remember(HIGH[1:], high.choose(1.0, 0.0))
-    # Off, or severity 0: JSBSim puts the velocities to 0; what the filters remember stays. Other types are not known here.
+    # Off, or severity 0: JSBSim puts the velocities to 0; what the filters remember stays. Other
+    # types are not known here.
     known = b.op("or", b.op("or", kind.eq(0.0), kind.eq(TUSTIN)), frame.get(_SEVERITY).eq(0.0))
     for name in OUT:
         frame.write(name, on.choose(frame.get(name), known.choose(0.0, math.nan)))
@@ -213,7 +225,8 @@ def _sizes(frame: Frame) -> tuple[Value, Value, Value, Value]:
     h = h.le(10.0).choose(10.0, h)
     low, high = h.le(1000.0), h.gt(2000.0)
     w20 = frame.get(_W20)
-    # MIL-F-8785C, figures 10 and 11: (0.177 + 0.000823 h)^1.2 and ^0.4, of which the one is the cube of the other.
+    # MIL-F-8785C, figures 10 and 11: (0.177 + 0.000823 h)^1.2 and ^0.4, of which the one is the
+    # cube of the other.
     root = b.op("exp", -0.4 * b.op("log", 0.177 + 0.000823 * b.op("min", h, b.constant(1000.0))))
     lw_low, sw_low = h, 0.1 * w20
     lu_low = h * (root * root * root)
@@ -251,7 +264,9 @@ def _aloft(frame: Frame, h: Value) -> Value:
 
 
 def _filters(frame: Frame) -> None:
-    """With equations divided by 1/tau, of the pre-warped c = 1/(tau tan(dt/2 tau)) only c tau = cot(dt/2 tau) remains."""
+    """With equations divided by 1/tau, of the pre-warped c = 1/(tau tan(dt/2 tau)) only c tau =
+    cot(dt/2 tau) remains.
+    """
     b = frame.builder
     span = frame.get("metrics/bw-ft")
     span = span.eq(0.0).choose(30.0, span)
@@ -289,8 +304,8 @@ def _filters(frame: Frame) -> None:
 def _cotangent(angle: Value) -> tuple[Value, Value]:
     """A numerator and a denominator of the cotangent of an angle that is not negative.
 
-    From Lambert's continued fraction of the tangent of half the angle left after whole turns of pi, to 5e-16.
-    """
+    From Lambert's continued fraction of the tangent of half the angle left after whole turns of pi,
+    to 5e-16."""
     left = angle - rounded(angle * (1.0 / math.pi)) * math.pi
     x = 0.5 * left
     z = x * x
@@ -325,7 +340,9 @@ def _first_order(frame: Frame, name: str, by: _Weights, size: Value, nu: Value) 
 def _second_order(
     frame: Frame, name: str, by: _Weights, size: Value, nu: Value
 ) -> tuple[Value, Value]:
-    """Yeager (1998), eq 20: the new value and the one before; ``_slope`` needs both, so the caller keeps the new one."""
+    """Yeager (1998), eq 20: the new value and the one before; ``_slope`` needs both, so the caller
+    keeps the new one.
+    """
     x1, x2 = frame.memory(f"turbulence/{name}1"), frame.memory(f"turbulence/{name}2")
     nu1, nu2 = frame.memory(f"turbulence/nu-{name}1"), frame.memory(f"turbulence/nu-{name}2")
     third = by.one * (1.0 / math.sqrt(3.0))
@@ -338,7 +355,9 @@ def _second_order(
 
 
 def _slope(frame: Frame, name: str, by: _Weights, steep: Value, of: tuple[Value, Value]) -> Value:
-    """Yeager (1998), eqs 23 and 25: a rate from the slope of a velocity; ``steep`` is 1/(tau speed)."""
+    """Yeager (1998), eqs 23 and 25: a rate from the slope of a velocity; ``steep`` is 1/(tau
+    speed).
+    """
     old = frame.memory(f"turbulence/{name}1")
     x = steep * by.k * (of[0] - of[1]) - by.pole * old
     frame.remember(f"turbulence/{name}1", x)

@@ -1,1 +1,3 @@
-"""JSBSim XML to the intermediate form: functions, tables, components, sections of an aircraft, scripts."""
+"""JSBSim XML to the intermediate form: functions, tables, components, sections of an aircraft,
+scripts.
+"""

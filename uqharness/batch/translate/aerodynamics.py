@@ -1,11 +1,12 @@
 """``<aerodynamics>``: functions and axes to forces and moments.
 
-Found by experiment with JSBSim 1.3.3: aero/cl-squared comes first, with the lift of the frame before; functions outside an axis run
-next, in the order of the file; aero/bi2vel, ci2vel and qbar-area follow, so such functions read them a frame old. Axes run in the
-order x, y, z, roll, pitch, yaw, whatever the file's, in each axis the functions with apply_at_cg last. A moment is taken about
-AERORP and moved to the CG with the force, but for those functions. One system of axes is allowed: JSBSim loads a mixture and flies
-wrong forces. DRAG, SIDE and LIFT are along the wind whatever ``frame`` says, and ``unit`` says nothing.
-"""
+Found by experiment with JSBSim 1.3.3: aero/cl-squared comes first, with the lift of the frame
+before; functions outside an axis run next, in the order of the file; aero/bi2vel, ci2vel and
+qbar-area follow, so such functions read them a frame old. Axes run in the order x, y, z, roll,
+pitch, yaw, whatever the file's, in each axis the functions with apply_at_cg last. A moment is taken
+about AERORP and moved to the CG with the force, but for those functions. One system of axes is
+allowed: JSBSim loads a mixture and flies wrong forces. DRAG, SIDE and LIFT are along the wind
+whatever ``frame`` says, and ``unit`` says nothing."""
 
 from __future__ import annotations
 
@@ -37,7 +38,9 @@ _TEXT = ("description", "documentation", "note", "reference", "title")
 
 
 def trace_aerodynamics(frame: Frame, document: Document, node: Node | None) -> None:
-    """Functions, then forces and moments about the CG [lbf, lbf ft] as forces/fb?-aero-lbs and moments/?-aero-lbsft."""
+    """Functions, then forces and moments about the CG [lbf, lbf ft] as forces/fb?-aero-lbs and
+    moments/?-aero-lbsft.
+    """
     with frame.section("aerodynamics"):
         scope = frame.scope(document)
         children = (
@@ -155,7 +158,9 @@ def _stall(frame: Frame, scope: Scope, limits: Sequence[Node]) -> None:
 
 
 def _along_wind(frame: Frame, force: Vector) -> None:
-    """The forces as drag, side force and lift of the wind axes, and of the stability axes; lift over drag."""
+    """The forces as drag, side force and lift of the wind axes, and of the stability axes; lift
+    over drag.
+    """
     b = frame.builder
     for kind in ("w", "s"):
         x, y, z = (b.value(c) for c in applied(transposed(wind_to_body(frame, kind == "s")), force))
@@ -185,7 +190,8 @@ def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vec
         if axis.attributes.get("frame", "") not in _FRAMES:
             scope.refuse(
                 axis,
-                f"frame='{axis.attributes['frame']}' of an axis: allowed are BODY, STABILITY and WIND",
+                f"frame='{axis.attributes['frame']}' of an axis: allowed are BODY, STABILITY and"
+                " WIND",
             )
         named[name] = axis
     names, kind = _force_axes(scope, named)
@@ -240,7 +246,8 @@ def _force_axes(scope: Scope, named: dict[str, Node]) -> tuple[Sequence[str], st
         first = named[forces[0]]
         scope.refuse(
             first,
-            f"axes {', '.join(forces)} do not belong to one system (DRAG SIDE LIFT, X Y Z, or AXIAL SIDE NORMAL)",
+            f"axes {', '.join(forces)} do not belong to one system (DRAG SIDE LIFT, X Y Z, or AXIAL"
+            " SIDE NORMAL)",
         )
     if fitting != "named":
         return _FORCES[fitting], fitting
@@ -299,7 +306,8 @@ def trace_external(frame: Frame, document: Document, node: Node | None) -> None:
             if child.tag not in ("function", "force", "moment"):
                 scope.refuse(
                     child,
-                    f"<{child.tag}> in <external_reactions> is not understood; force, moment and function are",
+                    f"<{child.tag}> in <external_reactions> is not understood; force, moment and"
+                    " function are",
                 )
             if child.tag == "function":
                 write_function(frame, scope, child)
@@ -334,7 +342,8 @@ def _vector(
     if kind not in _KINDS:
         scope.refuse(
             node,
-            f"frame '{kind}' of a <{node.tag}> is not understood; BODY, LOCAL, WIND and INERTIAL are",
+            f"frame '{kind}' of a <{node.tag}> is not understood; BODY, LOCAL, WIND and"
+            " INERTIAL are",
         )
     parts = {child.tag: child for child in node.children if child.tag not in _TEXT}
     allowed = {"function", "direction", *(("location",) if node.tag == "force" else ())}
@@ -350,7 +359,9 @@ def _vector(
         if found is None:
             scope.refuse(node, f"nothing sets {name}")
         magnitude = found
-    direction: Vector = tuple(frame.get(f"{_base(node)}{axis}") for axis in axes)  # type: ignore[assignment]
+    direction: Vector = tuple(  # type: ignore[assignment]
+        frame.get(f"{_base(node)}{axis}") for axis in axes
+    )
     vector = times(direction, magnitude)
     if kind == "LOCAL":
         return applied(matrix(frame, MATRIX), vector)
@@ -360,7 +371,9 @@ def _vector(
 
 
 def trace_totals(frame: Frame, parts: Sequence[str]) -> None:
-    """Sum of the forces and moments of the models that act: of aero, external, prop, gear, buoyancy those in ``parts``."""
+    """Sum of the forces and moments of the models that act: of aero, external, prop, gear, buoyancy
+    those in ``parts``.
+    """
     b = frame.builder
     for kind, axes, unit in (("forces/fb", "xyz", "lbs"), ("moments/", "lmn", "lbsft")):
         for axis in axes:

@@ -1,10 +1,11 @@
-"""Everything of ``<system>``, ``<autopilot>`` and ``<flight_control>``: functions, and channels of components.
+"""Everything of ``<system>``, ``<autopilot>`` and ``<flight_control>``: functions, and channels of
+components.
 
-JSBSim 1.3.3 puts all of them into one model. In each frame it runs the functions of all of them in the order of loading, copies
-the engines' levers, runs all channels, and at the end the functions of ``type="post"``. A channel of ``execrate`` n runs in every
-n-th frame in which its ``execute`` property is not 0; where time stands still, in each such frame. A function is computed wherever
-its property is read until it has been run for the first time.
-"""
+JSBSim 1.3.3 puts all of them into one model. In each frame it runs the functions of all of them in
+the order of loading, copies the engines' levers, runs all channels, and at the end the functions of
+``type="post"``. A channel of ``execrate`` n runs in every n-th frame in which its ``execute``
+property is not 0; where time stands still, in each such frame. A function is computed wherever its
+property is read until it has been run for the first time."""
 
 from __future__ import annotations
 
@@ -39,7 +40,9 @@ _CONTROL = ("kp", "kd", "pvdot", "trigger")
 
 @dataclass(frozen=True)
 class Kind:
-    """``trace`` writes what the component does; ``once`` and ``many`` are its own elements, ``attributes`` those beside name."""
+    """``trace`` writes what the component does; ``once`` and ``many`` are its own elements,
+    ``attributes`` those beside name.
+    """
 
     trace: Callable[[Component], None]
     once: tuple[str, ...] = ()
@@ -88,7 +91,10 @@ REFUSED: Mapping[str, str] = {
 
 
 def trace(c: Component) -> None:
-    """What the component does in the frame. Raises BadInputError with file and line for what is not understood."""
+    """What the component does in the frame.
+
+    Raises BadInputError with file and line for what is not understood.
+    """
     tag = c.node.tag
     if tag in REFUSED:
         c.scope.refuse(c.node, f'<{tag}> {REFUSED[tag]}; fly this aircraft with engine = "jsbsim"')
@@ -107,8 +113,8 @@ _FUNCTION = ("name", "type", "copyto")
 class System:
     """A ``<system>``, ``<autopilot>`` or ``<flight_control>`` and the file it stands in.
 
-    For ``<system file="x">`` these are the root of that file, and ``outer`` the document and the element that names it.
-    """
+    For ``<system file="x">`` these are the root of that file, and ``outer`` the document and the
+    element that names it."""
 
     document: Document
     node: Node
@@ -117,7 +123,8 @@ class System:
 
 @dataclass(frozen=True)
 class Systems:
-    """The systems of an aircraft in the order in which JSBSim loads them: systems, the autopilot, the flight control.
+    """The systems of an aircraft in the order in which JSBSim loads them: systems, the autopilot,
+    the flight control.
 
     load_dt_s  the step at which the aircraft is loaded
     engines    how many engines have levers
@@ -128,7 +135,8 @@ class Systems:
     engines: int = 0
 
     def trace(self, frame: Frame, first: bool = False) -> None:
-        """Put a frame's sections into ``frame``. ``first``: it is the first of the two in which JSBSim initialises.
+        """Put a frame's sections into ``frame``. ``first``: it is the first of the two in which
+        JSBSim initialises.
 
         Raises BadInputError with file and line for what is not understood.
         """
@@ -176,7 +184,8 @@ def compute_where_read(frame: Frame, document: Document, node: Node) -> None:
         if node.attributes.get("copyto"):
             scope.refuse(
                 node,
-                "this function is read before it is run, and copies what it gives; the batch engine does not",
+                "this function is read before it is run, and copies what it gives; the batch engine"
+                " does not",
             )
         reading.append(name)
         found = function_value(scope, node, _FUNCTION)
@@ -187,7 +196,9 @@ def compute_where_read(frame: Frame, document: Document, node: Node) -> None:
 
 
 def refuse_inner_names(frame: Frame, document: Document, node: Node) -> None:
-    """Have names of tables, and of operations inside functions, refused where they are read: JSBSim makes properties of them."""
+    """Have names of tables, and of operations inside functions, refused where they are read: JSBSim
+    makes properties of them.
+    """
     for outer in node.walk():
         inside = (
             [inner for inner in outer.walk() if inner is not outer]
@@ -211,7 +222,8 @@ def _refusal(document: Document, node: Node, name: str) -> Callable[[], Value]:
     def refuse() -> Value:
         _plain(document).refuse(
             node,
-            f"property {name} is made by a <{node.tag}> of that name, which the batch engine does not",
+            f"property {name} is made by a <{node.tag}> of that name, which the batch engine"
+            " does not",
         )
 
     return refuse
@@ -223,7 +235,9 @@ def _set_step(frame: Frame, rate: int) -> None:
 
 
 def _check(part: System) -> None:
-    """Refuse what stands beside properties, functions and channels, and what stands beside the name of a file."""
+    """Refuse what stands beside properties, functions and channels, and what stands beside the name
+    of a file.
+    """
     scope = _plain(part.document)
     for node in part.node.children:
         if node.tag not in ("property", "channel", "function", *_SILENT):
@@ -243,7 +257,8 @@ def _check(part: System) -> None:
         if node.tag != "property" and node.tag not in _SILENT:
             _plain(document).refuse(
                 node,
-                f"<{node.tag}> beside a file is not understood by the batch engine; allowed is <property>",
+                f"<{node.tag}> beside a file is not understood by the batch engine; allowed is"
+                " <property>",
             )
 
 
@@ -265,7 +280,8 @@ def _trace_functions(frame: Frame, name: str, functions: Sequence[tuple[Document
                 if read_only(target) or (frame.written is None and target not in frame.values):
                     scope.refuse(
                         node,
-                        f"property {target} cannot be written by copyto: JSBSim takes no value for it",
+                        f"property {target} cannot be written by copyto: JSBSim takes no value"
+                        " for it",
                     )
                 frame.write(target, value)
             if title:
@@ -285,7 +301,9 @@ class _Channel:
     key: str
 
     def trace(self) -> None:
-        """Its sections: one that decides whether it runs, if that may differ between lanes or frames, and one that does."""
+        """Its sections: one that decides whether it runs, if that may differ between lanes or
+        frames, and one that does.
+        """
         frame, scope = self.frame, _plain(self.document)
         scope.only(self.node, ("name", "execrate", "execute"))
         text = self.node.attributes.get("execrate", "")
@@ -451,9 +469,11 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
         propulsion,
         found.get("ground_reactions"),
         found.get("mass_balance"),
-        parse_document(Path("no script"), b"<runscript/>")
-        if script is None
-        else parse_document(script, read_xml(script)),
+        (
+            parse_document(Path("no script"), b"<runscript/>")
+            if script is None
+            else parse_document(script, read_xml(script))
+        ),
         included,
     )
 
@@ -470,7 +490,9 @@ def _engine_files(aircraft: Aircraft | Files, propulsion: Part) -> dict[Node, Pa
 
 
 def _included(aircraft: Aircraft | Files, document: Document, node: Node) -> Part:
-    """The root element of the file that is named; JSBSim looks in the aircraft's folder, its Systems, then the shared folder."""
+    """The root element of the file that is named; JSBSim looks in the aircraft's folder, its
+    Systems, then the shared folder.
+    """
     name = node.attributes["file"].strip()
     name = name if name.endswith(".xml") else f"{name}.xml"
     kind = "systems" if node.tag in _SYSTEMS else "engine"

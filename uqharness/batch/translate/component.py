@@ -1,9 +1,10 @@
-"""What all components share: where one stands, its inputs and coefficients, its memory, clipping, delay and outputs.
+"""What all components share: where one stands, its inputs and coefficients, its memory, clipping,
+delay and outputs.
 
-Found by experiment with JSBSim 1.3.3 (tests/uqharness/batch/translate): coefficients of time are computed with the step at which
-the aircraft was loaded times the channel's ``execrate``, in the initialising frames too, where time stands still. ``<clipto>``
-with min above max is ignored. ``<delay>`` of N frames delays by N - 1. ``<init>`` is read and never used.
-"""
+Found by experiment with JSBSim 1.3.3 (tests/uqharness/batch/translate): coefficients of time are
+computed with the step at which the aircraft was loaded times the channel's ``execrate``, in the
+initialising frames too, where time stands still. ``<clipto>`` with min above max is ignored.
+``<delay>`` of N frames delays by N - 1. ``<init>`` is read and never used."""
 
 from __future__ import annotations
 
@@ -55,7 +56,9 @@ class Component:
     def check(
         self, once: Collection[str], many: Collection[str], attributes: Collection[str]
     ) -> None:
-        """Refuse attributes and elements that are not understood, and those that are there twice and JSBSim reads once."""
+        """Refuse attributes and elements that are not understood, and those that are there twice
+        and JSBSim reads once.
+        """
         self.scope.only(self.node, ("name", *attributes))
         seen: set[str] = set()
         for child in self.node.children:
@@ -106,7 +109,9 @@ class Component:
     def parameter(
         self, tag: str, default: float | None = None, attributes: Collection[str] = ()
     ) -> Value:
-        """The number in an element or the value of the property named there; without ``default`` it must be there."""
+        """The number in an element or the value of the property named there; without ``default`` it
+        must be there.
+        """
         node = self.node.find(tag) if default is not None else self.needed(tag)
         if node is None:
             assert default is not None
@@ -125,14 +130,16 @@ class Component:
         self.frame.remember(f"{self.key}/{name}", value)
 
     def lagged(self, value: Value, rate: Value) -> Value:
-        """A first-order lag by Tustin's rule of corner frequency ``rate`` [1/s], from memory ``lag-in`` and ``lag-out``."""
+        """A first-order lag by Tustin's rule of corner frequency ``rate`` [1/s], from memory
+        ``lag-in`` and ``lag-out``.
+        """
         below = 2.0 + self.step * rate
         a, b = self.step * rate / below, (2.0 - self.step * rate) / below
         return a * (value + self.memory("lag-in")) + self.memory("lag-out") * b
 
     def delayed(self, value: Value, still: Value | None = None) -> Value:
-        """The value of as many runs before as ``<delay>`` is long, less one; 0 until there is one. The line does not move where
-        ``still`` holds."""
+        """The value of as many runs before as ``<delay>`` is long, less one; 0 until there is one.
+        The line does not move where ``still`` holds."""
         places = [f"delay-{k}" for k in range(self._delay() - 1)]
         held = [self.memory(name) for name in places]
         for name, later in zip(places, [*held[1:], value], strict=False):
@@ -197,7 +204,8 @@ class Component:
         if read_only(name):
             self.scope.refuse(
                 node,
-                f"property {name} cannot be written by <{self.node.tag}>: JSBSim takes no value for it",
+                f"property {name} cannot be written by <{self.node.tag}>: JSBSim takes no value"
+                " for it",
             )
         self.frame.write(name, value)
 
@@ -208,7 +216,9 @@ class Component:
 
 
 def output_names(scope: Scope, node: Node) -> list[str]:
-    """Properties that a component writes, in JSBSim's order: its ``<output>``s, then the one of its name."""
+    """Properties that a component writes, in JSBSim's order: its ``<output>``s, then the one of its
+    name.
+    """
     names = []
     for child in node.all("output"):
         scope.only(child)
@@ -227,7 +237,9 @@ def inner(node: Node) -> list[Node]:
 
 
 def own_name(name: str) -> str:
-    """A component's property: its name as it stands if it has a '/', else below ``fcs/`` in small letters, white space as '-'."""
+    """A component's property: its name as it stands if it has a '/', else below ``fcs/`` in small
+    letters, white space as '-'.
+    """
     if "/" in name:
         return canonical(name)
     return canonical(
@@ -236,5 +248,7 @@ def own_name(name: str) -> str:
 
 
 def constrained(least: Value, value: Value, greatest: Value) -> Value:
-    """The value between two others; where they are in the wrong order, below the least the least."""
+    """The value between two others; where they are in the wrong order, below the least the
+    least.
+    """
     return value.lt(least).choose(least, value.gt(greatest).choose(greatest, value))

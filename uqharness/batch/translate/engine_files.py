@@ -1,4 +1,6 @@
-"""Units of engine files and the factors by which JSBSim 1.3.3 converts them: some have fewer digits than the units themselves."""
+"""Units of engine files and the factors by which JSBSim 1.3.3 converts them: some have fewer digits
+than the units themselves.
+"""
 
 from __future__ import annotations
 
@@ -100,7 +102,9 @@ def _factor(scope: Scope, node: Node, unit: str) -> float:
 
 
 def grid(scope: Scope, table: Node) -> Grid:
-    """The numbers of a ``<table type="internal">``: its columns tell whether it has one dimension or two."""
+    """The numbers of a ``<table type="internal">``: its columns tell whether it has one dimension
+    or two.
+    """
     scope.only(table, ("name", "type"))
     data = table.all("tableData")
     if (

@@ -1,4 +1,5 @@
-"""``<electric_engine>`` and ``<brushless_dc_motor>``: power to the shaft by the throttle (JSBSim 1.3.3).
+"""``<electric_engine>`` and ``<brushless_dc_motor>``: power to the shaft by the throttle (JSBSim
+1.3.3).
 
 The brushless motor is Drela's (First-Order DC Electric Motor Model, 2007, eqs 2 and 4).
 """
@@ -158,7 +159,9 @@ class Propulsion:
     tanks: tuple[Tank, ...]
 
     def prepare(self, frame: Frame, first: bool) -> None:
-        """Hooks, and functions that are computed wherever they are read until they have been run."""
+        """Hooks, and functions that are computed wherever they are read until they have
+        been run.
+        """
         for tank in self.tanks:
             frame.hooks[f"{tank.name}contents-lbs"] = set_contents(tank)
             frame.hooks[f"{tank.name}priority"] = set_whole(f"{tank.name}priority")
@@ -177,7 +180,9 @@ class Propulsion:
                 trace_mass(frame, self.tanks, first)
 
     def trace(self, frame: Frame) -> None:
-        """Forces and moments as forces/fb?-prop-lbs and moments/?-prop-lbsft, and what engines take from tanks."""
+        """Forces and moments as forces/fb?-prop-lbs and moments/?-prop-lbsft, and what engines take
+        from tanks.
+        """
         if self.part is None or not (self.engines or self.tanks):
             return
         with frame.section("propulsion"):
@@ -217,7 +222,9 @@ class Propulsion:
             self.tanks[k].drain(frame, spent / count, gives)
 
     def trace_steady(self, frame: Frame, engine: Engine) -> None:
-        """One turn of JSBSim's way to an engine's steady state; the slot ``going`` tells whether there is another."""
+        """One turn of JSBSim's way to an engine's steady state; the slot ``going`` tells whether
+        there is another.
+        """
         thrust, count, turns = (
             "steady/thrust",
             f"steady{engine.index}/count",
@@ -247,7 +254,8 @@ STEADY_STEP_S = 0.5
 
 
 def read_propulsion(sources: Sources, values: Values, started: bool = False) -> Propulsion:
-    """Read engines, thrusters and tanks, and put the aircraft without fuel into ``values``. started: by the host, not by a script.
+    """Read engines, thrusters and tanks, and put the aircraft without fuel into ``values``.
+    started: by the host, not by a script.
 
     Raises BadInputError with file and line for what is not understood.
     """

@@ -1,8 +1,8 @@
 """Filters of first and second order, by Tustin's rule.
 
-In its first run a filter gives 0 and takes nothing from its input, so its history begins at 0. Coefficients that are properties
-are taken anew in each run. Clipping is behind the filter: its memory keeps what it was before.
-"""
+In its first run a filter gives 0 and takes nothing from its input, so its history begins at 0.
+Coefficients that are properties are taken anew in each run. Clipping is behind the filter: its
+memory keeps what it was before."""
 
 from __future__ import annotations
 
@@ -114,7 +114,9 @@ RULES = {"rect": _rectangular, "trap": _trapezoidal, "ab2": _pid_second_order, "
 
 
 def pid(c: Component) -> None:
-    """Proportional, integral and derivative terms; ``type="standard"``: the gain multiplies all three."""
+    """Proportional, integral and derivative terms; ``type="standard"``: the gain multiplies all
+    three.
+    """
     kind = c.node.attributes.get("type", "ideal")
     if kind not in ("ideal", "parallel", "standard"):
         c.scope.refuse(c.node, f"type='{kind}' of <pid>: allowed are ideal, parallel and standard")
@@ -160,7 +162,9 @@ def _controller(c: Component, integral: str, rule: str, standard: bool) -> None:
 
 
 def actuator(c: Component) -> None:
-    """The input after failures, lag, rate limits, dead band, hysteresis, bias, delay and clipping, in that order."""
+    """The input after failures, lag, rate limits, dead band, hysteresis, bias, delay and clipping,
+    in that order.
+    """
     b, name = c.builder, property_of(c.scope, c.node, own_name(c.node.attributes.get("name", "")))
     zero, hardover, stuck = (
         c.frame.get(f"{name}/malfunction/fail_{how}").ne(0.0)
@@ -235,10 +239,11 @@ def _reached(beyond: Value, limit: Value) -> Value:
 
 
 def linear_actuator(c: Component) -> None:
-    """The input followed in steps of the hysteresis, turns of ``<module>`` counted, held without ``<set>``, cleared by ``<reset>``.
+    """The input followed in steps of the hysteresis, turns of ``<module>`` counted, held without
+    ``<set>``, cleared by ``<reset>``.
 
-    Steps follow whole turns: a jump of more than ``<rate>`` times the module is a turn in the other direction.
-    """
+    Steps follow whole turns: a jump of more than ``<rate>`` times the module is a turn in the other
+    direction."""
     b, x = c.builder, c.input()
     module, hysteresis, gain = (
         _at_least(c, "module", 1.0, 1.0),
@@ -291,7 +296,10 @@ def _at_least(c: Component, tag: str, default: float, instead: float) -> float:
 
 
 def _versus(c: Component) -> Value:
-    """The side that is followed: -1, 0 (both) or 1. It is cut to a whole number; a number in the file stays that."""
+    """The side that is followed: -1, 0 (both) or 1.
+
+    It is cut to a whole number; a number in the file stays that.
+    """
     node = c.node.find("versus")
     whole = truncated(c.parameter("versus", 0.0))
     if node is None or is_number(node.text):
@@ -323,7 +331,9 @@ def gyro(c: Component) -> None:
 
 
 def accelerometer(c: Component) -> None:
-    """What is left of the acceleration without gravity, at a place of the airframe along an axis [ft/s2]."""
+    """What is left of the acceleration without gravity, at a place of the airframe along an axis
+    [ft/s2].
+    """
     c.inputs(0, 0)
     mass = _engine(c, "inertia/mass-slugs")
     specific = [_engine(c, f"forces/fb{axis}-total-lbs") * (1.0 / mass) for axis in "xyz"]
@@ -386,7 +396,8 @@ def _noisy(c: Component, value: Value, stuck: Value) -> Value:
     if drawn is None:
         c.scope.refuse(
             node,
-            f"{distribution.lower()} <noise> draws from JSBSim's generator, and no stream stands for it here",
+            f"{distribution.lower()} <noise> draws from JSBSim's generator, and no stream stands"
+            " for it here",
         )
     return value * (1.0 + size * drawn) if variation == "PERCENT" else value + size * drawn
 
@@ -412,7 +423,8 @@ def _quantized(c: Component, value: Value, stuck: Value) -> Value:
     if not (0 < bits <= _MOST_BITS and least < greatest):
         c.scope.refuse(
             node,
-            f"<quantization> has 1 to {_MOST_BITS} bits and min below max; received {bits}, {least:g}, {greatest:g}",
+            f"<quantization> has 1 to {_MOST_BITS} bits and min below max; received {bits},"
+            f" {least:g}, {greatest:g}",
         )
     value = value.lt(least).choose(least, value)
     value = value.gt(greatest).choose(greatest, value)
@@ -426,7 +438,9 @@ def _quantized(c: Component, value: Value, stuck: Value) -> Value:
 
 
 def quantity_name(node: Node) -> str:
-    """The property that a ``<quantization>`` writes its whole number to; none where the name has a '/', as in JSBSim 1.3.3."""
+    """The property that a ``<quantization>`` writes its whole number to; none where the name has a
+    '/', as in JSBSim 1.3.3.
+    """
     name = node.attributes.get("name", "")
     return "" if not name or "/" in name else own_name(name)
 
@@ -468,7 +482,8 @@ def _triplet(
     if unit not in units:
         c.scope.refuse(
             node,
-            f"unit='{unit}' of <{node.tag}> is not understood; allowed are {', '.join(u for u in units if u)}",
+            f"unit='{unit}' of <{node.tag}> is not understood; allowed are"
+            f" {', '.join(u for u in units if u)}",
         )
     numbers = dict.fromkeys(tags, 0.0)
     others = dict(zip(("x", "y", "z"), tags, strict=True))

@@ -1,9 +1,10 @@
-"""A frame while it is traced: what stands in each property at this place of the frame, and the sections that come of it.
+"""A frame while it is traced: what stands in each property at this place of the frame, and the
+sections that come of it.
 
-Properties are slots of the state. A property that nothing ever writes is a constant, folded where it is read, unless it is one of
-the ``inputs`` that differ from lane to lane. ``writers`` must be known before the first section is traced, because a property may
-be read before it is written: it then has the value of the frame before.
-"""
+Properties are slots of the state. A property that nothing ever writes is a constant, folded where
+it is read, unless it is one of the ``inputs`` that differ from lane to lane. ``writers`` must be
+known before the first section is traced, because a property may be read before it is written: it
+then has the value of the frame before."""
 
 from __future__ import annotations
 
@@ -36,10 +37,11 @@ class Scope:
     builder   makes the values
     document  the file, for messages
     read      the value of a property, None if nobody computes it: then the file is refused
-    draw      the standard normal (``random``) or the number of -1 to 1 (``urandom``) that an element draws in this frame;
+    draw      the standard normal (``random``) or the number of -1 to 1 (``urandom``) that an
+    element draws in this frame;
               None: refused
-    note_beyond  is handed a condition under which JSBSim computes what the engine cannot: the flight does not count then
-    """
+    note_beyond  is handed a condition under which JSBSim computes what the engine cannot: the
+    flight does not count then"""
 
     builder: Builder
     document: Document
@@ -48,7 +50,9 @@ class Scope:
     note_beyond: Callable[[Value], None] = lambda _: None
 
     def where(self, condition: Value) -> Scope:
-        """The same for what JSBSim computes only where the condition holds: elsewhere nothing is noted."""
+        """The same for what JSBSim computes only where the condition holds: elsewhere nothing is
+        noted.
+        """
 
         def note(beyond: Value) -> None:
             self.note_beyond(self.builder.op("and", condition, beyond))
@@ -65,7 +69,8 @@ class Scope:
             if name not in attributes:
                 self.refuse(
                     node,
-                    f"attribute '{name}' of <{node.tag}> is not understood by the batch engine; fly it with engine = \"jsbsim\"",
+                    f"attribute '{name}' of <{node.tag}> is not understood by the batch engine; fly"
+                    ' it with engine = "jsbsim"',
                 )
 
     def number(self, node: Node, text: str | None = None) -> float:
@@ -76,16 +81,21 @@ class Scope:
         return float(text)
 
     def property_value(self, node: Node) -> Value:
-        """The value of the property that the element's text names; a minus sign before the name negates it."""
+        """The value of the property that the element's text names; a minus sign before the name
+        negates it.
+        """
         if node.children:
             self.refuse(
                 node,
-                f"<{node.tag}> must be the name of a property; received <{node.children[0].tag}>, which JSBSim ignores",
+                f"<{node.tag}> must be the name of a property; received <{node.children[0].tag}>,"
+                " which JSBSim ignores",
             )
         return self.named_property(node, node.text)
 
     def named_property(self, node: Node, text: str) -> Value:
-        """The value of the property that a text of the element names; a minus sign before the name negates it."""
+        """The value of the property that a text of the element names; a minus sign before the name
+        negates it.
+        """
         text = text.strip()
         negative = text.startswith("-")
         name = property_of(self, node, text.removeprefix("-"))
@@ -93,7 +103,8 @@ class Scope:
         if value is None:
             self.refuse(
                 node,
-                f'property {name} is not computed by the batch engine; fly this aircraft with engine = "jsbsim"',
+                f"property {name} is not computed by the batch engine; fly this aircraft with"
+                ' engine = "jsbsim"',
             )
         return -value if negative else value
 
@@ -138,7 +149,9 @@ STEP = "#step"
 MOST_SECTIONS, MOST_OPERATIONS, MOST_SLOTS = 2_000, 60_000, 2_500
 """Of a frame: E-SPAARO has 40, 3,800 and 520. At the limits compiling takes some ten seconds."""
 BEYOND = "#beyond"
-"""Slot that is not 0 once a function had an argument beyond the engine's range: what the lane flies from there is not JSBSim's."""
+"""Slot that is not 0 once a function had an argument beyond the engine's range: what the lane flies
+from there is not JSBSim's.
+"""
 INITIALISED = "initialised:"
 """Before a property's name: its value behind JSBSim's initialising frames."""
 
@@ -146,9 +159,8 @@ INITIALISED = "initialised:"
 class Values(dict[str, float]):
     """Values of properties before the first frame, by their canonical names, each asked for once.
 
-    value_of   the value, None: there is no such property
-    constant   whether a property that nobody writes keeps its value: others change in JSBSim, which nobody computes here
-    """
+    value_of   the value, None: there is no such property constant   whether a property that nobody
+    writes keeps its value: others change in JSBSim, which nobody computes here"""
 
     def __init__(
         self,
@@ -169,7 +181,9 @@ class Values(dict[str, float]):
             raise KeyError(name)
         return found
 
-    def get(self, name: str, default: float | None = None) -> float | None:  # type: ignore[override]
+    def get(  # type: ignore[override]
+        self, name: str, default: float | None = None
+    ) -> float | None:
         """The value; ``default`` where there is no such property."""
         found = self._found(name)
         return default if found is None else found
@@ -198,14 +212,15 @@ class Frame:
     """Traces one frame.
 
     dt_s       step of the frame, 0 while JSBSim initialises
-    values     property to its value before the first frame: declared ones, and those of JSBSim's own models
-    written    properties that are written in some frame: they are state; None: not known yet, every property is taken for one,
+    values     property to its value before the first frame: declared ones, and those of JSBSim's
+    own models
+    written    properties that are written in some frame: they are state; None: not known yet, every
+    property is taken for one,
                and ``writes`` has them when all is traced
     inputs     properties whose value may differ between lanes and is never written
 
-    ``live`` has properties that are computed wherever they are read, as JSBSim does with a function that has not been run yet;
-    ``hooks`` those whose setting moves more than themselves.
-    """
+    ``live`` has properties that are computed wherever they are read, as JSBSim does with a function
+    that has not been run yet; ``hooks`` those whose setting moves more than themselves."""
 
     def __init__(
         self,
@@ -242,7 +257,9 @@ class Frame:
 
     @property
     def load_step(self) -> Value:
-        """The step at which the aircraft was loaded [s], from which its filters' coefficients are made."""
+        """The step at which the aircraft was loaded [s], from which its filters' coefficients are
+        made.
+        """
         return (
             self.memory(STEP[1:], self.dt_s) if self.any_step else self.builder.constant(self.dt_s)
         )
@@ -254,7 +271,10 @@ class Frame:
 
     @contextmanager
     def section(self, name: str, when: When | None = None) -> Iterator[None]:
-        """What is traced inside becomes one section. Sections do not nest; values of one are not for use in another."""
+        """What is traced inside becomes one section.
+
+        Sections do not nest; values of one are not for use in another.
+        """
         if self._when is not None:
             raise RuntimeError(f"section {name} inside section {self._name}")
         self._when, self._name = when or When(), name
@@ -303,7 +323,9 @@ class Frame:
         return value
 
     def write(self, name: str, value: Value | float) -> None:
-        """Put a value into a property, from here on, as the XML does: what JSBSim does besides is done by its hook."""
+        """Put a value into a property, from here on, as the XML does: what JSBSim does besides is
+        done by its hook.
+        """
         name = canonical(name)
         hook = self.hooks.get(name)
         if hook is None:
@@ -321,7 +343,10 @@ class Frame:
         self.builder.store(name, value)
 
     def memory(self, name: str, first: float = 0.0) -> Value:
-        """A slot that is no property: what ``remember`` put there, in the frame before ``first``. Its name begins with '#'."""
+        """A slot that is no property: what ``remember`` put there, in the frame before ``first``.
+
+        Its name begins with '#'.
+        """
         self.values.setdefault(f"#{name}", first)
         return self.builder.load(f"#{name}")
 
@@ -340,7 +365,9 @@ class Frame:
         self.remember(BEYOND[1:], condition.choose(1.0, self.memory(BEYOND[1:])))
 
     def normal(self) -> Value | None:
-        """A standard normal that is drawn here; None in a section in which lanes draw at different times."""
+        """A standard normal that is drawn here; None in a section in which lanes draw at different
+        times.
+        """
         assert self._when is not None
         if self.written is not None and (self._when.mask is not None or self._when.at is not None):
             return None
@@ -386,43 +413,62 @@ _LEVERS = (
     r"fcs/.*-(cmd|pos)-(norm|rad|deg)(\[\d+\])?|fcs/.*-brake-cmd-norm|gear/gear-(cmd|pos)-norm"
 )
 _AIR = (
-    r"atmosphere/((gust|wind)-(north|east|down)-fps|wind-mag-fps|psiw-rad|turb-type|delta-T|P-sl-psf"
+    r"atmosphere/((gust|wind)-(north|east|down)-fps|wind-mag-fps|psiw-rad|turb-type|delta-T"
+    r"|P-sl-psf"
     r"|turbulence/milspec/(severity|windspeed_at_20ft_AGL-fps))"
 )
 _ENGINE_SET = (
-    r"propulsion/engine(\[\d+\])?/([xyz]-position|(pitch|yaw|reverser)-angle-rad|blade-angle|constant-speed-mode|propeller-sense"
-    r"|friction-hp|bsfc-lbs_hphr|volumetric-efficiency|air-intake-impedance-factor|ram-air-factor|cooling-factor|starter-norm"
+    r"propulsion/engine(\[\d+\])?/([xyz]-position|(pitch|yaw|reverser)-angle-rad|blade-angle"
+    r"|constant-speed-mode|propeller-sense"
+    r"|friction-hp|bsfc-lbs_hphr|volumetric-efficiency|air-intake-impedance-factor"
+    r"|ram-air-factor|cooling-factor|starter-norm"
     r"|bleed-factor)"
 )
 _ENGINE_MADE = (
-    r"propulsion/engine(\[\d+\])?/(set-running|thrust-lbs|fuel-flow-rate-(pps|gph)|fuel-used-lbs|(engine|propeller)-rpm"
-    r"|advance-ratio|thrust-coefficient|helical-tip-Mach|prop-induced-velocity_fps|propeller-(power-ftlbps|torque-ftlb)"
-    r"|[xyz]-reference-position|power-hp|current-amperes|map-(pa|inhg)|boost-speed|boostloss-(factor|hp)|(cht|egt)-degF|AFR"
-    r"|oil-(temperature-degF|pressure-psi)|n[12]|MaxN[12]|injection_cmd|seized|stalled|Inj(ectionTimer|WaterNorm|N[12]increment)"
-    r"|a?tsfc|itt-c|engtrq-ftlb|ielu_intervent|combustion_efficiency|total-impulse|vacuum-thrust_lbs|rotor-.*|.*-angle-.*)"
+    r"propulsion/engine(\[\d+\])?/(set-running|thrust-lbs|fuel-flow-rate-(pps|gph)"
+    r"|fuel-used-lbs|(engine|propeller)-rpm"
+    r"|advance-ratio|thrust-coefficient|helical-tip-Mach|prop-induced-velocity_fps"
+    r"|propeller-(power-ftlbps|torque-ftlb)"
+    r"|[xyz]-reference-position|power-hp|current-amperes|map-(pa|inhg)|boost-speed"
+    r"|boostloss-(factor|hp)|(cht|egt)-degF|AFR"
+    r"|oil-(temperature-degF|pressure-psi)|n[12]|MaxN[12]|injection_cmd|seized|stalled"
+    r"|Inj(ectionTimer|WaterNorm|N[12]increment)"
+    r"|a?tsfc|itt-c|engtrq-ftlb|ielu_intervent|combustion_efficiency|total-impulse"
+    r"|vacuum-thrust_lbs|rotor-.*|.*-angle-.*)"
 )
-_TANK_SET = r"propulsion/tank(\[\d+\])?/(contents-lbs|priority|external-flow-rate-pps|unusable-volume-gal|[xyz]-position)"
+_TANK_SET = (
+    r"propulsion/tank(\[\d+\])?/(contents-lbs|priority|external-flow-rate-pps|unusable-volume-gal"
+    r"|[xyz]-position)"
+)
 _TANK_MADE = r"propulsion/tank(\[\d+\])?/(pct-full|density-lbs_per_gal|local-i..-slug_ft2)"
 _OWN = re.compile(
-    r"(simulation|inertial|ic|orbital|velocities|position|attitude|accelerations|forces|moments|flight-path|inertia|metrics|ground"
+    r"(simulation|inertial|ic|orbital|velocities|position|attitude|accelerations|forces|moments"
+    r"|flight-path|inertia|metrics|ground"
     r"|atmosphere)/.*"
-    r"|aero/(Re|alpha(-wing|-max|-min)?-rad|alpha-deg|(alpha|beta)dot-(rad|deg)_sec|(mag-)?beta-(rad|deg)|[bc]i2vel|cl-squared"
+    r"|aero/(Re|alpha(-wing|-max|-min)?-rad|alpha-deg|(alpha|beta)dot-(rad|deg)_sec"
+    r"|(mag-)?beta-(rad|deg)|[bc]i2vel|cl-squared"
     r"|h_b-(cg|mac)-ft|qbar(UV|UW)?-psf|qbar-area|stall-hyst-norm)"
-    r"|systems/stall-warn-norm|gear/(num-units|wow|unit(\[\d+\])?/.*)|contact/unit(\[\d+\])?/.*|fcs/mag-.*-pos-rad"
-    r"|propulsion/(tat-[rc]|pt-lbs_sqft|active_engine|set-running|starter_cmd|cutoff_cmd|magneto_cmd|refuel|fuel_dump|fuel_freeze"
+    r"|systems/stall-warn-norm|gear/(num-units|wow|unit(\[\d+\])?/.*)|contact/unit(\[\d+\])?/.*"
+    r"|fcs/mag-.*-pos-rad"
+    r"|propulsion/(tat-[rc]|pt-lbs_sqft|active_engine|set-running|starter_cmd|cutoff_cmd"
+    r"|magneto_cmd|refuel|fuel_dump|fuel_freeze"
     rf"|total-.*-lbs)|{_ENGINE_SET}|{_ENGINE_MADE}|{_TANK_SET}|{_TANK_MADE}|buoyant_forces/.*"
 )
 _FIXED = re.compile(
-    r"(metrics|inertia|external_reactions)/.*|simulation/(integrator/.*|gravity-model|gravitational-torque)"
+    r"(metrics|inertia|external_reactions)/.*|simulation/(integrator/.*|gravity-model"
+    r"|gravitational-torque)"
     rf"|{_AIR}|atmosphere/(randomseed|turb-(north|east|down)-fps|[pqr]-turb-rad_sec)"
     r"|.*/malfunction/fail_(zero|hardover|stuck|low|high)"
-    r"|gear/(unit(\[\d+\])?/)?(WOW|wow|compression-ft|compression-velocity-fps)"  # 0: contact ends a flight
+    # 0: contact ends a flight
+    r"|gear/(unit(\[\d+\])?/)?(WOW|wow|compression-ft|compression-velocity-fps)"
     rf"|{_LEVERS}|position/terrain-elevation-asl-ft"
-    rf"|{_ENGINE_SET}|propulsion/engine(\[\d+\])?/[xyz]-reference-position|{_TANK_SET}|propulsion/tank(\[\d+\])?/density-lbs_per_gal"
+    rf"|{_ENGINE_SET}|propulsion/engine(\[\d+\])?/[xyz]-reference-position|{_TANK_SET}"
+    rf"|propulsion/tank(\[\d+\])?/density-lbs_per_gal"
 )
 _WRITABLE = re.compile(rf"{_AIR}|metrics/aero-rp-[xyz]-in|{_ENGINE_SET}|{_TANK_SET}")
 _BY_HOST = re.compile(
-    r"metrics/(bw-ft|cbarw-ft)|inertia/(mass-slugs|weight-lbs|empty-weight-lbs|cg-[xyz]-in|i..-slugs_ft2)"
+    r"metrics/(bw-ft|cbarw-ft)|inertia/(mass-slugs|weight-lbs|empty-weight-lbs|cg-[xyz]-in"
+    r"|i..-slugs_ft2)"
     r"|simulation/(integrator/.*|gravity-model)|ic/.*|position/terrain-elevation-asl-ft"
 )
 REQUIRED: Mapping[str, float] = MappingProxyType(
@@ -473,7 +519,9 @@ def writable(name: str) -> bool:
 
 
 def settable(name: str) -> bool:
-    """Whether the batch engine does what JSBSim does when a host sets the property before the flight."""
+    """Whether the batch engine does what JSBSim does when a host sets the property before the
+    flight.
+    """
     return writable(name) or _BY_HOST.fullmatch(name) is not None
 
 
@@ -485,12 +533,15 @@ _SURFACES = (*_WITH_SIZE, "flap", "speedbrake", "spoiler")
 _CONTROLS_LEVERS = ("throttle", "mixture", "advance", "feather")
 CHANNEL_STEP = "simulation/channel-dt"
 _NO_VALUE = re.compile(
-    r"fcs/mag-.*-pos-rad|fcs/feather-.*|.*/(saturated|initial-integrator-value|randomseed|malfunction/fail_(zero|hardover|stuck|low|high))"
+    r"fcs/mag-.*-pos-rad|fcs/feather-.*|.*/(saturated|initial-integrator-value|randomseed"
+    r"|malfunction/fail_(zero|hardover|stuck|low|high))"
 )
 
 
 def read_only(name: str) -> bool:
-    """Whether JSBSim ignores what a component writes to it, or takes it otherwise than as a value."""
+    """Whether JSBSim ignores what a component writes to it, or takes it otherwise than as a
+    value.
+    """
     return bool(_NO_VALUE.fullmatch(name)) or not writable(name)
 
 
@@ -516,7 +567,9 @@ HOOKS: Mapping[str, Callable[[Frame, Value], None]] = {
 
 
 def copy_levers(frame: Frame, engines: int) -> None:
-    """Put each engine's levers where they are commanded, as JSBSim does in every frame before the channels."""
+    """Put each engine's levers where they are commanded, as JSBSim does in every frame before the
+    channels.
+    """
     for number in range(engines):
         index = f"[{number}]" if number else ""
         for lever in _CONTROLS_LEVERS:

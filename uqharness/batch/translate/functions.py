@@ -1,10 +1,10 @@
 """JSBSim's ``<function>`` trees as values of the intermediate form.
 
-Meanings were found by experiment with JSBSim 1.3.3 (tests/test_functions.py compares every operation). Where JSBSim ends the
-flight with an error (a condition that is neither 0 nor 1, a switch without such a case, the rest of a division by 0 in whole
-numbers) the value is NaN, and the flight is noted as beyond the engine, for ``min`` and others hide a NaN. What JSBSim drops
-without a word (an unknown operation or a ``<function>`` inside a sum) is refused with file and line.
-"""
+Meanings were found by experiment with JSBSim 1.3.3 (tests/test_functions.py compares every
+operation). Where JSBSim ends the flight with an error (a condition that is neither 0 nor 1, a
+switch without such a case, the rest of a division by 0 in whole numbers) the value is NaN, and the
+flight is noted as beyond the engine, for ``min`` and others hide a NaN. What JSBSim drops without a
+word (an unknown operation or a ``<function>`` inside a sum) is refused with file and line."""
 
 from __future__ import annotations
 
@@ -71,7 +71,9 @@ _Vector = tuple[Value, Value, Value]
 
 
 def _in_body(scope: Scope, a: Sequence[Value], y: Value, z: Value, x: Value) -> _Vector:
-    """A vector of wind axes without gamma (alpha a[0], beta a[1]), seen after the body has turned by phi, theta, psi (a[3:6])."""
+    """A vector of wind axes without gamma (alpha a[0], beta a[1]), seen after the body has turned
+    by phi, theta, psi (a[3:6]).
+    """
     (ca, sa), (cb, sb), (cp, sp), (ct, st), (cy, sy) = _turns(scope, (a[0], a[1], a[3], a[4], a[5]))
     x, y = cb * x - sb * y, sb * x + cb * y
     x, z = ca * x - sa * z, sa * x + ca * z
@@ -125,7 +127,9 @@ ROTATIONS: Mapping[str, tuple[int, Callable[[Scope, Sequence[Value]], Value]]] =
 
 _AXES = ("row", "column", "table")
 _MANY = 24
-"""Intervals from which on numbers are looked up in memory: below, to choose among all of them costs less."""
+"""Intervals from which on numbers are looked up in memory: below, to choose among all of them costs
+less.
+"""
 
 
 @dataclass(frozen=True)
@@ -149,7 +153,9 @@ class Axis:
         return result
 
     def interval(self) -> Value:
-        """The number of the key's interval, from 0: that of inner breakpoints that the key exceeds, 0 for a NaN key."""
+        """The number of the key's interval, from 0: that of inner breakpoints that the key exceeds,
+        0 for a NaN key.
+        """
         b, inner = self.key.builder, self.points[1:-1]
         if len(self.points) <= _MANY:
             return self.pick([float(k) for k in range(len(inner) + 1)])
@@ -173,7 +179,9 @@ class Axis:
 
 @dataclass(frozen=True)
 class Grid:
-    """Numbers of a ``<tableData>``: breakpoints of rows, of columns (none in one dimension), and values, a row a breakpoint."""
+    """Numbers of a ``<tableData>``: breakpoints of rows, of columns (none in one dimension), and
+    values, a row a breakpoint.
+    """
 
     rows: tuple[float, ...]
     columns: tuple[float, ...]
@@ -181,13 +189,17 @@ class Grid:
 
 
 def table(scope: Scope, node: Node) -> Value:
-    """The value of a ``<table>`` inside a function. Raises BadInputError with file and line for what is not understood."""
+    """The value of a ``<table>`` inside a function.
+
+    Raises BadInputError with file and line for what is not understood.
+    """
     scope.only(node, ("name",))
     for child in node.children:
         if child.tag not in ("independentVar", "tableData", "description"):
             scope.refuse(
                 child,
-                f"<{child.tag}> in a <table> is not understood; allowed are independentVar and tableData",
+                f"<{child.tag}> in a <table> is not understood; allowed are independentVar and"
+                " tableData",
             )
     keys = _keys(scope, node)
     data = node.all("tableData")
@@ -237,11 +249,14 @@ def _between_corners(grid: Grid, along: Axis, across: Axis) -> Value:
 
 
 def read_grid(scope: Scope, node: Node, columns: bool) -> Grid:
-    """The numbers of a ``<tableData>``: with ``columns`` its first line has the breakpoints of the columns."""
+    """The numbers of a ``<tableData>``: with ``columns`` its first line has the breakpoints of the
+    columns.
+    """
     if node.children:
         scope.refuse(
             node.children[0],
-            f"<{node.children[0].tag}> in <tableData> is not understood; nested tables have attribute breakPoint",
+            f"<{node.children[0].tag}> in <tableData> is not understood; nested tables have"
+            " attribute breakPoint",
         )
     lines = [
         [scope.number(node, word) for word in line.split()]
@@ -299,13 +314,16 @@ def _keys(scope: Scope, node: Node) -> dict[str, Value]:
     if set(keys) != set(_AXES[: len(keys)]) or not keys:
         scope.refuse(
             node,
-            f"a <table> looks up row, then column, then table; received {', '.join(keys) or 'no independentVar'}",
+            "a <table> looks up row, then column, then table; received"
+            f" {', '.join(keys) or 'no independentVar'}",
         )
     return keys
 
 
 def _line(axis: Axis, heights: Sequence[Value | float], held: bool) -> Value:
-    """Interpolation on one axis: t * (y1 - y0) + y0; ``held``: exactly the last value from the last breakpoint on."""
+    """Interpolation on one axis: t * (y1 - y0) + y0; ``held``: exactly the last value from the last
+    breakpoint on.
+    """
     builder = axis.key.builder
     values = [builder.value(y) for y in heights]
     if len(values) == 1:
@@ -345,7 +363,10 @@ class _Rule:
 
 
 def function_value(scope: Scope, node: Node, attributes: Sequence[str] = ("name",)) -> Value:
-    """The value of a ``<function>``. ``attributes`` are those that the caller deals with; others are refused with file and line."""
+    """The value of a ``<function>``.
+
+    ``attributes`` are those that the caller deals with; others are refused with file and line.
+    """
     scope.only(node, attributes)
     children = [child for child in node.children if child.tag not in _DESCRIPTIONS]
     if len(children) != 1:
@@ -373,13 +394,15 @@ def argument(scope: Scope, node: Node) -> Value:
     if node.tag == "function":
         scope.refuse(
             node,
-            "JSBSim 1.3.3 drops a <function> inside a function without a word; write its operation itself",
+            "JSBSim 1.3.3 drops a <function> inside a function without a word; write its operation"
+            " itself",
         )
     rule = RULES.get(node.tag)
     if rule is None:
         scope.refuse(
             node,
-            f"operation <{node.tag}> is unknown; allowed are {', '.join(RULES)}, property, value and table",
+            f"operation <{node.tag}> is unknown; allowed are {', '.join(RULES)}, property, value"
+            " and table",
         )
     scope.only(node, ("name",))
     if node.text.strip():
@@ -400,13 +423,16 @@ def argument(scope: Scope, node: Node) -> Value:
     if node.tag == "interpolate1d" and len(values) % 2 == 0:
         scope.refuse(
             node,
-            f"<interpolate1d> takes a key and pairs, an odd number of arguments; received {len(values)}",
+            "<interpolate1d> takes a key and pairs, an odd number of arguments; received"
+            f" {len(values)}",
         )
     return rule.make(scope, values)
 
 
 def _chosen(scope: Scope, children: Sequence[Node]) -> Value:
-    """``ifthen``: where the condition is known, what is not chosen is not read, as in JSBSim; its properties need not exist."""
+    """``ifthen``: where the condition is known, what is not chosen is not read, as in JSBSim; its
+    properties need not exist.
+    """
     condition = argument(scope, children[0])
     true, valid = truth(condition)
     if true.constant is not None and valid.constant:
@@ -419,7 +445,9 @@ def _chosen(scope: Scope, children: Sequence[Node]) -> Value:
 
 
 def _arguments(scope: Scope, tag: str, children: Sequence[Node]) -> list[Value]:
-    """Values of the arguments of an operation; of those that JSBSim leaves out, faults are not noted."""
+    """Values of the arguments of an operation; of those that JSBSim leaves out, faults are not
+    noted.
+    """
     b = scope.builder
     values: list[Value] = []
     reached = b.truth(True)
@@ -436,7 +464,9 @@ def _arguments(scope: Scope, tag: str, children: Sequence[Node]) -> list[Value]:
 
 
 def _drawn(scope: Scope, node: Node) -> Value:
-    """``random``: mean (0) + stddev (1) times a standard normal; ``urandom``: -1 to 1 moved to lower (-1) and upper (1)."""
+    """``random``: mean (0) + stddev (1) times a standard normal; ``urandom``: -1 to 1 moved to
+    lower (-1) and upper (1).
+    """
     first, second = _RANDOM[node.tag]
     scope.only(node, ("seed", first, second))
     standard = scope.draw(node)
@@ -473,7 +503,9 @@ def _simple(operation: str) -> Callable[[Scope, Sequence[Value]], Value]:
 
 
 def _trigonometric(operation: str) -> Callable[[Scope, Sequence[Value]], Value]:
-    """Beyond the limit the engine has NaN, which ``min`` or a switch would hide, and JSBSim a number."""
+    """Beyond the limit the engine has NaN, which ``min`` or a switch would hide, and JSBSim a
+    number.
+    """
 
     def make(scope: Scope, a: Sequence[Value]) -> Value:
         size = scope.builder.op("abs", a[0])
@@ -560,7 +592,9 @@ def _fmod(scope: Scope, a: Sequence[Value]) -> Value:
 
 
 def _mod(scope: Scope, a: Sequence[Value]) -> Value:
-    """The rest in whole numbers of 32 bits, both arguments cut to integers; NaN where JSBSim's process ends or overflows."""
+    """The rest in whole numbers of 32 bits, both arguments cut to integers; NaN where JSBSim's
+    process ends or overflows.
+    """
     b = scope.builder
     first, second = truncated(a[0]), truncated(a[1])
     fits = b.op("and", b.op("abs", first).lt(2.0**31), b.op("abs", second).lt(2.0**31))
@@ -586,7 +620,9 @@ def _ceiling(scope: Scope, a: Sequence[Value]) -> Value:
 
 
 def _round_multiple(scope: Scope, a: Sequence[Value]) -> Value:
-    """To the nearest multiple of the second argument, halves away from 0; of one argument to an integer."""
+    """To the nearest multiple of the second argument, halves away from 0; of one argument to an
+    integer.
+    """
     b = scope.builder
     x = a[0] if len(a) == 1 else a[0] / a[1]
     size = b.op("abs", x)
@@ -596,7 +632,9 @@ def _round_multiple(scope: Scope, a: Sequence[Value]) -> Value:
 
 
 def _junction(ends: bool) -> Callable[[Scope, Sequence[Value]], Value]:
-    """``and`` (ends at the first false) and ``or`` (ends at the first true): what stands behind is not looked at."""
+    """``and`` (ends at the first false) and ``or`` (ends at the first true): what stands behind is
+    not looked at.
+    """
 
     def make(scope: Scope, a: Sequence[Value]) -> Value:
         b = scope.builder
@@ -624,7 +662,9 @@ def _if_then(_: Scope, a: Sequence[Value]) -> Value:
 
 
 def _switch(scope: Scope, a: Sequence[Value]) -> Value:
-    """The case whose number is nearest to the first argument, halves up; NaN where there is none or the argument is negative."""
+    """The case whose number is nearest to the first argument, halves up; NaN where there is none or
+    the argument is negative.
+    """
     place = scope.builder.op("floor", a[0] + 0.5)
     result = scope.undefined
     b = scope.builder
@@ -635,7 +675,9 @@ def _switch(scope: Scope, a: Sequence[Value]) -> Value:
 
 
 def _interpolate(scope: Scope, a: Sequence[Value]) -> Value:
-    """Between pairs, held at the ends, the pair found by halving as JSBSim does: breakpoints in any order give what it gives."""
+    """Between pairs, held at the ends, the pair found by halving as JSBSim does: breakpoints in any
+    order give what it gives.
+    """
     key, xs, ys = a[0], a[1::2], a[2::2]
 
     def within(low: int, high: int) -> Value:

@@ -26,7 +26,9 @@ def scheduled_gain(c: Component) -> None:
 
 
 def aerosurface_scale(c: Component) -> None:
-    """Domain to range: each side of 0 by its own scale, or linear where ``zero_centered`` is 0 or false."""
+    """Domain to range: each side of 0 by its own scale, or linear where ``zero_centered`` is 0 or
+    false.
+    """
     x, gain = c.input(), c.parameter("gain", 1.0)
     low, high = _ends(c, c.node.find("domain"), (-1.0, 1.0))
     bottom, top = _ends(c, c.needed("range"), None)
@@ -91,7 +93,8 @@ def _angle(c: Component, tag: str) -> Value:
     if unit not in ("DEG", "RAD") or node.text.strip().startswith("-"):
         c.scope.refuse(
             node,
-            f"<{tag}> names a property, without a minus sign, with unit DEG or RAD; received {node.text.strip()} {unit}",
+            f"<{tag}> names a property, without a minus sign, with unit DEG or RAD; received"
+            f" {node.text.strip()} {unit}",
         )
     return c.scope.property_value(node) * (SHORT_DEG_RAD if unit == "DEG" else 1.0)
 
@@ -118,11 +121,11 @@ _ROUND = 2.0 * 2.0**-52
 
 
 def kinematic(c: Component) -> None:
-    """Move from where the first output property stands towards the input, as far as the step's time allows.
+    """Move from where the first output property stands towards the input, as far as the step's time
+    allows.
 
-    It moves in the initialising frames too. Above the last setting, on the way down, JSBSim reads what is not its own: NaN here,
-    from then on.
-    """
+    It moves in the initialising frames too. Above the last setting, on the way down, JSBSim reads
+    what is not its own: NaN here, from then on."""
     positions, times = _settings(c)
     x = c.input()
     if c.node.find("noscale") is None:
@@ -213,7 +216,9 @@ def switch(c: Component) -> None:
 
 
 def distributor(c: Component) -> None:
-    """Each case whose test holds (``exclusive``: the first of them), and each without a test, sets its properties, in order."""
+    """Each case whose test holds (``exclusive``: the first of them), and each without a test, sets
+    its properties, in order.
+    """
     kind = c.node.attributes.get("type", "")
     if kind not in ("inclusive", "exclusive"):
         c.scope.refuse(

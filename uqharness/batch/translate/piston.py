@@ -1,8 +1,8 @@
-"""``<piston_engine>`` of JSBSim 1.3.3 without supercharger: manifold pressure, flows of air and fuel, power, temperatures.
+"""``<piston_engine>`` of JSBSim 1.3.3 without supercharger: manifold pressure, flows of air and
+fuel, power, temperatures.
 
-Volumetric efficiency by Taylor, The Internal Combustion Engine, vol 1, eq 6-10; friction by Lumley, Engines, fig 4.4. The starter
-does not turn in flight.
-"""
+Volumetric efficiency by Taylor, The Internal Combustion Engine, vol 1, eq 6-10; friction by Lumley,
+Engines, fig 4.4. The starter does not turn in flight."""
 
 from __future__ import annotations
 
@@ -188,7 +188,9 @@ class Piston:
         return b.op("and", rpm.le(0.1), power.lt(0.0)).choose(0.0, power)
 
     def _ignition(self, frame: Frame, rpm: Value) -> Value:
-        """Whether it runs: it needs a spark, fuel and speed, and starts again when the air turns the propeller."""
+        """Whether it runs: it needs a spark, fuel and speed, and starts again when the air turns
+        the propeller.
+        """
         b = frame.builder
         burns = b.op(
             "and",
@@ -202,7 +204,9 @@ class Piston:
         return b.op("or", b.op("and", ran, stays), b.op("and", b.op("not", ran), starts))
 
     def _manifold(self, frame: Frame, ram: Value, piston_fps: Value) -> Value:
-        """Manifold pressure [Pa]: the ram pressure over impedances of intake, throttle and engine, with a lag."""
+        """Manifold pressure [Pa]: the ram pressure over impedances of intake, throttle and engine,
+        with a lag.
+        """
         n = self.numbers
         closed = 1.0 - frame.get(f"fcs/throttle-pos-norm{self.index}")
         throttle = closed * closed * n.throttle_impedance
@@ -303,7 +307,8 @@ def read_piston(scope: Scope, part: Part, name: str, index: str, magnetos: float
         if title not in tables:
             scope.refuse(
                 table,
-                f"a table '{title}' of a piston engine is not understood; COMBUSTION and MIXTURE are",
+                f"a table '{title}' of a piston engine is not understood; COMBUSTION and"
+                " MIXTURE are",
             )
         tables[title] = grid(scope, table)
         if tables[title].columns:

@@ -1,8 +1,9 @@
-"""``<propeller>``: thrust and power by the advance ratio, its speed by the torque that is left over (JSBSim 1.3.3).
+"""``<propeller>``: thrust and power by the advance ratio, its speed by the torque that is left over
+(JSBSim 1.3.3).
 
-Tables give CT and CP over J = V/(nD), or over J and the blade angle; thrust = CT rho n2 D4, power = CP rho n3 D5 (McCormick,
-Aerodynamics, Aeronautics, and Flight Mechanics). The speed of the frame before makes the thrust of this one.
-"""
+Tables give CT and CP over J = V/(nD), or over J and the blade angle; thrust = CT rho n2 D4, power =
+CP rho n3 D5 (McCormick, Aerodynamics, Aeronautics, and Flight Mechanics). The speed of the frame
+before makes the thrust of this one."""
 
 from __future__ import annotations
 
@@ -70,7 +71,9 @@ class Mount:
     def act(
         self, frame: Frame, to_body: Matrix, thrust: Value, own: Vector
     ) -> tuple[Vector, Vector]:
-        """Force [lbf] and moment about the CG [lbf ft] in body axes; ``own`` is what the thruster turns the aircraft with."""
+        """Force [lbf] and moment about the CG [lbf ft] in body axes; ``own`` is what the thruster
+        turns the aircraft with.
+        """
         force = applied(to_body, (thrust, 0.0, 0.0))
         at = tuple(frame.get(f"{self.name}{axis}-position") for axis in "xyz")
         return force, plus(own, cross(arm(frame, (at[0], at[1], at[2])), force))
@@ -100,7 +103,9 @@ def read_mount(scope: Scope, node: Part, index: int) -> Mount:
 
 @dataclass(frozen=True)
 class Jet:
-    """A ``<direct>`` thruster, or a ``<nozzle>`` with its exit area: the engine's thrust goes out along its axis."""
+    """A ``<direct>`` thruster, or a ``<nozzle>`` with its exit area: the engine's thrust goes out
+    along its axis.
+    """
 
     mount: Mount
     area_ft2: float | None
@@ -148,7 +153,9 @@ _PROPELLER_TAGS = (
     "sense",
     "reversepitch",
 )
-"""JSBSim reads p_factor and sense from <thruster>; what stands here of them it ignores, and reversepitch without a turboprop."""
+"""JSBSim reads p_factor and sense from <thruster>; what stands here of them it ignores, and
+reversepitch without a turboprop.
+"""
 _LEAST_RPS = 0.01
 _PITCH_FROM_RPM = 200.0
 _LEAST_P_FACTOR = 1e-4
@@ -208,7 +215,9 @@ class Propeller:
         excess = omega.gt(_LEAST_RPS).choose(left / omega, left)
         faster = (rps + excess / self.ixx / (2.0 * math.pi) * frame.step) * 60.0
         zero = b.constant(0.0)
-        rates: Vector = tuple(frame.memory(slot) for slot in slots("rates"))  # type: ignore[assignment]
+        rates: Vector = tuple(  # type: ignore[assignment]
+            frame.memory(slot) for slot in slots("rates")
+        )
         own = plus(
             cross(rates, applied(to_body, (spin, zero, zero))),
             applied(to_body, (torque, zero, zero)),
@@ -231,8 +240,12 @@ class Propeller:
         """What blows at the propeller (Stevens and Lewis, 3rd ed., eq 8.2-1), body axes."""
         name = self.mount.name
         at = tuple(frame.get(f"{name}{axis}-reference-position") for axis in "xyz")
-        body: Vector = tuple(frame.get(f"velocities/{a}-aero-fps") for a in "uvw")  # type: ignore[assignment]
-        turning: Vector = tuple(frame.get(f"velocities/{a}-aero-rad_sec") for a in "pqr")  # type: ignore[assignment]
+        body: Vector = tuple(  # type: ignore[assignment]
+            frame.get(f"velocities/{a}-aero-fps") for a in "uvw"
+        )
+        turning: Vector = tuple(  # type: ignore[assignment]
+            frame.get(f"velocities/{a}-aero-rad_sec") for a in "pqr"
+        )
         return plus(body, cross(turning, arm(frame, (at[0], at[1], at[2]))))
 
     def _pitch(self, frame: Frame, rpm: Value) -> Value:

@@ -1,11 +1,12 @@
 """A run script's events: conditions that are looked at before each frame, and what they set.
 
-Found by experiment with JSBSim 1.3.3: events are looked at in the order of the script once the clock has gone on, before anything
-else of the frame, and not while JSBSim initialises. All new values of an event are computed before the first is set. An event is
-triggered once, a ``persistent`` or ``continuous`` one again whenever its condition has been false. It acts ``delay`` seconds later
-if it is still triggered: at once, along a ramp of ``tc`` seconds, or on an exponential that never ends. While it stays triggered, a
-continuous event sets its values in every frame and computes functions anew. FG_BOOL sets the number as it stands.
-"""
+Found by experiment with JSBSim 1.3.3: events are looked at in the order of the script once the
+clock has gone on, before anything else of the frame, and not while JSBSim initialises. All new
+values of an event are computed before the first is set. An event is triggered once, a
+``persistent`` or ``continuous`` one again whenever its condition has been false. It acts ``delay``
+seconds later if it is still triggered: at once, along a ramp of ``tc`` seconds, or on an
+exponential that never ends. While it stays triggered, a continuous event sets its values in every
+frame and computes functions anew. FG_BOOL sets the number as it stands."""
 
 from __future__ import annotations
 
@@ -30,8 +31,9 @@ COMPARISONS |= {"==": "eq", "!=": "ne", ">": "gt", ">=": "ge", "<": "lt", "<=": 
 
 
 def condition(scope: Scope, node: Node) -> Value:
-    """Whether a ``<test>`` or ``<condition>`` holds: its lines and the elements of the same name in it, all of them or, with
-    ``logic="OR"``, one. All are looked at. The caller deals with the attributes of ``node``, but for ``logic``.
+    """Whether a ``<test>`` or ``<condition>`` holds: its lines and the elements of the same name in
+    it, all of them or, with ``logic="OR"``, one. All are looked at. The caller deals with the
+    attributes of ``node``, but for ``logic``.
 
     Raises BadInputError with file and line for what JSBSim leaves out or is not understood.
     """
@@ -44,14 +46,16 @@ def condition(scope: Scope, node: Node) -> Value:
         if child.tag != node.tag:
             scope.refuse(
                 child,
-                f"<{child.tag}> in <{node.tag}> is not understood; allowed are lines and <{node.tag}>",
+                f"<{child.tag}> in <{node.tag}> is not understood; allowed are lines and"
+                f" <{node.tag}>",
             )
         scope.only(child, ("logic",))
         parts.append(condition(scope, child))
     if not parts:
         scope.refuse(
             node,
-            f"<{node.tag}> has no comparison; a line is a property, a comparison, and a property or number",
+            f"<{node.tag}> has no comparison; a line is a property, a comparison, and a property or"
+            " number",
         )
     result = parts[0]
     for part in parts[1:]:
@@ -70,7 +74,8 @@ def _comparison(scope: Scope, node: Node, line: str) -> Value:
         known = ", ".join(COMPARISONS)
         scope.refuse(
             node,
-            f"a comparison is 'property sign value', blanks between, sign one of {known}; received {line.strip()!r}",
+            f"a comparison is 'property sign value', blanks between, sign one of {known}; received"
+            f" {line.strip()!r}",
         )
     return scope.builder.op(
         COMPARISONS[words[1]], scope.named_property(node, words[0]), scope.parameter(node, words[2])
@@ -84,7 +89,9 @@ _TRUTHS = ("true", "false", "")
 
 
 def trace_events(frame: Frame, document: Document) -> None:
-    """Every event as sections: whether it acts in this frame, in which lanes; and what it sets there."""
+    """Every event as sections: whether it acts in this frame, in which lanes; and what it sets
+    there.
+    """
     run = document.root.find("run")
     if run is None or frame.initialising:
         return
@@ -94,7 +101,10 @@ def trace_events(frame: Frame, document: Document) -> None:
 
 @dataclass(frozen=True)
 class _Set:
-    """A ``<set>``: what it sets, by which number or function, and how. ``tc_s`` is the time of a ramp or exponential."""
+    """A ``<set>``: what it sets, by which number or function, and how.
+
+    ``tc_s`` is the time of a ramp or exponential.
+    """
 
     node: Node
     name: str
@@ -121,13 +131,15 @@ class _Event:
             if child.tag not in _PARTS:
                 scope.refuse(
                     child,
-                    f"<{child.tag}> of an event is not understood; condition, set, delay and notify are",
+                    f"<{child.tag}> of an event is not understood; condition, set, delay and"
+                    " notify are",
                 )
         for word in ("persistent", "continuous"):
             if self.node.attributes.get(word, "") not in _TRUTHS:
                 scope.refuse(
                     self.node,
-                    f"{word}='{self.node.attributes[word]}' of an event: allowed are true and false",
+                    f"{word}='{self.node.attributes[word]}' of an event: allowed are true and"
+                    " false",
                 )
         continuous = self.node.attributes.get("continuous") == "true"
         again = continuous or self.node.attributes.get("persistent") == "true"
@@ -206,7 +218,8 @@ class _Event:
         if not writable(name):
             scope.refuse(
                 node,
-                f"property {name} cannot be set by an event: JSBSim does more with it than keep its value",
+                f"property {name} cannot be set by an event: JSBSim does more with it than keep its"
+                " value",
             )
         if self.frame.read(name) is None or (
             self.frame.written is None and name not in self.frame.values
@@ -219,7 +232,8 @@ class _Event:
         if words[0] not in _TYPES or words[1] not in _ACTIONS:
             scope.refuse(
                 node,
-                "a <set> has type FG_VALUE, FG_DELTA or FG_BOOL and action FG_STEP, FG_RAMP or FG_EXP",
+                "a <set> has type FG_VALUE, FG_DELTA or FG_BOOL and action FG_STEP, FG_RAMP or"
+                " FG_EXP",
             )
         functions = node.all("function")
         if (

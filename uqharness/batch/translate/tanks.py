@@ -1,9 +1,9 @@
 """Fuel tanks: what engines take from them, and what they weigh where.
 
-Found by experiment with JSBSim 1.3.3: an engine feeds from those of its tanks that have fuel and the lowest priority number, in
-equal parts; a tank gives nothing below its unusable volume; with priority 0 it is not selected. Fuel lies between the drain
-location and the tank's location as the tank is filled, with the inertia of a solid sphere of the tank's radius.
-"""
+Found by experiment with JSBSim 1.3.3: an engine feeds from those of its tanks that have fuel and
+the lowest priority number, in equal parts; a tank gives nothing below its unusable volume; with
+priority 0 it is not selected. Fuel lies between the drain location and the tank's location as the
+tank is filled, with the inertia of a solid sphere of the tank's radius."""
 
 from __future__ import annotations
 
@@ -100,7 +100,8 @@ def read_tank(scope: Scope, part: Part, index: int) -> Tank:
     if node.attributes.get("type", "") != "FUEL":
         scope.refuse(
             node,
-            f"a tank of type '{node.attributes.get('type', '')}' is not understood by the batch engine; FUEL is",
+            f"a tank of type '{node.attributes.get('type', '')}' is not understood by the batch"
+            " engine; FUEL is",
         )
     drain = node.find("drain_location")
     radius = number(scope, node, "radius", 0.0, "IN")
@@ -189,7 +190,9 @@ MASS = (
 )
 """What is written in each frame."""
 DRY = ("#dry/weight", *(f"#dry/{axis}" for axis in _AXES), *(f"#dry/{name}" for name in _INERTIA))
-"""Slots of the aircraft without fuel: weight [lbs], place [in], inertia about that place [slug ft2]."""
+"""Slots of the aircraft without fuel: weight [lbs], place [in], inertia about that place [slug
+ft2].
+"""
 
 
 def dry_aircraft(tanks: Sequence[Tank], value: Callable[[str], float]) -> dict[str, float]:
@@ -216,7 +219,8 @@ def dry_aircraft(tanks: Sequence[Tank], value: Callable[[str], float]) -> dict[s
 
 
 def _steiner(mass: Value | float, apart_in: Vector) -> list[Value | float]:
-    """Inertia of a point mass [slug] as properties give it [slug ft2]: ixy and iyz with another sign than in the matrix.
+    """Inertia of a point mass [slug] as properties give it [slug ft2]: ixy and iyz with another
+    sign than in the matrix.
 
     Its place in the structural frame is the centre minus ``apart_in``.
     """

@@ -1,8 +1,8 @@
-"""``<turbine_engine>`` of JSBSim 1.3.3: spools that follow the throttle, thrust by their speed, fuel by thrust.
+"""``<turbine_engine>`` of JSBSim 1.3.3: spools that follow the throttle, thrust by their speed,
+fuel by thrust.
 
-While time stands still JSBSim computes the thrust of the steady state at the throttle; in the first frame after that the spools
-are put there. The starter does not turn, water is not injected.
-"""
+While time stands still JSBSim computes the thrust of the steady state at the throttle; in the first
+frame after that the spools are put there. The starter does not turn, water is not injected."""
 
 from __future__ import annotations
 
@@ -78,7 +78,9 @@ class Numbers:
 
     @property
     def idle_pph(self) -> float:
-        """Fuel flow at idle [lbs/h]: an estimate of JSBSim's, by a power that has the same bits on every machine."""
+        """Fuel flow at idle [lbs/h]: an estimate of JSBSim's, by a power that has the same bits on
+        every machine.
+        """
         b = Builder()
         power = lower(b.finish({"x": b.op("pow", self.mil, 0.2)}, {}))
         return float(evaluate(power, {})[0]["x"][0]) * 107.0
@@ -153,7 +155,9 @@ class Turbine:
     def _moving(
         self, frame: Frame, throttle: Value, after: Value, starved: Value, qbar: Value
     ) -> Value:
-        """Thrust in a frame in which time goes on: of an engine that is off, runs, or starts again in the wind."""
+        """Thrust in a frame in which time goes on: of an engine that is off, runs, or starts again
+        in the wind.
+        """
         b, n, name, key = frame.builder, self.numbers, self.name, self.key
         phase = frame.memory(f"{key}/phase", self._first_phase(frame))
         running, cutoff = frame.get(f"{name}set-running").ne(0.0), self._cutoff(frame).ne(0.0)
@@ -206,7 +210,9 @@ class Turbine:
         )
 
     def _first_pph(self, frame: Frame) -> float:
-        """Fuel flow [lbs/h] of an engine that a script has set running: JSBSim tells it behind its initialising frames."""
+        """Fuel flow [lbs/h] of an engine that a script has set running: JSBSim tells it behind its
+        initialising frames.
+        """
         return (frame.values.get(f"{INITIALISED}{self.name}fuel-flow-rate-pps") or 0.0) * 3600.0
 
     def _off(self, frame: Frame, n1: Value, n2: Value, qbar: Value) -> list[Value]:

@@ -1,8 +1,8 @@
 """A whole frame of a flight: JSBSim's models and the aircraft's XML in JSBSim's order of execution.
 
-Clock and events, propagation, atmosphere, winds, systems, mass, auxiliary, propulsion, aerodynamics, external reactions,
-accelerations. A flight is two frames in which time stands still (JSBSim's initialisation), then frames of one step.
-"""
+Clock and events, propagation, atmosphere, winds, systems, mass, auxiliary, propulsion,
+aerodynamics, external reactions, accelerations. A flight is two frames in which time stands still
+(JSBSim's initialisation), then frames of one step."""
 
 from __future__ import annotations
 
@@ -46,14 +46,15 @@ _RENEWED = 3
 
 @dataclass(frozen=True)
 class Flight:
-    """A flight as programs: ``first`` and ``second`` are the initialising frames, ``frame`` is every frame of the flight.
+    """A flight as programs: ``first`` and ``second`` are the initialising frames, ``frame`` is
+    every frame of the flight.
 
-    ``draws`` are the places of the flight's frame in which noise is drawn, in their order: slot and execution rate; ``first_draws``
-    how many each initialising frame draws.
+    ``draws`` are the places of the flight's frame in which noise is drawn, in their order: slot and
+    execution rate; ``first_draws`` how many each initialising frame draws.
 
-    ``steady`` are turns of each engine's way to its steady state, flown while their slot ``going`` is not 0; ``renewed`` is a frame
-    in which time stands still, behind them; None where there are no engines and nobody asked for it.
-    """
+    ``steady`` are turns of each engine's way to its steady state, flown while their slot ``going``
+    is not 0; ``renewed`` is a frame in which time stands still, behind them; None where there are
+    no engines and nobody asked for it."""
 
     first: Program
     second: Program
@@ -80,16 +81,16 @@ class _Models:
 class Asked:
     """What a flight is to have beside the aircraft's own.
 
-    inputs   properties that differ between lanes; one that the aircraft writes differs in its value before the first frame alone
-    fed      streams, whose columns are properties that the host sets before each frame
-    records  what is recorded behind a frame
-    points   where the aircraft touches the ground
-    any_step  the step is a number of the lane, in slot STEP; else it is that of the aircraft
-    reweighed whoever changes the mass in a lane changes that of the aircraft without fuel as well (propulsion.mass.DRY)
-    started  the host starts the engines, as ``propulsion/set-running`` does
-    renewed  a frame behind the initialising ones in which time stands still is asked for, engines or none
-    turned   the host's gusts reach the air through JSBSim's own properties, by the heading of the frame before
-    """
+    inputs   properties that differ between lanes; one that the aircraft writes differs in its value
+    before the first frame alone
+    fed      streams, whose columns are properties that the host sets before each frame records
+    what is recorded behind a frame points   where the aircraft touches the ground any_step  the
+    step is a number of the lane, in slot STEP; else it is that of the aircraft reweighed whoever
+    changes the mass in a lane changes that of the aircraft without fuel as well
+    (propulsion.mass.DRY) started  the host starts the engines, as ``propulsion/set-running`` does
+    renewed  a frame behind the initialising ones in which time stands still is asked for, engines
+    or none turned   the host's gusts reach the air through JSBSim's own properties, by the heading
+    of the frame before"""
 
     inputs: Collection[str]
     fed: Sequence[Stream]
@@ -103,7 +104,9 @@ class Asked:
 
 
 def trace_flight(sources: Sources, dt_s: float, values: Values, asked: Asked) -> Flight:
-    """The programs of a flight. Raises BadInputError with file and line for what is not understood."""
+    """The programs of a flight. Raises BadInputError with file and line for what is not
+    understood.
+    """
     methods = {part: _integrator(values, name) for part, name in INTEGRATORS.items()}
     _require(values, asked.inputs)
     propulsion = read_propulsion(sources, values, asked.started)
@@ -165,7 +168,8 @@ def _require(values: Values, inputs: Collection[str]) -> None:
     for name in inputs:
         if not settable(name):
             raise BadInputError(
-                f"property {name} cannot be set in the batch engine: JSBSim does more with it than keep its value"
+                f"property {name} cannot be set in the batch engine: JSBSim does more with it than"
+                " keep its value"
             )
 
 
@@ -173,13 +177,16 @@ def _integrator(values: Values, name: str) -> int:
     number = int(values[name])
     if number not in WEIGHTS:
         raise BadInputError(
-            f"{name} = {number}: the batch engine has JSBSim's integrators {', '.join(map(str, WEIGHTS))}"
+            f"{name} = {number}: the batch engine has JSBSim's integrators"
+            f" {', '.join(map(str, WEIGHTS))}"
         )
     return number
 
 
 def _trace(frame: Frame, models: _Models, phase: int) -> None:
-    """One frame; ``phase`` is 1 or 2 in an initialising frame, _RENEWED in one behind them, 0 in flight."""
+    """One frame; ``phase`` is 1 or 2 in an initialising frame, _RENEWED in one behind them, 0 in
+    flight.
+    """
     sources, propulsion, asked = models.sources, models.propulsion, models.asked
     frame.hooks.update(_HOOKS)
     frame.live["simulation/dt"] = lambda: frame.step
