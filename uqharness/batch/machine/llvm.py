@@ -371,10 +371,8 @@ class FunctionPrinter:
                 ),
             ]
         if operation in _CALL:
-            return [
-                f"{me} call {kinds[0]}"
-                + f" @{_CALL[operation]}.{self.vectors.suffix}({kinds[0]} {names[0]})"
-            ]
+            function = f"@{_CALL[operation]}.{self.vectors.suffix}"
+            return [f"{me} call {kinds[0]} {function}({kinds[0]} {names[0]})"]
         if operation == "floor":
             return self._floor(index, names[0])
         if operation == "select":
