@@ -37,7 +37,7 @@ from uqharness.next_flight.plan import (
 )
 from uqharness.next_flight.points import Occupancy, recorded_mission
 from uqharness.next_flight.trials import (
-    Refused,
+    RefusedPoint,
     TestFlight,
     Trial,
     fly_points,
@@ -127,7 +127,7 @@ class Study:
     folder: Path
     mission: Occupancy
     options: Options
-    tried: dict[float, tuple[list[Trial], list[Refused]]]
+    tried: dict[float, tuple[list[Trial], list[RefusedPoint]]]
 
     def flight(self, aircraft: str) -> TestFlight:
         """The loiter in the study's turbulence, as a test flight of that aircraft."""
@@ -168,7 +168,7 @@ class Study:
         again = widths_over(form_from([made, *repeated], designs), self.mission)
         naive = prospects(form, self.mission, together(repeated), 1.0, self.tried[case.seconds][0])
         return [
-            _row(case, seed, c, plan, redone[c], naive[c].redone, again[c])
+            _row(case, seed, c, plan, redone[c], naive[c].refitted, again[c])
             for c in form.coefficients
         ]
 
@@ -189,18 +189,18 @@ def _row(
         "for": case.coefficient,
         "coefficient": coefficient,
         "seconds": plan.end_s,
-        "now": p.now.total,
-        "now_parameter": p.now.parameter,
-        "known": p.then.total,
-        "predicted": p.redone.total,
-        "predicted_parameter": p.redone.parameter,
+        "now": p.current.total,
+        "now_parameter": p.current.parameter,
+        "known": p.planned.total,
+        "predicted": p.refitted.total,
+        "predicted_parameter": p.refitted.parameter,
         "achieved": redone.total,
         "achieved_parameter": redone.parameter,
         "old_predicted": naive.total,
         "old_predicted_parameter": naive.parameter,
         "old_achieved": again.total,
         "old_achieved_parameter": again.parameter,
-        "at_most": p.ever.total,
+        "at_most": p.asymptotic.total,
     }
 
 

@@ -26,7 +26,7 @@ from uqharness.files import check_folder, write_bytes, write_json
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
 from uqharness.identification import load_form
 from uqharness.next_flight import (
-    WORTH,
+    MIN_NARROWING,
     CampaignMission,
     Occupancy,
     Options,
@@ -217,7 +217,7 @@ def _plan(
         },
     }
     warnings = warnings_of(
-        form, campaign, flight, args.bounds, args.flight, flown=not args.occupancy
+        form, campaign, flight, args.bounds, args.flight, from_campaign=not args.occupancy
     )
     doc = document(found, winner, mission, missing, air, units, warnings)
     out = results_folder(args.out)
@@ -242,7 +242,7 @@ def _plan(
         bounds = form.coefficients[found.coefficient]
         flown = mission.of(bounds.states)
         figures = uncertainty_figures(
-            bounds, found.bounds_then, flown, found.states, form.outside, found.coefficient
+            bounds, found.bounds_after, flown, found.states, form.outside, found.coefficient
         )
     page = next_flight_page(found, doc, figures, command_as_given(args))
     report = write_page(out, page, page if figures else None)
@@ -262,4 +262,4 @@ def _redone(
         json.dumps({"coefficient": coefficient, "achieved": rows}) if args.json else as_text(rows)
     )
     narrowing = rows[coefficient]["narrowing"]
-    return text, 0 if narrowing is not None and narrowing >= WORTH else 1
+    return text, 0 if narrowing is not None and narrowing >= MIN_NARROWING else 1

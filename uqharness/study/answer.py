@@ -769,7 +769,8 @@ def _next_step(last: FlownCampaign, answered: Sequence[Statement]) -> str:
             f"Next: a better model may change the no in {item.cell.condition.label}: the best"
             f" corner has {item.best.rate:.2g}/h. {_propose_flight(last, item.cell.condition)}"
         ).rstrip()
-    return f"Next: nothing for this question. {_propose_flight(last, _hardest_condition(last))}".rstrip()
+    proposal = _propose_flight(last, _hardest_condition(last))
+    return f"Next: nothing for this question. {proposal}".rstrip()
 
 
 def _decide_inconclusive(last: FlownCampaign, inconclusive: Sequence[Statement]) -> Iterator[str]:

@@ -285,7 +285,8 @@ def _conclude(
 ) -> None:
     """Write verdict, answer and ground tracks into ``document``, from the results of all stages.
 
-    ``last_run`` is study.json of the last run, whose tracks are kept if the campaigns are unchanged.
+    ``last_run`` is study.json of the last run, whose tracks are kept if the campaigns are
+    unchanged.
     """
     kinds, rows = {stage.kind for stage in stages}, document["stages"]
     campaigns = read_campaigns(out, "refine" in kinds) if "campaign" in kinds else {}
@@ -318,7 +319,9 @@ def _conclude(
 
 
 def _row(stage: Stage, old: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return a stage's entry in study.json: the state of an earlier run, with this run's command."""
+    """Return a stage's entry in study.json: the state of an earlier run, with this run's
+    command.
+    """
     row = {
         "state": "waiting",
         "exit": None,
@@ -463,7 +466,9 @@ def _run_command(run: Command, stage: Stage, out: Path, workers: int | None) -> 
 
 @contextlib.contextmanager
 def _redirect_stderr(output: TextIO) -> Iterator[None]:
-    """Send messages to ``output``, except on a terminal, where the stage's progress is displayed."""
+    """Send messages to ``output``, except on a terminal, where the stage's progress is
+    displayed.
+    """
     if sys.stderr.isatty():
         yield
         return

@@ -517,7 +517,9 @@ class _Planner:
             raise self._located_error(error, *location) from None
 
     def _file(self, name: str, *location: str | int) -> Path:
-        """Return the path of a file that the study file names; BadInputError if it does not exist."""
+        """Return the path of a file that the study file names; BadInputError if it does not
+        exist.
+        """
         path = self.spec.resolve(name)
         if not path.is_file():
             raise self._located_error(

@@ -15,7 +15,13 @@ from sysid.model_form import CoefficientBounds, MissingTerm, Outside, parameter_
 from sysid.units import percent
 from uqharness.campaign import Winner
 from uqharness.files import finite
-from uqharness.next_flight import SENSORS, WORTH, NextFlight, Occupancy, Prospect
+from uqharness.next_flight import (
+    MAX_SENSOR_SCATTER_RATIO,
+    MIN_NARROWING,
+    NextFlight,
+    Occupancy,
+    Prospect,
+)
 from uqharness.replay import axis_label, shown_channel
 from uqharness.report.parts import (
     Figure,
@@ -55,7 +61,7 @@ def next_flight_page(
     fly = (
         f"uqharness fly {name} --script next-flight.xml --out FILE flies it in simulation; test-points.csv is the same for an "
         f"operator. Gain: share of the mean width that a point takes, given those chosen before it. {len(found.refused)} of "
-        f"{found.tried} test points were refused."
+        f"{found.n_points} test points were refused."
     )
     sections = (
         Section(
@@ -257,17 +263,18 @@ def words(
         f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric} ({winner.condition}; its lead is {sure})."
     ]
     out.append(
-        f"In the mission's flight states its interval is {p.now.total:.3g} wide on average. "
+        f"In the mission's flight states its interval is {p.current.total:.3g} wide on average. "
         f"{_percent(found.extrapolated)} of the mission lies outside the data. The "
-        f"polynomial's uncertainty alone gives {p.now.parameter:.3g}, the scatter about it the rest."
+        f"polynomial's uncertainty alone gives {p.current.parameter:.3g}, the scatter about it the rest."
     )
     flight = f"The flight of {found.end_s / 60.0:.1f} min narrows the interval by {_percent(p.narrowing)} (its parameter part by "
     flight += (
         f"{_percent(p.parameter_narrowing)}); as long a repetition of what was flown before, by "
-        f"{_percent(1.0 - p.naive.total / p.now.total)} ({_percent(1.0 - p.naive.parameter / p.now.parameter)}); unlimited data "
+        f"{_percent(1.0 - p.repeated.total / p.current.total)} ("
+        f"{_percent(1.0 - p.repeated.parameter / p.current.parameter)}); unlimited data "
         f"of the same kind, by {_percent(p.at_most)}."
     )
-    shown = 1.0 - p.redone.total / p.now.total
+    shown = 1.0 - p.refitted.total / p.current.total
     if abs(shown - p.narrowing) > 0.01:
         flight += (
             f" Bounds made again will come out {_percent(abs(shown))} {'narrower' if shown >= 0.0 else 'wider'}, because residuals "
@@ -281,7 +288,7 @@ def words(
     others = [
         f"{name} {_percent(o.narrowing)}"
         for name, o in found.prospects.items()
-        if name != c and o.narrowing >= WORTH
+        if name != c and o.narrowing >= MIN_NARROWING
     ]
     if others:
         out.append(f"The same flight narrows {', '.join(others)}.")
@@ -307,9 +314,9 @@ def _first_points(found: NextFlight) -> list[str]:
 
 
 def _why_not(found: NextFlight, p: Prospect) -> str:
-    if p.at_most >= WORTH:
+    if p.at_most >= MIN_NARROWING:
         return (
-            f"Not worth flying for {found.coefficient} alone ({_percent(WORTH)} is asked for): more minutes would bring up to "
+            f"Not worth flying for {found.coefficient} alone ({_percent(MIN_NARROWING)} is asked for): more minutes would bring up to "
             f"{_percent(p.at_most)}."
         )
     text = (
@@ -319,7 +326,7 @@ def _why_not(found: NextFlight, p: Prospect) -> str:
     ratio = found.scatter / found.simulated_scatter
     if not math.isfinite(ratio):
         return text + "A longer flight (--minutes) would show whether that is noise or model form."
-    if ratio > SENSORS:
+    if ratio > MAX_SENSOR_SCATTER_RATIO:
         return (
             text
             + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): a term is "
@@ -415,7 +422,7 @@ def document(
         else [{"term": m.name, "share": m.share} for m in missing],
         "flight_s": found.end_s,
         "points": [point_row(found, k, units) for k in range(len(found.plan))],
-        "tried": found.tried,
+        "tried": found.n_points,
         "refused": [{"point": r.point.name, "reason": r.reason} for r in found.refused],
         "warnings": list(warnings),
     }
@@ -424,17 +431,17 @@ def document(
 def prospect_row(p: Prospect) -> dict[str, Any]:
     """Widths and narrowings of one coefficient."""
     return {
-        "width": p.now.total,
-        "width_after": p.then.total,
+        "width": p.current.total,
+        "width_after": p.planned.total,
         "narrowing": p.narrowing,
         "narrowing_at_most": p.at_most,
-        "narrowing_same_manoeuvres": 1.0 - p.naive.total / p.now.total,
-        "width_redone": p.redone.total,
-        "narrowing_redone": 1.0 - p.redone.total / p.now.total,
-        "parameter_width": p.now.parameter,
-        "parameter_width_after": p.then.parameter,
+        "narrowing_same_manoeuvres": 1.0 - p.repeated.total / p.current.total,
+        "width_redone": p.refitted.total,
+        "narrowing_redone": 1.0 - p.refitted.total / p.current.total,
+        "parameter_width": p.current.parameter,
+        "parameter_width_after": p.planned.parameter,
         "parameter_narrowing": p.parameter_narrowing,
-        "parameter_narrowing_same_manoeuvres": 1.0 - p.naive.parameter / p.now.parameter,
+        "parameter_narrowing_same_manoeuvres": 1.0 - p.repeated.parameter / p.current.parameter,
     }
 
 
