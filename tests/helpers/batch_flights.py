@@ -13,7 +13,7 @@ import pytest
 
 from tests.helpers.batch_flyers import flyer_of
 from tests.helpers.batch_systems import Series
-from uqharness.batch.form.program import Feed, Program, Stream, begun, slot
+from uqharness.batch.form.program import Feed, Program, Stream, initial_state, slot
 from uqharness.batch.lanes.mission import constant_properties, initial_values
 from uqharness.batch.lanes.streams import Turbulence
 from uqharness.batch.models.motion import CONDITIONS, start_state
@@ -166,7 +166,7 @@ def flown(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """The slots of one lane behind ``frames`` frames, and the records (records, frames)."""
     flyer = flyer_of(program, frames)
-    state = begun(
+    state = initial_state(
         flyer.program,
         1,
         {name: value for name, value in values.items() if name in flyer.program.slots},

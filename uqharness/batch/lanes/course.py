@@ -20,13 +20,13 @@ from sysid.units import FT_M
 from uqharness.batch.form.program import (
     Feed,
     Flyer,
-    begun,
-    blocked,
-    chosen,
-    shared,
+    from_blocks,
+    initial_state,
+    select_lanes,
+    share_feed,
     slot,
-    stepped,
-    unblocked,
+    step_once,
+    to_blocks,
 )
 from uqharness.batch.lanes.mission import (
     AIR_WIND,
@@ -48,7 +48,7 @@ from uqharness.batch.lanes.streams import (
     Turbulence,
     noise_streams,
 )
-from uqharness.batch.machine.llvm import Target, chosen_target
+from uqharness.batch.machine.llvm import Target, choose_target
 from uqharness.batch.models.auxiliary import POINT, TOUCHED
 from uqharness.batch.models.motion import CONDITIONS, rounded, start_state
 from uqharness.batch.models.winds import COUNTER, NORMALS
@@ -133,7 +133,7 @@ def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
             }
         drawn = np.array([noise[spec.seed_noise].initial[number] for spec in specs])
         values |= {f"#draw/{k}": drawn[:, k] for k in range(drawn.shape[1])}
-        values |= stepped(flyer, values, count)
+        values |= step_once(flyer, values, count)
         if number == 1 and not lanes.air:
             values |= dict(zip(WIND, blown.T, strict=True))
     if lanes.points and (values[TOUCHED] >= 0.0).any():
@@ -153,7 +153,7 @@ def settle(
     """
     for going, flyer in settlers:
         program = flyer.program
-        state = begun(
+        state = initial_state(
             program, count, {name: v for name, v in values.items() if name in program.slots}
         )
         while slot(program, state, going, count).any():
@@ -230,7 +230,7 @@ class Feeder:
         splits: Sequence[Splits] | None = None,
         target: Target | None = None,
     ) -> None:
-        self._branching, self._target = False, target or chosen_target()
+        self._branching, self._target = False, target or choose_target()
         self._lanes, self._specs, self._airs, self._frame = lanes, specs, airs, frame
         self._splits = [()] * len(specs) if splits is None else splits
         self._program = lanes.program
@@ -305,7 +305,7 @@ class Feeder:
         out = {}
         for stream in self._noise:
             pieces = {seed: found[stream.name] for seed, found in rows.items()}
-            out[stream.name] = shared(
+            out[stream.name] = share_feed(
                 {s: p.array for s, p in pieces.items()},
                 seeds,
                 next(iter(pieces.values())).first_row,
@@ -338,7 +338,7 @@ class Feeder:
                 self._series[name, key].rows(self._frame)
             array, first = self._series[name, key].rows(frames)
             pieces[key] = array
-        return shared(pieces, keys, first)
+        return share_feed(pieces, keys, first)
 
     def _levels(self, key: tuple[LevelDriver | TransientDriver, Splits]) -> MovingLevels:
         return MovingLevels(key[0], self._lanes.dt_s, splits=key[1])
@@ -374,7 +374,7 @@ class Feeder:
                 self._windows[seed] = _Window(_turbulence_of(*seed, self._target))
             window = self._windows[seed]
             pieces[seed] = window.from_to(low, int(counters.max()) + frames)
-        return shared(pieces, seeds, low)
+        return share_feed(pieces, seeds, low)
 
 
 def airs_of(
@@ -539,7 +539,7 @@ class Course:
         self._ends = [one.end for one in held]
         self._alive = np.array([k for k, one in enumerate(held) if one.flying], dtype=np.intp)
         if self._alive.size:
-            self._state = blocked(
+            self._state = to_blocks(
                 list(np.array([held[k].state for k in self._alive]).T), len(self._alive)
             )
         self._feeder = Feeder(
@@ -561,10 +561,10 @@ class Course:
         started = begin(lanes, specs)
         burn, _ = row_counts(specs[0], lanes.dt_s * lanes.stride)
         airs = airs_of(lanes, specs, started.values)
-        state = begun(
+        state = initial_state(
             program, len(specs), {n: v for n, v in started.values.items() if n in program.slots}
         )
-        columns = np.array(unblocked(state, len(specs))).T
+        columns = np.array(from_blocks(state, len(specs))).T
         first = (
             _first_row(made, started.values, len(specs))[:, :, None]
             if burn == 0
@@ -624,7 +624,7 @@ class Course:
                 if end is None:
                     going.append(place)
             if len(going) < self._alive.size and going:
-                self._state = chosen(self._state, going)
+                self._state = select_lanes(self._state, going)
             self._alive = self._alive[going]
             self.frame += frames
         self.frame = goal
@@ -659,7 +659,7 @@ class Course:
             )
             held.append(replace(self._held[lane], splits=(*self._held[lane].splits, *split)))
         self._feeder = self._feeder.followed(lanes, self.frame, [one.splits for one in held])
-        self._state = chosen(self._state, [place[lane] for lane in lanes])
+        self._state = select_lanes(self._state, [place[lane] for lane in lanes])
         self._ends, self._held = [self._ends[lane] for lane in lanes], held
         self._alive = np.arange(len(held), dtype=np.intp)
         self._parts = [[one.records[:, :0]] for one in held]
@@ -698,7 +698,7 @@ class Course:
         """The flights of those lanes (all by default) as they stand."""
         wanted = range(len(self._held)) if lanes is None else lanes
         columns = (
-            np.array(unblocked(self._state, len(self._alive))).T
+            np.array(from_blocks(self._state, len(self._alive))).T
             if self._alive.size
             else np.empty((0, 0))
         )

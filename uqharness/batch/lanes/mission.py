@@ -13,11 +13,11 @@ from functools import cached_property
 from typing import Any
 
 from uqharness.batch.form.interpret import Interpreter
-from uqharness.batch.form.passes import for_what_follows, optimised, settled
+from uqharness.batch.form.passes import optimise, propagate_constants, specialise_startup
 from uqharness.batch.form.program import Flyer, Program, Stream
 from uqharness.batch.lanes.streams import GUSTS, LEVELS, TRANSIENTS, noise_streams
 from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.llvm import chosen_target
+from uqharness.batch.machine.llvm import choose_target
 from uqharness.batch.models.auxiliary import POINT, TOUCHED
 from uqharness.batch.models.motion import CONDITIONS, WEIGHTS_PARTS, rounded, slots
 from uqharness.batch.translate.channels import Sources, read_sources
@@ -103,9 +103,11 @@ class LaneMission:
         between = (
             (*flight.steady, flight.renewed) if self.steady and flight.renewed is not None else ()
         )
-        program = settled((flight.first, flight.second), flight.frame, self.varying, between)
+        program = propagate_constants(
+            (flight.first, flight.second), flight.frame, self.varying, between
+        )
         program = replace(program, streams=(*program.streams, *noise_streams(flight.draws)))
-        return optimised(
+        return optimise(
             program,
             [name for name in program.slots if name.startswith("#turbulence/row")],
             self.stride,
@@ -114,7 +116,7 @@ class LaneMission:
     @cached_property
     def flyer(self) -> Flyer:
         """The program of the flight, compiled for this processor."""
-        return compile_program(self.program, chosen_target())
+        return compile_program(self.program, choose_target())
 
     @cached_property
     def initialisers(self) -> tuple[Interpreter, Interpreter]:
@@ -123,7 +125,9 @@ class LaneMission:
         # From the ground speed the host's gusts are made where there is no air system.
         kept = [*self.inputs, *(() if self.air else GROUND_SPEED)]
         kept += [name for one in behind for name in one.slots] if self.steady else []
-        first, second = for_what_follows(self.flight.first, self.flight.second, self.program, kept)
+        first, second = specialise_startup(
+            self.flight.first, self.flight.second, self.program, kept
+        )
         return Interpreter(first), Interpreter(second)
 
     @cached_property
@@ -146,7 +150,7 @@ def compiled_settlers(flight: Flight) -> tuple[tuple[str, Flyer], ...]:
     turns of that way, compiled.
     """
     return tuple(
-        (going(engine), compile_program(program, chosen_target()))
+        (going(engine), compile_program(program, choose_target()))
         for engine, program in zip(flight.propulsion.engines, flight.steady, strict=True)
     )
 

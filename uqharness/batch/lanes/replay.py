@@ -16,29 +16,29 @@ import numpy as np
 from sysid.arrays import FloatArray
 from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.passes import (
-    alive,
-    for_what_follows,
-    joined,
-    lowered,
-    optimised,
-    settled,
-    trimmed,
+    eliminate_dead_stores,
+    fuse_sections,
+    lower_program,
+    optimise,
+    propagate_constants,
+    prune_slots,
+    specialise_startup,
 )
 from uqharness.batch.form.program import (
     BLOCK,
     Flyer,
     Program,
     Stream,
-    begun,
-    carried,
-    shared,
+    initial_state,
+    remap_state,
+    share_feed,
     slot,
-    stepped,
+    step_once,
 )
 from uqharness.batch.lanes.course import settle
 from uqharness.batch.lanes.mission import compiled_settlers, constant_properties, initial_values
 from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.llvm import chosen_target
+from uqharness.batch.machine.llvm import choose_target
 from uqharness.batch.models.motion import (
     CONDITIONS,
     WEIGHTS_PARTS,
@@ -96,14 +96,16 @@ class ReplayProgram:
     @cached_property
     def flyer(self) -> Flyer:
         """Compiled for this processor."""
-        return compile_program(self.program, chosen_target())
+        return compile_program(self.program, choose_target())
 
     @cached_property
     def initialisers(self) -> tuple[Interpreter, Interpreter]:
         """The two initialising frames."""
         behind = (*self.flight.steady, *_renewed(self.flight))
         kept = [*self.inputs, *(name for one in behind for name in one.slots)]
-        first, second = for_what_follows(self.flight.first, self.flight.second, self.program, kept)
+        first, second = specialise_startup(
+            self.flight.first, self.flight.second, self.program, kept
+        )
         return Interpreter(first), Interpreter(second)
 
     @cached_property
@@ -144,8 +146,9 @@ def make_replay(
         *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)),
     )
     between = (*flight.steady, *_renewed(flight))
-    program = optimised(
-        settled((flight.first, flight.second), flight.frame, varying, between), stride=stride
+    program = optimise(
+        propagate_constants((flight.first, flight.second), flight.frame, varying, between),
+        stride=stride,
     )
     # What a stream feeds may be folded away with the section that read it.
     read = {name for section in program.sections for name in section.function.slots}
@@ -247,10 +250,10 @@ def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Float
         for k, name in enumerate(replay.controls)
     }
     for flyer in replay.initialisers:
-        values |= stepped(flyer, values, count)
+        values |= step_once(flyer, values, count)
     if replay.renewer is not None:
         settle(replay.settlers, values, count)
-        values |= stepped(replay.renewer, values, count)
+        values |= step_once(replay.renewer, values, count)
     return {
         name: values.get(name, np.full(count, first))
         for name, first in replay.program.slots.items()
@@ -263,8 +266,8 @@ def _flown(
     """(records, lanes, rows) behind the start; those behind a shorter job's end mean nothing."""
     frames = max(len(job.controls) for job in jobs) - 1
     pieces = {id(job.controls): _held(job.controls[1:], frames) for job in jobs}
-    feed = shared(pieces, [id(job.controls) for job in jobs], 0)
-    state = begun(replay.program, len(jobs), values)
+    feed = share_feed(pieces, [id(job.controls) for job in jobs], 0)
+    state = initial_state(replay.program, len(jobs), values)
     return replay.flyer.fly(state, 1, frames, {"controls": feed}, replay.stride)
 
 
@@ -328,15 +331,19 @@ def make_states(
     read, renewer = wanted, None
     if flight.renewed is not None:
         again = (*wanted, *RATES)
-        renewed = trimmed(alive(joined(lowered(flight.renewed)), again), again)
+        renewed = prune_slots(
+            eliminate_dead_stores(fuse_sections(lower_program(flight.renewed)), again), again
+        )
         read, slots, renewer = (
             tuple(renewed.slots),
             {**renewed.slots, **slots},
-            compile_program(renewed, chosen_target()),
+            compile_program(renewed, choose_target()),
         )
-    program = trimmed(alive(joined(lowered(Program(sections, slots))), read), read)
+    program = prune_slots(
+        eliminate_dead_stores(fuse_sections(lower_program(Program(sections, slots))), read), read
+    )
     return StateProgram(
-        compile_program(program, chosen_target()), fed.columns, frozenset(inputs), wanted, renewer
+        compile_program(program, choose_target()), fed.columns, frozenset(inputs), wanted, renewer
     )
 
 
@@ -359,7 +366,7 @@ def at_states(
         values: dict[str, FloatArray | float] = {**same, TERRAIN: terrain_ft[part], **start}
         values |= dict(zip(program.controls, controls[part].T, strict=True))
         count = len(controls[part])
-        state = begun(
+        state = initial_state(
             program.flyer.program,
             count,
             {name: value for name, value in values.items() if name in slots},
@@ -383,7 +390,7 @@ def _settle(program: StateProgram, renewer: Flyer, state: FloatArray, out: Float
     count = len(out)
     before, moved = _read(program.flyer, state, RATES, count), np.full(count, np.inf)
     state, moving = (
-        carried(state, program.flyer.program, renewer.program),
+        remap_state(state, program.flyer.program, renewer.program),
         np.ones(count, dtype=bool),
     )
     for _ in range(MOST_FRAMES):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from uqharness.batch.form.program import Stream
-from uqharness.batch.machine.llvm import Target, chosen_target
+from uqharness.batch.machine.llvm import Target, choose_target
 from uqharness.batch.machine.random import compiled_pairs, compiled_recursion, compiled_tries
 from uqharness.batch.models.winds import DRAWS
 from uqharness.flight import (
@@ -346,7 +346,7 @@ class MovingLevels:
 
 
 def _widest() -> Target:
-    return chosen_target()
+    return choose_target()
 
 
 @lru_cache(maxsize=8)

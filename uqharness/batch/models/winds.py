@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from sysid.units import FT_M
 from uqharness.batch.form.ir import Value
-from uqharness.batch.form.maths import rounded
+from uqharness.batch.form.maths import round_to_even
 from uqharness.batch.form.program import Stream, When
 from uqharness.batch.models.motion import MATRIX, matrix
 from uqharness.batch.models.vectors import Vector, applied, direction
@@ -306,7 +306,7 @@ def _cotangent(angle: Value) -> tuple[Value, Value]:
 
     From Lambert's continued fraction of the tangent of half the angle left after whole turns of pi,
     to 5e-16."""
-    left = angle - rounded(angle * (1.0 / math.pi)) * math.pi
+    left = angle - round_to_even(angle * (1.0 / math.pi)) * math.pi
     x = 0.5 * left
     z = x * x
     above = ((6930.0 - 36.0 * z) * z - 270270.0) * z + 2027025.0

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 
 from uqharness.batch.form.ir import Value
-from uqharness.batch.form.maths import truncated
+from uqharness.batch.form.maths import truncate
 from uqharness.batch.translate.component import Component, inner, own_name
 from uqharness.batch.translate.frame import is_number, property_of
 from uqharness.xml import Node
@@ -301,7 +301,7 @@ def _versus(c: Component) -> Value:
     It is cut to a whole number; a number in the file stays that.
     """
     node = c.node.find("versus")
-    whole = truncated(c.parameter("versus", 0.0))
+    whole = truncate(c.parameter("versus", 0.0))
     if node is None or is_number(node.text):
         return whole
     return whole.ge(0.5).choose(1.0, whole.le(-0.5).choose(-1.0, 0.0))
@@ -429,7 +429,7 @@ def _quantized(c: Component, value: Value, stuck: Value) -> Value:
     value = value.lt(least).choose(least, value)
     value = value.gt(greatest).choose(greatest, value)
     step = (greatest - least) / 2**bits
-    whole = truncated((value - least) / step)
+    whole = truncate((value - least) / step)
     name = quantity_name(node)
     if name:
         written = property_of(c.scope, node, name)

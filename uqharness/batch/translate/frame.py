@@ -17,7 +17,7 @@ from types import MappingProxyType
 from typing import NoReturn
 
 from uqharness.batch.form.ir import Builder, Value
-from uqharness.batch.form.maths import without_angles
+from uqharness.batch.form.maths import reuse_sines
 from uqharness.batch.form.program import Program, Section, Stream, When
 from uqharness.errors import BadInputError
 from uqharness.xml import Document, Node
@@ -393,7 +393,7 @@ class Frame:
                 slots.setdefault(name, 0.0)
         for name in records:
             slots.setdefault(canonical(name), self.values[canonical(name)])
-        return without_angles(
+        return reuse_sines(
             Program(
                 tuple(self.sections),
                 slots,

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from uqharness.batch.form.ir import Value
-from uqharness.batch.form.maths import QUOTIENT_LIMIT, TRIGONOMETRIC_LIMIT, truncated, with_sign_of
+from uqharness.batch.form.maths import QUOTIENT_LIMIT, TRIGONOMETRIC_LIMIT, copysign, truncate
 from uqharness.batch.translate.frame import Scope
 from uqharness.xml import Node
 
@@ -596,7 +596,7 @@ def _mod(scope: Scope, a: Sequence[Value]) -> Value:
     process ends or overflows.
     """
     b = scope.builder
-    first, second = truncated(a[0]), truncated(a[1])
+    first, second = truncate(a[0]), truncate(a[1])
     fits = b.op("and", b.op("abs", first).lt(2.0**31), b.op("abs", second).lt(2.0**31))
     scope.note_beyond(b.op("or", b.op("not", fits), second.eq(0.0)))
     return fits.choose(b.op("fmod", first, second) + 0.0, math.nan)
@@ -606,13 +606,13 @@ def _fraction(_: Scope, a: Sequence[Value]) -> Value:
     """With the sign of the argument; 0 of an infinity."""
     whole = _integer(_, a)
     size = a[0].builder.op("abs", a[0])
-    return with_sign_of(size.eq(math.inf).choose(0.0, a[0].builder.op("abs", a[0] - whole)), a[0])
+    return copysign(size.eq(math.inf).choose(0.0, a[0].builder.op("abs", a[0] - whole)), a[0])
 
 
 def _integer(_: Scope, a: Sequence[Value]) -> Value:
     """Cut towards 0, with the sign of the argument."""
     b = a[0].builder
-    return with_sign_of(b.op("floor", b.op("abs", a[0])), a[0])
+    return copysign(b.op("floor", b.op("abs", a[0])), a[0])
 
 
 def _ceiling(scope: Scope, a: Sequence[Value]) -> Value:
@@ -627,7 +627,7 @@ def _round_multiple(scope: Scope, a: Sequence[Value]) -> Value:
     x = a[0] if len(a) == 1 else a[0] / a[1]
     size = b.op("abs", x)
     whole = b.op("floor", size)
-    nearest = with_sign_of((size - whole).ge(0.5).choose(whole + 1.0, whole), x)
+    nearest = copysign((size - whole).ge(0.5).choose(whole + 1.0, whole), x)
     return nearest if len(a) == 1 else nearest * a[1]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import WALK, spec
-from uqharness.batch.form.program import begun
+from uqharness.batch.form.program import initial_state
 from uqharness.batch.lanes.course import Feeder, airs_of, begin, ready
 from uqharness.batch.lanes.streams import GUSTS, LEVELS
 from uqharness.batch.models.winds import COUNTER, NORMALS
@@ -15,7 +15,7 @@ from uqharness.batch.models.winds import COUNTER, NORMALS
 def made(specs, frames=400):
     lanes = ready(specs[0]).lanes
     started = begin(lanes, specs)
-    state = begun(
+    state = initial_state(
         lanes.program,
         len(specs),
         {n: v for n, v in started.values.items() if n in lanes.program.slots},

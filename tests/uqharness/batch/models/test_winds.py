@@ -187,7 +187,7 @@ def test_azimuth_and_size_may_be_written(psi):
 def test_gusts_in_heading_axes_for_aircraft_without_air():
     """Heading of the frame before; metres to feet."""
     from uqharness.batch.form.interpret import run_program
-    from uqharness.batch.form.program import begun, slot
+    from uqharness.batch.form.program import initial_state, slot
     from uqharness.batch.translate.frame import Frame
 
     names = [
@@ -199,7 +199,7 @@ def test_gusts_in_heading_axes_for_aircraft_without_air():
     with frame.section("gusts"):
         winds.turn_gusts(frame)
     program = frame.program([])
-    state = begun(
+    state = initial_state(
         program,
         1,
         {
