@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from uqharness.batch import Branch, Course, ready
+from uqharness.batch import Branch, Course, compiled_mission
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec, Split, record_stride, row_counts
 from uqharness.statistics import Seen
@@ -83,7 +83,7 @@ class LoiterPaths:
         """Raises BadInputError for what the batch engine cannot fly, an aircraft without a commanded path, and a step that is no
         whole number of recorded rows."""
         first = specs[0]
-        made = ready(first)
+        made = compiled_mission(first)
         if DISTANCE not in made.table:
             raise BadInputError(
                 f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics]: nothing to leave"
@@ -101,9 +101,9 @@ class LoiterPaths:
             list(made.lanes.program.records).index(source.property),
             source.factor,
         )
-        self._course = Course.begun(made, specs)
+        self._course = Course.start(made, specs)
         self._course.fly(row_counts(first, self._row_s)[0] * self._stride)
-        self._course.taken()
+        self._course.take_rows()
         self._ids = np.asarray(aleatory_ids)
         self._radii, self._rearm = np.asarray(first.excursion_radius_m, dtype=float), first.rearm_m
         self._outside = np.zeros((len(specs), self._radii.size), dtype=bool)
@@ -119,7 +119,7 @@ class LoiterPaths:
         begun = course.frame
         course.fly(min(begun + self._step, course.last))
         ended = np.array([end.status != "ok" for end in course.ends])
-        distance = self._distances(course.taken())
+        distance = self._distances(course.take_rows())
         events = np.zeros(self._outside.shape, dtype=np.int64)
         for row in range(distance.shape[1]):
             here = distance[:, row, None]
@@ -129,7 +129,7 @@ class LoiterPaths:
             self._had |= beyond
             self._outside = beyond | (self._outside & ~(here < self._radii - self._rearm))
         closing = (distance[:, -1] - distance[:, -2]) / self._row_s
-        watched = {name: course.watched(name) for name in self._watch.score.properties}
+        watched = {name: course.slot_values(name) for name in self._watch.score.properties}
         score = self._watch.score.of(watched, distance[:, -1], closing)
         return Seen(np.where(ended, -np.inf, score), events, ended)
 

@@ -94,8 +94,8 @@ def by_batch(
     known = _known.setdefault(model.identity, _Known())
     if known.refused or len(asked.controls) < WORTH_ROWS:
         return None
-    names = {*properties, *(known.program.given if known.program is not None else ())}
-    if known.program is None or not names <= set(known.program.given):
+    names = {*properties, *(known.program.properties if known.program is not None else ())}
+    if known.program is None or not names <= set(known.program.properties):
         known.program = _judged(
             model, asked, dt_s, properties, by_jsbsim, _made(model, dt_s, names, records)
         )

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from uqharness.batch.form.ir import Value
 from uqharness.batch.models.auxiliary import arm, structural_to_body
 from uqharness.batch.models.motion import INERTIAL, MATRIX, matrix
-from uqharness.batch.models.vectors import Matrix, Vector, applied, cross, plus, times, transposed
+from uqharness.batch.models.vectors import Matrix, Vector, cross, matvec, plus, times, transpose
 from uqharness.batch.translate.channels import function_name
 from uqharness.batch.translate.frame import Frame, Scope, canonical, writable
 from uqharness.batch.translate.functions import function_value
@@ -163,7 +163,7 @@ def _along_wind(frame: Frame, force: Vector) -> None:
     """
     b = frame.builder
     for kind in ("w", "s"):
-        x, y, z = (b.value(c) for c in applied(transposed(wind_to_body(frame, kind == "s")), force))
+        x, y, z = (b.value(c) for c in matvec(transpose(wind_to_body(frame, kind == "s")), force))
         for axis, value in zip("xyz", (-x, y, -z), strict=True):
             frame.write(f"forces/f{kind}{axis}-aero-lbs", value)
     drag, lift = frame.get("forces/fwx-aero-lbs"), frame.get("forces/fwz-aero-lbs")
@@ -208,7 +208,7 @@ def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vec
     moment: Vector = (sums[3][0], sums[4][0], sums[5][0])
     turn = frames.pop() if frames else "body"
     if turn != "body":
-        moment = applied(wind_to_body(frame, turn == "stability"), moment)
+        moment = matvec(wind_to_body(frame, turn == "stability"), moment)
     return plus(force, at_cg), plus(moment, cross(structural_to_body(frame, "aero-rp"), force))
 
 
@@ -263,7 +263,7 @@ def _to_body(frame: Frame, kind: str, force: Vector) -> Vector:
         return force
     if kind == "axial-normal":
         return (-x, y, -z)
-    return applied(wind_to_body(frame, kind == "stability"), (-x, y, -z))
+    return matvec(wind_to_body(frame, kind == "stability"), (-x, y, -z))
 
 
 def wind_to_body(frame: Frame, stability: bool = False) -> Matrix:
@@ -364,10 +364,10 @@ def _vector(
     )
     vector = times(direction, magnitude)
     if kind == "LOCAL":
-        return applied(matrix(frame, MATRIX), vector)
+        return matvec(matrix(frame, MATRIX), vector)
     if kind == "WIND":
-        return applied(wind_to_body(frame), vector)
-    return applied(matrix(frame, INERTIAL), vector) if kind == "INERTIAL" else vector
+        return matvec(wind_to_body(frame), vector)
+    return matvec(matrix(frame, INERTIAL), vector) if kind == "INERTIAL" else vector
 
 
 def trace_totals(frame: Frame, parts: Sequence[str]) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from uqharness.batch.form.ir import Value
 from uqharness.batch.models.auxiliary import arm
 from uqharness.batch.models.motion import slots
-from uqharness.batch.models.vectors import Matrix, Vector, applied, cross, plus, transposed
+from uqharness.batch.models.vectors import Matrix, Vector, cross, matvec, plus, transpose
 from uqharness.batch.translate.engine_files import (
     Part,
     base,
@@ -74,7 +74,7 @@ class Mount:
         """Force [lbf] and moment about the CG [lbf ft] in body axes; ``own`` is what the thruster
         turns the aircraft with.
         """
-        force = applied(to_body, (thrust, 0.0, 0.0))
+        force = matvec(to_body, (thrust, 0.0, 0.0))
         at = tuple(frame.get(f"{self.name}{axis}-position") for axis in "xyz")
         return force, plus(own, cross(arm(frame, (at[0], at[1], at[2])), force))
 
@@ -191,7 +191,7 @@ class Propeller:
         rpm, density = frame.get(f"{name}propeller-rpm"), frame.get("atmosphere/rho-slugs_ft3")
         to_body = self.mount.to_body(frame)
         air = self._air(frame)
-        local = applied(transposed(to_body), air)
+        local = matvec(transpose(to_body), air)
         speed = b.value(local[0])
         rps = rpm / 60.0
         tip = rps * self.diameter * math.pi
@@ -219,8 +219,8 @@ class Propeller:
             frame.memory(slot) for slot in slots("rates")
         )
         own = plus(
-            cross(rates, applied(to_body, (spin, zero, zero))),
-            applied(to_body, (torque, zero, zero)),
+            cross(rates, matvec(to_body, (spin, zero, zero))),
+            matvec(to_body, (torque, zero, zero)),
         )
         frame.store(f"{name}propeller-rpm", faster.lt(0.0).choose(0.0, faster))
         frame.store(f"{name}engine-rpm", frame.get(f"{name}propeller-rpm") * self.gear)

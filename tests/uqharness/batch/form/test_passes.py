@@ -56,7 +56,9 @@ def _mixed(seed: int) -> tuple[Program, np.ndarray]:
 @pytest.mark.parametrize(
     "name",
     [
-        name if name in ("optimised", "lowered") else pytest.param(name, marks=pytest.mark.slow)
+        name
+        if name in ("optimise", "lower_program")
+        else pytest.param(name, marks=pytest.mark.slow)
         for name in PASSES
     ],
 )

@@ -7,14 +7,14 @@ import pytest
 
 from tests.helpers.batch_whole import WALK, spec
 from uqharness.batch.form.program import initial_state
-from uqharness.batch.lanes.course import Feeder, airs_of, begin, ready
+from uqharness.batch.lanes.course import Feeder, airs_of, compiled_mission, initialise_lanes
 from uqharness.batch.lanes.streams import GUSTS, LEVELS
 from uqharness.batch.models.winds import COUNTER, NORMALS
 
 
 def made(specs, frames=400):
-    lanes = ready(specs[0]).lanes
-    started = begin(lanes, specs)
+    lanes = compiled_mission(specs[0]).lanes
+    started = initialise_lanes(lanes, specs)
     state = initial_state(
         lanes.program,
         len(specs),

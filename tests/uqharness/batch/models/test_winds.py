@@ -26,7 +26,7 @@ TYPE, SEVERITY = "atmosphere/turb-type", "atmosphere/turbulence/milspec/severity
 W20 = "atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"
 WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in winds.AXES)
 RECORDS = (
-    *winds.OUT,
+    *winds.OUTPUTS,
     *(f"atmosphere/total-wind-{axis}-fps" for axis in winds.AXES),
     "atmosphere/psiw-rad",
     "velocities/vt-fps",
@@ -126,7 +126,7 @@ def test_terms_a_little_off_are_noticed(monkeypatch):
         )
         assert worst(differences(5000.0)) > 1e-9
     with monkeypatch.context() as patch:
-        patch.setattr(winds, "_total", _without_gusts(winds._total))
+        patch.setattr(winds, "_total_wind", _without_gusts(winds._total_wind))
         assert worst(differences()) > 1e-2
 
 
