@@ -20,7 +20,7 @@ from uqharness.batch.models.motion import CONDITIONS, start_state
 from uqharness.batch.models.winds import NORMALS
 from uqharness.batch.translate.channels import Sources, read_sources
 from uqharness.batch.translate.frame import Values
-from uqharness.batch.translate.whole import Asked, Flight, trace_flight
+from uqharness.batch.translate.whole import Flight, TraceRequest, trace_flight
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 from uqharness.simulator import engine
@@ -119,7 +119,7 @@ def translated(
     sources = made.sources()
     values = Values(initial_values(made.open), constant_properties(sources))
     fed = [Stream("inputs", tuple(inputs))] if inputs else []
-    return trace_flight(sources, DT_S, values, Asked(varying, fed, records))
+    return trace_flight(sources, DT_S, values, TraceRequest(varying, fed, records))
 
 
 def refused(text: str, events: str = "", files: Mapping[str, str] | None = None) -> str:

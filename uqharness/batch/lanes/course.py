@@ -56,7 +56,7 @@ from uqharness.batch.machine.llvm import Target, choose_target
 from uqharness.batch.models.auxiliary import POINT, TOUCHED
 from uqharness.batch.models.motion import CONDITIONS, round_44_bits, start_state
 from uqharness.batch.models.winds import COUNTER, NORMALS
-from uqharness.batch.translate.frame import BEYOND, TIME, canonical
+from uqharness.batch.translate.frame import OUT_OF_RANGE, TIME, canonical
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     OPTIONAL_SIGNALS,
@@ -882,7 +882,7 @@ def _to_recorded(mission: CompiledMission, end: End, records: FloatArray) -> Rec
     rows = in_signals(
         np.ascontiguousarray(records[[index[name] for name in properties]].T), mission.table
     )
-    if np.any(records[index[BEYOND]] != 0.0):
+    if np.any(records[index[OUT_OF_RANGE]] != 0.0):
         return Recorded(list(mission.table), rows, "crashed", _BEYOND_REASON, end.flown_s)
     return Recorded(list(mission.table), rows, end.status, end.reason, end.flown_s)
 
@@ -983,7 +983,7 @@ def compiled_mission(spec: FlightSpec) -> CompiledMission:
         needed = [s.property for s in signals.values()] + [
             s.over for s in signals.values() if s.over is not None
         ]
-        records = list(dict.fromkeys([TIME, *needed, HEIGHT, SPEED, BEYOND]))
+        records = list(dict.fromkeys([TIME, *needed, HEIGHT, SPEED, OUT_OF_RANGE]))
         lanes = make_mission(
             staged, spec, inputs, records, [s.property for s in OPTIONAL_SIGNALS.values()]
         )

@@ -22,10 +22,17 @@ from uqharness.batch.machine.llvm import choose_target
 from uqharness.batch.models.auxiliary import POINT, TOUCHED
 from uqharness.batch.models.motion import CONDITIONS, WEIGHTS_PARTS, round_44_bits, slots
 from uqharness.batch.translate.channels import Sources, read_sources
-from uqharness.batch.translate.engines import going
-from uqharness.batch.translate.frame import BEYOND, INITIALISED, Values, canonical, fixed, own
+from uqharness.batch.translate.engines import settling_slot
+from uqharness.batch.translate.frame import (
+    INITIALISED,
+    OUT_OF_RANGE,
+    Values,
+    canonical,
+    keeps_value,
+    made_by_jsbsim,
+)
 from uqharness.batch.translate.tanks import DRY, MASS, dry_aircraft
-from uqharness.batch.translate.whole import Asked, Flight, trace_flight
+from uqharness.batch.translate.whole import Flight, TraceRequest, trace_flight
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     ContactPoint,
@@ -177,7 +184,7 @@ def compiled_settlers(flight: Flight) -> tuple[tuple[str, Flyer], ...]:
     program that gets it there.
     """
     return tuple(
-        (going(engine), compile_program(program, choose_target()))
+        (settling_slot(engine), compile_program(program, choose_target()))
         for engine, program in zip(flight.propulsion.engines, flight.steady, strict=True)
     )
 
@@ -240,7 +247,7 @@ def make_mission(
     fdm = opened()
     air = has_air(fdm)
     values = Values(initial_values(opened, fdm), constant_properties(sources))
-    values.setdefault(BEYOND)
+    values.setdefault(OUT_OF_RANGE)
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
     fed: list[Stream] = [GUSTS] if gusty else []
     fed += [LEVELS] if spec.levels is not None else []
@@ -256,7 +263,14 @@ def make_mission(
     names |= dict.fromkeys(name for name in start_properties(sources) if exists(name))
     # Without an air system, the initialising frames have another wind.
     names |= dict.fromkeys(AIR_WIND if air else WIND)
-    request = Asked(tuple(names), fed, records, points, turned=gusty and not air, reweighed=True)
+    request = TraceRequest(
+        tuple(names),
+        fed,
+        records,
+        points,
+        gusts_by_heading=gusty and not air,
+        changes_dry_mass=True,
+    )
     flight = trace_flight(sources, mission.aircraft.dt_s, values, request)
     varying = (
         *request.inputs,
@@ -362,7 +376,7 @@ def constant_properties(sources: Sources) -> Callable[[str], bool]:
 
     def constant(name: str) -> bool:
         """Return whether the property is declared or a setting."""
-        return fixed(name) or (name in declared and not own(name))
+        return keeps_value(name) or (name in declared and not made_by_jsbsim(name))
 
     return constant
 

@@ -54,7 +54,7 @@ from uqharness.batch.models.motion import (
 )
 from uqharness.batch.translate.channels import Sources
 from uqharness.batch.translate.frame import STEP, Values, canonical
-from uqharness.batch.translate.whole import Asked, Flight, trace_flight
+from uqharness.batch.translate.whole import Flight, TraceRequest, trace_flight
 from uqharness.errors import BadInputError
 from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS
 
@@ -227,7 +227,9 @@ def trace_replay(
         sources,
         dt_s,
         values,
-        Asked(names, [fed], records, any_step=True, started=engines_running, renewed=renewal),
+        TraceRequest(
+            names, [fed], records, any_step=True, engines_running=engines_running, renewal=renewal
+        ),
     )
     if flight.propulsion.engines and not engines_running:
         raise BadInputError(

@@ -1,8 +1,9 @@
-"""A whole frame of a flight: JSBSim's models and the aircraft's XML in JSBSim's order of execution.
+"""Trace a complete frame: JSBSim's models and the aircraft's XML in JSBSim's order of execution.
 
 Clock and events, propagation, atmosphere, winds, systems, mass, auxiliary, propulsion,
-aerodynamics, external reactions, accelerations. A flight is two frames in which time stands still
-(JSBSim's initialisation), then frames of one step."""
+aerodynamics, external reactions, accelerations. A flight consists of two frames in which time
+stands still (JSBSim's initialisation), then frames of one step.
+"""
 
 from __future__ import annotations
 
@@ -41,20 +42,31 @@ from uqharness.errors import BadInputError
 from uqharness.flight import ContactPoint
 
 _HOOKS = {**winds.WRITES, **HOOKS}
-_RENEWED = 3
+_RENEWAL = 3
 
 
 @dataclass(frozen=True)
 class Flight:
-    """A flight as programs: ``first`` and ``second`` are the initialising frames, ``frame`` is
-    every frame of the flight.
+    """A flight as programs.
 
-    ``draws`` are the places of the flight's frame in which noise is drawn, in their order: slot and
-    execution rate; ``first_draws`` how many each initialising frame draws.
-
-    ``steady`` are turns of each engine's way to its steady state, flown while their slot ``going``
-    is not 0; ``renewed`` is a frame in which time stands still, behind them; None where there are
-    no engines and nobody asked for it."""
+    Attributes
+    ----------
+    first, second : Program
+        The initialising frames.
+    frame : Program
+        Every frame of the flight.
+    draws : tuple of (str, int)
+        Slots in which the frame draws noise, in order, and their execution rates.
+    first_draws : int
+        Number of draws of each initialising frame.
+    propulsion : Propulsion
+        Engines and tanks.
+    steady : tuple of Program
+        One per engine: steps to its steady state, flown while its settling slot is not 0.
+    renewed : Program or None
+        A frame in which time stands still, after the engines are steady; None without engines,
+        unless requested.
+    """
 
     first: Program
     second: Program
@@ -67,104 +79,149 @@ class Flight:
 
 
 @dataclass(frozen=True)
-class _Models:
+class FrameModels:
     """What a frame is traced from; ``methods`` are the integrators of the parts of the motion."""
 
     sources: Sources
     systems: Systems
     propulsion: Propulsion
     methods: dict[str, int]
-    asked: Asked
+    request: TraceRequest
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What a flight is to have beside the aircraft's own.
+class TraceRequest:
+    """What a flight needs besides the aircraft.
 
-    inputs   properties that differ between lanes; one that the aircraft writes differs in its value
-    before the first frame alone
-    fed      streams, whose columns are properties that the host sets before each frame records
-    what is recorded behind a frame points   where the aircraft touches the ground any_step  the
-    step is a number of the lane, in slot STEP; else it is that of the aircraft reweighed whoever
-    changes the mass in a lane changes that of the aircraft without fuel as well
-    (propulsion.mass.DRY) started  the host starts the engines, as ``propulsion/set-running`` does
-    renewed  a frame behind the initialising ones in which time stands still is asked for, engines
-    or none turned   the host's gusts reach the air through JSBSim's own properties, by the heading
-    of the frame before"""
+    Attributes
+    ----------
+    inputs : collection of str
+        Properties that differ between lanes; if the aircraft writes one, only its initial value
+        differs.
+    streams : sequence of Stream
+        Their columns are properties that the host sets before each frame.
+    records : collection of str
+        Properties that are recorded after a frame.
+    points : sequence of ContactPoint
+        Where the aircraft touches the ground.
+    gusts_by_heading : bool
+        Host gusts enter through JSBSim's properties, by the heading of the frame before.
+    any_step : bool
+        The step is a number of the lane, in slot STEP.
+    changes_dry_mass : bool
+        Lanes that change the mass also change that of the aircraft without fuel (`tanks.DRY`).
+    engines_running : bool
+        The host starts the engines, as ``propulsion/set-running`` does.
+    renewal : bool
+        A frame after the initialising ones in which time stands still is needed, with or without
+        engines.
+    """
 
     inputs: Collection[str]
-    fed: Sequence[Stream]
+    streams: Sequence[Stream]
     records: Collection[str]
     points: Sequence[ContactPoint] = ()
-    turned: bool = False
+    gusts_by_heading: bool = False
     any_step: bool = False
-    reweighed: bool = False
-    started: bool = False
-    renewed: bool = False
+    changes_dry_mass: bool = False
+    engines_running: bool = False
+    renewal: bool = False
 
 
-def trace_flight(sources: Sources, dt_s: float, values: Values, asked: Asked) -> Flight:
-    """The programs of a flight. Raises BadInputError with file and line for what is not
-    understood.
+def trace_flight(sources: Sources, dt_s: float, values: Values, request: TraceRequest) -> Flight:
+    """Trace the programs of a flight.
+
+    Parameters
+    ----------
+    sources : Sources
+        XML of aircraft and script.
+    dt_s : float
+        Step.
+    values : Values
+        Values of properties before the first frame.
+    request : TraceRequest
+        What differs between lanes, what is fed, what is recorded.
+
+    Returns
+    -------
+    Flight
+
+    Raises
+    ------
+    BadInputError
+        With file and line, for what the engine does not support.
     """
     methods = {part: _integrator(values, name) for part, name in INTEGRATORS.items()}
-    _require(values, asked.inputs)
-    propulsion = read_propulsion(sources, values, asked.started)
-    fed = {name for stream in asked.fed for name in stream.columns}
-    if propulsion.tanks and not asked.reweighed and set(asked.inputs) & set(MASS):
+    _check_settings(values, request.inputs)
+    propulsion = read_propulsion(sources, values, request.engines_running)
+    stream_slots = {name for stream in request.streams for name in stream.columns}
+    if propulsion.tanks and not request.changes_dry_mass and set(request.inputs) & set(MASS):
         raise BadInputError("the mass of an aircraft with tanks cannot differ between lanes here")
-    models = _Models(
-        sources, Systems(sources.systems, dt_s, len(propulsion.engines)), propulsion, methods, asked
+    models = FrameModels(
+        sources,
+        Systems(sources.systems, dt_s, len(propulsion.engines)),
+        propulsion,
+        methods,
+        request,
     )
-    every = Frame(dt_s, values, None, any_step=asked.any_step)
-    _trace(every, models, 0)
-    written = every.writes | fed
-    inputs = set(asked.inputs) - written
-    frames = [Frame(step, values, written, inputs, asked.any_step) for step in (0.0, 0.0, dt_s)]
+    # A first pass finds all written properties; the frames themselves follow.
+    survey = Frame(dt_s, values, None, any_step=request.any_step)
+    _trace(survey, models, 0)
+    written_properties = survey.writes | stream_slots
+    inputs = set(request.inputs) - written_properties
+    frames = [
+        Frame(step, values, written_properties, inputs, request.any_step)
+        for step in (0.0, 0.0, dt_s)
+    ]
     for frame, phase in zip(frames, (1, 2, 0), strict=True):
         _trace(frame, models, phase)
-    for name in asked.records:
+    for name in request.records:
         if not name.startswith("#") and frames[2].read(name) is None:
             raise BadInputError(
                 f"property {name} is not computed by the batch engine, so it cannot be recorded"
             )
     first, second, flight = frames
     streams = [
-        *asked.fed,
+        *request.streams,
         *([winds.NORMALS] if any(s.when.mask == winds.MASK for s in flight.sections) else []),
     ]
     return Flight(
         first.program(()),
         second.program(()),
-        flight.program(asked.records, streams),
+        flight.program(request.records, streams),
         tuple(flight.draws),
         len(first.draws),
         propulsion,
-        *_settling(models, values, written, inputs),
+        *_trace_settling(models, values, written_properties, inputs),
     )
 
 
-def _settling(
-    models: _Models, values: Values, written: Collection[str], inputs: Collection[str]
+def _trace_settling(
+    models: FrameModels,
+    values: Values,
+    written_properties: Collection[str],
+    inputs: Collection[str],
 ) -> tuple[tuple[Program, ...], Program | None]:
-    """The way to each engine's steady state, and the frame behind it."""
-    if not models.propulsion.engines and not models.asked.renewed:
+    """Trace the steps to each engine's steady state, and the frame after them."""
+    if not models.propulsion.engines and not models.request.renewal:
         return (), None
-    ways = []
+    settling = []
     for engine in models.propulsion.engines:
-        frame = Frame(STEADY_STEP_S, values, written, inputs)
+        frame = Frame(STEADY_STEP_S, values, written_properties, inputs)
         models.propulsion.trace_steady(frame, engine)
-        ways.append(frame.program(()))
-    renewed = Frame(0.0, values, written, inputs, models.asked.any_step)
-    _trace(renewed, models, _RENEWED)
-    return tuple(ways), renewed.program(())
+        settling.append(frame.program(()))
+    renewed = Frame(0.0, values, written_properties, inputs, models.request.any_step)
+    _trace(renewed, models, _RENEWAL)
+    return tuple(settling), renewed.program(())
 
 
-def _require(values: Values, inputs: Collection[str]) -> None:
-    """Refuse settings that JSBSim obeys and the batch engine does not have."""
-    for name, wanted in REQUIRED.items():
-        if values.get(name, wanted) != wanted:
-            raise BadInputError(f"{name} = {values[name]:g}: the batch engine has {wanted:g} alone")
+def _check_settings(values: Values, inputs: Collection[str]) -> None:
+    """Refuse settings that JSBSim obeys and the engine does not support."""
+    for name, required in REQUIRED.items():
+        if values.get(name, required) != required:
+            raise BadInputError(
+                f"{name} = {values[name]:g}: the batch engine has {required:g} alone"
+            )
     for name in inputs:
         if not settable(name):
             raise BadInputError(
@@ -174,6 +231,7 @@ def _require(values: Values, inputs: Collection[str]) -> None:
 
 
 def _integrator(values: Values, name: str) -> int:
+    """Return the number of an integrator; refuse unknown ones."""
     number = int(values[name])
     if number not in WEIGHTS:
         raise BadInputError(
@@ -183,11 +241,11 @@ def _integrator(values: Values, name: str) -> int:
     return number
 
 
-def _trace(frame: Frame, models: _Models, phase: int) -> None:
-    """One frame; ``phase`` is 1 or 2 in an initialising frame, _RENEWED in one behind them, 0 in
-    flight.
+def _trace(frame: Frame, models: FrameModels, phase: int) -> None:
+    """Trace one frame; ``phase`` is 1 or 2 in the initialising frames, _RENEWAL in one after them,
+    0 in flight.
     """
-    sources, propulsion, asked = models.sources, models.propulsion, models.asked
+    sources, propulsion, request = models.sources, models.propulsion, models.request
     frame.hooks.update(_HOOKS)
     frame.live["simulation/dt"] = lambda: frame.step
     for part in (sources.aerodynamics, sources.external):
@@ -198,7 +256,7 @@ def _trace(frame: Frame, models: _Models, phase: int) -> None:
     propulsion.prepare(frame, phase == 1)
     with frame.section("time"):
         trace_time(frame)
-    if asked.turned and phase == 0:
+    if request.gusts_by_heading and phase == 0:
         with frame.section("gusts of the host"):
             winds.turn_gusts(frame)
     trace_events(frame, sources.script)
@@ -220,7 +278,7 @@ def _trace(frame: Frame, models: _Models, phase: int) -> None:
     parts = [sources.document, None] if sources.external is None else [*sources.external]
     trace_external(frame, parts[0], parts[1])  # type: ignore[arg-type]
     with frame.section("ground"):
-        trace_ground(frame, asked.points)
+        trace_ground(frame, request.points)
     with frame.section("accelerations"):
         trace_totals(
             frame, ("aero", "prop", "external") if propulsion.engines else ("aero", "external")
