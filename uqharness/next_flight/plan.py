@@ -209,6 +209,7 @@ def scatter_ratios(
     )
     for c in form.coefficients:
         k = COEFFICIENTS.index(c)
+        # Residual variance follows a power of airspeed.
         power = speed_power(
             speeds, np.array([float(np.mean(t.delta[:, k] ** 2)) for t in trials]), counts
         )
@@ -406,6 +407,7 @@ def allowed_states(form: ModelForm, mission: Occupancy) -> dict[str, tuple[float
     limited to 60 deg or the mission's largest.
     """
     out: dict[str, tuple[float, float]] = {}
+    # Only airspeed and angles limit a point; rates may be anything.
     for bounds in form.coefficients.values():
         for k, state in enumerate(bounds.states):
             if state.startswith(("V_", "alpha", "beta")) and state in mission.states:
@@ -551,6 +553,7 @@ def plan_from(
         for t in trials
     ]
     transition = TRANSITION_S if flight.has_autopilot else 0.0
+    # Greedy choice by narrowing per second, with transitions between conditions.
     chosen = choose(
         bounds, offers, states, 60.0 * options.minutes - flight.begin_s, transition, form.outside
     )
@@ -573,6 +576,7 @@ def plan_from(
     callback("simulating the flight")
     # A new seed: the flight meets other noise and gusts than the trials that chose it.
     simulated, flown_points, rejected = _simulate(flight, picked, options.seed + 1000, form)
+    # Points may have been removed, so times are computed again.
     timed, end_s = schedule([p for p, _ in flown_points], flight.begin_s)
     plan = tuple(
         PlannedPoint(t.point, t.start_s, t.end_s, g)
@@ -638,6 +642,7 @@ def _simulate(
             if ok:
                 return residuals_of(flight.aircraft, [path], cutoffs)[0], remaining, rejected
             timed, _ = schedule([p for p, _ in remaining], flight.begin_s)
+            # The first point that was not completed ended the flight.
             failed_index = next(
                 (k for k, t in enumerate(timed) if t.end_s + RECOVERY_S > flown_s),
                 len(remaining) - 1,
@@ -734,6 +739,7 @@ def flight_of(
     TestFlight
     """
     on_autopilot = campaign.spec.start is None and has_autopilot(aircraft)
+    # The autopilot needs a few seconds; without it the mission's own burn-in applies.
     begin_s = (
         _ON_AUTOPILOT_S
         if on_autopilot
@@ -812,6 +818,7 @@ def warnings_of(
         Whether the mission's states come from flights of the campaign.
     """
     aircraft, out = flight.aircraft, []
+    # Aircraft or bounds have changed since the campaign.
     if form.aircraft.sha256 != content_hash(aircraft) and campaign.spec.start is None:
         out.append(
             f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the"
@@ -837,6 +844,7 @@ def warnings_of(
             "the campaign flew other bounds than these: which coefficient wins may differ with"
             " these"
         )
+    # Flights that are not behind the bounds.
     form_hashes = {f.sha256 for f in form.flights}
     foreign = [p.name for p in flights if file_sha256(p) not in form_hashes]
     if foreign:

@@ -169,6 +169,7 @@ def _kinds(aircraft: Aircraft, unit_s: Mapping[str, float]) -> Iterator[TestPoin
     any_condition = Condition()
     inputs = aircraft.card.inputs
     yield TestPoint("steady", (), any_condition, STEADY_S)
+    # Doublets of each surface, both directions first
     for control in (c for c in _SURFACES if c in inputs):
         unit, travel, unit_name = (
             unit_s[control],
@@ -189,6 +190,7 @@ def _kinds(aircraft: Aircraft, unit_s: Mapping[str, float]) -> Iterator[TestPoin
             size = _round_size(share * travel)
             steps = Steps("elevator", size, 0.7 * unit_s["elevator"], THREE_TWO_ONE_ONE)
             yield TestPoint(f"elevator 3-2-1-1 {size:+g} {unit_name}", (steps,), any_condition)
+    # The engine answers more slowly than surfaces do.
     if "throttle" in inputs:
         travel, unit_name = half_travel(inputs["throttle"]), inputs["throttle"].unit
         for share in (0.4, -0.4):
@@ -196,6 +198,7 @@ def _kinds(aircraft: Aircraft, unit_s: Mapping[str, float]) -> Iterator[TestPoin
             steps = Steps("throttle", size, unit_s["throttle"])
             yield TestPoint(f"throttle doublet {size:+g} {unit_name}", (steps,), any_condition, 1.5)
     surfaces = [c for c in _SURFACES if c in inputs]
+    # All surfaces one after the other, in one point
     if len(surfaces) > 1:
         for share in (0.1, 0.2):
             start, steps_of = 0.0, list[Steps]()
@@ -280,6 +283,7 @@ def schedule(points: Sequence[TestPoint], begin_s: float) -> tuple[list[Schedule
     """
     time, last, out = begin_s, None, list[ScheduledPoint]()
     for point in points:
+        # A new condition needs a transition.
         if point.condition != last:
             time += TRANSITION_S if point.condition.speed_mps is not None else 0.0
             last = point.condition
@@ -343,6 +347,7 @@ def script_text(
         root.remove(output)
     run.set("end", f"{end_s:g}")
     run.set("dt", f"{aircraft.dt_s:g}")
+    # Properties that the script sets already are changed, others added.
     present = {(item.text or "").strip(): item for item in run.findall("property")}
     # The flight starts in still air without output files; the host sets wind and turbulence.
     calm: dict[str, float] = {
@@ -357,6 +362,7 @@ def script_text(
             item = etree.Element("property", value=f"{value:g}")
             item.text, item.tail = prop, "\n    "
             run.insert(0, item)
+    # Events keep the script's indentation.
     events = [*_events(timed, aircraft, has_autopilot)]
     if len(run):
         run[-1].tail = "\n    "
@@ -387,6 +393,7 @@ def _events(
         yield _safety_pilot()
     for number, item in enumerate(timed, start=1):
         condition = item.point.condition
+        # Change speed and bank before the first point of a condition.
         if has_autopilot and condition.speed_mps is not None and condition != last:
             at = item.start_s - TRANSITION_S
             yield _event(
@@ -415,6 +422,7 @@ def _events(
                 _delta(aircraft.card.inputs[control].property, delta) for control, delta in moves
             ]
             yield _event(f"{at:.2f} s, {move_words}", at - half_frame_s, sets)
+        # The autopilot takes over again after the point.
         hand_back = [_set("ap/engaged", 1), *_set_turn(condition)] if has_autopilot else []
         yield _event(
             f"{item.end_s:.2f} s, end of {number}",
@@ -607,6 +615,7 @@ def open_campaign(folder: Path) -> CampaignMission:
     table = read_cases(folder, manifest)
     ok = set(table.loc[table["status"] == "ok", "case_id"])
     all_cases = build_cases(spec, replace(mission, aircraft_hash=manifest["hashes"]["aircraft"]))
+    # Only flights that reached their end are repeated.
     good_cases = tuple(c for c in all_cases if c.case_id in ok)
     return CampaignMission(
         folder, spec, mission, good_cases, len(table) - len(ok), has_digests(manifest)
@@ -713,7 +722,9 @@ def recorded_mission(paths: Sequence[Path], aircraft: Aircraft, cutoff_hz: float
     seconds = 0.0
     for path in paths:
         record = read_flight(path, aircraft)
+        # States that the record has for at least half of its time.
         available = tuple(n for n in STATES if n in record and np.isfinite(record[n]).mean() > 0.5)
+        # Thinned after smoothing.
         stride = max(1, round(1.0 / (RATE_HZ * record.dt_s)))
         pieces = [
             {

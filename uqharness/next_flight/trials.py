@@ -146,6 +146,7 @@ def unit_times(aircraft: Aircraft, speed_mps: float, altitude_m: float) -> dict[
     """
     frequencies: dict[str, float] = {}
     try:
+        # Modes at the trim; a model that cannot be trimmed gets the default.
         trim = find_trim(aircraft, SteadyCondition(speed_mps, altitude_m))
         if trim.converged:
             frequencies = {
@@ -267,6 +268,7 @@ def try_points(
                 timed, _ = schedule(remaining, flight.begin_s)
                 # Points whose recovery was complete before the flight ended count as flown.
                 done = [t for t in timed if ok or t.end_s + RECOVERY_S <= flown_s]
+                # The first point that is not complete ended the flight.
                 ended = [] if ok else remaining[len(done) : len(done) + 1]
                 accepted, rejected = _check_points(
                     path, [(t.point, t.start_s, t.end_s) for t in done], allowed
@@ -328,6 +330,7 @@ def _trials_of(
         raise BadInputError(str(error)) from None
     out = []
     for point in points:
+        # Segments are labelled with the point's name.
         pieces = [p for p in residuals.pieces if p.label == point.name]
         if pieces:
             names = [n for n in pieces[0].states if all(n in p.states for p in pieces)]

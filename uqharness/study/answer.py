@@ -181,6 +181,7 @@ def performance(campaigns: Mapping[str, FlownCampaign]) -> Iterator[Sentence]:
         Text and level.
     """
     refined = AFTER in campaigns
+    # With refinement, the refined model is the answer; the other is for comparison.
     last = campaigns[AFTER if refined else BEFORE]
     all_conditions = conditions(last.frame)
     if not any(_tightest_statement(last.statements, condition) for condition in all_conditions):
@@ -198,6 +199,7 @@ def performance(campaigns: Mapping[str, FlownCampaign]) -> Iterator[Sentence]:
             yield _excursions(
                 item, _matching_statement(campaigns[BEFORE].statements, item) if refined else None
             )
+        # P-boxes are compared only if both campaigns have the metric.
         for metric, words, unit in _QUANTITIES:
             sides = {
                 when: width_of(in_condition(item.frame, condition), metric)
@@ -300,6 +302,7 @@ def _excursions(item: Statement, before: Statement | None) -> Sentence:
 def _rates(item: Statement) -> str:
     """State the excursion rates [1/h] at the best and the worst corner, and the upper limit."""
     hours = max((rate.hours for rate in item.cell.rates), default=0.0)
+    # No flight was long enough to be scored.
     if hours <= 0.0 or math.isnan(item.worst.rate):
         return "undefined, for no flight was scored"
     sure = f"{100 * CONFIDENCE:g} % upper limit"
@@ -333,6 +336,7 @@ def width_of(rows: pd.DataFrame, metric: str) -> Width | None:
     if not any(sample.values.size for sample in groups):
         return None
     median = pbox(groups, CONFIDENCE).quantile(0.5)
+    # A flight without the metric may have had any value.
     unknown = sum(sample.unknown for sample in groups)
     if unknown:
         return Width(
@@ -363,6 +367,7 @@ def area(groups: Sequence[Sample]) -> float:
     >>> round(area([Sample("0", np.array([1.0, 2.0])), Sample("1", np.array([1.5, 2.5]))]), 6)
     0.5
     """
+    # The envelopes are step functions that change only at samples.
     values = np.unique(np.concatenate([sample.values for sample in groups]))
     lower, upper = envelope(groups, values)
     return float(np.sum((upper - lower)[:-1] * np.diff(values)))
@@ -394,6 +399,7 @@ def _pbox_sentence(
         )
     if before.area == 0.0:
         return f"{text}the p-box had no width before.", LEVEL_WARN
+    # A change below 2 % counts as none.
     ratio = after.area / before.area
     sizes = f"mean width {before.area:.3g} {unit} before, {after.area:.3g} {unit} after"
     if ratio < 1.0 - NEGLIGIBLE_CHANGE:
@@ -536,6 +542,7 @@ def answer_of(
         if refused_stages
         else ""
     )
+    # Nothing to answer with: state why, and the worst sentence of the verdict.
     if last is None or not answered:
         first = next(
             (s for level in (LEVEL_BAD, LEVEL_WARN) for s in verdict if s[1] == level),
@@ -631,6 +638,7 @@ def _reason_line(answered: Sequence[Statement]) -> str:
                 f"{item.cell.condition.wind_mps:g} m/s" if one_air else item.cell.condition.label
             )
             parts.append(f"{_rate(item, answer)} in {place}")
+    # Hours of all corners together.
     hours = [sum(rate.hours for rate in item.cell.rates) for item in answered]
     hours_words = (
         f"{min(hours):.3g}"
@@ -717,6 +725,7 @@ def _improvements(
         for c, row in gap.items()
         if all(row.get(key) for key in ("rms_before", "rms_after", "noise_rms"))
     }
+    # The channel with the largest residual before refinement
     if sigma:
         channel = max(sigma, key=lambda c: sigma[c][0])
         before, after = sigma[channel]
@@ -755,6 +764,7 @@ def _next_step(last: FlownCampaign, answered: Sequence[Statement]) -> str:
         return " ".join(["Next:", *_decide_inconclusive(last, inconclusive)])
     # Even the best corner fails: a better model cannot change the answer.
     refused = [item for item in answered if item.answer == NO]
+    # Even the best corner is above the acceptable rate.
     infeasible = [item for item in refused if item.best.lower > item.acceptable_per_h]
     if infeasible:
         item = min(infeasible, key=lambda s: s.best.lower)
@@ -872,6 +882,7 @@ def judge(
     sentences: list[Sentence] = []
     if campaigns:
         sentences += performance(campaigns)
+    # Then refinement, bounds, identification, in this order.
     if "refine" in kinds:
         sentences += _read_refinement(out / REFINEMENT)
     if "validate-bounds" in kinds:
@@ -935,6 +946,7 @@ def _refinement_sentences(document: Mapping[str, Any]) -> Iterator[Sentence]:
     # are compared.
     predictions = test.get("predictions") or {}
     gap = predictions or test["channels"]
+    # Residuals relative to the sensor noise
     ratios = {
         c: (g["rms_before"] / g["noise_rms"], g["rms_after"] / g["noise_rms"])
         for c, g in gap.items()
@@ -951,6 +963,7 @@ def _refinement_sentences(document: Mapping[str, Any]) -> Iterator[Sentence]:
         f"{c} {b:.2f} to {a:.2f}"
         for c, (b, a) in sorted(above.items(), key=lambda item: -max(item[1]))
     )
+    # Good only if residuals shrank and reached the noise.
     shrank = all(a <= b * (1 + NEGLIGIBLE_CHANGE) for b, a in above.values())
     reached = all(a <= _ABOVE_NOISE for _, a in above.values())
     yield (
@@ -1013,6 +1026,7 @@ def _coverage(out: Path, flights: Sequence[str], refined: bool) -> Iterator[Sent
         else:
             text += "."
         yield text, LEVEL_BAD if failing else LEVEL_WARN if undecided else LEVEL_GOOD
+    # Compare the widths before and after refinement.
     if refined:
         widths = {
             w: {c: row["mean_width"] for c, row in coverage.items()}
@@ -1057,6 +1071,7 @@ def _identification(document: Mapping[str, Any], code: int) -> Sentence:
         f"{len(done)} of {len(document['parameters'])} parameters were identified from {flights} by"
         f" {document['method']}"
     )
+    # Residuals relative to the noise of the card
     ratios = {
         c: v["rms"] / v["noise"]
         for c, v in document["fit"].items()
@@ -1126,6 +1141,7 @@ def fly_tracks(
         could be flown.
     """
     *_, last = requests.values()
+    # All campaigns must have a statement, and flights with a distance.
     air = None if any(item.statement is None for item in requests.values()) else _worst_air(last)
     if air is None or last.statement is None:
         return {"reason": "no flight of the hardest condition has a distance from its path"}
@@ -1191,6 +1207,7 @@ def _track_flights(request: TrackRequest, air: int) -> Iterator[tuple[str, str, 
     condition = request.statement.cell.condition
     part = cases.Part(range(air, air + 1), ((condition.wind_mps, condition.turbulence),))
     worst_id = request.statement.worst.epistemic_id
+    # The case exactly as the campaign flew it, plugin included.
     case = next(
         case for case in cases.build_cases(spec, mission, part) if case.epistemic_id == worst_id
     )
@@ -1252,6 +1269,7 @@ def _fly_frames(
     with scratch_folder() as scratch:
         folder = scratch.path
         executor = ProcessExecutor(process_count(workers), timeout_s=_timeout_s, retries=0)
+        # A flight without a file has failed.
         for outcome in (
             item for batch in executor.run(_Recorder(folder), numbered.items()) for item in batch
         ):

@@ -120,6 +120,7 @@ def refuse_foreign(folder: Path, old: Mapping[str, Any] | None, new: Mapping[str
     new : mapping
         study.json of the study that is about to run.
     """
+    # No study.json: the folder must be empty, except for locks and partial files.
     if old is None:
         foreign_files = (
             sorted(p.name for p in folder.iterdir() if p.name != LOCK and p.suffix != PART)
@@ -231,6 +232,7 @@ def run_chain(
         raise BadInputError(
             f"--out {out}: cannot be made: {error.strerror or error}; choose another"
         ) from None
+    # One process at a time.
     with run_lock(out):
         old_sums = checksums.take_away(out)
         last_run = read_study(out) or {}
@@ -250,9 +252,11 @@ def run_chain(
                 _run_stage(
                     run, stage, row, out, workers, lambda: write_study(out, document), callback
                 )
+            # Interrupted: the state "running" stays, and the next call resumes.
             except KeyboardInterrupt:
                 raise
             except BaseException as error:
+                # Any other error ends the study; the finished stages stay.
                 row |= {"state": "failed", "exit": 2, "error": str(error)}
                 document["state"] = "failed"
                 with contextlib.suppress(BadInputError):
@@ -355,11 +359,13 @@ def _run_stage(
     Raises BadInputError if an input is missing, or if the command did not write its outputs.
     """
     inputs = {label: content(path) for label, path in stage.inputs.items()}
+    # Inputs are files of earlier stages or of the user.
     missing = [label for label, digest in inputs.items() if not digest]
     if missing:
         raise BadInputError(f"{', '.join(missing)}: needed, and no stage before has left it")
     key = stage_key(stage.kind, stage.options, inputs, (uqharness.__version__, binding_versions()))
     same_key = row["key"] == key
+    # Up to date: same inputs, settings and outputs.
     if same_key and row["state"] == "done" and row["outputs"] == _outputs(stage, out):
         callback("  unchanged")
         return
@@ -390,6 +396,7 @@ def _run_stage(
         "state": "done",
     }
     missing_outputs = [name for name, digest in row["outputs"].items() if not digest]
+    # A command that wrote nothing has not succeeded, whatever its exit code.
     if missing_outputs:
         raise BadInputError(
             f"ended with {code} and left no {', '.join(missing_outputs)}, which the study goes on"
@@ -417,6 +424,7 @@ def _clear_outputs(stage: Stage, row: Mapping[str, Any], out: Path, same_key: bo
     if same_key and stage.resumes:
         return
     for path in stage.owns:
+        # A folder that no stage has made is not removed.
         if path.is_dir() and not row["key"]:
             raise BadInputError(
                 f"{path}: is there, and not from this study; move it away, for the stage writes"

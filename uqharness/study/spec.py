@@ -230,6 +230,7 @@ def read_chain(path: str | Path) -> ChainSpec:
     try:
         document = _Document.model_validate(data)
     except ValidationError as error:
+        # All problems, sorted by line.
         problems = [explain(_Document, text, data, dict(item)) for item in error.errors()]
         lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
         raise BadInputError(*dict.fromkeys(lines)) from None
@@ -271,6 +272,7 @@ def _campaign(
             f" {reason}"
         )
 
+    # Settings that the study makes itself must not be in the file.
     if isinstance(campaign, dict) and "aircraft" in campaign:
         raise located_error(
             ("campaign", "aircraft"),
@@ -312,6 +314,7 @@ def _name_problems(spec: ChainSpec) -> Iterable[tuple[int, str]]:
     places += [(item.name, ("logs", str(k))) for k, item in enumerate(spec.logs)]
     used_names = {name for _, _, group in _flight_uses(spec) for name in group}
     visited: set[str] = set()
+    # Each flight needs a unique name and a section that uses it.
     for name, place in places:
         line = line_of(spec.source, (*place, "name"))
         if name in visited:
@@ -402,6 +405,7 @@ _SEPARATE_ROLES: Sequence[tuple[tuple[str, str], tuple[str, str], str]] = (
 
 def _role_problems(spec: ChainSpec) -> Iterable[tuple[int, str]]:
     """Yield (line, message) for flights in two roles that must be held by different flights."""
+    # Only roles of sections that exist are compared.
     roles = {(section, key): names for section, key, names in _flight_uses(spec)}
     for role, excluded_role, reason in _SEPARATE_ROLES:
         for name in roles.get(role, ()):

@@ -198,6 +198,7 @@ class _Planner:
         out = self.out / "flights" / f"{item.name}.bin"
         truth = self._aircraft(item.aircraft, "fly", number, "aircraft")
         script = self._script(item.script, "fly", number, "script")
+        # repr of a float repeats it exactly.
         words = ["fly", truth.word, "--script", _shell_path(script), "--seed", str(item.seed)]
         words += ["--turbulence", item.turbulence, "--turbulence-source", item.turbulence_source]
         words += ["--wind-mps", f"{item.wind_mps!r}", "--wind-from-deg", f"{item.wind_from_deg!r}"]
@@ -241,6 +242,7 @@ class _Planner:
             self._label(log) if user_log is None else user_log.file: log,
             model.label: model.folder,
         }
+        # Optional files of the log's section.
         for option in ("map", "manoeuvres"):
             text = None if user_log is None else getattr(user_log, option)
             if text is not None:
@@ -386,10 +388,12 @@ class _Planner:
             "campaign": {k: v for k, v in data["campaign"].items() if k != "aircraft"},
         }
         inputs = {model.label: model.folder}
+        # A mission script is found relative to the study file.
         if spec.campaign.start is None:
             script = self._script(data["campaign"]["mission"], "campaign", "mission")
             inputs[f"{data['campaign']['mission']} (script)"] = script
             data["campaign"]["mission"] = str(script)
+        # Bounds of the study, else those that the file names.
         if form is not None:
             data["epistemic"]["bounds"] = form.relative_to(self.out).as_posix()
             inputs[self._label(form)] = form

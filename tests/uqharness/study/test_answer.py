@@ -211,7 +211,7 @@ def test_hours_and_clusters_are_each_named_with_their_conditions(tmp_path):
     flown = read_campaigns(tmp_path, refined=False)
     first, *rest = flown["before"].statements
     other = replace(first, reason=BEYOND, dispersion=replace(first.dispersion, beyond=True))
-    other = replace(flown["before"], signed=[other, *rest])
+    other = replace(flown["before"], statements=[other, *rest])
     found = answer_of({"before": other}, None, [])
     assert found.answer.startswith(
         "Inconclusive (clusters beyond the carried limit) in 1 m/s, inconclusive (too few flight hours) in 3 m/s"

@@ -117,7 +117,7 @@ def study(tmp_path, monkeypatch):
     )
     # The stages are made up, so that there is nothing to conclude from.
     monkeypatch.setattr(chain_run, "judge", lambda *_: [("It holds.", "good")])
-    monkeypatch.setattr(chain_run, "read_flown", lambda out, both: {})
+    monkeypatch.setattr(chain_run, "read_campaigns", lambda out, refined: {})
     monkeypatch.setattr(
         chain_run,
         "read_document",

@@ -55,11 +55,13 @@ class Interpreter:
     ) -> np.ndarray:
         """Fly frames; see `program.Flyer.fly`. Raises ValueError for arguments that do not fit."""
         call = check_call(self.program, state, first_frame, frames, streams, stride)
+        # One contiguous row per slot over all lanes, which numpy computes fastest.
         state_rows = np.ascontiguousarray(state.transpose(1, 0, 2)).reshape(state.shape[1], -1)
         recorded = [self._rows[name] for name in self.program.records]
         with np.errstate(all="ignore"):
             if self.program.prelude is not None and frames:
                 self._run(self._make_plan(self.program.prelude), state_rows, None)
+            # The order within a frame: streams, sections, records.
             for frame in range(first_frame, first_frame + frames):
                 for stream, feed in zip(self.program.streams, call.feeds, strict=True):
                     if frame % stream.every == 0:
@@ -94,6 +96,7 @@ class Interpreter:
                 feed.offsets + (frame // stream.every - 1 - feed.first_row)
             ].T
             return
+        # With a counter each lane reads its own row.
         row = state_rows[self._rows[stream.counter]] - float(feed.first_row)
         available = (row >= 0.0) & (row < float(feed.rows or 0))
         feed_rows = feed.offsets + np.where(available, row, 0.0).astype(np.int64)
@@ -126,6 +129,7 @@ class Interpreter:
             else:
                 if node.operation == "input":
                     raise ValueError(f"a section has no inputs; received {node.name}")
+                # Operations without numpy function have been expanded before.
                 compute = OPERATIONS[node.operation].compute
                 assert compute is not None
                 calls.append((index, compute, node.arguments))

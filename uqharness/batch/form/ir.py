@@ -385,6 +385,7 @@ class Builder:
             return existing
         nodes = [self.nodes[i] for i in arguments]
         meaning = OPERATIONS[operation]
+        # Kinds are checked once, when the node is created.
         if tuple([node.kind for node in nodes]) != meaning.kinds:
             raise ValueError(
                 f"{operation} takes {', '.join(meaning.kinds)}; received"
@@ -451,6 +452,7 @@ class Builder:
             return other if bool(value) == (operation == "and") else constant_one
         if operation in ("neg", "not") and nodes[0].operation == operation:
             return nodes[0].arguments[0]
+        # Only x * 1 and x * -1 can be simplified with a constant first factor.
         if nodes[-1].kind != F64 or last_value is None:
             if operation == "mul" and first_value in (1.0, -1.0):
                 return last if first_value == 1.0 else self._intern("neg", (last,))
@@ -465,6 +467,7 @@ class Builder:
         # x + 0.0 is not x if x is -0.0; x + -0.0 is.
         if operation == "add" and _same_bits(last_value, -0.0):
             return first
+        # Division by a power of two is an exact multiplication, which is cheaper.
         if operation == "div" and _exact_reciprocal(last_value):
             return self._intern("mul", (first, self.constant(1.0 / last_value).index))
         return None
@@ -480,6 +483,7 @@ def rewrite(
     """
     if not any(node.operation in operations for node in function.nodes):
         return function
+    # A new builder folds and merges what the rule makes constant or equal.
     builder = Builder()
     values: list[Value] = []
     for node in function.nodes:
@@ -506,6 +510,7 @@ def _compact(
     nodes: Sequence[Node], outputs: Mapping[str, int], stores: Mapping[str, int]
 ) -> Function:
     """Keep the nodes that outputs and stores need, in the same order."""
+    # Mark backwards from outputs and stores, then renumber.
     needed = bytearray(len(nodes))
     open_nodes = [*outputs.values(), *stores.values()]
     while open_nodes:
@@ -577,6 +582,7 @@ def evaluate(
     outputs = {
         name: np.broadcast_to(values[i], lanes).copy() for name, i in function.outputs.items()
     }
+    # Slots that are only read keep their value.
     updated = {
         slot: np.array(state[slot], dtype=np.float64)
         for slot in function.slots

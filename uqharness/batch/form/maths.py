@@ -131,6 +131,7 @@ def quotient(numerator: DoubleDouble, denominator: DoubleDouble) -> DoubleDouble
     inverse = 1.0 / denominator.high
     q = numerator.high * inverse
     p = two_product(q, denominator.high)
+    # The remainder of the first quotient gives the correction.
     remainder = ((numerator.high - p.high) - p.low) + (numerator.low - q * denominator.low)
     return quick_sum(q, remainder * inverse)
 
@@ -341,6 +342,7 @@ def log(x: Value) -> Value:
     """Expand the natural logarithm; -inf at 0, NaN below."""
     parts = _split_exponent(x)
     f = parts.f
+    # s = f / (2 + f), so that log(1 + f) = 2 atanh(s)
     s = f / (2.0 + f)
     z = s * s
     half = 0.5 * f * f
@@ -383,6 +385,7 @@ def power(x: Value, y: Value) -> Value:
             return short
     b = x.builder
     size = b.op("abs", x)
+    # log|x| as a double-double: k ln 2 + log(1 + f)
     parts = _split_exponent(size)
     one, two, three = LN2_THREE
     middle = _log_of(parts.f)
@@ -395,6 +398,7 @@ def power(x: Value, y: Value) -> Value:
     )
     # Beyond 2^65 the result is 0 or infinite whatever y, unless |x| is 1.
     limited = b.op("min", b.op("max", y, -(2.0**65)), 2.0**65)
+    # y log|x|, and its exponential with the low part
     p = two_product(logarithm.high, limited)
     value = _exp(p.high, p.low + logarithm.low * limited)
     return _power_special_cases(x, y, size, value)
@@ -526,6 +530,7 @@ def sin(x: Value) -> Value:
     """Expand the sine of radians."""
     n, r = _reduce(x)
     n = to_integer(n)
+    # Odd quadrants use the cosine; quadrants 2 and 3 change the sign.
     value = bit_set(n, 0).choose(_cosine(r).high, _sine(r).high)
     return x.eq(0.0).choose(x, flip_sign(value, _sign_from(n, 1)))
 
@@ -545,6 +550,7 @@ def tan(x: Value) -> Value:
     n = to_integer(n)
     odd = bit_set(n, 0)
     sine, cosine = _sine(r), _cosine(r)
+    # In odd quadrants the tangent is minus the cotangent; the sign follows from the quadrant.
     above = DoubleDouble(odd.choose(cosine.high, sine.high), odd.choose(cosine.low, sine.low))
     below = DoubleDouble(odd.choose(sine.high, cosine.high), odd.choose(sine.low, cosine.low))
     value = quotient(above, below).high
@@ -662,6 +668,7 @@ def _cosine(r: DoubleDouble) -> DoubleDouble:
     """Expand the cosine for |r| <= pi/4."""
     z = r.high * r.high
     half = 0.5 * z
+    # 1 - z/2 exactly, then the small terms
     first = quick_sum(r.high.builder.constant(1.0), -half)
     return quick_sum(first.high, first.low + (z * z * polynomial(z, COS) - r.high * r.low))
 
@@ -729,6 +736,7 @@ def reuse_sines(program: Program) -> Program:
     stream feeds. Before the first such section, sine and cosine have the initial values of their
     slots.
     """
+    # An angle that a stream sets has no sine beside it.
     fed = {name for stream in program.streams for name in stream.columns}
     angles = {name.removeprefix(SINE) for name in program.slots if name.startswith(SINE)} - fed
     for section in program.sections:
@@ -743,6 +751,7 @@ def reuse_sines(program: Program) -> Program:
         """Load the sine or cosine of a slot, or compute it as before."""
         prefix = _PREFIXES[node.operation]
         of = builder.nodes[arguments[0].index]
+        # sin(-x) = -sin(x) and cos(-x) = cos(x)
         negative = of.operation == "neg"
         if negative:
             of = builder.nodes[of.arguments[0]]

@@ -67,6 +67,7 @@ def sink(program: Program, keep: Collection[str] = (), stride: int = 1) -> Progr
         by_interval: dict[int, list[str]] = {}
         for name in section.function.stores:
             every = intervals.get(name, 0)
+            # Only multiples of the section's own interval can be split off.
             if every > section.when.every and every % section.when.every == 0:
                 by_interval.setdefault(every, []).append(name)
         # Start with the longest interval; what remains can be split again.
@@ -252,6 +253,8 @@ def optimise(program: Program, keep: Collection[str] = (), stride: int = 1) -> P
     Program
         Without slots that are no longer used.
     """
+    # Dead stores first, so that fusion sees fewer sections; again after it, because fused sections
+    # share loads.
     program = eliminate_dead_stores(
         fuse_sections(eliminate_dead_stores(lower_program(program), keep)), keep
     )
@@ -317,6 +320,7 @@ def _merge_group(sections: Sequence[Section]) -> Section:
 def eliminate_dead_stores(program: Program, keep: Collection[str] = ()) -> Program:
     """Remove stores that no section of this or a later frame, mask, counter or record uses."""
     while True:
+        # Removing a store may make further stores dead, so iterate.
         needed = _live_slots(program, frozenset(keep) | frozenset(program.records))
         sections = []
         for section, live in zip(program.sections, needed, strict=True):
@@ -370,6 +374,7 @@ def hoist_invariants(program: Program) -> Program:
     """
     if program.prelude is not None:
         raise ValueError("the program has a prelude")
+    # A slot that some section stores or some stream feeds is not invariant.
     changing = {slot for section in program.sections for slot in section.function.stores}
     changing |= {slot for stream in program.streams for slot in stream.columns}
     prelude_builder = Builder()
@@ -394,6 +399,7 @@ def _hoist_section(
 
     ``prelude`` collects these values; ``places`` maps its nodes to slots.
     """
+    # Invariant nodes are built in the prelude, the others in the new section.
     fixed, effort = _invariant_nodes(function, changing)
     builder = Builder()
     early: list[Value | None] = []
@@ -411,6 +417,7 @@ def _hoist_section(
             result = builder.constant(first.constant, first.kind)
         elif first is not None and node.kind == F64 and effort[index] >= _MIN_EFFORT:
             result = builder.load(places.setdefault(first.index, f"{ONCE}{len(places)}"))
+        # Slots hold doubles, so a truth value is stored as 1 or 0.
         elif first is not None and node.kind == I1 and effort[index] > _MIN_EFFORT:
             number = first.choose(1.0, 0.0)
             result = builder.load(places.setdefault(number.index, f"{ONCE}{len(places)}")).ne(0.0)
@@ -528,6 +535,7 @@ def _visit_section(constants: SlotConstants, section: Section, is_single_run: bo
     ``is_single_run``: it runs now and never again, so its stores replace the values.
     """
     mask = None if section.when.mask is None else constants.get(section.when.mask)
+    # A section whose mask is known to be 0 cannot contradict a constant.
     if section.when.mask is not None and mask == 0.0:
         return False
     overwrites = is_single_run and (section.when.mask is None or mask is not None)
@@ -557,6 +565,7 @@ def _constant_stores(
             values.append(node.value)
         elif node.operation == "load":
             values.append(constants.get(node.name))
+        # A known condition decides, even if the other branch varies.
         elif node.operation == "select" and values[node.arguments[0]] is not None:
             values.append(values[node.arguments[1 if values[node.arguments[0]] else 2]])
         elif node.operation in ("and", "or"):
@@ -583,6 +592,7 @@ _NUMPY_TYPES: Mapping[str, Any] = {F64: np.float64, I64: np.int64, I1: np.bool_,
 def _fold_section(section: Section, constants: Mapping[str, float | None]) -> Section | None:
     """Replace loads of constant slots and drop their stores; None if the section never runs."""
     when = section.when
+    # A constant mask decides for all lanes and frames.
     if when.mask is not None and (mask := constants.get(when.mask)) is not None:
         if mask == 0.0:
             return None
@@ -590,6 +600,7 @@ def _fold_section(section: Section, constants: Mapping[str, float | None]) -> Se
     builder = Builder()
     values: list[Value] = []
     for node in section.function.nodes:
+        # Every load of a constant slot becomes a constant, which the builder folds on.
         constant = constants.get(node.name) if node.operation == "load" else None
         arguments = [values[i] for i in node.arguments]
         values.append(

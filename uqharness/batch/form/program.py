@@ -200,6 +200,7 @@ def check_call(
             f"frames count from 1 and a stride is at least 1; received {first_frame}, {frames}"
             f" frames, stride {stride}"
         )
+    # Exactly the program's streams must be fed.
     streams = streams or {}
     required = {stream.name for stream in program.streams}
     if set(streams) != required:
@@ -211,6 +212,7 @@ def check_call(
     feeds = tuple(
         _check_feed(s, Feed(*streams[s.name]), lanes, first_frame, last) for s in program.streams
     )
+    # Number of frames that the stride divides.
     times = last // stride - (first_frame - 1) // stride
     return Call(feeds, np.empty((len(program.records), lanes, times)))
 
@@ -229,6 +231,7 @@ def _check_feed(stream: Stream, feed: Feed, lanes: int, first: int, last: int) -
             f"stream {name}: doubles of shape (rows, {columns}) in one piece are needed; received"
             f" {array.shape}"
         )
+    # Fewer offsets than lanes: the lanes that fill the last block share the last offset.
     lane_offsets = np.asarray(feed.offsets)
     if (
         lane_offsets.ndim != 1
@@ -244,6 +247,7 @@ def _check_feed(stream: Stream, feed: Feed, lanes: int, first: int, last: int) -
             np.int64
         )
     )
+    # Every row of every lane must be inside the array, so that compiled code needs no checks.
     rows = len(array) - int(offsets.max()) if feed.rows is None else feed.rows
     if offsets.min() < 0 or rows < 0 or int(offsets.max()) + rows > len(array):
         raise ValueError(
@@ -349,6 +353,7 @@ def remap_state(state: np.ndarray, program: Program, other: Program) -> np.ndarr
 
     Slots that ``program`` does not have get the other program's initial values.
     """
+    # Copied row by row, by name.
     rows = {name: row for row, name in enumerate(program.slots)}
     out = np.empty((len(state), len(other.slots), BLOCK))
     for row, (name, first) in enumerate(other.slots.items()):

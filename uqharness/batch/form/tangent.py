@@ -61,7 +61,9 @@ def tangent(
         arguments = [values[i] for i in node.arguments]
         value = builder.copy_node(node, arguments)
         values.append(value)
+        # Every value is computed once, and its derivative once for each direction.
         for direction, direction_rates in rates.items():
+            # Leaves have a derivative of their own or none; all other nodes follow the chain rule.
             if node.operation in ("input", "load"):
                 has_rate = node.name in (
                     inputs
@@ -124,6 +126,7 @@ def tangent_program(program: Program, directions: Mapping[str, Mapping[str, floa
         unknown = sorted(set(seeds) - set(program.slots))
         if unknown:
             raise ValueError(f"direction {direction}: the program has no slot {', '.join(unknown)}")
+    # Restrict each direction to the slots that it can reach, which keeps programs small.
     moving = {
         direction: _reached(program, frozenset(begins)) for direction, begins in directions.items()
     }
@@ -134,6 +137,7 @@ def tangent_program(program: Program, directions: Mapping[str, Mapping[str, floa
     slots = dict(program.slots)
     records = list(program.records)
     for direction, seeds in directions.items():
+        # Records have derivatives even where these are always 0.
         with_rates = moving[direction] | frozenset(program.records)
         slots |= {
             rate_name(name, direction): seeds.get(name, 0.0)

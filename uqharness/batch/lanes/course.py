@@ -123,6 +123,7 @@ def initialise_lanes(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Initial
     values = start_state(
         {name: np.array([one.conditions[name] for one in loaded]) for name in CONDITIONS}
     )
+    # Properties that were set override those of the start state.
     rows = [_set_properties(lanes, one, spec) for one, spec in zip(loaded, specs, strict=True)]
     assigned = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     values |= assigned
@@ -135,6 +136,7 @@ def initialise_lanes(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Initial
     wind, flight_wind = (
         np.array([getattr(one, field) for one in loaded]) for field in ("wind_fps", "blown_fps")
     )
+    # With engines there is a third initialising frame, after their steady state.
     noise = {
         s: Noise(
             s, lanes.flight.draws, lanes.flight.first_draws, initialising=3 if lanes.steady else 2
@@ -295,6 +297,7 @@ class Feeder:
         specs, airs = [self._specs[k] for k in lanes], [self._airs[k] for k in lanes]
         other = Feeder(self._lanes, specs, airs, None, frame, splits, self._target)
         other._branching = True
+        # Share noise, turbulence and series that continue unchanged.
         for place, spec in enumerate(other._specs):
             key = (spec.seed_noise, splits[place])
             if key in self._noises:
@@ -370,6 +373,7 @@ class Feeder:
                 )
                 noise.frames(self._frame - splits[-1].frame)
             else:
+                # The undisturbed noise starts at the first frame; skip the frames already flown.
                 noise = Noise(seed, flight.draws, flight.first_draws, self._target, initialising)
                 noise.frames(self._frame)
             self._noises[seed, splits] = noise
@@ -382,6 +386,7 @@ class Feeder:
         pieces = {}
         first = 0
         for key in dict.fromkeys(keys):
+            # New series skip the frames already flown.
             if (name, key) not in self._series:
                 self._series[name, key] = make(key)
                 self._series[name, key].rows(self._frame)
@@ -449,6 +454,7 @@ def _air_of(
     if lanes.air:
         speed = float(values["velocities/vt-fps"][lane]) * FT_M
     else:
+        # The wind blows towards the opposite of its direction of origin.
         toward = math.radians(spec.wind_from_deg + 180.0)
         north = float(values["velocities/v-north-fps"][lane]) * FT_M - spec.wind_mps * math.cos(
             toward
@@ -627,6 +633,7 @@ class Course:
             self._state = to_blocks(
                 list(np.array([snapshots[k].state for k in self._alive]).T), len(self._alive)
             )
+        # Streams are regenerated up to this frame.
         self._feeder = Feeder(
             mission.lanes,
             [one.spec for one in snapshots],
@@ -650,6 +657,7 @@ class Course:
             program, len(specs), {n: v for n, v in initial.values.items() if n in program.slots}
         )
         columns = np.array(from_blocks(state, len(specs))).T
+        # Without burn-in the initial state is the first row of the record.
         first = (
             _first_row(mission, initial.values, len(specs))[:, :, None]
             if burn == 0
@@ -662,6 +670,7 @@ class Course:
                 for k, spec in enumerate(specs)
             ],
         )
+        # The noise of initialising continues in flight.
         course._feeder = Feeder(lanes, specs, airs, initial.noise)
         return course
 
@@ -744,6 +753,7 @@ class Course:
                 f"lane {ended[0]} has ended ({self._ends[ended[0]].status}): it cannot be followed"
             )
         program = self._mission.lanes.program
+        # Row of the turbulence at which each lane branches.
         rows = (
             np.zeros(len(self._alive))
             if COUNTER not in program.slots
@@ -805,6 +815,7 @@ class Course:
             if self._alive.size
             else np.empty((0, 0))
         )
+        # Lanes that have ended keep the state of their last snapshot.
         place = {int(lane): k for k, lane in enumerate(self._alive)}
         return [
             replace(
@@ -856,6 +867,7 @@ def _find_end(
     flown_s = float(time[row])
     if not_finite[row] and not touched[row] >= 0.0:
         return row, End("diverged", f"the state was no longer finite at {flown_s:.1f} s", flown_s)
+    # Contact points are reported with the time of first contact.
     part = "the centre of gravity"
     if touched[row] >= 0.0:
         part, flown_s = points[int(records[columns[POINT], row])].name, float(touched[row])
@@ -935,6 +947,7 @@ def record_many(specs: Sequence[FlightSpec]) -> list[Recorded]:
     """
     results: dict[int, Recorded] = {}
     groups: dict[Hashable, list[int]] = {}
+    # Flights of one program and one record length are flown together.
     for k, spec in enumerate(specs):
         groups.setdefault(
             (_program_key(spec), spec.duration_s, spec.burn_in_s, spec.record_rate_hz), []
@@ -977,8 +990,10 @@ def compiled_mission(spec: FlightSpec) -> CompiledMission:
     staged = staged_mission(spec)
     key = (id(staged), _program_key(spec))
     cached = _cache.get(key)
+    # A mission that was staged anew needs a new program.
     if cached is None or cached.staged is not staged:
         signals = scored_signals(staged)
+        # Integrators and gravity model select the program; all other properties are inputs.
         inputs = [name for name in spec.properties if not name.startswith(_FIXED)]
         needed = [s.property for s in signals.values()] + [
             s.over for s in signals.values() if s.over is not None
@@ -993,6 +1008,7 @@ def compiled_mission(spec: FlightSpec) -> CompiledMission:
             if s.property in lanes.flight.frame.records
         }
         cached = CompiledMission(staged, lanes, {"time_s": Source(TIME), **signals, **optional})
+        # Drop the oldest missions.
         while len(_cache) >= _CACHE_SIZE:
             del _cache[next(iter(_cache))]
         _cache[key] = cached

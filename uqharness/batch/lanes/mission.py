@@ -137,6 +137,7 @@ class LaneMission:
         between = (
             (*flight.steady, flight.renewed) if self.steady and flight.renewed is not None else ()
         )
+        # Fold what never changes after the initialising frames, then add the noise streams.
         program = propagate_constants(
             (flight.first, flight.second), flight.frame, self.varying, between
         )
@@ -231,9 +232,11 @@ def make_mission(
     BadInputError
         With file and line, for what the batch engine does not support.
     """
+    # Refuse early what cannot be flown at all.
     sources = read_sources(mission.aircraft, mission.script.path)
     _refuse_running(mission)
     _refuse_settling(mission)
+    # Mass properties that a lane changes are set per lane later.
     unchanged = replace(
         spec, properties={n: v for n, v in spec.properties.items() if n not in CHANGEABLE}
     )
@@ -248,6 +251,7 @@ def make_mission(
     air = has_air(fdm)
     values = Values(initial_values(opened, fdm), constant_properties(sources))
     values.setdefault(OUT_OF_RANGE)
+    # Streams that the host feeds: gusts, moving levels, transient levels.
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
     fed: list[Stream] = [GUSTS] if gusty else []
     fed += [LEVELS] if spec.levels is not None else []
@@ -272,6 +276,7 @@ def make_mission(
         changes_dry_mass=True,
     )
     flight = trace_flight(sources, mission.aircraft.dt_s, values, request)
+    # Everything that differs between lanes must not be folded as a constant.
     varying = (
         *request.inputs,
         *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)),
@@ -364,6 +369,7 @@ def constant_properties(sources: Sources) -> Callable[[str], bool]:
     declared: set[str] = set()
     parts = [(system.document, system.node) for system in sources.systems]
     parts += [part for part in (sources.aerodynamics, sources.external) if part is not None]
+    # Declarations in the aircraft, its systems and the script.
     documents: list[Document] = [
         sources.document,
         sources.script,
@@ -395,6 +401,7 @@ def load_start(mission: LaneMission, spec: FlightSpec) -> LoadedStart:
     static = {
         name: round_44_bits(float(fdm[name])) for name in mission.inputs if _START.fullmatch(name)
     }
+    # Mass properties are set before initialising; JSBSim computes what depends on them.
     if changed:
         engine.run_ic(fdm)
         static |= {name: float(fdm[name]) for name in mission.inputs if name.startswith(_STATIC)}

@@ -185,6 +185,7 @@ def make_replay(
     flight, fed, names = trace_replay(
         sources, open_fdm, dt_s, controls, inputs, records, engines_running=True
     )
+    # Everything that differs between lanes must not be folded as a constant.
     varying = (
         STEP,
         *names,
@@ -231,6 +232,7 @@ def trace_replay(
             names, [fed], records, any_step=True, engines_running=engines_running, renewal=renewal
         ),
     )
+    # A replay starts from the steady state only if the engines already run.
     if flight.propulsion.engines and not engines_running:
         raise BadInputError(
             "the aircraft has engines in <propulsion>, whose steady state takes more than two"
@@ -298,6 +300,7 @@ def _initial_slots(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[st
     values = start_state(
         {name: np.array([job.conditions[name] for job in jobs]) for name in CONDITIONS}
     )
+    # Jobs that do not set a property keep the aircraft's value.
     for name in dict.fromkeys(name for job in jobs for name in job.properties):
         first = replay.first_value(canonical(name))
         values[canonical(name)] = np.array([job.properties.get(name, first) for job in jobs])
@@ -307,6 +310,7 @@ def _initial_slots(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[st
         name: np.array([job.controls[0, k] for job in jobs])
         for k, name in enumerate(replay.controls)
     }
+    # Two initialising frames, as JSBSim runs them.
     for flyer in replay.initialisers:
         values |= step_once(flyer, values, count)
     if replay.renewer is not None:
@@ -381,6 +385,7 @@ def make_states(
     flight, fed, _ = trace_replay(
         sources, open_fdm, dt_s, controls, inputs, records, renewal=uses_rates
     )
+    # Start state and both initialising frames become a single program of one frame.
     start, record_names = start_section(), tuple(records)
     sections = (start, *flight.first.sections, *flight.second.sections)
     slots = {
@@ -394,6 +399,7 @@ def make_states(
             f"property {missing[0]} is not computed while initialising by the batch engine"
         )
     read, renewer = record_names, None
+    # The iteration over RATES continues from all slots of this program.
     if flight.renewed is not None:
         retained = (*record_names, *RATES)
         renewed = prune_slots(
@@ -448,6 +454,7 @@ def at_states(
     out = np.empty((len(controls), len(program.records)))
     slots = program.flyer.program.slots
     shared = {**{canonical(name): value for name, value in properties.items()}, STEP: dt_s}
+    # States are processed in chunks that reuse memory.
     for begin in range(0, len(out), _CHUNK):
         part = slice(begin, begin + _CHUNK)
         start = start_conditions({name: conditions[name][part] for name in CONDITIONS})
@@ -489,6 +496,7 @@ def _settle(program: StateProgram, renewer: Flyer, state: FloatArray, out: Float
         rates, last = _read(renewer, state, RATES, count), moved
         moved = np.abs(rates - previous).sum(axis=1)
         out[moving] = _read(renewer, state, program.records, count)[moving]
+        # A state stops when its rates have settled or their change no longer shrinks.
         moving &= (moved >= SETTLED_RADPS) & (moved < last)
         if not moving.any():
             return

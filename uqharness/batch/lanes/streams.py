@@ -74,6 +74,7 @@ class JsbsimNormals:
     def take(self, n: int) -> FloatArray:
         """Return the next ``n`` normals (n,); they do not depend on the sizes of earlier calls."""
         parts, available = [self._remaining], self._remaining.size
+        # The expected number of accepted normals, and a few more.
         while available < n:
             normals, self._state = self._tries(
                 self._state, int((n - available) / (2.0 * _ACCEPTANCE)) + 16
@@ -101,6 +102,7 @@ def numpy_tries(state: int, count: int) -> tuple[FloatArray, int]:
             one, other, square = polar_normals(
                 [raw[k::4] - 1.0 for k in range(4)], random_numbers.NUMPY
             )
+        # Points outside the unit circle, and the origin, are rejected.
         inside = (square <= 1.0) & (square != 0.0)
         parts.append(np.column_stack([one[inside], other[inside]]).reshape(-1))
     return np.concatenate(parts) if parts else np.empty(0), state
@@ -336,6 +338,7 @@ class HostGusts:
                 f"the gusts stand at row {self._row}; received a split at {split.frame}"
             )
         other = copy.copy(self)
+        # Between two pages the filters themselves can branch.
         if not len(self._stored):
             other._gusts = copy.deepcopy(self._gusts)
             other._gusts.branch(split)

@@ -43,6 +43,7 @@ class FlightKernel:
         Raises ValueError for arguments that do not fit. Other Python threads run meanwhile.
         """
         call = check_call(self.program, state, first_frame, frames, streams, stride)
+        # Addresses of arrays, as the compiled function expects them.
         feeds = [
             (f.array.ctypes.data, f.offsets.ctypes.data, f.first_row, f.rows) for f in call.feeds
         ]
@@ -90,6 +91,7 @@ class _ProgramPrinter:
     def text(self) -> str:
         """Return the text of the complete function."""
         program = self.program
+        # Parts of the function, in the order in which a frame runs them.
         prelude = [] if program.prelude is None else self._function(program.prelude, "once.", None)
         begins = [
             line
@@ -191,6 +193,7 @@ done:
         prefix, when = f"x{number}.", section.when
         out = self._branch_if_due(when, prefix)
         mask = None
+        # Skip the section unless some lane has its mask set.
         if when.mask is not None:
             mask = f"%{prefix}mask"
             out += self._load(when.mask, f"{prefix}flag")
@@ -207,6 +210,7 @@ done:
 
     def _branch_if_due(self, when: When, prefix: str) -> list[str]:
         """Branch to <prefix>over in frames in which the section does not run."""
+        # One test for the interval and one for the single frame.
         tests = []
         if when.every != 1:
             tests.append(
@@ -249,11 +253,13 @@ done:
         """
         me = f"%stream{number}"
         out = []
+        # Address of the array, address of the offsets, first row, rows.
         for field, kind in enumerate(("ptr", "ptr", "i64", "i64")):
             out.append(
                 f"  {me}.at{field} = getelementptr i64, ptr %feeds, i64 {number * 4 + field}"
             )
             out.append(f"  {me}.given{field} = load {kind}, ptr {me}.at{field}, align 8")
+        # Row 0 of the lane, before the counter or the frame adds its part.
         for lane in range(self.width):
             part = f"{me}.{lane}"
             out += [
@@ -288,6 +294,7 @@ done:
                 f"  %{prefix}at{j} = getelementptr double, ptr {me}.base{j}, i64 %{prefix}begin"
                 for j in range(self.width)
             ]
+        # One load per lane and column, then one vector store.
         for column, slot in enumerate(stream.columns):
             name = f"%{prefix}c{column}."
             for j in range(self.width):
@@ -330,6 +337,7 @@ done:
                 f" {self.vector} {zero}"
             ),
         ]
+        # Extract each lane's row number and compute its address.
         for j in range(self.width):
             one = f"%{prefix}safe" if self.width == 1 else f"%{prefix}safe{j}"
             if self.width > 1:
@@ -346,6 +354,7 @@ done:
         if self.width == 1:
             return parts[0]
         vector = "poison"
+        # Insert one lane after the other.
         for j, part in enumerate(parts):
             goal = name if j == self.width - 1 else f"{name}.{j}"
             out.append(f"  {goal} = insertelement {self.vector} {vector}, double {part}, i64 {j}")
@@ -355,6 +364,7 @@ done:
     def _record(self) -> list[str]:
         """Store each lane's values at (channel, lane, time)."""
         out = ["  %time.k = udiv i64 %k, %stride", "  %time = sub i64 %time.k, %time.first"]
+        # A lane's channel is contiguous in memory: lane * times + time.
         for j in range(self.width):
             out += [
                 f"  %record.lane{j} = add i64 %lane, {j}",

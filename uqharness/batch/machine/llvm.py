@@ -265,6 +265,7 @@ class FunctionPrinter:
         """Return node -> values to write after it; a slot is not overwritten before its old value
         has been read.
         """
+        # Last load of each slot.
         read = {
             node.name: index
             for index, node in enumerate(self.function.nodes)
@@ -282,6 +283,7 @@ class FunctionPrinter:
         self._written += 1
         vector, number = self.vectors.of(F64), self._written
         at, value = self._pointer(out, f"s{number}", access, name), self.name(index)
+        # Lanes whose mask is false keep the old value.
         if access == "store" and self.mask is not None:
             old, new = f"%{self.prefix}o{number}", f"%{self.prefix}n{number}"
             out.append(f"  {old} = load {vector}, ptr {at}, align 8")
@@ -314,6 +316,8 @@ class FunctionPrinter:
         kind, truth, suffix = v.of(F64), v.of(I1), v.suffix
         if v.rounds:
             return [f"  {self.name(index)} = call {kind} @llvm.floor.{suffix}({kind} {x})"]
+        # Round to nearest by 2^52, then subtract 1 where that exceeds x; |x| >= 2^52 is an integer
+        # already.
         large = v.number(2.0**52)
         return [
             f"  {part}.size = call {kind} @llvm.fabs.{suffix}({kind} {x})",
@@ -345,6 +349,7 @@ class FunctionPrinter:
             f"  {part}.n = fptosi {kind} {part}.in to {integers}",
         ]
         vector = "poison"
+        # Lanes have different indices, so each is loaded by itself.
         for lane in range(v.width):
             number, at, goal = f"{part}.n", f"{part}.p{lane}", f"{part}.v{lane}"
             if v.width > 1:
@@ -384,6 +389,7 @@ class FunctionPrinter:
             return [f"{result} {_SIMPLE[operation]} {kinds[0]} {names[0]}, {names[1]}"]
         if operation in _COMPARE:
             return [f"{result} fcmp {_COMPARE[operation]} {kinds[0]} {names[0]}, {names[1]}"]
+        # The order of the comparison decides which argument a NaN selects.
         if operation in ("min", "max"):
             order = "olt" if operation == "min" else "ogt"
             test = f"%{self.prefix}c{index}"
@@ -496,6 +502,7 @@ def print_function(function: Function, target: Target) -> str:
     blocks)``.
     """
     vectors = Vectors(target.width, target.rounds)
+    # Rows of inputs, slots and outputs are BLOCK doubles each.
     places: dict[tuple[str, str], tuple[str, int]] = {}
     for row, name in enumerate(function.slots):
         places["load", name] = places["store", name] = ("%state.here", row * BLOCK)
@@ -519,6 +526,7 @@ def print_function(function: Function, target: Target) -> str:
         f"  %{array}.here = getelementptr double, ptr %{array}, i64 %{array}.lane"
         for array, count in sizes.items()
     )
+    # A block is processed in BLOCK / W parts.
     parts = BLOCK // target.width
     return f"""{vectors.declarations()}
 define void @frame(ptr noalias %inputs, ptr noalias %state, ptr noalias %outputs, i64 %blocks) #0 {{

@@ -118,6 +118,7 @@ def compiled_tries(target: Target, modulus: int, multiplier: int, points: Points
         raw_numbers, normals, no_state = thread_arrays.arrays
         out = np.empty(2 * count + 2)
         accepted = 0
+        # Chunks fit into the cache; the state of one starts the next.
         for first in range(0, count, _CHUNK):
             size = min(_CHUNK, count - first)
             blocks = -(-size // BLOCK)
@@ -163,6 +164,7 @@ def _generator_text(target: Target, modulus: int, factors: list[int]) -> str:
             f"  %{result} = add {vector} %{result}.low, %{result}.high",
         ]
 
+    # Four numbers per try; the constant 0x433... turns an integer into a double.
     lines: list[str] = []
     for part in range(parts):
         for k in range(4):
@@ -310,6 +312,7 @@ def _recursion_text(target: Target) -> str:
     """Return LLVM text of ``void recur(drive, powers, inverse, i64 segments, i64 steps, double
     last, out)``: weighted sums within segments first, then the states across segments.
     """
+    # Several segments are summed side by side, because each sum waits for its last term.
     chains = range(_CHAINS)
     sums = "\n".join(
         f"  %sum{c} = phi double [ 0.0, %segments ], [ %more{c}, %inner ]" for c in chains

@@ -45,6 +45,7 @@ def trace_atmosphere(frame: Frame) -> None:
     """Publish temperature, pressure, density and speed of sound at this frame's height."""
     height = frame.get("position/h-sl-ft")
     b = frame.builder
+    # Geopotential height
     potential = (height * _EARTH_RADIUS_FT) / (height + _EARTH_RADIUS_FT)
     bias = frame.get("atmosphere/delta-T")
     pressures = _breakpoints(bias, frame.get("atmosphere/P-sl-psf"))
@@ -137,6 +138,7 @@ def _standard_height(value: Value, feet: list[Value], exponents: list[float]) ->
         flat * logarithm, scale * (b.op("exp", pick(exponents) * logarithm) - 1.0)
     )
     height = pick([h for (h, _), _ in layers]) + rise
+    # Back to geometric height
     return height * _EARTH_RADIUS_FT / (_EARTH_RADIUS_FT - height)
 
 
@@ -164,6 +166,7 @@ def trace_air_data(frame: Frame) -> None:
         frame.get(f"atmosphere/{name}") for name in ("P-psf", "T-R", "rho-slugs_ft3")
     )
     total = _pitot(b, mach, pressure)
+    # Mach number at sea level that gives the same impact pressure
     calibrated = mach.ne(0.0).choose(_A0_FPS * _mach(b, (total - pressure) / _P0_PSF + 1.0), 0.0)
     frame.write("velocities/vc-fps", calibrated)
     frame.write("velocities/vc-kts", calibrated * _KT)

@@ -36,10 +36,12 @@ def trace_auxiliary(frame: Frame) -> None:
     air: Vector = tuple(  # type: ignore[assignment]
         frame.get(f"atmosphere/total-wind-{axis}-fps") for axis in AXES
     )
+    # Airspeed in body axes: velocity less total wind.
     u, v, w = (b.value(c) for c in minus(uvw, matvec(matrix(frame, MATRIX), air)))
     for name, value in zip("uvw", (u, v, w), strict=True):
         frame.write(f"velocities/{name}-aero-fps", value)
     for k, name in enumerate("pqr"):
+        # Rotary gusts act as rates of the air.
         gust = frame.get(f"atmosphere/{name}-turb-rad_sec")
         frame.write(f"velocities/{name}-aero-rad_sec", b.value(pqr[k]) - gust)
     plane = u * u + w * w
@@ -114,6 +116,7 @@ def _attitude_rates(frame: Frame, pqr: Vector) -> None:
     p, q, r = (b.value(c) for c in pqr)
     sine, cosine = b.op("sin", phi), b.op("cos", phi)
     frame.write("velocities/thetadot-rad_sec", q * cosine - r * sine)
+    # psi' = (q sin phi + r cos phi) / cos theta
     level = b.op("cos", theta)
     psi_rate = level.ne(0.0).choose(
         (q * sine + r * cosine) / level, frame.get("velocities/psidot-rad_sec")
@@ -172,6 +175,7 @@ def trace_start_distance(frame: Frame) -> None:
         for k in ("x", "y", "z", "sin-lat", "cos-lat", "sin-lon", "cos-lon", "height")
     ]
     position = [frame.get(f"position/ecef-{axis}-ft") for axis in "xyz"]
+    # The start is the position after initialising.
     if frame.initialising:
         place = [frame.memory(name) for name in PLACE]
         start = [*position, *place, frame.get("position/geod-alt-ft")]
@@ -212,6 +216,7 @@ def trace_ground(frame: Frame, points: Sequence[ContactPoint]) -> None:
     down = matrix(frame, MATRIX)
     height = frame.get("position/h-agl-ft")
     touched, point = frame.memory(TOUCHED[1:], -1.0), frame.memory(POINT[1:], -1.0)
+    # Walked backwards, so that the first point in the list wins.
     number: Value = b.constant(-1.0)
     for k, contact in reversed(list(enumerate(points))):
         x, y, z = (b.constant(c) for c in contact.at_in)

@@ -116,6 +116,7 @@ def _geodetic(b: Builder, across: Value, z: Value) -> tuple[Value, Value, Value]
     """Return sine and cosine of the geodetic latitude and the height above the ellipsoid [ft]
     (Fukushima 2006).
     """
+    # One iteration of Halley's method (Fukushima 2006)
     c = A_FT * _E2
     s0 = b.op("abs", z)
     zc, c0 = _RATIO * s0, _RATIO * across
@@ -217,6 +218,7 @@ def integrate(frame: Frame, methods: dict[str, int]) -> None:
         for back in range(len(weights) - 1, 0, -1):
             _remember(frame, slots(part, back), rates[back - 1])
         new[part] = moved
+    # All parts advance from the same old state.
     for part, values in new.items():
         _remember(frame, slots(part), _unit(values) if part == "attitude" else values)
 
@@ -341,6 +343,7 @@ def _publish(
     theta = -b.op("asin", limited)
     _remember_sine(frame, "theta", -limited, b.op("sqrt", (1.0 - limited) * (1.0 + limited)))
     psi = _angle(frame, "psi", b.value(t[0][1]), b.value(t[0][0]))
+    # Heading from 0 to 2 pi.
     psi = psi.lt(0.0).choose(psi + 2.0 * math.pi, psi)
     for name, value in (("phi", phi), ("theta", theta), ("psi", psi)):
         frame.write(f"attitude/{name}-rad", value)
@@ -379,6 +382,7 @@ def _publish_place(frame: Frame, at: Place, position: Vector, velocity: Vector) 
         frame.write(f"position/eci-{axis}-ft", eci)
         frame.write(f"velocities/eci-{axis}-fps", speed)
     frame.write("velocities/eci-velocity-mag-fps", _size(b, velocity))
+    # JSBSim's height is measured along the radius.
     above_sea = at.radius_ft - at.sea_level_radius_ft
     frame.write("position/h-sl-ft", above_sea)
     frame.write("position/h-sl-meters", above_sea * FT_M)
@@ -437,6 +441,7 @@ def trace_accelerations(frame: Frame) -> None:
     relative = plus(turning, cross(rates, spin))
     body: Vector = times(force, 1.0 / mass)
     gravity = vector(frame, GRAVITY)
+    # Acceleration in the rotating frame: Coriolis, centripetal and gravity terms
     linear = minus(body, cross(plus(pqr, times(spin, 2.0)), uvw))
     linear = plus(minus(linear, vector(frame, CENTRIPETAL)), gravity)
     inertial = matvec(transpose(matrix(frame, INERTIAL)), plus(body, gravity))
@@ -541,6 +546,7 @@ def _start_values(b: Builder, read: Callable[[str], Value]) -> dict[str, Value]:
         b.op("sin", lon),
         b.op("cos", lon),
     )
+    # Geodetic to Cartesian coordinates
     squeeze = (B_FT / A_FT) ** 2
     normal = A_FT / b.op("sqrt", 1.0 - (1.0 - squeeze) * (sin_lat * sin_lat))
     across = (normal + height) * cos_lat

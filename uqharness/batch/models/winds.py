@@ -68,6 +68,7 @@ def set_psi(frame: Frame, value: Value) -> None:
     """Write atmosphere/psiw-rad: JSBSim turns the steady wind to this azimuth."""
     size = _size(frame)
     b = frame.builder
+    # Without wind JSBSim resets the azimuth.
     none = size.eq(0.0)
     cosine, sine = b.op("cos", value), b.op("sin", value)
     frame.store(_PSI, none.choose(0.0, value))
@@ -156,6 +157,7 @@ def trace_winds(frame: Frame) -> None:
     """
     with frame.section("turbulence: whether"):
         kind = frame.get(TYPE)
+        # A constant type means that turbulence can never be switched on.
         if kind.constant is None:
             _switch_turbulence(frame, kind)
         elif kind.constant != 0.0 and frame.get(_SEVERITY).constant != 0.0:
@@ -232,6 +234,7 @@ def _scales_and_sigmas(frame: Frame) -> tuple[Value, Value, Value, Value]:
     """Return scale lengths Lu and Lw [ft] and standard deviations u and w [ft/s]."""
     b = frame.builder
     h = frame.get("position/h-sl-ft")
+    # The model starts at 10 ft.
     h = h.le(10.0).choose(10.0, h)
     low, high = h.le(1000.0), h.gt(2000.0)
     w20 = frame.get(_W20)
@@ -308,6 +311,7 @@ def _filters(frame: Frame) -> None:
     for name, (new, _) in (("v", v), ("w", w)):
         frame.remember(f"turbulence/{name}1", new)
     cosine, sine = _direction(frame)
+    # From axes along the wind's azimuth to north, east, down; then rates to body axes.
     velocities = (cosine * u + sine * v[0], cosine * v[0] - sine * u, w[0])
     rates: Vector = (cosine * p + sine * q, cosine * q - sine * p, r)
     for name, value in zip(

@@ -52,6 +52,8 @@ def trace_aerodynamics(frame: Frame, document: Document, node: Node | None) -> N
         )
         if node is not None:
             scope.only(node, ("name",))
+        # JSBSim's order: lift of the frame before, functions, ratios, axes, functions of type
+        # "post".
         _lift_squared(frame)
         functions = [child for child in children if child.tag == "function"]
         for child in functions:
@@ -86,6 +88,7 @@ def write_function(
     name = node.attributes.get("name", "").strip()
     if name:
         name = function_name(name)
+        # JSBSim would overwrite or ignore such a property.
         if not writable(canonical(name)):
             scope.refuse(node, f"property {name} is JSBSim's own; a function cannot have its name")
         frame.live.pop(canonical(name), None)
@@ -131,6 +134,7 @@ def _stall(frame: Frame, scope: Scope, limits: Sequence[Node]) -> None:
     """Write stall warning and stall hysteresis; 0 without limits."""
     b, zero = frame.builder, frame.builder.constant(0.0)
     limit_values = {name: zero for names in _LIMITS.values() for name in names}
+    # Each pair of limits may be given once.
     for node in limits:
         unit = node.attributes.get("unit", "")
         scope.only(node, ("unit",))
@@ -150,12 +154,14 @@ def _stall(frame: Frame, scope: Scope, limits: Sequence[Node]) -> None:
     alpha, alpha_max = frame.get("aero/alpha-rad"), limit_values["aero/alpha-max-rad"]
     for name in _LIMITS["alphalimits"]:
         frame.write(name, limit_values[name])
+    # The warning starts at 85 % of the largest angle of attack.
     warned = alpha.gt(0.85 * alpha_max).choose(10.0 * (alpha / alpha_max - 0.85), 0.0)
     frame.write("systems/stall-warn-norm", alpha_max.ne(0.0).choose(warned, 0.0))
     before, is_defined = (
         frame.get("aero/stall-hyst-norm"),
         b.op("and", limit_values["least"].ne(0.0), limit_values["greatest"].ne(0.0)),
     )
+    # Hysteresis: stalled above the upper limit until below the lower one.
     stalled = alpha.gt(limit_values["greatest"]).choose(
         1.0, alpha.lt(limit_values["least"]).choose(0.0, before)
     )
@@ -179,6 +185,7 @@ def _publish_wind_axes(frame: Frame, force: Vector) -> None:
 def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vector]:
     """Return force and moment about the CG in body axes."""
     by_name: dict[str, Node] = {}
+    # Check names and frames before anything is traced.
     for axis in axes:
         if axis.tag != "axis":
             scope.refuse(
@@ -198,6 +205,7 @@ def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vec
             )
         by_name[name] = axis
     names, kind = _force_axes(scope, by_name)
+    # All moments must be in one frame.
     frames = {
         _FRAMES[by_name[name].attributes.get("frame", "")] for name in _MOMENTS if name in by_name
     }
@@ -205,6 +213,7 @@ def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vec
         scope.refuse(
             by_name[next(name for name in _MOMENTS if name in by_name)], "moments have one frame"
         )
+    # JSBSim runs the axes in this order, whatever the file's.
     sums = [
         _axis(frame, scope, by_name.get(name), name in _MOMENTS) for name in (*names, *_MOMENTS)
     ]
@@ -214,6 +223,7 @@ def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vec
     turn = frames.pop() if frames else "body"
     if turn != "body":
         moment = matvec(wind_to_body(frame, turn == "stability"), moment)
+    # The moment of the force about the CG is added; forces at the CG have none.
     return plus(force, at_cg), plus(moment, cross(structural_to_body(frame, "aero-rp"), force))
 
 
@@ -229,6 +239,7 @@ def _axis(frame: Frame, scope: Scope, axis: Node | None, moment: bool) -> tuple[
                 child, f"apply_at_cg='{at_cg}': true or false is allowed, true for forces alone"
             )
     functions = [] if axis is None else axis.all("function")
+    # Functions at the CG run last.
     for column, at_cg_text in enumerate(("false", "true")):
         for child in functions:
             if child.attributes.get("apply_at_cg", "false") == at_cg_text:
@@ -311,6 +322,7 @@ def trace_external(frame: Frame, document: Document, node: Node | None) -> None:
         )
         if node is not None:
             scope.only(node)
+        # Functions first, so that forces may read them.
         for child in children:
             if child.tag not in ("function", "force", "moment"):
                 scope.refuse(
@@ -355,6 +367,7 @@ def _vector(
             f"frame '{kind}' of a <{node.tag}> is not understood; BODY, LOCAL, WIND and"
             " INERTIAL are",
         )
+    # At most one of each element.
     parts = {child.tag: child for child in node.children if child.tag not in _REMARKS}
     allowed = {"function", "direction", *(("location",) if node.tag == "force" else ())}
     if set(parts) - allowed or len(parts) != len(
@@ -369,6 +382,7 @@ def _vector(
         if value is None:
             scope.refuse(node, f"nothing sets {name}")
         magnitude = value
+    # The direction is used as it is, without normalising.
     direction: Vector = tuple(  # type: ignore[assignment]
         frame.get(f"{_base(node)}{axis}") for axis in axes
     )

@@ -148,10 +148,12 @@ class Systems:
         Raises BadInputError with file and line for what the engine does not support.
         """
         frame.hooks.update(HOOKS)
+        # Named tables and operations become properties in JSBSim, which is not supported.
         for part in self.parts:
             _check(part)
             refuse_inner_names(frame, part.document, part.node)
         before, after = self._functions("pre"), self._functions("post")
+        # Before its first run a function is evaluated wherever it is read.
         for document, node in (*before, *after) if first else ():
             compute_where_read(frame, document, node)
         _set_step(frame, 1)
@@ -159,6 +161,7 @@ class Systems:
         if self.engines:
             with frame.section("levers"):
                 copy_levers(frame, self.engines)
+        # All channels of all systems, in the order of loading.
         channels = [
             (part.document, channel) for part in self.parts for channel in part.node.all("channel")
         ]
@@ -196,6 +199,7 @@ def compute_where_read(frame: Frame, document: Document, node: Node) -> None:
                 "this function is read before it is run, and copies what it gives; the batch engine"
                 " does not",
             )
+        # Detects recursion.
         reading.append(name)
         result = function_value(scope, node, _FUNCTION)
         reading.pop()
@@ -260,6 +264,7 @@ def _check(part: System) -> None:
             scope.refuse(
                 node, f"type='{node.attributes['type']}' of <function>: allowed are pre and post"
             )
+    # An element that names a file may only add properties.
     if part.outer is None:
         return
     document, outer = part.outer
@@ -288,6 +293,7 @@ def _trace_functions(frame: Frame, name: str, functions: Sequence[tuple[Document
             scope = frame.scope(document)
             value = function_value(scope, node, _FUNCTION)
             title, copy = node.attributes.get("name", ""), node.attributes.get("copyto", "")
+            # copyto sets a second property.
             if copy:
                 target = property_of(scope, node, copy)
                 if read_only(target) or (
@@ -332,6 +338,7 @@ class _Channel:
         runs, mask = self._switched(every)
         if not runs:
             return
+        # Components see the step times the channel's rate.
         _set_step(frame, every)
         when = When(1 if frame.initialising or mask is not None else every, mask=mask)
         with frame.section(
@@ -362,6 +369,7 @@ class _Channel:
                         has_run,
                     )
                 )
+            # Remembered only if a component asked for it.
             if uses_history:
                 frame.remember(f"{self.key}/started", 1.0)
 
@@ -375,9 +383,11 @@ class _Channel:
         slot, count_slot = f"{self.key}/runs", f"{self.key}/count"
         with frame.section(f"{self.document.where(self.node)}: execute"):
             switch = frame.scope(self.document).named_property(self.node, name)
+            # A constant switch needs no mask.
             if switch.constant is not None:
                 return switch.constant != 0.0, None
             runs = switch.ne(0.0)
+            # Frames are counted only while the switch is on, as in JSBSim.
             if every > 1:
                 before = frame.memory(count_slot, float(every))
                 count = (
@@ -480,6 +490,7 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
             raise BadInputError(f"{document.where(node)}: <{node.tag}> stands here twice")
         else:
             parts[node.tag] = part
+    # JSBSim runs systems first, then the autopilot, then the flight control.
     order = {"system": 0, "autopilot": 1, "flight_control": 2}
     systems.sort(key=lambda part: order[part.node.tag])
     if "planet" in parts:

@@ -69,6 +69,7 @@ class Component:
         """
         self.scope.only(self.node, ("name", *attributes))
         visited: set[str] = set()
+        # Elements of which JSBSim reads only the first must not be repeated.
         for child in self.node.children:
             if child.tag not in SHARED and child.tag not in single and child.tag not in repeated:
                 self.scope.refuse(
@@ -143,6 +144,7 @@ class Component:
         """Apply a first-order lag (Tustin) of corner frequency ``rate`` [1/s], with memory
         ``lag-in`` and ``lag-out``.
         """
+        # Tustin: y = (dt c (x + x') + (2 - dt c) y') / (2 + dt c)
         below = 2.0 + self.step * rate
         a, b = self.step * rate / below, (2.0 - self.step * rate) / below
         return a * (value + self.memory("lag-in")) + self.memory("lag-out") * b
@@ -167,6 +169,7 @@ class Component:
         if kind not in ("time", "frames"):
             self.scope.refuse(node, f"type='{kind}' of <delay>: allowed are time and frames")
         value = self.scope.number(node)
+        # Seconds become frames, which needs a fixed step.
         if kind == "time" and self.frame.any_step:
             self.scope.refuse(
                 node, "a <delay> in seconds has no fixed number of frames where the step may differ"
@@ -200,6 +203,7 @@ class Component:
         span = high - low
         result = clip(low, value, high)
         kind = node.attributes.get("type", "")
+        # Wrapped into the range by a remainder.
         if kind == "cyclic":
             wrapped = self.builder.op("fmod", value - low, span) + low
             wrapped = wrapped.lt(low).choose(wrapped + span, wrapped)

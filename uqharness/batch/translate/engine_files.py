@@ -117,6 +117,7 @@ def grid(scope: Scope, table: Node) -> Grid:
     ):
         scope.refuse(table, 'a table of an engine has type="internal" and one <tableData>')
     scope.only(data[0])
+    # Two dimensions: the first line has one number less than the second.
     lines = [line.split() for line in data[0].text.splitlines() if line.strip()]
     if not lines:
         scope.refuse(table, "the table has no numbers")

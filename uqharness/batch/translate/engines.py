@@ -86,7 +86,9 @@ class Brushless:
             else b.constant(0.0)
         )
         volts = self.volts * frame.get(f"fcs/throttle-pos-norm{self.index}")
+        # i = (U - rpm / Kv) / R (Drela, eq 2)
         current = (volts - rpm / kv) / self.ohms
+        # At rest friction takes at most the no-load current.
         clipped = current.gt(idle).choose(idle, current.lt(-idle).choose(-idle, current))
         friction = rpm.gt(0.0).choose(idle, clipped)
         torque = (current - friction) / kv * (60.0 / (2.0 * math.pi * _NM_FTLB))
@@ -214,10 +216,12 @@ class Propulsion:
         frame.remember(engine.starved, starved.choose(1.0, 0.0))
         if isinstance(engine.motor, Electric | Brushless):
             return
+        # Without fuel the last flow stays published and nothing is taken.
         burns = b.op("not", starved)
         rate = burns.choose(engine.motor.fuel_rate(frame), frame.get(f"{name}fuel-flow-rate-pps"))
         spent = burns.choose(rate * frame.step, 0.0)
         frame.store(f"{name}fuel-flow-rate-pps", rate)
+        # JSBSim uses the density of the last tank for volumes.
         density = (
             frame.get(f"{self.tanks[-1].name}density-lbs_per_gal")
             if self.tanks
@@ -241,6 +245,7 @@ class Propulsion:
             engine.trace(frame)
             b = frame.builder
             before, current = frame.memory(thrust), frame.get(f"{engine.name}thrust-lbs")
+            # Thrust of two successive steps agrees.
             is_settled = b.op("abs", before - current).lt(_SETTLED_LBS)
             settled_turns = is_settled.choose(frame.memory(count) + 1.0, 0.0)
             new_turns = frame.memory(turns) + 1.0
@@ -279,6 +284,7 @@ def read_propulsion(sources: Sources, values: Values, engines_running: bool = Fa
         _read_engine((document, engine), k, sources.included, len(tanks), magnetos)
         for k, engine in enumerate(node.all("engine"))
     )
+    # Mass properties without fuel, from those that JSBSim reports with fuel.
     if tanks:
         values.update(dry_aircraft(tanks, lambda name: _initialised(values, name)))
     return Propulsion(sources.propulsion, engines, tanks)
@@ -296,11 +302,13 @@ def _read_engine(
     )
     root_part = with_number(_content(scope, part, included, kinds), k)
     scope_of_root, root = _refusing_scope(root_part[0]), root_part[1]
+    # A turbine's functions belong to the engine's properties.
     for function in root.all("function"):
         if function.attributes.get("name", "") in FUNCTIONS and root.tag == "turbine_engine":
             function.attributes["name"] = name + function.attributes["name"]
         if function.attributes.get("type", "") not in ("", "pre", "post"):
             scope_of_root.refuse(function, "a function of an engine has type pre or post")
+    # Thruster: mounting in the aircraft, and its own file.
     thruster = node.find("thruster")
     if thruster is None:
         scope.refuse(node, "an engine has a <thruster>")
@@ -327,6 +335,7 @@ def _read_engine(
         not isinstance(thruster_model, Jet) or thruster_model.area_ft2 is not None
     ):
         scope.refuse(thruster, "a turbine has a <direct> thruster")
+    # Tanks are named by number.
     feeds = tuple(int(scope.number(feed)) for feed in node.all("feed"))
     if any(not 0 <= feed < tanks for feed in feeds):
         scope.refuse(

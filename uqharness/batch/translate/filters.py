@@ -142,9 +142,11 @@ def _controller(c: Component, integral: str, rule: str, standard: bool) -> None:
     """Trace a controller with the given integral element and default rule."""
     x, before = c.input(), c.memory("in")
     node, rate_node = c.node.find(integral), c.node.find("pvdot")
+    # Derivative: a property if given, else the difference quotient.
     slope = c.scope.property_value(rate_node) if rate_node is not None else (x - before) / c.step
     trigger = c.node.find("trigger")
     test = c.builder.constant(0.0) if trigger is None else c.scope.property_value(trigger)
+    # A negative trigger resets the integral; any other nonzero trigger stops it.
     reset = test.lt(0.0)
     total = c.builder.constant(0.0)
     if node is not None:
@@ -156,6 +158,7 @@ def _controller(c: Component, integral: str, rule: str, standard: bool) -> None:
         step = c.builder.op("abs", test).lt(_NO_TRIGGER).choose(step, 0.0)
         total = total + c.parameter(integral, attributes=("type",)) * c.step * step
         c.remember("integral", total)
+        # Only Adams-Bashforth of third order needs the input before last.
         if name == "ab3":
             c.remember("in-2", reset.choose(0.0, before))
     gain, damping = c.parameter("kp", 0.0), c.parameter("kd", 0.0)
@@ -178,18 +181,22 @@ def actuator(c: Component) -> None:
         c.frame.get(f"{name}/malfunction/fail_{failure}").ne(0.0)
         for failure in ("zero", "hardover", "stuck")
     )
+    # A hardover failure drives to the limit on the input's side.
     limits = c.limits() or (b.constant(0.0), b.constant(0.0))
     x = zero.choose(0.0, c.input())
     x = hardover.choose(x.lt(0.0).choose(*limits), x)
     value = x
+    # Lag
     if c.node.find("lag") is not None:
         lagged = c.has_run().choose(c.lagged(value, c.parameter("lag")), value)
         c.remember("lag-in", value, stuck)
         c.remember("lag-out", lagged, stuck)
         value = lagged
+    # Rate limits
     if c.node.find("rate_limit") is not None:
         value = _rate_limited(c, value)
         c.remember("rate-out", value, stuck)
+    # Dead band and hysteresis
     half = c.number("deadband_width", 0.0) / 2.0
     if half != 0.0:
         value = value.lt(-half).choose(value + half, value.gt(half).choose(value - half, 0.0))
@@ -202,11 +209,13 @@ def actuator(c: Component) -> None:
     bias = c.number("bias", 0.0)
     if bias != 0.0:
         value = value + bias
+    # A stuck actuator keeps its output; its history does not move.
     value = c.delayed(value, stuck)
     if stuck.constant is not False:
         value = stuck.choose(c.memory("out"), value)
         c.remember("out", value)
     clipped = c.clipped(value)
+    # JSBSim publishes whether a limit is reached.
     if c.limits() is not None:
         low, high = limits
         saturated = b.op(
@@ -275,14 +284,17 @@ def linear_actuator(c: Component) -> None:
     )
     distance = x - last
     step = distance - position
+    # A step of at least the hysteresis moves the actuator.
     size = b.op("abs", step)
     moves = b.op("and", on, size.ge(hysteresis))
     side = _versus(c)
     turned = step.gt(0.0).choose(1.0, step.lt(0.0).choose(-1.0, last_direction))
+    # Only steps smaller than a turn change the direction.
     direction = b.op("and", moves, size.le(module * rate)).choose(turned, last_direction)
     follows = b.op("or", side.eq(0.0), side.eq(direction))
     accepted = b.op("and", moves, follows)
     dropped = b.op("and", moves, b.op("and", b.op("not", follows), direction.ne(0.0)))
+    # A jump is counted as a turn in the other direction.
     jumped = b.op("and", accepted, size.ge(module * rate))
     count = jumped.choose(step.lt(0.0).choose(turns + 1.0, turns - 1.0), turns)
     new_position = accepted.choose(distance, position)
@@ -356,6 +368,7 @@ def accelerometer(c: Component) -> None:
         inch * (place[1] - centre[1]),
         inch * (centre[2] - place[2]),
     ]
+    # a + w' x r + w x (w x r)
     turning, inward = _cross(spin, arm), _cross(rates, _cross(rates, arm))
     _measure(
         c, _along_axis(c, [(a + b) + d for a, b, d in zip(specific, turning, inward, strict=True)])
@@ -375,6 +388,7 @@ def _measure(c: Component, x: Value) -> None:
         value = c.lagged(value, b.constant(lag))
         c.remember("lag-in", x, stuck)
         c.remember("lag-out", value, stuck)
+    # Noise, drift, gain and bias
     value = _noisy(c, value, stuck)
     drift = c.number("drift_rate", 0.0)
     if drift != 0.0:
@@ -385,6 +399,7 @@ def _measure(c: Component, x: Value) -> None:
     value = value * gain if gain != 0.0 else value
     value = value + bias if bias != 0.0 else value
     value = c.delayed(value, stuck)
+    # Failures low and high
     value = high.choose(math.inf, low.choose(-math.inf, value))
     value = c.clipped(_quantized(c, value, stuck))
     if stuck.constant is not False:
@@ -440,6 +455,7 @@ def _quantized(c: Component, value: Value, stuck: Value) -> Value:
             f"<quantization> has 1 to {_MAX_BITS} bits and min below max; received {bits},"
             f" {low:g}, {high:g}",
         )
+    # Clip to the range, then truncate to steps.
     value = value.lt(low).choose(low, value)
     value = value.gt(high).choose(high, value)
     step = (high - low) / 2**bits
@@ -501,6 +517,7 @@ def _triplet(
             f"unit='{unit}' of <{node.tag}> is not understood; allowed are"
             f" {', '.join(u for u in units if u)}",
         )
+    # x, y, z may stand for the element's own names.
     numbers = dict.fromkeys(tags, 0.0)
     synonyms = dict(zip(("x", "y", "z"), tags, strict=True))
     for child in inner(node):

@@ -269,6 +269,7 @@ class Frame:
             if isinstance(values, Values)
             else {canonical(n): float(v) for n, v in values.items()}
         )
+        # None in the survey pass, which finds the written properties.
         self.written_properties = (
             None
             if written_properties is None
@@ -315,6 +316,7 @@ class Frame:
         if self._when is not None:
             raise RuntimeError(f"section {name} inside section {self._name}")
         self._when, self._name = when or When(), name
+        # Each section has its own builder; values pass through slots.
         self.builder = Builder()
         yield
         self.sections.append(Section(name, self.builder.finish({}), self._when))
@@ -377,6 +379,7 @@ class Frame:
         """Write a property without its hook."""
         name = canonical(name)
         self.writes.add(name)
+        # The survey must have seen every write.
         if self.written_properties is not None and name not in self.written_properties:
             raise KeyError(f"{name} is written here, which was not foreseen")
         self.values.setdefault(name, 0.0)
@@ -432,6 +435,7 @@ class Frame:
         for section in self.sections:
             for name in section.function.slots:
                 slots.setdefault(name, self.values[name])
+        # Streams and records may name slots that no section uses.
         for stream in streams:
             for name in stream.columns:
                 slots.setdefault(name, 0.0)

@@ -205,6 +205,7 @@ def table_value(scope: Scope, node: Node) -> Value:
                 f"<{child.tag}> in a <table> is not understood; allowed are independentVar and"
                 " tableData",
             )
+    # The number of keys is the number of dimensions.
     keys = _keys(scope, node)
     data = node.all("tableData")
     if "table" in keys:
@@ -225,6 +226,7 @@ def interpolate(grid: Grid, row: Value, column: Value | None) -> Value:
     column_axis = Axis(grid.columns, column)
     row_axis = Axis(grid.rows, row)
     builder = row.builder
+    # Large grids are looked up in memory.
     if len(grid.rows) > 1 and len(grid.rows) * len(grid.columns) >= _MIN_LOOKUP:
         return _bilinear(grid, row_axis, column_axis)
     by_row: list[Value | float] = []
@@ -242,6 +244,7 @@ def _bilinear(grid: Grid, row_axis: Axis, column_axis: Axis) -> Value:
     """Interpolate a large grid from the four looked-up values around the keys."""
     b, width = row_axis.key.builder, len(grid.columns)
     numbers = b.table([x for line in grid.values for x in line])
+    # Index of the lower left corner in the flattened grid.
     place = row_axis.interval() * float(width) + column_axis.interval()
     t = row_axis.weight()
     lower, upper = (
@@ -267,6 +270,7 @@ def read_grid(scope: Scope, node: Node, columns: bool) -> Grid:
         for line in node.text.splitlines()
         if line.strip()
     ]
+    # The first line of a two-dimensional table has the breakpoints of the columns.
     head = lines.pop(0) if columns and lines else []
     if not lines:
         scope.refuse(node, "<tableData> has no numbers; a line has a breakpoint and its values")
@@ -297,6 +301,7 @@ def _table_3d(scope: Scope, node: Node, keys: dict[str, Value], data: list[Node]
             node,
             f"a <table> of three dimensions has two <tableData> or more; received {len(points)}",
         )
+    # Interpolate each table, then between tables.
     _check_increasing(scope, node, tuple(points), "tables")
     grids = [read_grid(scope, part, True) for part in data]
     return _interpolate_line(
@@ -336,6 +341,7 @@ def _interpolate_line(axis: Axis, heights: Sequence[Value | float], is_clamped: 
         # One breakpoint: the value, but NaN for a NaN key.
         return axis.key.ne(axis.key).choose(math.nan, values[0])
     t = axis.weight()
+    # Constant differences are folded, so only one lookup remains.
     if all(v.constant is not None for v in values):
         low = axis.pick(values[:-1])
         step = axis.pick([b - a for a, b in itertools.pairwise(values)])
@@ -406,6 +412,7 @@ def argument(scope: Scope, node: Node) -> Value:
             "JSBSim 1.3.3 drops a <function> inside a function without a word; write its operation"
             " itself",
         )
+    # All other tags are operations with arguments.
     rule = RULES.get(node.tag)
     if rule is None:
         scope.refuse(
@@ -419,6 +426,7 @@ def argument(scope: Scope, node: Node) -> Value:
             node, f"<{node.tag}> has arguments, not text; received {node.text.strip()[:40]!r}"
         )
     children = [child for child in node.children if child.tag not in _DESCRIPTIONS]
+    # Branches of ifthen are read only if needed.
     if node.tag == "ifthen" and len(children) == rule.min_arguments:
         return _if_then_lazy(scope, children)
     values = _arguments(scope, node.tag, children)
@@ -431,6 +439,7 @@ def argument(scope: Scope, node: Node) -> Value:
             else f"{rule.min_arguments} to {rule.max_arguments or 'any number of'}"
         )
         scope.refuse(node, f"<{node.tag}> takes {allowed} arguments; received {len(values)}")
+    # A key, then pairs.
     if node.tag == "interpolate1d" and len(values) % 2 == 0:
         scope.refuse(
             node,

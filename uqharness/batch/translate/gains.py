@@ -35,6 +35,7 @@ def aerosurface_scale(c: Component) -> None:
     low, high = _ends(c, c.node.find("domain"), (-1.0, 1.0))
     bottom, top = _ends(c, c.needed("range"), None)
     centred = c.node.find("zero_centered")
+    # Separate scales on both sides of 0
     if centred is None or centred.text.strip() not in ("0", "false"):
         up, down = (x / high) * top, (x / low) * bottom
         value = x.eq(0.0).choose(0.0, x.gt(0.0).choose(up, down))
@@ -80,6 +81,7 @@ def angle(c: Component) -> None:
         b.op("cos", target),
         b.op("sin", target),
     )
+    # Scalar product of the two directions; the sign is that of the cross product.
     cosine = x1 * x2 + y1 * y2
     clipped = cosine.lt(-1.0).choose(-1.0, cosine.gt(1.0).choose(1.0, cosine))
     unit = c.node.attributes.get("unit", "RAD")
@@ -156,6 +158,7 @@ def _travel(
     b = x.builder
     down = x.lt(y)
     by_interval: list[tuple[Value, Value]] = []
+    # Each interval: move at its own rate, at most to its end.
     for k in range(1, len(positions)):
         if times[k] <= 0.0:
             by_interval.append((x, b.constant(0.0)))
@@ -168,6 +171,7 @@ def _travel(
         moved = short.choose(y.lt(x).choose(y + step, y - step), goal)
         by_interval.append((moved, time_left - short.choose(time_left, needed)))
     position, remaining = by_interval[-1]
+    # Select the interval that contains the present position.
     for k in range(len(positions) - 2, 0, -1):
         in_interval = b.op(
             "or",
@@ -239,6 +243,7 @@ def distributor(c: Component) -> None:
             c.node, f"type='{kind}' of <distributor>: allowed are inclusive and exclusive"
         )
     done = c.builder.truth(False)
+    # Check the case before its tests are evaluated.
     for case in c.node.all("case"):
         c.scope.only(case)
         for child in case.children:
@@ -254,6 +259,7 @@ def distributor(c: Component) -> None:
         for test in tests:
             c.scope.only(test, ("logic",))
             chosen = condition(c.scope, test)
+            # Only the first case whose test holds acts.
             if kind == "exclusive":
                 chosen = c.builder.op("and", chosen, c.builder.op("not", done))
             done = c.builder.op("or", done, chosen)

@@ -215,6 +215,7 @@ class Piston:
         closed = 1.0 - frame.get(f"fcs/throttle-pos-norm{self.index}")
         throttle = closed * closed * n.throttle_impedance
         engine = piston_fps.gt(0.0).choose(n.peak_piston_fps / piston_fps, 999999.0)
+        # Pressures divide as impedances in series.
         share = engine / (engine + frame.get(f"{self.name}air-intake-impedance-factor") + throttle)
         before, step = frame.get(f"{self.name}map-pa"), frame.step
         difference = before - ram * share
@@ -247,6 +248,7 @@ class Piston:
         running, air, fuel, rich = burning
         rpm, outside, ambient_k = state
         hot = b.op("and", running, air.gt(0.0))
+        # Exhaust: 30 % of the heat of combustion goes into the gas.
         share = hot.choose(lookup(self.combustion, rich), 0.0)
         exhaust = _kelvin(frame.get(f"{name}egt-degF"))
         burnt = ambient_k + fuel * _CALORIFIC * share * 0.30 / (_CP_AIR * air + _CP_FUEL * fuel)
@@ -254,6 +256,7 @@ class Piston:
             f"{name}egt-degF",
             _fahrenheit(hot.choose(burnt, exhaust + (ambient_k - exhaust) / 100.0 * step)),
         )
+        # Cylinder head: 33 % of the heat, less cooling by airflow, rpm and natural convection.
         head = _kelvin(frame.get(f"{name}cht-degF"))
         above, area = head - ambient_k, n.displacement_in3 / 360.0
         wind = (
@@ -268,6 +271,7 @@ class Piston:
         )
         head = head + heat / (800.0 * (n.head_mass_kg * n.cylinders)) * step
         frame.store(f"{name}cht-degF", _fahrenheit(head))
+        # Oil: pressure by speed up to the relief valve, temperature towards the head's.
         relief, design_k, viscosity, full_rpm = n.oil
         pressure, oil = (
             frame.get(f"{name}oil-pressure-psi"),
@@ -310,6 +314,7 @@ def read_piston(scope: Scope, part: Part, name: str, index: str, magnetos: float
         )
     refuse_unknown(scope, node, _TAGS)
     tables = {"COMBUSTION": _COMBUSTION, "MIXTURE": _MIXTURE}
+    # The file may replace both tables.
     for table in node.all("table"):
         title = table.attributes.get("name", "")
         if title not in tables:
@@ -330,10 +335,12 @@ def read_piston(scope: Scope, part: Part, name: str, index: str, magnetos: float
     peak = get("peak-piston-speed", 100.0)
     min_pa = get("minmp", 6.5, "INHG") * MANIFOLD_PA_INHG
     max_pa = min(get("maxmp", 28.5, "INHG"), 29.9) * MANIFOLD_PA_INHG
+    # Without a number the impedance follows from the rated manifold pressure.
     airbox = get("air-intake-impedance-factor", -999.0)
     if airbox < 0.0:
         rated = peak / (max_rpm * stroke / 360.0)
         airbox = _STANDARD_PA * rated / max_pa - rated
+    # Impedance of the closed throttle from the idle manifold pressure.
     throttle = peak / (idle * stroke / 360.0) * (_STANDARD_PA / min_pa - 1.0) - airbox
     oil = (
         get("oil-pressure-relief-valve-psi", 60.0, "PSI"),

@@ -62,6 +62,7 @@ class Mount:
 
     def to_body(self, frame: Frame) -> Matrix:
         """Return the matrix from the thruster's axes to body axes."""
+        # Only the first column matters: the direction of thrust.
         if self.roll_rad is None:
             x, y, z = self.pointing
             return ((x, 0.0, 0.0), (y, 0.0, 0.0), (z, 0.0, 0.0))
@@ -127,6 +128,7 @@ class Jet:
                 cosine, _ = _cosine_sine(frame.get(f"{name}reverser-angle-rad"))
                 axial_thrust = cosine * thrust
         else:
+            # A nozzle loses the ambient pressure over its exit area.
             net = thrust - frame.get("atmosphere/P-psf") * self.area_ft2
             axial_thrust = b.op("max", net, 0.0)
         frame.store(f"{name}thrust-lbs", axial_thrust)
@@ -273,8 +275,10 @@ class Propeller:
         target_rpm = self.rpm[0] + (self.rpm[1] - self.rpm[0]) * frame.get(
             f"fcs/advance-pos-norm{index}"
         )
+        # The governor moves the blades by the error in speed.
         turned = rpm.gt(_PITCH_FROM_RPM).choose(before - (target_rpm - rpm) * frame.step, before)
         governed = turned.lt(low).choose(low, turned.gt(high).choose(high, turned))
+        # Feathering moves 1/300 of the remaining angle in each frame.
         feathering = before + (high - before) / 300.0
         feathered = frame.get(f"fcs/feather-pos-norm{index}").ne(0.0)
         governs = frame.get(f"{name}constant-speed-mode").ne(0.0)
@@ -334,6 +338,7 @@ def read_propeller(scope: Scope, part: Part, mount: Mount) -> Propeller:
                 f"a table '{name}' of a propeller is not understood; {', '.join(_TABLES)} are",
             )
         tables[name] = grid(scope, table)
+    # A variable pitch needs tables over the blade angle.
     pitch = (number(scope, node, "minpitch", 0.0), number(scope, node, "maxpitch", 0.0))
     for name in ("C_THRUST", "C_POWER"):
         if name not in tables:

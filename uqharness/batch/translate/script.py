@@ -42,6 +42,7 @@ def condition(scope: Scope, node: Node) -> Value:
     logic = node.attributes.get("logic", "AND") or "AND"
     if logic not in ("AND", "OR"):
         scope.refuse(node, f"logic='{logic}' of <{node.tag}>: allowed are AND and OR")
+    # Lines and nested elements are joined by the same operator.
     parts = [_comparison(scope, node, line) for line in node.text.split("\n") if line.strip()]
     for child in node.children:
         if child.tag != node.tag:
@@ -128,6 +129,7 @@ class _Event:
         """Add the sections of the event."""
         scope = self.frame.scope(self.document)
         scope.only(self.node, ("name", "persistent", "continuous"))
+        # Refuse what JSBSim would treat differently.
         for child in self.node.children:
             if child.tag not in _PARTS:
                 scope.refuse(
@@ -176,6 +178,7 @@ class _Event:
     def _gradual(self, sets: Sequence[SetAction], delay_s: float, continuous: bool) -> None:
         """Add the sections of an event that acts later, gradually or repeatedly."""
         frame, key = self.frame, self.key
+        # When it triggers: remember old and new values, and the time of action.
         with frame.section(f"{key}: begin", When(mask=f"#{key}/starts")):
             for number, (old, new) in enumerate(self._new_values(sets)):
                 for name, value in (("from", old), ("to", new), ("moves", 1.0)):
@@ -191,6 +194,7 @@ class _Event:
             for number in range(len(sets)):
                 moves = b.op("and", is_acting, frame.memory(f"{key}/{number}/moves").ne(0.0))
                 frame.remember(f"{key}/{number}/acts", moves.choose(1.0, 0.0))
+        # Each action ends at its own time.
         for number, item in enumerate(sets):
             with frame.section(f"{key}: set {number}", When(mask=f"#{key}/{number}/acts")):
                 self._act(item, f"{key}/{number}", continuous)
@@ -200,6 +204,7 @@ class _Event:
         frame, b = self.frame, self.frame.builder
         old, new = frame.memory(f"{key}/from"), frame.memory(f"{key}/to")
         since = frame.get(TIME) - frame.memory(f"{self.key}/at")
+        # Step, ramp or exponential
         if item.action == "step":
             if continuous and item.function is not None:
                 new = function_value(frame.scope(self.document), item.function)
@@ -230,6 +235,7 @@ class _Event:
             self.frame.written_properties is None and name not in self.frame.values
         ):
             scope.refuse(node, f"property {name} is not computed by the batch engine")
+        # JSBSim accepts the kinds with and without FG_.
         words = [
             node.attributes.get(word, "").strip().lower().removeprefix("fg_")
             for word in ("type", "action")
@@ -240,6 +246,7 @@ class _Event:
                 "a <set> has type FG_VALUE, FG_DELTA or FG_BOOL and action FG_STEP, FG_RAMP or"
                 " FG_EXP",
             )
+        # Either a number or one function.
         functions = node.all("function")
         if (
             bool(node.attributes.get("value", "")) == bool(functions)

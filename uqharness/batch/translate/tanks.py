@@ -156,6 +156,7 @@ def feeding(
     n_tanks = float(len(tanks))
     can_feed = [tanks[k].can_feed(frame) for k in feeds]
     priorities = [frame.get(f"{tanks[k].name}priority") for k in feeds]
+    # Lowest priority number among the tanks that can feed.
     lowest_priority: Value = b.constant(n_tanks + 1.0)
     for gives, priority in zip(can_feed, priorities, strict=True):
         lowest_priority = b.op("and", gives, priority.lt(lowest_priority)).choose(
@@ -175,6 +176,7 @@ def trace_tanks(frame: Frame, tanks: Sequence[Tank]) -> None:
     """Add flows from outside and the total fuel, after all engines."""
     total: Value = frame.builder.constant(0.0)
     for tank in tanks:
+        # External flows fill or drain a tank.
         flow = frame.get(f"{tank.name}external-flow-rate-pps")
         if flow.constant != 0.0:
             out = flow.lt(0.0)
@@ -217,6 +219,7 @@ def dry_aircraft(tanks: Sequence[Tank], value: Callable[[str], float]) -> dict[s
     )
     inertia = np.array([value(f"inertia/{name}-slugs_ft2") for name in _INERTIA])
     dry, moment = weight, weight * centre
+    # Subtract the contents of each tank.
     for tank in tanks:
         contents = value(f"{tank.name}contents-lbs")
         place = np.array([value(f"{tank.name}{axis}-position") for axis in _AXES])
@@ -227,6 +230,7 @@ def dry_aircraft(tanks: Sequence[Tank], value: Callable[[str], float]) -> dict[s
         inertia -= np.array(_steiner(contents / SLUG_LB, tuple(centre - place))) + np.array(
             [contents / SLUG_LB * tank.inertia_ft2] * 3 + [0.0] * 3
         )
+    # Centre without fuel, and inertia about it.
     at = moment / dry
     inertia -= np.array(_steiner(dry / SLUG_LB, tuple(centre - at)))
     return dict(zip(DRY, (dry, *at, *inertia), strict=True))
@@ -250,6 +254,7 @@ def _steiner(mass: Value | float, offset_in: Vector) -> list[Value | float]:
 def trace_mass(frame: Frame, tanks: Sequence[Tank], first: bool) -> None:
     """Write MASS; ``first``: in the first frame of all."""
     b = frame.builder
+    # Inertia of tanks is taken about the CG of the frame before.
     before: Vector = (0.0, 0.0, 0.0)
     if not first:
         before = (
@@ -263,6 +268,7 @@ def trace_mass(frame: Frame, tanks: Sequence[Tank], first: bool) -> None:
     moment: list[Value] = [weight * place for place in at]
     dry_mass = weight * (1.0 / SLUG_LB)
     total = weight
+    # Add mass, moment and inertia of each tank's contents.
     for tank in tanks:
         contents, place = tank.contents(frame), tank.place(frame)
         total = total + contents
@@ -276,6 +282,7 @@ def trace_mass(frame: Frame, tanks: Sequence[Tank], first: bool) -> None:
             for k, (i, a) in enumerate(zip(inertia, added, strict=True))
         ]
     centre = [m / total for m in moment]
+    # Parallel-axis term of the rest of the aircraft.
     shift = _steiner(dry_mass, (centre[0] - at[0], centre[1] - at[1], centre[2] - at[2]))
     inertia = [i + m for i, m in zip(inertia, shift, strict=True)]
     frame.store("inertia/weight-lbs", total)

@@ -110,6 +110,7 @@ class Turbine:
         after = lever.gt(1.0).choose(lever - 1.0, 0.0)
         throttle = lever.gt(1.0).choose(lever - after, lever)
         starved = frame.memory(f"{self.key}/starved").ne(0.0)
+        # The spools are set in the first frame of the flight.
         if frame.initialising:
             frame.remember(
                 f"{self.key}/phase", starved.choose(_OFF, _TRIM), self._first_phase(frame)
@@ -142,6 +143,7 @@ class Turbine:
         idle, more = self._thrusts(frame)
         span = n.full[1] - n.idle[1]
         n2 = n.idle[1] + throttle * span
+        # Thrust grows with the square of the relative N2.
         norm = (n2 - n.idle[1]) / span
         thrust = (idle + more * norm * norm) * (1.0 - frame.get(f"{self.name}bleed-factor"))
         if n.method == 1:
@@ -177,8 +179,10 @@ class Turbine:
         cutoff = b.op("and", b.op("not", starts_running), b.op("or", cutoff, is_trimmed))
         n1 = starts_running.choose(n.idle[0] + throttle * (n.full[0] - n.idle[0]), n1)
         n2 = starts_running.choose(n.idle[1] + throttle * (n.full[1] - n.idle[1]), n2)
+        # An engine that is off restarts in the wind if fuel is not cut off.
         windmills = b.op("and", qbar.gt(_LEAST_QBAR_PSF), b.op("not", b.op("or", running, cutoff)))
         phase = b.op("and", windmills, n2.gt(_LEAST_N2)).choose(_START, phase)
+        # No fuel: off, whatever the phase.
         phase = b.op("or", cutoff, starved).choose(_OFF, phase)
         runs, starts = phase.eq(_RUN), phase.eq(_START)
         off = self._off(frame, n1, n2, qbar)
@@ -233,6 +237,7 @@ class Turbine:
         pph, norm, _ = self._memory(frame)
         step, (down1, down2) = frame.step, self.numbers.spin_down
         zero = frame.builder.constant(0.0)
+        # The wind keeps the spools turning.
         if self.numbers.windmills:
             slow1 = _approach(n1, qbar / 10.0, n1 / 2.0 + 0.1, n1 / down1, step)
             slow2 = _approach(n2, qbar / 15.0, n2 / 2.0 + 0.1, n2 / down2, step)
@@ -273,6 +278,7 @@ class Turbine:
         idle, more = self._thrusts(frame)
         pph, norm_before, before = self._memory(frame)
         moved: list[Value] = []
+        # Spool up and down at different rates.
         for k in (0, 1):
             goal = n.idle[k] + throttle * (n.full[k] - n.idle[k])
             up = self._spool(frame, f"N{k + 1}SpoolUp", norm_before, 1.0)
@@ -289,6 +295,7 @@ class Turbine:
         pph = dry.choose(target_pph.lt(idle_pph).choose(idle_pph, target_pph), pph)
         thrust = dry.choose(thrust * (1.0 - frame.get(f"{self.name}bleed-factor")), thrust)
         burning = before
+        # Afterburner that lights at full throttle
         if n.method == 1:
             lit = b.op("and", throttle.gt(_LIT_THROTTLE), moved[1].gt(_LIT_N2))
             burning = lit.choose(1.0, 0.0)
@@ -300,6 +307,7 @@ class Turbine:
                     ),
                     pph,
                 )
+        # Afterburner in proportion to the lever beyond 1
         if n.method == 2:
             lit = after.gt(0.0)
             burning = lit.choose(1.0, 0.0)
@@ -382,6 +390,7 @@ def read_turbine(scope: Scope, part: Part, name: str, index: str) -> Turbine:
 
     names = frozenset(_function_title(child).rpartition("/")[2] for child in node.all("function"))
     augmented, method = int(get("augmented", 0.0)) == 1, int(get("augmethod", 0.0))
+    # Functions that the thrust needs.
     for function_name in (
         "IdleThrust",
         "MilThrust",

@@ -155,6 +155,7 @@ def trace_flight(sources: Sources, dt_s: float, values: Values, request: TraceRe
     _check_settings(values, request.inputs)
     propulsion = read_propulsion(sources, values, request.engines_running)
     stream_slots = {name for stream in request.streams for name in stream.columns}
+    # The dry mass would no longer fit the total.
     if propulsion.tanks and not request.changes_dry_mass and set(request.inputs) & set(MASS):
         raise BadInputError("the mass of an aircraft with tanks cannot differ between lanes here")
     models = FrameModels(
@@ -175,12 +176,14 @@ def trace_flight(sources: Sources, dt_s: float, values: Values, request: TraceRe
     ]
     for frame, phase in zip(frames, (1, 2, 0), strict=True):
         _trace(frame, models, phase)
+    # Records that nothing computes are refused after tracing.
     for name in request.records:
         if not name.startswith("#") and frames[2].read(name) is None:
             raise BadInputError(
                 f"property {name} is not computed by the batch engine, so it cannot be recorded"
             )
     first, second, flight = frames
+    # JSBSim's turbulence needs normals only if its section exists.
     streams = [
         *request.streams,
         *([winds.NORMALS] if any(s.when.mask == winds.MASK for s in flight.sections) else []),
@@ -210,6 +213,7 @@ def _trace_settling(
         frame = Frame(STEADY_STEP_S, values, written_properties, inputs)
         models.propulsion.trace_steady(frame, engine)
         settling.append(frame.program(()))
+    # JSBSim runs one frame without time after the steady state.
     renewed = Frame(0.0, values, written_properties, inputs, models.request.any_step)
     _trace(renewed, models, _RENEWAL)
     return tuple(settling), renewed.program(())
@@ -248,12 +252,14 @@ def _trace(frame: Frame, models: FrameModels, phase: int) -> None:
     sources, propulsion, request = models.sources, models.propulsion, models.request
     frame.hooks.update(_HOOKS)
     frame.live["simulation/dt"] = lambda: frame.step
+    # Before its first run a function is evaluated where it is read.
     for part in (sources.aerodynamics, sources.external):
         if part is not None:
             refuse_inner_names(frame, *part)
             for function in functions_of(part[1]) if phase == 1 else ():
                 compute_where_read(frame, part[0], function)
     propulsion.prepare(frame, phase == 1)
+    # From here on in JSBSim's order of execution.
     with frame.section("time"):
         trace_time(frame)
     if request.gusts_by_heading and phase == 0:
@@ -283,6 +289,7 @@ def _trace(frame: Frame, models: FrameModels, phase: int) -> None:
         trace_totals(
             frame, ("aero", "prop", "external") if propulsion.engines else ("aero", "external")
         )
+        # The histories of the integrators start with these derivatives.
         if phase == 2:
             remember_derivatives(frame)
         trace_accelerations(frame)
