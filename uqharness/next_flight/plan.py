@@ -235,12 +235,10 @@ def widths_over(form: ModelForm, mission: Occupancy) -> dict[str, Width]:
 
 
 MIN_NARROWING = 0.05
-"""Share by which a flight must narrow the interval in the mission's flight states to be worth
-flying.
-"""
+"""Smallest narrowing of the interval on the mission for which a flight is recommended."""
 MAX_SENSOR_SCATTER_RATIO = 1.3
-"""Up to this ratio of the scatter's standard deviation to that of the model's own simulated flight
-it is noise and air.
+"""Largest ratio of the bounds' scatter (standard deviation) to that of the simulated flight that
+sensors and air explain.
 """
 _TURN_RAD = math.radians(8.0)
 _MAX_ATTEMPTS = 8
@@ -394,7 +392,7 @@ def check_form(form: ModelForm, aircraft: Aircraft, coefficient: str, where: str
     if all(not any(term) for term in bounds.terms):
         raise BadInputError(
             f"{where}: the bounds of {coefficient} are constant: they depend on no flight state, so"
-            " there is no place in which data would narrow them more than elsewhere. Make bounds"
+            " no test point narrows them more than another. Make bounds"
             f" of order 1 or 2 from a flight that moves {', '.join(bounds.states)} (uqharness"
             " bounds --order 2), then ask again"
         )
@@ -522,9 +520,9 @@ def try_library(
     if not trials:
         first = refused[0]
         raise BadInputError(
-            f"of {len(points)} test points '{flight.aircraft.name}' bears none; the first,"
+            f"'{flight.aircraft.name}' can fly none of the {len(points)} test points; the first,"
             f" {first.point.name}: {first.reason}. Give other --speeds, or bounds from a flight"
-            " that moves more"
+            " with larger motions"
         )
     return trials, refused
 
@@ -651,9 +649,7 @@ def _simulate(
             remaining = [item for item in remaining if item[0] != remaining[failed_index][0]]
             if not remaining:
                 break
-    raise BadInputError(
-        f"the flight of the chosen test points does not end well: {rejected[-1].reason}"
-    )
+    raise BadInputError(f"the flight of the chosen test points fails: {rejected[-1].reason}")
 
 
 def _scatter(simulated: Residuals, form: ModelForm, coefficient: str) -> float:
@@ -826,8 +822,8 @@ def warnings_of(
         )
     if not campaign.same_aircraft:
         out.append(
-            "the campaign was made by uqharness 0.1: whether its aircraft is as it was cannot be"
-            " told, nor whether its table is"
+            "the campaign was made by uqharness 0.1: later changes of its aircraft or of its table"
+            " cannot be detected"
         )
     if campaign.spec.inputs.model_form is None:
         kind = (

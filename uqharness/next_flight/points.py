@@ -39,11 +39,11 @@ from uqharness.simulator import aircraft as properties
 DOUBLET = ((1, 1.0), (1, -1.0))
 THREE_TWO_ONE_ONE = ((3, 1.0), (2, -1.0), (1, 1.0), (1, -1.0))
 QUIET_S = 1.0
-"""Open loop before the first step: the segment's start state is estimated from it."""
+"""Open loop before the first step, from which the segment's start state is estimated."""
 REST_S = 3.0
 STEADY_S = 6.0
 AMPLITUDES = (0.1, 0.2, 0.35)
-"""Of half the control's travel."""
+"""Shares of half the control's travel."""
 _SURFACES = ("elevator", "aileron", "rudder")
 
 
@@ -237,15 +237,13 @@ AUTOPILOT = (
     "nav/east-m",
     "nav/altitude-error-m",
 )
-"""Properties by which this project's autopilot is known."""
+"""Properties that identify this project's autopilot."""
 RECOVERY_S = 8.0
-"""On the autopilot after a point: from an unsettled state, controls that stand still lead into a
-dive.
-"""
+"""Time on the autopilot after a point; without it fixed controls lead into a dive."""
 TRANSITION_S = 14.0
-"""To another speed or bank, on the autopilot."""
+"""Time on the autopilot to reach another speed or bank."""
 MAX_BANK_RAD, MAX_PITCH_RAD, MAX_HEIGHT_LOSS_M = math.radians(60.0), math.radians(30.0), 35.0
-"""Where the safety pilot takes over: bank, pitch, height below the commanded one."""
+"""Limits at which the safety pilot takes over: bank, pitch, height below the commanded one."""
 _STRAIGHT_RADIUS_M = 3000.0  # radius of a circle that counts as straight: 1 deg of bank at 22 m/s
 _STRAIGHT_PERIOD_S, _TURN_PERIOD_S = 30.0, 17.0  # navigation period on straights and in turns
 
@@ -532,7 +530,7 @@ def _set_turn(condition: Condition) -> Iterator[etree._Element]:
 
 RATE_HZ = 10.0
 MAX_FLIGHT_S = 300.0
-"""Of each flight; states of a mission that repeats itself are known by then."""
+"""Length that is simulated of each flight; enough for a mission that repeats itself."""
 _GOLDEN = 0.6180339887498949
 
 

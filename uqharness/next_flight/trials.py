@@ -47,8 +47,8 @@ from uqharness.simulator import (
 from uqharness.simulator import aircraft as properties
 
 RANGE_EXTENSION = 0.5
-"""A state may leave what has been flown by this share of its range: flight tests go on step by
-step.
+"""Share of its range by which a state may exceed what has been flown: flight tests proceed in
+small steps.
 """
 _FALLBACK_UNIT_S = 0.5
 _DOUBLET_PEAK = 2.331122

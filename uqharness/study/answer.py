@@ -66,7 +66,7 @@ if TYPE_CHECKING:
 # Performance before and after refinement, from the two campaigns of a study.
 
 Sentence = tuple[str, str]
-"""Text and level: good where a claim was tested and held, warn, bad, or empty for a plain fact."""
+"""Text and level: good for a claim that was tested and holds, warn, bad, or empty for a fact."""
 LEVEL_GOOD, LEVEL_WARN, LEVEL_BAD, LEVEL_PLAIN = "good", "warn", "bad", ""
 
 _QUANTITIES = (
@@ -78,12 +78,12 @@ _QUANTITIES = (
 _LEVELS = {YES: LEVEL_GOOD, NO: LEVEL_BAD, OPEN: LEVEL_WARN}
 _ANSWERS = {YES: "yes", NO: "no", OPEN: "inconclusive"}
 TOO_FEW = "too few flight hours"
-"""Why an answer is inconclusive whose statement gives no other reason."""
+"""Reason of an inconclusive answer whose statement has none."""
 MAX_CONDITIONS = 4
-"""Conditions that are told one by one; of more than that, the hardest, with all of them counted."""
+"""Up to this number all conditions are listed; beyond it only the hardest, and counts."""
 LARGE_EXTRAPOLATED_SHARE = 0.1
 NEGLIGIBLE_CHANGE = 0.02
-"""Relative change of a width below which it is called unchanged."""
+"""Relative change of a width that counts as unchanged."""
 
 
 @dataclass(frozen=True)
@@ -492,7 +492,7 @@ _ORDER = (YES, NO, OPEN)
 _CONFIDENCE_WORDS = f"{100 * CONFIDENCE:g} %"
 _TRACK = "cross_track_median_m"
 _MAX_NAMES = 3
-"""Effects that are named in a line; of more than that, the first."""
+"""Number of effects that a line names."""
 
 
 @dataclass(frozen=True)

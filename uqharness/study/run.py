@@ -174,11 +174,11 @@ def stage_key(
 
 
 LOGS = "log"
-"""Folder of what each stage printed."""
+"""Folder of the output of each stage."""
 _SUPERSEDED = "superseded"
 Callback = Callable[[str], None]
 Command = Callable[[list[str]], int]
-"""Runs the words of one ``uqharness`` command in this process; its exit code."""
+"""Runs the words of one ``uqharness`` command in this process; returns its exit code."""
 
 
 def run_chain(

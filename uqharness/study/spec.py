@@ -156,7 +156,7 @@ class _Document(Section):
             self.identify or self.compare or self.bounds or self.refine or self.campaign is not None
         ):
             raise ValueError(
-                "asks for nothing; give at least one of [identify], [compare], [bounds], [refine],"
+                "runs no stage; give at least one of [identify], [compare], [bounds], [refine],"
                 " [campaign]"
             )
         return self

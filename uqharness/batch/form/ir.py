@@ -23,7 +23,7 @@ import numpy as np
 # There is no fused multiply-add.
 
 F64, I64, I1, TABLE = "f64", "i64", "i1", "table"
-"""Kinds of values: a double, its 64 bits as an integer, a truth value; and a row of constant
+"""Kinds of values: a double, its 64 bits as an integer, a truth value; and a table of constant
 doubles, the same in all lanes.
 """
 
@@ -109,7 +109,7 @@ TRANSCENDENTAL: Mapping[str, int] = {
     ),
     **dict.fromkeys(("atan2", "pow", "fmod"), 2),
 }
-"""Names and numbers of arguments; ``form.maths.lower`` writes them out in the other operations."""
+"""Name -> number of arguments; ``form.maths.lower`` expands them into the other operations."""
 
 OPERATIONS: Mapping[str, Operation] = {
     **{name: Operation((F64, F64), F64, f) for name, f in _BINARY.items()},
@@ -124,10 +124,12 @@ OPERATIONS: Mapping[str, Operation] = {
     "select": Operation((I1, F64, F64), F64, np.where),
     "lookup": Operation((TABLE, F64), F64, _lookup),
 }
-"""``min(a, b)`` is ``a if a < b else b`` and ``max(a, b)`` is ``a if a > b else b``: with a NaN, or
-two zeros, the second. ``ne`` is true for a NaN, the other comparisons are false. ``bits`` and
-``double`` view the 64 bits as an integer and back; ``ishr`` fills with zeros. ``lookup`` gives the
-number of a table at an index, cut to a whole one and held at the ends; at 0 for a NaN."""
+"""Name -> operation. ``min(a, b)`` is ``a if a < b else b`` and ``max(a, b)`` is ``a if a > b
+else b``: the second argument for a NaN or two zeros. ``ne`` is true for a NaN, the other
+comparisons are false. ``bits`` and ``double`` view the 64 bits as an integer and back; ``ishr``
+fills with zeros. ``lookup`` returns a table's entry at a truncated index, clipped to the table;
+a NaN index counts as 0.
+"""
 
 
 def numpy_function(operation: str) -> Callable[..., Any]:
@@ -153,7 +155,7 @@ def apply_operation(operation: str, arguments: Sequence[Any]) -> Any:
 
 Constant = float | int | bool
 ConstantValue = Constant | tuple[float, ...]
-"""What a constant node holds."""
+"""Value of a constant node."""
 
 
 class Node(NamedTuple):

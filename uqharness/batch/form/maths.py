@@ -28,8 +28,9 @@ SIGN = -(2**63)
 """The sign bit, as an i64."""
 
 _MAGIC = 6755399441055744.0
-"""1.5 * 2^52: a double of at most 2^51 in size that is added to it loses its fraction, to the
-nearest, and is an integer in the low bits."""
+"""1.5 * 2^52: adding it rounds a double of at most 2^51 in size to the nearest integer, which is
+in the low bits.
+"""
 
 
 @dataclass(frozen=True)
@@ -223,7 +224,7 @@ LOG_TAIL = (
     float.fromhex("0x1.ac4a89c964b82p-4"),
     float.fromhex("0x1.b8d433113b7fap-4"),
 )
-"""the same without its term 2/3, over s^4; error relative to the result 2^-65.5."""
+"""The same without its term 2/3, over s^4; error relative to the result 2^-65.5."""
 
 ATAN = (
     float.fromhex("-0x1.5555555555555p-2"),
@@ -277,34 +278,34 @@ LN2_PARTS = (
     float.fromhex("0x1.62e42fee00000p-1"),
     float.fromhex("0x1.a39ef35793c76p-33"),
 )
-"""ln 2: 32 bits and the rest."""
+"""ln 2: 32 bits and the remainder."""
 
 LN2_THREE = (
     float.fromhex("0x1.62e42fefa2000p-1"),
     float.fromhex("0x1.9ef35793c6000p-41"),
     float.fromhex("0x1.673007e5ed5e8p-81"),
 )
-"""ln 2: 40 bits, 40 bits and the rest."""
+"""ln 2: 40 bits, 40 bits and the remainder."""
 
 LOG2_E_PARTS = (
     float.fromhex("0x1.7154760000000p+0"),
     float.fromhex("0x1.4ae0bf85ddf43p-26"),
     float.fromhex("0x1.fed0691d3e88fp-79"),
 )
-"""1/ln 2: 26 bits, 53 bits, the rest."""
+"""1/ln 2: 26 bits, 53 bits and the remainder."""
 
 LOG10_E_PARTS = (
     float.fromhex("0x1.bcb7b10000000p-2"),
     float.fromhex("0x1.49b9438ca9aadp-28"),
     float.fromhex("0x1.aaafad33dc324p-81"),
 )
-"""1/ln 10: 26 bits, 53 bits, the rest."""
+"""1/ln 10: 26 bits, 53 bits and the remainder."""
 
 LOG10_2_PARTS = (
     float.fromhex("0x1.34413509f6000p-2"),
     float.fromhex("0x1.9fef311f12b36p-42"),
 )
-"""log10 of 2: 40 bits and the rest."""
+"""log10 of 2: 40 bits and the remainder."""
 
 TWO_THIRDS = (
     float.fromhex("0x1.5555555555555p-1"),
@@ -511,10 +512,10 @@ def _log_special_cases(x: Value, value: Value) -> Value:
 
 
 TRIGONOMETRIC_LIMIT = 1.6e6
-"""Arguments of sin, cos and tan beyond it give NaN."""
+"""sin, cos and tan give NaN for larger arguments."""
 
 QUOTIENT_LIMIT = 2.0**50
-"""Quotients of fmod from it on give NaN."""
+"""fmod gives NaN for quotients of this size or more."""
 _TINY, _HUGE = 2.0**-1074, sys.float_info.max
 
 
@@ -638,7 +639,7 @@ EXPANSIONS: Mapping[str, Callable[..., Value]] = {
     "pow": power,
     "fmod": fmod,
 }
-"""Name of the operation to the function that writes it out."""
+"""Name of an operation -> function that expands it."""
 
 
 def _reduce(x: Value) -> tuple[Value, DoubleDouble]:
@@ -722,9 +723,7 @@ def _upper_angle(y: Value, x: Value) -> Value:
 # and ``COSINE`` with the angle's name, and are reused.
 
 SINE, COSINE = "#sine/", "#cosine/"
-"""Begins of the names of slots that have the sine and cosine of the angle in the slot named behind
-them.
-"""
+"""Prefixes of slots with the sine and cosine of an angle; the angle's slot follows."""
 
 _PREFIXES = {"sin": SINE, "cos": COSINE}
 

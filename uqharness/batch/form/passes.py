@@ -36,10 +36,10 @@ from uqharness.batch.form.program import Program, Section, When
 # one that stored them.
 
 PASSED = "#passed/"
-"""The begin of the names of slots that hand values on to what has been moved."""
+"""Prefix of slots that pass values from a section to its moved part."""
 
 _STORE = 2
-"""What a slot more costs, in operations."""
+"""Cost of a further slot, in operations."""
 
 
 def sink(program: Program, keep: Collection[str] = (), stride: int = 1) -> Program:
@@ -212,16 +212,16 @@ def _copy_nodes(
 
 
 ONCE = "#once/"
-"""The begin of the names of slots whose values are computed before the first frame of a call."""
+"""Prefix of slots that the prelude computes."""
 
 _EFFORTS = {"div": 5, "sqrt": 8, "load": 1, "const": 0, "bits": 0, "double": 0, "lookup": 6}
-"""What operations cost, roughly, in simple ones (1)."""
+"""Rough cost of operations, in simple ones (1)."""
 
 _MAX_EFFORT = 1000
-"""Efforts are not counted beyond it: parts that are shared count again and again."""
+"""Costs saturate here, because shared nodes are counted more than once."""
 
 _MIN_EFFORT = 2
-"""A value is computed beforehand if it costs at least so much: then to load it is cheaper."""
+"""Cost from which loading a hoisted value is cheaper than computing it."""
 
 
 def lower_program(program: Program) -> Program:
@@ -473,7 +473,7 @@ def prune_slots(program: Program, keep: Collection[str] = ()) -> Program:
 # lanes always run loses its mask.
 
 SlotConstants = MutableMapping[str, float | None]
-"""Slots to their only value, None where they have several."""
+"""Slot -> its only value, None if it has several."""
 
 
 def propagate_constants(

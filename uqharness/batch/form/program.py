@@ -103,7 +103,7 @@ class Program:
 # lane's channel is contiguous.
 
 BLOCK = 8
-"""Lanes that lie side by side in memory; the width of a vector divides it."""
+"""Lanes that are adjacent in memory; a multiple of every vector width."""
 
 
 class Feed(NamedTuple):

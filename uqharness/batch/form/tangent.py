@@ -16,7 +16,7 @@ from uqharness.batch.form.ir import F64, Builder, Function, Node, Value, slots_r
 from uqharness.batch.form.program import Program
 
 Rate = Value | None
-"""A derivative; None where it is 0 whatever the inputs are."""
+"""A derivative; None if it is identically 0."""
 
 
 def rate_name(name: str, direction: str) -> str:

@@ -84,7 +84,7 @@ from uqharness.simulator import CHANGEABLE, Source, StagedMission
 # initialising frames.
 
 _SETTLING_FRAMES = 200
-"""Turns between two looks at whether engines have come to rest."""
+"""Steps between two tests of whether engines are steady."""
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ def _check_retained(
         if moved.any():
             lane = int(np.argmax(moved))
             raise BadInputError(
-                f"property {name} was set to {expected[lane]:g} and stands at {actual[lane]:g}"
+                f"property {name} was set to {expected[lane]:g} and is {actual[lane]:g}"
                 " after initialising: the model computes it, so it cannot be set"
             )
 
@@ -241,7 +241,7 @@ def _check_retained(
 # lanes with the same seeds.
 
 Air = tuple[float, float, float]
-"""Airspeed [m/s], height [m] and span [m] from which the host's gusts are made."""
+"""Airspeed [m/s], height [m] and span [m] of the host's gusts."""
 Splits = tuple[Split, ...]
 
 
@@ -520,7 +520,7 @@ class _Window:
 
 HEIGHT, SPEED = "position/h-agl-ft", "velocities/vt-fps"
 _CHUNK = 4000
-"""Frames flown between two looks at which lanes have ended."""
+"""Frames between two tests of which lanes have ended."""
 
 
 _BEYOND_REASON = (
@@ -622,7 +622,7 @@ class Course:
         frames = {one.frame for one in snapshots}
         if len(frames) != 1:
             raise ValueError(
-                f"flights of one course stand behind the same frame; received {sorted(frames)}"
+                f"flights of one course must be at the same frame; received {sorted(frames)}"
             )
         self._mission, self.frame = mission, frames.pop()
         self._snapshots = list(snapshots)
@@ -902,9 +902,9 @@ def _to_recorded(mission: CompiledMission, end: End, records: FloatArray) -> Rec
 # Many flights at once: the results of ``flight.fly`` to rounding.
 
 _RECORD_BYTES = 100_000_000
-"""Records of lanes that are flown together."""
+"""Memory for the records of lanes that are flown together."""
 _FIXED = ("simulation/integrator/", "simulation/gravity-model")
-"""Properties that decide which program flies."""
+"""Properties that select the program."""
 _CACHE_SIZE = 24
 
 

@@ -56,16 +56,16 @@ _DECLARING = (
     "run",
     "propulsion",
 )
-"""Elements whose property children declare; elsewhere they read."""
+"""Elements whose property children declare a property; in others they read it."""
 _START = re.compile(r"(?<![\w/])(?:/?fdm/jsbsim/)?ic/[\w.\-]+(?:\[\d+\])?")
 _ENGINE = "propulsion/engine"
 WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
-"""The steady wind as JSBSim blows it."""
+"""The steady wind in JSBSim."""
 AIR_WIND = ("air/wind-mps", "air/wind-from-deg", "air/turbulence-w20-kt")
-"""The conditions of a flight as the air system has them: one program flies them all."""
+"""Inputs of the air system, which differ between lanes of one program."""
 GROUND_SPEED = tuple(f"velocities/v-{axis}-fps" for axis in ("north", "east", "down"))
 _STATIC = ("inertia/", "metrics/")
-"""What loading alone does not fill in."""
+"""Prefixes of properties that JSBSim computes only when it initialises."""
 
 
 @dataclass(frozen=True)

@@ -60,9 +60,9 @@ from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS
 
 TERRAIN = "position/terrain-elevation-asl-ft"
 _RECORD_BYTES = 8_000_000
-"""Records of lanes that are flown together: the memory is used again."""
+"""Memory for the records of lanes that are flown together."""
 _MIN_LENGTH_RATIO = 0.9
-"""Length of the shortest of lanes flown together, in that of the longest."""
+"""Smallest length of a job relative to the longest one in its group."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,9 @@ def make_replay(
     # Constant folding may have removed the section that read a stream.
     read = {name for section in program.sections for name in section.function.slots}
     if any(read & set(stream.columns) for stream in program.streams if stream is not fed):
-        raise BadInputError("the aircraft has turbulence of its own, which a replay does without")
+        raise BadInputError(
+            "the aircraft switches on JSBSim's turbulence, which replays do not support"
+        )
     program = replace(program, streams=(fed,))
     return ReplayProgram(flight, program, fed.columns, names, stride)
 
@@ -348,9 +350,9 @@ def _extend_controls(controls: FloatArray, frames: int) -> FloatArray:
 # Evaluation at given states: JSBSim's two initialising frames, compiled, for all states at once.
 
 _CHUNK = 4096
-"""States computed together: their memory is used again."""
+"""States that are computed together."""
 RATES = ("aero/alphadot-rad_sec", "aero/betadot-rad_sec")
-"""What JSBSim takes from the accelerations of the frame before."""
+"""Properties that JSBSim computes from the accelerations of the frame before."""
 
 
 @dataclass(frozen=True)

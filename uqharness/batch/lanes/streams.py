@@ -49,12 +49,10 @@ _RANGE = float(MODULUS - 1)
 _BELOW_ONE = float(np.nextafter(1.0, 0.0))
 _CHUNK = 4096
 _ACCEPTANCE = np.pi / 4.0
-"""Of tries that give normals."""
+"""Share of tries that are accepted."""
 
 Tries = Callable[[int, int], tuple[FloatArray, int]]
-"""Takes the generator's state and a number of tries; gives their normals, in order, and the state
-behind them.
-"""
+"""(state of the generator, number of tries) -> (normals in order, state after them)."""
 
 
 class JsbsimNormals:
@@ -149,11 +147,11 @@ GUSTS = Stream(
         for name in ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
     ),
 )
-"""Host gusts, a row a frame."""
+"""Host gusts, one row per frame."""
 LEVELS = Stream("levels", tuple(f"uq/{name}/level" for name in COEFFICIENTS))
-"""Moving levels, a row a frame."""
+"""Moving levels, one row per frame."""
 TRANSIENTS = Stream("transients", tuple(f"uq/{name}/transient-level" for name in COEFFICIENTS))
-"""Moving levels of the transient part, a row a frame."""
+"""Moving levels of the transient part, one row per frame."""
 
 _MAX_PERIOD = 100_000
 
@@ -334,9 +332,7 @@ class HostGusts:
         for a split at another row.
         """
         if split.frame != self._row:
-            raise ValueError(
-                f"the gusts stand at row {self._row}; received a split at {split.frame}"
-            )
+            raise ValueError(f"the gusts are at row {self._row}; received a split at {split.frame}")
         other = copy.copy(self)
         # Between two pages the filters themselves can branch.
         if not len(self._stored):

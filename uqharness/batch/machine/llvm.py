@@ -48,9 +48,7 @@ class Target:
 SCALAR = Target("x86-64", "", 1, rounds=False)
 SSE2 = Target("x86-64", "", 2, rounds=False)
 AVX2 = Target("x86-64-v3", "", 8)
-"""Two registers side by side: a chain of operations waits less, which is worth more than what then
-goes through memory.
-"""
+"""Two registers side by side: independent chains hide latencies, which outweighs the spills."""
 AVX512 = Target("x86-64-v4", "", 8)
 
 
@@ -75,9 +73,8 @@ def _features() -> Mapping[str, bool]:
 
 
 VECTORS = "UQHARNESS_VECTORS"
-"""Environment variable that names the target to compile for: scalar, sse2, avx2 or avx512.
-
-Results have the same bytes.
+"""Environment variable that names the target: scalar, sse2, avx2 or avx512. Results are
+bit-identical.
 """
 
 
@@ -162,9 +159,7 @@ _CALL = {"sqrt": "llvm.sqrt", "abs": "llvm.fabs"}
 _TYPES = {F64: "double", I64: "i64", I1: "i1"}
 
 Place = Callable[[str, str], tuple[str, int]]
-"""Where an ``input``, ``load``, ``output`` or ``store`` of that name reads or writes: a pointer and
-doubles from there.
-"""
+"""(``input``, ``load``, ``output`` or ``store``, name) -> base pointer and offset in doubles."""
 
 
 class Vectors:

@@ -78,7 +78,7 @@ Tries = Callable[[int, int], tuple[FloatArray, int]]
 
 Points = Callable[[Sequence[Any], random_numbers.Operations], tuple[Any, Any, Any]]
 _CHUNK = 8192
-"""Tries computed at once, so that they stay in the processor's cache."""
+"""Tries that are computed together, so that they stay in the cache."""
 
 
 def compiled_tries(target: Target, modulus: int, multiplier: int, points: Points) -> Tries:
@@ -260,7 +260,7 @@ def _hexadecimal(value: float) -> str:
 # Recursion of the gust filters: the results of ``dryden.numpy_recursion``, bit for bit.
 
 _CHAINS = 4
-"""Segments summed at once: one sum waits for itself in each step."""
+"""Segments that are summed side by side, because each sum depends on its last term."""
 
 
 @lru_cache(maxsize=8)

@@ -35,10 +35,10 @@ _SLOPES = tuple((t1 - t0) / (h1 - h0) for (h0, t0), (h1, t1) in itertools.pairwi
 
 PRODUCED = ("atmosphere/T-R", "atmosphere/P-psf", "atmosphere/rho-slugs_ft3", "atmosphere/a-fps")
 SETTINGS = {"atmosphere/delta-T": 0.0, "atmosphere/P-sl-psf": 2116.228}
-"""What may be set, and the standard day's values."""
+"""Settable properties, with the values of the standard day."""
 
 STANDARD_DENSITY_SLUGS_FT3 = SETTINGS["atmosphere/P-sl-psf"] / (_R_DRY * _LAYERS[0][1])
-"""At sea level of the standard day."""
+"""Density at sea level on the standard day."""
 
 
 def trace_atmosphere(frame: Frame) -> None:
@@ -147,15 +147,15 @@ def _standard_height(value: Value, feet: list[Value], exponents: list[float]) ->
 # 4.8, with Rayleigh's formula behind a shock. Viscosity: US Standard Atmosphere 1976, eq 51.
 
 _KT = FT_M / KT_MPS
-"""Knots in a foot per second."""
+"""Knots per foot per second."""
 _P0_PSF, _A0_FPS = 2116.228, 1116.4485575897318
-"""Standard day at sea level, as JSBSim 1.3.3 has it."""
+"""Standard day at sea level, with the digits of JSBSim 1.3.3."""
 _VISCOSITY, _SUTHERLAND_R = 2.269690e-8, 198.72
 """Sutherland's constants, slug/(s ft sqrt(R)) and deg R."""
 _RAYLEIGH, _SUPERSONIC = 166.9215800931683, 0.8812848543473311
 """1.2^3.5 6^2.5, and 1.2^-1.75 (6/7)^-1.25."""
 _TURNS = 10
-"""Iterations of a supersonic Mach number."""
+"""Iterations for a supersonic Mach number."""
 
 
 def trace_air_data(frame: Frame) -> None:

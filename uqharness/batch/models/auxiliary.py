@@ -198,11 +198,11 @@ def trace_start_distance(frame: Frame) -> None:
 # aerodynamics, with position and attitude of the same frame.
 
 TOUCHED = "#ground/time"
-"""Slot: when a point first touched [s]; -1 until then."""
+"""Slot with the time of the first contact [s]; -1 before."""
 POINT = "#ground/point"
-"""Slot: the number of that point."""
+"""Slot with the index of the point that touched first; -1 before."""
 _DOWN = 0.99
-"""Position of a gear from which on JSBSim takes it for down."""
+"""Gear position from which JSBSim counts the gear as down."""
 
 
 def trace_ground(frame: Frame, points: Sequence[ContactPoint]) -> None:

@@ -47,7 +47,7 @@ from uqharness.batch.translate.frame import TIME, Frame
 
 A_FT = 20925646.32546
 B_FT = 20855486.5951
-"""Half axes of the ellipsoid."""
+"""Semi-minor axis of the ellipsoid; ``A_FT`` is the semi-major one."""
 GM_FT3_S2 = 14.0764417572e15
 J2 = 1.08262982e-3
 RATE_RADPS = 0.00007292115
@@ -164,8 +164,8 @@ WEIGHTS = {
     4: (23.0 / 12.0, -16.0 / 12.0, 5.0 / 12.0),
     5: (55.0 / 24.0, -59.0 / 24.0, 37.0 / 24.0, -9.0 / 24.0),
 }
-"""JSBSim's numbers of integrators to weights of the derivatives, newest first: none, Euler,
-trapezoidal, Adams-Bashforth 2 to 4.
+"""JSBSim's number of an integrator -> weights of the derivatives, newest first: none, Euler,
+trapezoidal, Adams-Bashforth of order 2 to 4.
 """
 INTEGRATORS = {
     "attitude": "simulation/integrator/position/rotational",
@@ -479,7 +479,7 @@ CONDITIONS = (
     "ic/q-rad_sec",
     "ic/r-rad_sec",
 )
-"""What a start is made of."""
+"""Properties that define a start."""
 _BITS = 44
 
 

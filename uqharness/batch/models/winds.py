@@ -31,9 +31,7 @@ _PSI = "atmosphere/psiw-rad"
 DRAWS = tuple(f"#turbulence/nu-{k}" for k in ("u", "v", "w", "p"))
 COUNTER = "#turbulence/row"
 NORMALS = Stream("turbulence", DRAWS, counter=COUNTER)
-"""Standard normals of JSBSim's atmosphere generator, a row for each frame in which the
-filters run.
-"""
+"""Standard normals of JSBSim's atmosphere generator, one row per frame in which the filters run."""
 MASK, HIGH = "#turbulence/on", "#turbulence/high"
 
 _HEIGHTS = (
@@ -114,7 +112,7 @@ WRITES: Mapping[str, Callable[[Frame, Value], None]] = {
     TYPE: _integer_write(TYPE),
     _SEVERITY: _integer_write(_SEVERITY),
 }
-"""For ``Frame.hooks``: properties whose setting moves others, or that are cut."""
+"""For ``Frame.hooks``: properties whose setting changes others, or that are truncated."""
 
 
 def _size(frame: Frame) -> Value:
@@ -162,9 +160,9 @@ def trace_winds(frame: Frame) -> None:
             _switch_turbulence(frame, kind)
         elif kind.constant != 0.0 and frame.get(_SEVERITY).constant != 0.0:
             raise BadInputError(
-                f"{TYPE} stands at {kind.constant:g} from the start of the flight: the batch engine"
-                " has turbulence of type 4 that is switched on in flight, as the air system"
-                " does it"
+                f"{TYPE} is {kind.constant:g} from the start of the flight: the batch engine"
+                " supports turbulence of type 4, and only if it is switched on in flight, as the"
+                " air system does"
             )
     if kind.constant is None:
         with frame.section("turbulence: aloft", When(mask=HIGH)):

@@ -145,7 +145,7 @@ def _stall(frame: Frame, scope: Scope, limits: Sequence[Node]) -> None:
             or sum(other.tag == node.tag for other in limits) > 1
         ):
             scope.refuse(
-                node, f"<{node.tag}> stands once, with one <min> and one <max> in RAD or DEG"
+                node, f"<{node.tag}> occurs once, with one <min> and one <max> in RAD or DEG"
             )
         for tag, name in zip(("min", "max"), _LIMITS[node.tag], strict=True):
             child = node.all(tag)[0]
@@ -194,7 +194,7 @@ def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vec
         scope.only(axis, ("name", "unit", "frame"))
         name = axis.attributes.get("name", "")
         if name in by_name:
-            scope.refuse(axis, f"axis {name} stands here twice")
+            scope.refuse(axis, f"axis {name} occurs twice")
         if name not in _MOMENTS and not any(name in names for names in _FORCES.values()):
             scope.refuse(axis, f"axis '{name}' is not understood")
         if axis.attributes.get("frame", "") not in _FRAMES:

@@ -81,14 +81,14 @@ KINDS: Mapping[str, Kind] = {
     "gyro": Kind(filters.gyro, (*_MEASURED, "axis", "orientation")),
     "accelerometer": Kind(filters.accelerometer, (*_MEASURED, "axis", "orientation", "location")),
 }
-"""Components that are understood."""
+"""Supported components by tag."""
 
 REFUSED: Mapping[str, str] = {
     "magnetometer": "takes the field of the day on which it runs",
     "waypoint_heading": "finds geodesics on the ellipsoid, which the batch engine does not",
     "waypoint_distance": "finds geodesics on the ellipsoid, which the batch engine does not",
 }
-"""Components of JSBSim's that are not, and why."""
+"""Components of JSBSim that are not supported -> reason."""
 
 
 def trace(c: Component) -> None:
@@ -404,7 +404,7 @@ class _Channel:
 # Files of an aircraft and its mission: main file, systems in execution order, script.
 
 Part = tuple[Document, Node]
-"""An element and the file that it stands in."""
+"""An element and its file."""
 
 _SYSTEMS = ("system", "flight_control", "autopilot")
 _ELEMENTS = (
@@ -484,10 +484,10 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
         if node.tag in _SYSTEMS:
             # JSBSim reads only the first of these.
             if node.tag != "system" and any(one.node.tag == node.tag for one in systems):
-                raise BadInputError(f"{document.where(node)}: <{node.tag}> stands here twice")
+                raise BadInputError(f"{document.where(node)}: <{node.tag}> occurs twice")
             systems.append(System(*part, None if part[1] is node else (document, node)))
         elif node.tag in parts and node.tag not in ("input", "output"):
-            raise BadInputError(f"{document.where(node)}: <{node.tag}> stands here twice")
+            raise BadInputError(f"{document.where(node)}: <{node.tag}> occurs twice")
         else:
             parts[node.tag] = part
     # JSBSim runs systems first, then the autopilot, then the flight control.

@@ -34,10 +34,10 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "OHMS": {"OHMS": 1.0},
     "AMPERES": {"AMPERES": 1.0},
 }
-"""Unit that is wanted to units that may be given and the factor by which JSBSim converts them."""
+"""Required unit -> allowed units -> JSBSim's conversion factor."""
 
 MANIFOLD_PA_INHG, MANIFOLD_PA_PSF = 3386.38, 47.88
-"""What JSBSim's piston engines compute with."""
+"""Conversion factors of JSBSim's piston engines."""
 
 
 # Numbers, tables, and files in which '#' stands for the engine's number.
@@ -45,7 +45,7 @@ MANIFOLD_PA_INHG, MANIFOLD_PA_PSF = 3386.38, 47.88
 Part = tuple[Document, Node]
 
 TEXT = ("description", "documentation", "limitation", "note", "reference")
-"""Elements that say nothing to JSBSim."""
+"""Elements that JSBSim ignores."""
 
 
 def refuse_unknown(

@@ -263,7 +263,7 @@ def settling_slot(engine: Engine) -> str:
 
 
 STEADY_STEP_S = 0.5
-"""Step of JSBSim's way to a steady state."""
+"""Step of JSBSim's iteration to a steady state."""
 
 
 def read_propulsion(sources: Sources, values: Values, engines_running: bool = False) -> Propulsion:

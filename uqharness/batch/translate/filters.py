@@ -97,7 +97,7 @@ washout_filter = _filter(_washout)
 # negative. The integral also moves in the initialising frames.
 
 _NO_TRIGGER = 0.000001
-"""A trigger nearer to 0 than this lets the integral run."""
+"""The integral runs for triggers below this size."""
 
 
 def _rectangular(x: Value, _: Value, __: Callable[[], Value]) -> Value:
@@ -423,8 +423,8 @@ def _noisy(c: Component, value: Value, stuck: Value) -> Value:
     if normal is None:
         c.scope.refuse(
             node,
-            f"{distribution.lower()} <noise> draws from JSBSim's generator, and no stream stands"
-            " for it here",
+            f"{distribution.lower()} <noise> draws random numbers for which the batch engine"
+            " has no stream",
         )
     return value * (1.0 + size * normal) if variation == "PERCENT" else value + size * normal
 

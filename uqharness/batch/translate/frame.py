@@ -162,15 +162,17 @@ def is_number(text: str) -> bool:
 
 TIME = "simulation/sim-time-sec"
 STEP = "#step"
-"""Slot of the step [s] where it is a number of the lane."""
+"""Slot with the step [s], if it differs between lanes."""
 MAX_SECTIONS, MAX_OPERATIONS, MAX_SLOTS = 2_000, 60_000, 2_500
-"""Of a frame: E-SPAARO has 40, 3,800 and 520. At the limits compiling takes some ten seconds."""
+"""Limits of a frame; E-SPAARO has 40, 3,800 and 520. Compiling takes about ten seconds at the
+limits.
+"""
 OUT_OF_RANGE = "#beyond"
-"""Slot that is not 0 once a function had an argument beyond the engine's range: what the lane flies
-from there is not JSBSim's.
+"""Slot that is nonzero once a function had an argument beyond the engine's range; the lane's
+results are not JSBSim's from then on.
 """
 INITIALISED = "initialised:"
-"""Before a property's name: its value behind JSBSim's initialising frames."""
+"""Prefix of a property's name for its value after JSBSim's initialising frames."""
 
 
 class Values(dict[str, float]):
@@ -546,7 +548,7 @@ REQUIRED: Mapping[str, float] = MappingProxyType(
         },
     }
 )
-"""Settings of JSBSim to the only value that the batch engine has."""
+"""Settings of JSBSim -> the only supported value."""
 
 
 def made_by_jsbsim(name: str) -> bool:
@@ -610,7 +612,7 @@ HOOKS: Mapping[str, Callable[[Frame, Value], None]] = {
     for surface in _SURFACES
     for unit in ("rad", "deg")
 }
-"""For ``Frame.hooks``: properties whose setting moves others."""
+"""For ``Frame.hooks``: properties whose setting changes others."""
 
 
 def copy_levers(frame: Frame, engines: int) -> None:

@@ -119,7 +119,7 @@ ROTATIONS: Mapping[str, tuple[int, Callable[[Scope, Sequence[Value]], Value]]] =
     "rotation_bf_to_wf": (7, _body_to_wind),
     "rotation_wf_to_bf": (7, _wind_to_body),
 }
-"""Tag to the number of arguments and the value."""
+"""Tag -> number of arguments and function that makes the value."""
 
 
 # Tables in one, two and three dimensions. As experiments with JSBSim 1.3.3 show: keys are clamped
@@ -131,9 +131,7 @@ ROTATIONS: Mapping[str, tuple[int, Callable[[Scope, Sequence[Value]], Value]]] =
 
 _AXES = ("row", "column", "table")
 _MIN_LOOKUP = 24
-"""Intervals from which on numbers are looked up in memory: below, to choose among all of them costs
-less.
-"""
+"""Number of intervals from which a lookup in memory is cheaper than selecting by comparisons."""
 
 
 @dataclass(frozen=True)
@@ -361,9 +359,9 @@ def _check_increasing(scope: Scope, node: Node, points: tuple[float, ...], axis:
 
 _DESCRIPTIONS = ("description", "documentation")
 _RANDOM = {"random": ("mean", "stddev"), "urandom": ("lower", "upper")}
-"""Attributes of the elements that draw, beside seed."""
+"""Attributes of random elements, besides seed."""
 _NEAR_ZERO = 1e-9
-"""JSBSim takes what is nearer to 0 for false, and other sizes up to 1 + 1e-9 for true."""
+"""JSBSim takes smaller sizes for false, and other sizes up to 1 + 1e-9 for true."""
 
 
 @dataclass(frozen=True)
@@ -494,7 +492,7 @@ def _random_value(scope: Scope, node: Node) -> Value:
     standard = scope.draw(node)
     if standard is None:
         scope.refuse(
-            node, f"<{node.tag}> draws from JSBSim's generator, and no stream stands for it here"
+            node, f"<{node.tag}> draws a random number for which the batch engine has no stream"
         )
     a, b = (
         scope.number(node, node.attributes[k]) if k in node.attributes else None

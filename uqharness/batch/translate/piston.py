@@ -65,7 +65,7 @@ _TAGS = (
     "table",
     "injected",
 )
-"""JSBSim's piston engines do not know of injected, and nothing is done with bore."""
+"""Allowed elements; JSBSim ignores injected and bore."""
 _COMBUSTION = Grid(
     (0.0, 0.9, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.4, 1.5, 1.6, 2.0),
     (),

@@ -163,7 +163,7 @@ _PROPELLER_TAGS = (
     "sense",
     "reversepitch",
 )
-"""JSBSim reads p_factor and sense from <thruster>; what stands here of them it ignores, and
+"""Allowed elements. JSBSim reads p_factor and sense from <thruster> and ignores them here, and
 reversepitch without a turboprop.
 """
 _MIN_RPS = 0.01

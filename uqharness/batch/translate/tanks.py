@@ -204,11 +204,9 @@ MASS = (
     *(f"inertia/cg-{axis}-in" for axis in _AXES),
     *(f"inertia/{name}-slugs_ft2" for name in _INERTIA),
 )
-"""What is written in each frame."""
+"""Properties that are written in each frame."""
 DRY = ("#dry/weight", *(f"#dry/{axis}" for axis in _AXES), *(f"#dry/{name}" for name in _INERTIA))
-"""Slots of the aircraft without fuel: weight [lbs], place [in], inertia about that place [slug
-ft2].
-"""
+"""Slots of the aircraft without fuel: weight [lbs], centre [in], inertia about it [slug ft2]."""
 
 
 def dry_aircraft(tanks: Sequence[Tank], value: Callable[[str], float]) -> dict[str, float]:

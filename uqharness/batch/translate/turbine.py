@@ -27,7 +27,7 @@ FUNCTIONS = (
     "N2SpoolUp",
     "N2SpoolDown",
 )
-"""Names of functions to which JSBSim gives those of the engine's properties."""
+"""Names of functions that JSBSim makes properties of the engine."""
 _TAGS = (
     "milthrust",
     "maxthrust",
