@@ -250,10 +250,16 @@ def run_chain(
             callback(f"[{number}/{len(stages)}] {stage.name}")
             try:
                 _run_stage(
-                    run, stage, row, out, workers, lambda: write_study(out, document), callback
+                    run,
+                    stage,
+                    row,
+                    out,
+                    workers,
+                    save=lambda: write_study(out, document),
+                    callback=callback,
                 )
-            # Interrupted: the state "running" stays, and the next call resumes.
             except KeyboardInterrupt:
+                # Interrupted: the state "running" stays, and the next call resumes.
                 raise
             except BaseException as error:
                 # Any other error ends the study; the finished stages stay.
@@ -350,6 +356,7 @@ def _run_stage(
     row: dict[str, Any],
     out: Path,
     workers: int | None,
+    *,
     save: Callable[[], None],
     callback: Callback,
 ) -> None:

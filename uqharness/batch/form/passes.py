@@ -173,12 +173,11 @@ def _split(function: Function, names: Collection[str], turns: int, number: int) 
     if exclusive * (turns - 1) <= duplicated + _STORE * len(passed) * turns:
         return None
     builder, values = _copy_nodes(function, retained | set(passed), {})
-    left_stores = {name: values[index] for name, index in staying.items()}
-    left_stores |= {name: values[index] for index, name in passed.items()}
+    remaining_stores = {name: values[index] for name, index in staying.items()}
+    remaining_stores |= {name: values[index] for index, name in passed.items()}
     moved, moved_values = _copy_nodes(function, cone, {**stored, **passed})
-    first = builder.finish({}, left_stores)
     return _Parts(
-        first,
+        builder.finish({}, remaining_stores),
         moved.finish({}, {name: moved_values[index] for name, index in moving.items()}),
         tuple(passed.values()),
     )
@@ -289,9 +288,9 @@ def fuse_sections(program: Program) -> Program:
         group = groups[-1] if groups else None
         mask = section.when.mask
         if (
-            # A section whose mask is stored by the group must see the new mask.
             group is None
             or group[0].when != section.when
+            # A section whose mask is stored by the group must see the new mask.
             or any(mask in other.function.stores for other in group)
         ):
             groups.append([section])

@@ -269,6 +269,7 @@ class Feeder:
         lanes: LaneMission,
         specs: Sequence[FlightSpec],
         airs: Sequence[Air],
+        *,
         initial_noise: Mapping[int, Noise] | None = None,
         frame: int = 0,
         splits: Sequence[Splits] | None = None,
@@ -295,7 +296,7 @@ class Feeder:
         feeder must not be used afterwards.
         """
         specs, airs = [self._specs[k] for k in lanes], [self._airs[k] for k in lanes]
-        other = Feeder(self._lanes, specs, airs, None, frame, splits, self._target)
+        other = Feeder(self._lanes, specs, airs, frame=frame, splits=splits, target=self._target)
         other._branching = True
         # Share noise, turbulence and series that continue unchanged.
         for place, spec in enumerate(other._specs):
@@ -638,9 +639,8 @@ class Course:
             mission.lanes,
             [one.spec for one in snapshots],
             [one.air for one in snapshots],
-            None,
-            self.frame,
-            [one.splits for one in snapshots],
+            frame=self.frame,
+            splits=[one.splits for one in snapshots],
         )
 
     @classmethod
@@ -671,7 +671,7 @@ class Course:
             ],
         )
         # The noise of initialising continues in flight.
-        course._feeder = Feeder(lanes, specs, airs, initial.noise)
+        course._feeder = Feeder(lanes, specs, airs, initial_noise=initial.noise)
         return course
 
     @property

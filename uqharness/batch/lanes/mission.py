@@ -23,6 +23,7 @@ from uqharness.batch.models.auxiliary import POINT, TOUCHED
 from uqharness.batch.models.motion import CONDITIONS, WEIGHTS_PARTS, round_44_bits, slots
 from uqharness.batch.translate.channels import Sources, read_sources
 from uqharness.batch.translate.engines import settling_slot
+from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight
 from uqharness.batch.translate.frame import (
     INITIALISED,
     OUT_OF_RANGE,
@@ -32,7 +33,6 @@ from uqharness.batch.translate.frame import (
     made_by_jsbsim,
 )
 from uqharness.batch.translate.tanks import DRY, MASS, dry_aircraft
-from uqharness.batch.translate.whole import Flight, TraceRequest, trace_flight
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     ContactPoint,

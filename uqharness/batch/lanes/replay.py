@@ -53,8 +53,8 @@ from uqharness.batch.models.motion import (
     start_state,
 )
 from uqharness.batch.translate.channels import Sources
+from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight
 from uqharness.batch.translate.frame import STEP, Values, canonical
-from uqharness.batch.translate.whole import Flight, TraceRequest, trace_flight
 from uqharness.errors import BadInputError
 from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS
 
@@ -214,6 +214,7 @@ def trace_replay(
     controls: Sequence[str],
     inputs: Collection[str],
     records: Sequence[str],
+    *,
     engines_running: bool = False,
     renewal: bool = False,
 ) -> tuple[Flight, Stream, tuple[str, ...]]:

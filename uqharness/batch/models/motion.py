@@ -278,7 +278,7 @@ def trace_propagate(frame: Frame, methods: dict[str, int]) -> None:
     _remember(
         frame, INERTIAL, [b.value(inertial_to_body[i][j]) for i in range(3) for j in range(3)]
     )
-    _publish(frame, at, uvw, pqr, rates, ned, local_to_body)
+    _publish(frame, at, uvw=uvw, pqr=pqr, rates=rates, ned=ned, local_to_body=local_to_body)
     _publish_place(frame, at, position, velocity)
 
 
@@ -318,6 +318,7 @@ def _column(m: Matrix, k: int) -> Vector:
 def _publish(
     frame: Frame,
     at: Place,
+    *,
     uvw: Vector,
     pqr: Vector,
     rates: Vector,

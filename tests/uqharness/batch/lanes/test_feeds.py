@@ -20,7 +20,11 @@ def made(specs, frames=400):
         len(specs),
         {n: v for n, v in started.values.items() if n in lanes.program.slots},
     )
-    return lanes, Feeder(lanes, specs, airs_of(lanes, specs, started.values), started.noise), state
+    return (
+        lanes,
+        Feeder(lanes, specs, airs_of(lanes, specs, started.values), initial_noise=started.noise),
+        state,
+    )
 
 
 def specs(seeds=(1, 2, 1), **changes):

@@ -81,9 +81,7 @@ def test_begin_gives_each_lane_its_own():
 
 def test_what_the_model_computes_cannot_be_set():
     """JSBSim's engine says the same of a property that initialising overwrites."""
-    with pytest.raises(
-        BadInputError, match="uq/CZ/delta was set to 1 and is 0 after initialising"
-    ):
+    with pytest.raises(BadInputError, match="uq/CZ/delta was set to 1 and is 0 after initialising"):
         fly_many([spec(properties={"uq/CZ/delta": 1.0}, duration_s=2.0)])
 
 

@@ -10,8 +10,8 @@ from tests.helpers.few import few
 from uqharness.batch.lanes.mission import constant_properties, initial_values
 from uqharness.batch.models.auxiliary import POINT, TOUCHED
 from uqharness.batch.models.motion import CONDITIONS
+from uqharness.batch.translate.flight import TraceRequest, trace_flight
 from uqharness.batch.translate.frame import Values
-from uqharness.batch.translate.whole import TraceRequest, trace_flight
 from uqharness.flight.fly import contact_points
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft
