@@ -461,13 +461,13 @@ class Builder:
             return None
         assert isinstance(last_value, float)
         if (operation in ("mul", "div") and last_value == 1.0) or (
-            operation == "sub" and _same_bits(last_value, 0.0)
+            operation == "sub" and same_bits(last_value, 0.0)
         ):
             return first
         if operation == "mul" and last_value == -1.0:
             return self._intern("neg", (first,))
         # x + 0.0 is not x if x is -0.0; x + -0.0 is.
-        if operation == "add" and _same_bits(last_value, -0.0):
+        if operation == "add" and same_bits(last_value, -0.0):
             return first
         # Division by a power of two is an exact multiplication, which is cheaper.
         if operation == "div" and _exact_reciprocal(last_value):
@@ -616,7 +616,7 @@ def _renumber(node: Node, place: Mapping[int, int]) -> Node:
     )
 
 
-_MAKE: Mapping[str, Callable[..., Any]] = {
+NUMPY_TYPES: Mapping[str, Callable[..., Any]] = {
     F64: np.float64,
     I64: np.int64,
     I1: np.bool_,
@@ -627,10 +627,10 @@ _MAKE: Mapping[str, Callable[..., Any]] = {
 def numpy_constant(node: Node) -> Any:
     """Return the value of a constant node as numpy's type of its kind."""
     assert node.value is not None
-    return _MAKE[node.kind](node.value)
+    return NUMPY_TYPES[node.kind](node.value)
 
 
-def _same_bits(a: Constant, b: float) -> bool:
+def same_bits(a: Constant, b: float) -> bool:
     """Return whether two doubles have the same bits."""
     return struct.pack("<d", float(a)) == struct.pack("<d", b)
 

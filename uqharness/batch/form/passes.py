@@ -9,23 +9,20 @@ sections use may have other values afterwards, or be removed.
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Collection, Iterable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from uqharness.batch.form.ir import (
     F64,
     I1,
-    I64,
-    TABLE,
+    NUMPY_TYPES,
     Builder,
     Function,
     Value,
     apply_operation,
     restrict_stores,
+    same_bits,
     slots_read,
 )
 from uqharness.batch.form.maths import lower
@@ -544,14 +541,9 @@ def _visit_section(constants: SlotConstants, section: Section, is_single_run: bo
         old = constants.get(name)
         if overwrites:
             constants[name] = value
-        elif old is not None and not _same_bits(old, value):
+        elif old is not None and (value is None or not same_bits(old, value)):
             constants[name], changed = None, True
     return changed
-
-
-def _same_bits(a: float, b: float | None) -> bool:
-    """Return whether two doubles have the same bits."""
-    return b is not None and struct.pack("<d", a) == struct.pack("<d", b)
 
 
 def _constant_stores(
@@ -572,7 +564,7 @@ def _constant_stores(
         elif node.operation == "input" or any(values[i] is None for i in node.arguments):
             values.append(None)
         else:
-            arguments = [_NUMPY_TYPES[function.nodes[i].kind](values[i]) for i in node.arguments]
+            arguments = [NUMPY_TYPES[function.nodes[i].kind](values[i]) for i in node.arguments]
             values.append(apply_operation(node.operation, arguments).item())
     return {name: values[i] for name, i in function.stores.items()}
 
@@ -583,9 +575,6 @@ def _fold_logic(operation: str, values: Sequence[bool | None]) -> bool | None:
     if any(v is not None and bool(v) == deciding for v in values):
         return deciding
     return None if any(v is None for v in values) else not deciding
-
-
-_NUMPY_TYPES: Mapping[str, Any] = {F64: np.float64, I64: np.int64, I1: np.bool_, TABLE: np.array}
 
 
 def _fold_section(section: Section, constants: Mapping[str, float | None]) -> Section | None:

@@ -190,11 +190,11 @@ class Vectors:
 
     def number(self, value: float) -> str:
         """Return a double in all lanes."""
-        return self.splat(F64, _hexadecimal(value))
+        return self.splat(F64, hexadecimal(value))
 
     def table(self, values: tuple[float, ...]) -> str:
         """Return the name of a table of constants."""
-        text = ", ".join(f"double {_hexadecimal(x)}" for x in values)
+        text = ", ".join(f"double {hexadecimal(x)}" for x in values)
         return self._tables.setdefault(
             f"[{len(values)} x double] [{text}]", f"@table{len(self._tables)}"
         )
@@ -410,7 +410,7 @@ class FunctionPrinter:
         return [f"{result} bitcast {kinds[0]} {names[0]} to {self.vectors.of(node.kind)}"]
 
 
-def _hexadecimal(value: float) -> str:
+def hexadecimal(value: float) -> str:
     """Return a double as LLVM's hexadecimal constant."""
     return f"0x{struct.unpack('<Q', struct.pack('<d', value))[0]:016X}"
 

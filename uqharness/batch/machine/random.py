@@ -8,7 +8,6 @@ the Dryden filters (`flight.dryden`).
 from __future__ import annotations
 
 import ctypes
-import struct
 import threading
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -20,7 +19,14 @@ from numpy.typing import NDArray
 from sysid.arrays import FloatArray
 from uqharness.batch.form.ir import Builder, Value
 from uqharness.batch.form.program import BLOCK
-from uqharness.batch.machine.llvm import Kernel, Target, attributes, build_code, compile_function
+from uqharness.batch.machine.llvm import (
+    Kernel,
+    Target,
+    attributes,
+    build_code,
+    compile_function,
+    hexadecimal,
+)
 from uqharness.flight import dryden, random_numbers
 
 assert random_numbers.GROUP == 2 * BLOCK
@@ -178,7 +184,7 @@ def _generator_text(target: Target, modulus: int, factors: list[int]) -> str:
                 *fold(f"q{me}", f"raw{me}"),
                 f"  %bits{me} = or {vector} %raw{me}, {same(0x4330000000000000)}",
                 f"  %whole{me} = bitcast {vector} %bits{me} to {of}",
-                f"  %less{me} = fsub {of} %whole{me}, splat (double {_hexadecimal(2.0**52 + 1.0)})",
+                f"  %less{me} = fsub {of} %whole{me}, splat (double {hexadecimal(2.0**52 + 1.0)})",
                 f"  %place{me} = getelementptr double, ptr %here, i64 {k * BLOCK + part * width}",
                 f"  store {of} %less{me}, ptr %place{me}, align 8",
             ]
@@ -237,8 +243,8 @@ loop:
   %to.other = getelementptr double, ptr %to.one, i64 1
   store double %one, ptr %to.one, align 8
   store double %other, ptr %to.other, align 8
-  %near = fcmp ole double %square, {_hexadecimal(1.0)}
-  %apart = fcmp une double %square, {_hexadecimal(0.0)}
+  %near = fcmp ole double %square, {hexadecimal(1.0)}
+  %apart = fcmp une double %square, {hexadecimal(0.0)}
   %counts = and i1 %near, %apart
   %more.found = zext i1 %counts to i64
   %found.next = add i64 %found, %more.found
@@ -250,11 +256,6 @@ done:
 }}
 {attributes(target)}
 """
-
-
-def _hexadecimal(value: float) -> str:
-    """Return a double as LLVM's hexadecimal constant."""
-    return f"0x{struct.unpack('<Q', struct.pack('<d', value))[0]:016X}"
 
 
 # Recursion of the gust filters: the results of ``dryden.numpy_recursion``, bit for bit.

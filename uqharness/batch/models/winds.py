@@ -19,7 +19,7 @@ from uqharness.batch.form.maths import round_to_even
 from uqharness.batch.form.program import Stream, When
 from uqharness.batch.models.motion import MATRIX, matrix
 from uqharness.batch.models.vectors import Vector, direction, matvec
-from uqharness.batch.translate.frame import Frame
+from uqharness.batch.translate.frame import Frame, integer_hook
 from uqharness.errors import BadInputError
 
 AXES = ("north", "east", "down")
@@ -95,22 +95,11 @@ def set_size(frame: Frame, value: Value) -> None:
     frame.store("atmosphere/wind-down-fps", none.choose(down, 0.0))
 
 
-def _integer_write(name: str) -> Callable[[Frame, Value], None]:
-    """Return a write that truncates to an integer, as JSBSim's property does."""
-
-    def write(frame: Frame, value: Value) -> None:
-        """Store the truncated value."""
-        size = frame.builder.op("floor", frame.builder.op("abs", value))
-        frame.store(name, value.lt(0.0).choose(-size, size))
-
-    return write
-
-
 WRITES: Mapping[str, Callable[[Frame, Value], None]] = {
     _PSI: set_psi,
     "atmosphere/wind-mag-fps": set_size,
-    TYPE: _integer_write(TYPE),
-    _SEVERITY: _integer_write(_SEVERITY),
+    TYPE: integer_hook(TYPE),
+    _SEVERITY: integer_hook(_SEVERITY),
 }
 """For ``Frame.hooks``: properties whose setting changes others, or that are truncated."""
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from uqharness.batch.form.ir import Builder, Value
+from uqharness.batch.form.ir import Value
 from uqharness.batch.form.program import When
 from uqharness.batch.translate import filters, gains
 from uqharness.batch.translate.component import Component
@@ -24,6 +24,7 @@ from uqharness.batch.translate.frame import (
     Frame,
     Scope,
     copy_levers,
+    error_scope,
     property_of,
     read_only,
 )
@@ -205,7 +206,7 @@ def compute_where_read(frame: Frame, document: Document, node: Node) -> None:
         reading.pop()
         return result
 
-    frame.live[property_of(_plain(document), node, function_name(name))] = value
+    frame.live[property_of(error_scope(document), node, function_name(name))] = value
 
 
 def refuse_inner_names(frame: Frame, document: Document, node: Node) -> None:
@@ -221,8 +222,8 @@ def refuse_inner_names(frame: Frame, document: Document, node: Node) -> None:
         for inner in [outer, *inside] if outer.tag in ("table", "t") else inside:
             name = inner.attributes.get("name", "")
             if name:
-                frame.live[property_of(_plain(document), inner, function_name(name))] = _refusal(
-                    document, inner, name
+                frame.live[property_of(error_scope(document), inner, function_name(name))] = (
+                    _refusal(document, inner, name)
                 )
 
 
@@ -236,7 +237,7 @@ def _refusal(document: Document, node: Node, name: str) -> Callable[[], Value]:
 
     def refuse() -> Value:
         """Raise BadInputError at the element."""
-        _plain(document).refuse(
+        error_scope(document).refuse(
             node,
             f"property {name} is made by a <{node.tag}> of that name, which the batch engine"
             " does not",
@@ -254,7 +255,7 @@ def _check(part: System) -> None:
     """Refuse elements other than properties, functions and channels, and elements next to the name
     of a file.
     """
-    scope = _plain(part.document)
+    scope = error_scope(part.document)
     for node in part.node.children:
         if node.tag not in ("property", "channel", "function", *_REMARKS):
             scope.refuse(
@@ -269,19 +270,14 @@ def _check(part: System) -> None:
         return
     document, outer = part.outer
     if outer.tag != part.node.tag:
-        _plain(document).refuse(outer, f"<{outer.tag}> names a file of <{part.node.tag}>")
+        error_scope(document).refuse(outer, f"<{outer.tag}> names a file of <{part.node.tag}>")
     for node in outer.children:
         if node.tag != "property" and node.tag not in _REMARKS:
-            _plain(document).refuse(
+            error_scope(document).refuse(
                 node,
                 f"<{node.tag}> beside a file is not understood by the batch engine; allowed is"
                 " <property>",
             )
-
-
-def _plain(document: Document) -> Scope:
-    """Return a scope for errors outside a frame."""
-    return Scope(Builder(), document, lambda _: None)
 
 
 def _trace_functions(frame: Frame, name: str, functions: Sequence[tuple[Document, Node]]) -> None:
@@ -325,7 +321,7 @@ class _Channel:
         """Add the channel's sections: one that decides whether it runs, if that may differ between
         lanes or frames, and one that runs it.
         """
-        frame, scope = self.frame, _plain(self.document)
+        frame, scope = self.frame, error_scope(self.document)
         scope.only(self.node, ("name", "execrate", "execute"))
         text = self.node.attributes.get("execrate", "")
         rate = scope.number(self.node, text) if text else 1.0

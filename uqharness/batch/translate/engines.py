@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from uqharness.batch.form.ir import Builder, Value
+from uqharness.batch.form.ir import Value
 from uqharness.batch.form.program import When
 from uqharness.batch.models.vectors import Vector, plus
 from uqharness.batch.translate.aerodynamics import write_function
@@ -23,7 +23,15 @@ from uqharness.batch.translate.engine_files import (
     required_number,
     with_number,
 )
-from uqharness.batch.translate.frame import INITIALISED, Frame, Scope, Values, canonical
+from uqharness.batch.translate.frame import (
+    INITIALISED,
+    Frame,
+    Scope,
+    Values,
+    canonical,
+    error_scope,
+    integer_hook,
+)
 from uqharness.batch.translate.piston import Piston, read_piston
 from uqharness.batch.translate.propeller import Jet, Propeller, read_jet, read_mount, read_propeller
 from uqharness.batch.translate.tanks import (
@@ -32,7 +40,6 @@ from uqharness.batch.translate.tanks import (
     feeding,
     read_tank,
     set_contents,
-    set_integer,
     trace_mass,
     trace_tanks,
 )
@@ -173,9 +180,9 @@ class Propulsion:
         """
         for tank in self.tanks:
             frame.hooks[f"{tank.name}contents-lbs"] = set_contents(tank)
-            frame.hooks[f"{tank.name}priority"] = set_integer(f"{tank.name}priority")
+            frame.hooks[f"{tank.name}priority"] = integer_hook(f"{tank.name}priority")
         for engine in self.engines:
-            frame.hooks[f"{engine.name}constant-speed-mode"] = set_integer(
+            frame.hooks[f"{engine.name}constant-speed-mode"] = integer_hook(
                 f"{engine.name}constant-speed-mode"
             )
             refuse_inner_names(frame, *engine.part)
@@ -275,7 +282,7 @@ def read_propulsion(sources: Sources, values: Values, engines_running: bool = Fa
     if sources.propulsion is None:
         return Propulsion(None, (), ())
     document, node = sources.propulsion
-    scope = _refusing_scope(document)
+    scope = error_scope(document)
     refuse_unknown(scope, node, ("engine", "tank", "property"), ("name", "file"))
     _check_start(values)
     tanks = tuple(read_tank(scope, (document, tank), k) for k, tank in enumerate(node.all("tank")))
@@ -295,13 +302,13 @@ def _read_engine(
 ) -> Engine:
     """Read one engine with its thruster and feeds."""
     document, node = part
-    scope, name, index = _refusing_scope(document), property_base(k), f"[{k}]" if k else ""
+    scope, name, index = error_scope(document), property_base(k), f"[{k}]" if k else ""
     kinds = ("electric_engine", "brushless_dc_motor", "piston_engine", "turbine_engine")
     refuse_unknown(
         scope, node, ("feed", "thruster", "location", "orient", *kinds), ("file", "name")
     )
     root_part = with_number(_content(scope, part, included, kinds), k)
-    scope_of_root, root = _refusing_scope(root_part[0]), root_part[1]
+    scope_of_root, root = error_scope(root_part[0]), root_part[1]
     # A turbine's functions belong to the engine's properties.
     for function in root.all("function"):
         if function.attributes.get("name", "") in FUNCTIONS and root.tag == "turbine_engine":
@@ -316,7 +323,7 @@ def _read_engine(
     thruster_part = _content(
         scope, (document, thruster), included, ("propeller", "direct", "nozzle")
     )
-    thruster_scope = _refusing_scope(thruster_part[0])
+    thruster_scope = error_scope(thruster_part[0])
     thruster_model = (
         read_propeller(thruster_scope, thruster_part, mount)
         if thruster_part[1].tag == "propeller"
@@ -353,7 +360,7 @@ def _content(scope: Scope, part: Part, included: Mapping[Node, Part], kinds: Seq
         content = included[node]
         if inside or content[1].tag not in kinds:
             kind = inside[0].tag if inside else content[1].tag
-            _refusing_scope(content[0]).refuse(
+            error_scope(content[0]).refuse(
                 content[1],
                 f"<{kind}> is not understood by the batch engine; {', '.join(kinds)} are",
             )
@@ -372,7 +379,7 @@ def _magnetos(script: Document) -> float:
         if name == "propulsion/set-running":
             switch = _BOTH_MAGNETOS
         elif name == "propulsion/magneto_cmd" and text:
-            switch = float(int(_refusing_scope(script).number(node, text)))
+            switch = float(int(error_scope(script).number(node, text)))
     return switch
 
 
@@ -389,8 +396,3 @@ def _initialised(values: Values, name: str) -> float:
     """Return a property after JSBSim's initialising frames."""
     initialised = values.get(INITIALISED + name)
     return values[name] if initialised is None else initialised
-
-
-def _refusing_scope(document: Document) -> Scope:
-    """Return a scope for errors outside a frame."""
-    return Scope(Builder(), document, lambda _: None)

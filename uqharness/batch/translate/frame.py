@@ -128,6 +128,11 @@ class Scope:
         return self.builder.constant(math.nan)
 
 
+def error_scope(document: Document) -> Scope:
+    """Return a scope for errors outside a frame; it reads no property."""
+    return Scope(Builder(), document, lambda _: None)
+
+
 def canonical(name: str) -> str:
     """Return the canonical spelling of a property: no root, no index 0.
 
@@ -573,6 +578,17 @@ def settable(name: str) -> bool:
     flight.
     """
     return writable(name) or _BY_HOST.fullmatch(name) is not None
+
+
+def integer_hook(name: str) -> Callable[[Frame, Value], None]:
+    """Return the hook of a property that JSBSim keeps as an integer: the fraction is dropped."""
+
+    def write(frame: Frame, value: Value) -> None:
+        """Store the truncated value."""
+        size = frame.builder.op("floor", frame.builder.op("abs", value))
+        frame.store(name, value.lt(0.0).choose(-size, size))
+
+    return write
 
 
 # Properties of JSBSim's flight control: which change together, which ignore values, and the

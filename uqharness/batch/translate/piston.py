@@ -114,7 +114,7 @@ _MIXTURE = Grid(
 
 
 @dataclass(frozen=True)
-class Numbers:
+class PistonData:
     """Numbers of an engine file, with JSBSim's defaults; units are in the names."""
 
     displacement_in3: float
@@ -141,7 +141,7 @@ class Piston:
 
     name: str
     index: str
-    numbers: Numbers
+    numbers: PistonData
     combustion: Grid
     mixture: Grid
     magnetos: float
@@ -349,7 +349,7 @@ def read_piston(scope: Scope, part: Part, name: str, index: str, magnetos: float
         get("oil-pressure-rpm-max", max_rpm * 0.75),
     )
     drop = get("sparkfaildrop", 0.0)
-    numbers = Numbers(
+    numbers = PistonData(
         get("displacement", 360.0, "IN3"),
         idle,
         max_rpm,

@@ -134,18 +134,6 @@ def set_contents(tank: Tank) -> Callable[[Frame, Value], None]:
     return write
 
 
-def set_integer(name: str) -> Callable[[Frame, Value], None]:
-    """Return the hook of an integer property: the fraction is dropped."""
-
-    def write(frame: Frame, value: Value) -> None:
-        """Store the truncated value."""
-        b = frame.builder
-        size = b.op("floor", b.op("abs", value))
-        frame.store(name, value.lt(0.0).choose(-size, size))
-
-    return write
-
-
 def feeding(
     frame: Frame, tanks: Sequence[Tank], feeds: Sequence[int]
 ) -> tuple[list[Value], Value, Value]:

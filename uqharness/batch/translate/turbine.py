@@ -63,7 +63,7 @@ _LIT_THROTTLE, _LIT_N2 = 0.99, 97.0
 
 
 @dataclass(frozen=True)
-class Numbers:
+class TurbineData:
     """Numbers of an engine file, with JSBSim's defaults: speeds in percent, thrust in lbf."""
 
     mil: float
@@ -94,7 +94,7 @@ class Turbine:
     name: str
     index: str
     scope_part: Part
-    numbers: Numbers
+    numbers: TurbineData
     names: frozenset[str]
 
     @property
@@ -401,7 +401,7 @@ def read_turbine(scope: Scope, part: Part, name: str, index: str) -> Turbine:
     if method not in (0, 1, 2):
         scope.refuse(node, f"augmethod {method} is not understood by the batch engine")
     windmill = node.find("disable-windmill")
-    numbers = Numbers(
+    numbers = TurbineData(
         get("milthrust", 10000.0, "LBS"),
         get("maxthrust", 10000.0, "LBS"),
         get("bypassratio", 0.0),
