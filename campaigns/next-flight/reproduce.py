@@ -36,7 +36,7 @@ from uqharness.next_flight.plan import (
 )
 from uqharness.next_flight.points import Occupancy, recorded_mission
 from uqharness.next_flight.trials import (
-    Refused,
+    RefusedPoint,
     TestFlight,
     Trial,
     fly_points,
@@ -126,7 +126,7 @@ class Study:
     folder: Path
     mission: Occupancy
     options: Options
-    trials: dict[float, tuple[list[Trial], list[Refused]]]
+    trials: dict[float, tuple[list[Trial], list[RefusedPoint]]]
 
     def flight(self, aircraft: str) -> TestFlight:
         """Return the loiter in the study's turbulence, as a test flight of that aircraft."""
@@ -164,13 +164,13 @@ class Study:
             p = plan.prospects[c]
             row = {"case": case.name, "seed": seed, "for": case.coefficient, "coefficient": c}
             row["seconds"] = plan.end_s
-            widths = {"now": p.now, "known": p.then, "predicted": p.redone, "achieved": achieved[c]}
-            widths |= {"old_predicted": expected[c].redone, "old_achieved": old_achieved[c]}
+            widths = {"current": p.current, "known": p.planned, "predicted": p.refitted, "achieved": achieved[c]}
+            widths |= {"old_predicted": expected[c].refitted, "old_achieved": old_achieved[c]}
             for name, width in widths.items():
                 row[name] = width.total
                 if name != "known":
                     row[f"{name}_parameter"] = width.parameter
-            rows.append(row | {"at_most": p.ever.total})
+            rows.append(row | {"at_most": p.asymptotic.total})
         return rows
 
 

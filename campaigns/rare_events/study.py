@@ -14,7 +14,7 @@ import numpy as np
 
 from campaigns.library.plan import Plan, cell_name, identity
 from campaigns.rare_events.states import LoiterScore, Recorder, regressors
-from uqharness.batch import ready
+from uqharness.batch import compiled_mission
 from uqharness.campaign.cases import Case, Part, build_cases
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.execution.worker import BATCH, fly_group
@@ -137,7 +137,7 @@ class Study:
     @cached_property
     def dt_s(self) -> float:
         """A frame of the flights."""
-        return float(ready(self._one).lanes.dt_s)
+        return float(compiled_mission(self._one).lanes.dt_s)
 
     def cases(self, first: int, count: int) -> tuple[Case, ...]:
         """Build the flights of so many aleatory ids."""

@@ -23,7 +23,7 @@ import numpy as np
 from tests.helpers import batch_oracle as oracle
 from tests.helpers import batch_systems as systems
 from uqharness.batch.translate.channels import System
-from uqharness.batch.translate.frame import BEYOND
+from uqharness.batch.translate.frame import OUT_OF_RANGE
 from uqharness.batch.translate.functions import ROTATIONS, RULES
 from uqharness.errors import BadInputError
 
@@ -173,12 +173,12 @@ def judged(body: str, inputs: dict[str, np.ndarray]) -> tuple[str, str]:
     values = systems.Values(first.get)
     try:
         frames = systems.traced([System(document, document.root)], values, list(inputs))
-        for name in (*records, BEYOND):
+        for name in (*records, OUT_OF_RANGE):
             values.setdefault(name)
-        ours = systems.run(frames, inputs, [*records, BEYOND])
+        ours = systems.run(frames, inputs, [*records, OUT_OF_RANGE])
     except BadInputError as error:
         return REFUSED, str(error)
-    if np.any(ours.pop(BEYOND) != 0.0):
+    if np.any(ours.pop(OUT_OF_RANGE) != 0.0):
         return REFUSED, "an argument beyond the engine's range, in flight"
     outcome, reason = AGREED, ""
     for name in records:

@@ -13,14 +13,14 @@ import pytest
 
 from tests.helpers.batch_flyers import flyer_of
 from tests.helpers.batch_systems import Series
-from uqharness.batch.form.program import Feed, Program, Stream, begun, slot
+from uqharness.batch.form.program import Feed, Program, Stream, initial_state, slot
 from uqharness.batch.lanes.mission import constant_properties, initial_values
 from uqharness.batch.lanes.streams import Turbulence
 from uqharness.batch.models.motion import CONDITIONS, start_state
 from uqharness.batch.models.winds import NORMALS
 from uqharness.batch.translate.channels import Sources, read_sources
+from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight
 from uqharness.batch.translate.frame import Values
-from uqharness.batch.translate.whole import Asked, Flight, trace_flight
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 from uqharness.simulator import engine
@@ -119,7 +119,7 @@ def translated(
     sources = made.sources()
     values = Values(initial_values(made.open), constant_properties(sources))
     fed = [Stream("inputs", tuple(inputs))] if inputs else []
-    return trace_flight(sources, DT_S, values, Asked(varying, fed, records))
+    return trace_flight(sources, DT_S, values, TraceRequest(varying, fed, records))
 
 
 def refused(text: str, events: str = "", files: Mapping[str, str] | None = None) -> str:
@@ -166,7 +166,7 @@ def flown(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """The slots of one lane behind ``frames`` frames, and the records (records, frames)."""
     flyer = flyer_of(program, frames)
-    state = begun(
+    state = initial_state(
         flyer.program,
         1,
         {name: value for name, value in values.items() if name in flyer.program.slots},

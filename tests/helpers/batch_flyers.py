@@ -5,7 +5,7 @@ from __future__ import annotations
 from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.program import Flyer, Program
 from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.llvm import chosen_target
+from uqharness.batch.machine.llvm import choose_target
 
 MANY = 100
 """From so many frames on it takes less time to compile a whole aircraft than to fly it by numpy."""
@@ -13,4 +13,4 @@ MANY = 100
 
 def flyer_of(program: Program, frames: int) -> Flyer:
     """What flies ``frames`` frames of the program soonest."""
-    return compile_program(program, chosen_target()) if frames >= MANY else Interpreter(program)
+    return compile_program(program, choose_target()) if frames >= MANY else Interpreter(program)

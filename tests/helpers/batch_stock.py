@@ -16,7 +16,7 @@ import numpy as np
 from tests.helpers.batch_flyers import flyer_of
 from tests.helpers.batch_systems import Pair, flown_once, values_of
 from uqharness.batch.form.ir import Value
-from uqharness.batch.form.program import Feed, Stream, begun
+from uqharness.batch.form.program import Feed, Stream, initial_state
 from uqharness.batch.translate.channels import System, Systems
 from uqharness.batch.translate.frame import CHANNEL_STEP, Frame, canonical
 from uqharness.files import scratch_folder
@@ -133,7 +133,7 @@ def _by_translation(
     flyer = flyer_of(
         traced[2].program(made, [Stream("given", tuple(given))]), len(theirs.inputs) - 1
     )
-    held = begun(
+    held = initial_state(
         flyer.program,
         1,
         {name: value for name, value in state.items() if name in flyer.program.slots},

@@ -14,7 +14,7 @@ import pytest
 from tests.helpers import batch_oracle as oracle
 from tests.helpers.batch_flyers import flyer_of
 from uqharness.batch.form.interpret import Interpreter
-from uqharness.batch.form.program import Feed, Program, Stream, begun, slot
+from uqharness.batch.form.program import Feed, Program, Stream, initial_state, slot
 from uqharness.batch.translate.channels import System, Systems
 from uqharness.batch.translate.frame import STEP, Frame, Values
 from uqharness.errors import BadInputError
@@ -122,7 +122,9 @@ def run(
     begin = {name: state.get(name, flight.values[name]) for name in records}
     feeds["inputs"] = Feed(np.ascontiguousarray(table[1:]), 0, np.zeros(1, dtype=np.int64))
     flyer = flyer_of(flight.program(records, streams), rows - 1)
-    held = begun(flyer.program, 1, {k: v for k, v in state.items() if k in flyer.program.slots})
+    held = initial_state(
+        flyer.program, 1, {k: v for k, v in state.items() if k in flyer.program.slots}
+    )
     made = flyer.fly(held, 1, rows - 1, feeds)
     return {
         name: np.concatenate([[begin[name]], made[k, 0]])
@@ -133,7 +135,9 @@ def run(
 def flown_once(program: Program, state: Mapping[str, float]) -> dict[str, float]:
     """The state of one lane after one frame."""
     flyer = Interpreter(program)
-    held = begun(flyer.program, 1, {k: v for k, v in state.items() if k in flyer.program.slots})
+    held = initial_state(
+        flyer.program, 1, {k: v for k, v in state.items() if k in flyer.program.slots}
+    )
     flyer.fly(held, 1, 1)
     return {name: float(slot(flyer.program, held, name, 1)[0]) for name in flyer.program.slots}
 

@@ -1,4 +1,9 @@
-"""The compiled engine: an aircraft's XML traced to a small typed form, compiled, and flown in many lanes at once."""
+"""Batch engine: an aircraft's XML is traced to a typed intermediate form, compiled, and flown in
+many lanes at once.
+
+``translate`` and ``models`` trace a frame, ``form`` holds the intermediate form and its passes,
+``machine`` compiles with LLVM, ``lanes`` flies.
+"""
 
 import lazy_loader
 

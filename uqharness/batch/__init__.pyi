@@ -1,9 +1,9 @@
 from .installation import available as available
 from .lanes.course import Branch as Branch
 from .lanes.course import Course as Course
+from .lanes.course import compiled_mission as compiled_mission
 from .lanes.course import fly_many as fly_many
 from .lanes.course import forget as forget
-from .lanes.course import ready as ready
 from .lanes.course import record_many as record_many
 from .lanes.course import refusals as refusals
 from .lanes.replay import ReplayLane as ReplayLane

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from uqharness.batch import Branch, Course, ready
+from uqharness.batch import Branch, Course, compiled_mission
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec, Split, record_stride, row_counts
 from uqharness.statistics import Seen
@@ -144,7 +144,7 @@ class LoiterPaths:
     ) -> None:
         """Compile the flight, fly the burn-in and discard its record."""
         first = specs[0]
-        prepared = ready(first)
+        prepared = compiled_mission(first)
         if DISTANCE not in prepared.table:
             raise BadInputError(
                 f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics]: nothing to"
@@ -164,10 +164,10 @@ class LoiterPaths:
             list(prepared.lanes.program.records).index(source.property),
             source.factor,
         )
-        self._course = Course.begun(prepared, specs)
+        self._course = Course.start(prepared, specs)
         # Burn in, and discard its rows.
         self._course.fly(row_counts(first, self._row_s)[0] * self._stride)
-        self._course.taken()
+        self._course.take_rows()
         self._ids = np.asarray(aleatory_ids)
         self._radii, self._rearm = np.asarray(first.excursion_radius_m, dtype=float), first.rearm_m
         self._outside = np.zeros((len(specs), self._radii.size), dtype=bool)
@@ -188,7 +188,7 @@ class LoiterPaths:
         course.fly(min(start_frame + self._step, course.last))
         # Paths that ended early get the score -inf and are never selected.
         ended = np.array([end.status != "ok" for end in course.ends])
-        distance = self._distances(course.taken())
+        distance = self._distances(course.take_rows())
         events = np.zeros(self._outside.shape, dtype=np.int64)
         # Count excursions row by row with hysteresis, as the campaign's tables do.
         for row in range(distance.shape[1]):
@@ -205,7 +205,7 @@ class LoiterPaths:
             )
         # Rate of change of the distance from the last two rows.
         closing_mps = (distance[:, -1] - distance[:, -2]) / self._row_s
-        score_inputs = {name: course.watched(name) for name in self._watch.score.properties}
+        score_inputs = {name: course.slot_values(name) for name in self._watch.score.properties}
         score = self._watch.score.of(score_inputs, distance[:, -1], closing_mps)
         return Seen(np.where(ended, -np.inf, score), events, ended)
 

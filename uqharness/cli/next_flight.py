@@ -31,7 +31,7 @@ from uqharness.files import check_output_folder, write_bytes, write_json
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
 from uqharness.identification import load_form
 from uqharness.next_flight import (
-    WORTH,
+    MIN_NARROWING,
     CampaignMission,
     Occupancy,
     Options,
@@ -240,7 +240,7 @@ def _plan(
         },
     }
     warnings = warnings_of(
-        form, campaign, flight, args.bounds, args.flight, flown=not args.occupancy
+        form, campaign, flight, args.bounds, args.flight, from_campaign=not args.occupancy
     )
     doc = document(plan, winner, mission, missing, air, units, warnings)
     out = results_folder(args.out)
@@ -266,7 +266,7 @@ def _plan(
         bounds = form.coefficients[plan.coefficient]
         mission_states = mission.of(bounds.states)
         figures = uncertainty_figures(
-            bounds, plan.bounds_then, mission_states, plan.states, form.outside, plan.coefficient
+            bounds, plan.bounds_after, mission_states, plan.states, form.outside, plan.coefficient
         )
     page = next_flight_page(plan, doc, figures, command_as_given(args))
     report = write_page(out, page, page if figures else None)
@@ -287,4 +287,4 @@ def _compare_redone(
         json.dumps({"coefficient": coefficient, "achieved": rows}) if args.json else as_text(rows)
     )
     narrowing = rows[coefficient]["narrowing"]
-    return text, 0 if narrowing is not None and narrowing >= WORTH else 1
+    return text, 0 if narrowing is not None and narrowing >= MIN_NARROWING else 1

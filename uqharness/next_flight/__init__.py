@@ -1,4 +1,8 @@
-"""Which test points narrow the answer most, and the script that flies them."""
+"""Plan the test flight that narrows one coefficient's bounds most, and write its script.
+
+``points`` defines test points and their script, ``trials`` simulates them, ``plan`` chooses among
+them and predicts the narrowing.
+"""
 
 import lazy_loader
 

@@ -1,5 +1,5 @@
-from .plan import SENSORS as SENSORS
-from .plan import WORTH as WORTH
+from .plan import MAX_SENSOR_SCATTER_RATIO as MAX_SENSOR_SCATTER_RATIO
+from .plan import MIN_NARROWING as MIN_NARROWING
 from .plan import NextFlight as NextFlight
 from .plan import Options as Options
 from .plan import Prospect as Prospect

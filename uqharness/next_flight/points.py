@@ -1,4 +1,10 @@
-"""Test points that a next flight could consist of: which control, how far, how long, at which speed and bank."""
+"""Define test points, write the script that flies them, and collect the states of a mission.
+
+A test point is a control input about a steady condition (speed and bank): doublets, 3-2-1-1 inputs,
+throttle steps, or none. `library` lists the points that an aircraft can try, `script_text` adds
+them to a mission's run script, and `fly_mission` and `recorded_mission` return the flight states
+(`Occupancy`) over which intervals are averaged.
+"""
 
 from __future__ import annotations
 
@@ -33,17 +39,31 @@ from uqharness.simulator import aircraft as properties
 DOUBLET = ((1, 1.0), (1, -1.0))
 THREE_TWO_ONE_ONE = ((3, 1.0), (2, -1.0), (1, 1.0), (1, -1.0))
 QUIET_S = 1.0
-"""Open loop before the first step: the segment's start state is estimated from it."""
+"""Open loop before the first step, from which the segment's start state is estimated."""
 REST_S = 3.0
 STEADY_S = 6.0
 AMPLITUDES = (0.1, 0.2, 0.35)
-"""Of half the control's travel."""
+"""Shares of half the control's travel."""
 _SURFACES = ("elevator", "aileron", "rudder")
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Steps of a control about where it stands: ``pattern`` of (units, sign), ``size`` in the control's unit, from ``start_s``."""
+    """A sequence of steps of one control about its position.
+
+    Attributes
+    ----------
+    control : str
+        Name of the input.
+    size : float
+        Amplitude of a step [unit of the control].
+    unit_s : float
+        Duration of one unit.
+    pattern : tuple of (int, float)
+        Units and sign of each step.
+    start_s : float
+        Start after the point's quiet time.
+    """
 
     control: str
     size: float
@@ -53,13 +73,17 @@ class Steps:
 
     @property
     def end_s(self) -> float:
-        """When the last step ends [s]."""
+        """End of the last step [s]."""
         return self.start_s + self.unit_s * sum(units for units, _ in self.pattern)
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What a test point begins from: true airspeed and bank of a steady turn (0: straight, + right). None: as the mission flies."""
+    """Steady condition from which a test point starts.
+
+    ``speed_mps`` is true airspeed; ``bank_deg`` is that of a steady turn, positive to the right.
+    Speed None: whatever the mission flies.
+    """
 
     speed_mps: float | None = None
     bank_deg: float = 0.0
@@ -75,96 +99,132 @@ class Condition:
 
 @dataclass(frozen=True)
 class TestPoint:
-    """``kind`` in words, the steps (none: steady flight, controls as they stand), and ``rest_s`` after the last of them."""
+    """A control input at a condition.
+
+    Attributes
+    ----------
+    kind : str
+        The input in words.
+    steps : tuple of Steps
+        Empty for steady flight with fixed controls.
+    condition : Condition
+        Speed and bank.
+    rest_s : float
+        Seconds without inputs after the last step.
+    """
 
     kind: str
     steps: tuple[Steps, ...]
     condition: Condition
     rest_s: float = REST_S
 
-    # pytest takes a class of this name for tests.
+    # pytest would collect a class of this name as tests.
     __test__ = False
 
     @property
     def name(self) -> str:
-        """The point in words: kind and condition."""
+        """Kind and condition in words."""
         return f"{self.kind}, {self.condition.text}"
 
     @property
     def seconds(self) -> float:
-        """From taking the controls over to giving them back."""
+        """Time from taking over the controls to handing them back [s]."""
         return QUIET_S + max((s.end_s for s in self.steps), default=0.0) + self.rest_s
 
 
 def half_travel(card: InputCard) -> float:
-    """Half the way from stop to stop, in the control's own unit."""
+    """Return half the distance between the stops of a control [its unit]."""
     return 0.5 * (card.limits[1] - card.limits[0])
 
 
 def library(
     aircraft: Aircraft, conditions: Sequence[Condition], unit_s: Mapping[str, float]
 ) -> list[TestPoint]:
-    """Steady flight, doublets both ways, 3-2-1-1, throttle doublets and all axes in turn, at every condition.
+    """List the test points of an aircraft at every condition.
 
-    unit_s: seconds of one unit by control. Amplitudes follow the card's stops; which of them an aircraft bears, a simulation tells.
+    Steady flight; doublets of each surface in both directions; 3-2-1-1 of the elevator; throttle
+    doublets; doublets of all surfaces one after the other. Amplitudes are shares of the card's half
+    travel; `trials.try_points` finds those that the aircraft can fly.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Its card names inputs and stops.
+    conditions : sequence of Condition
+        Speeds and banks.
+    unit_s : mapping
+        Control -> seconds of one unit of its pattern.
+
+    Returns
+    -------
+    list of TestPoint
+        Grouped by condition.
     """
     kinds = [*_kinds(aircraft, unit_s)]
     return [replace(point, condition=c) for c in conditions for point in kinds]
 
 
 def _kinds(aircraft: Aircraft, unit_s: Mapping[str, float]) -> Iterator[TestPoint]:
-    nowhere = Condition()
+    """Yield the test points of one condition."""
+    any_condition = Condition()
     inputs = aircraft.card.inputs
-    yield TestPoint("steady", (), nowhere, STEADY_S)
+    yield TestPoint("steady", (), any_condition, STEADY_S)
+    # Doublets of each surface, both directions first
     for control in (c for c in _SURFACES if c in inputs):
-        unit, travel, what = unit_s[control], half_travel(inputs[control]), inputs[control].unit
+        unit, travel, unit_name = (
+            unit_s[control],
+            half_travel(inputs[control]),
+            inputs[control].unit,
+        )
         for share in AMPLITUDES:
             for sign in (1.0, -1.0):
-                size = _rounded(sign * share * travel)
+                size = _round_size(sign * share * travel)
                 yield TestPoint(
-                    f"{control} doublet {size:+g} {what}", (Steps(control, size, unit),), nowhere
+                    f"{control} doublet {size:+g} {unit_name}",
+                    (Steps(control, size, unit),),
+                    any_condition,
                 )
     if "elevator" in inputs:
-        travel, what = half_travel(inputs["elevator"]), inputs["elevator"].unit
+        travel, unit_name = half_travel(inputs["elevator"]), inputs["elevator"].unit
         for share in (-0.1, 0.1):
-            size = _rounded(share * travel)
+            size = _round_size(share * travel)
             steps = Steps("elevator", size, 0.7 * unit_s["elevator"], THREE_TWO_ONE_ONE)
-            yield TestPoint(f"elevator 3-2-1-1 {size:+g} {what}", (steps,), nowhere)
+            yield TestPoint(f"elevator 3-2-1-1 {size:+g} {unit_name}", (steps,), any_condition)
+    # The engine answers more slowly than surfaces do.
     if "throttle" in inputs:
-        travel, what = half_travel(inputs["throttle"]), inputs["throttle"].unit
+        travel, unit_name = half_travel(inputs["throttle"]), inputs["throttle"].unit
         for share in (0.4, -0.4):
-            size = _rounded(share * travel)
+            size = _round_size(share * travel)
             steps = Steps("throttle", size, unit_s["throttle"])
-            yield TestPoint(f"throttle doublet {size:+g} {what}", (steps,), nowhere, 1.5)
+            yield TestPoint(f"throttle doublet {size:+g} {unit_name}", (steps,), any_condition, 1.5)
     surfaces = [c for c in _SURFACES if c in inputs]
+    # All surfaces one after the other, in one point
     if len(surfaces) > 1:
         for share in (0.1, 0.2):
             start, steps_of = 0.0, list[Steps]()
             for control in surfaces:
-                size = _rounded(
+                size = _round_size(
                     (0.6 if control == "elevator" else 1.0) * share * half_travel(inputs[control])
                 )
                 steps_of.append(Steps(control, size, unit_s[control], start_s=start))
-                # The next axis begins while this one still moves: this separates products of states.
+                # The next axis starts while this one still moves, which separates products of
+                # states.
                 start += 1.5 * unit_s[control]
             yield TestPoint(
-                f"doublets of {', '.join(surfaces)} {share:.0%}", tuple(steps_of), nowhere
+                f"doublets of {', '.join(surfaces)} {share:.0%}", tuple(steps_of), any_condition
             )
 
 
-def _rounded(size: float) -> float:
-    """Two figures: what a pilot or an operator can be told."""
+def _round_size(size: float) -> float:
+    """Round to two figures, as an operator would read them."""
     return float(f"{size:.2g}")
 
 
-# The run script of a flight of test points: the mission's own script with manoeuvres added to
-# it.
-#
-# With this project's autopilot (property ap/engaged) a test point is flown open loop: the
-# surfaces' and the motor's positions become the commands, the autopilot lets go, the steps are
-# added, the autopilot recovers, and between conditions it changes speed and bank. Any other
-# aircraft goes on flying its mission, under whatever holds it there, and the steps are added to
-# its commands.
+# The run script: the mission's script with events that fly the test points. With this project's
+# autopilot (property ap/engaged) a point is flown open loop: the positions of surfaces and motor
+# become the commands, the autopilot is disengaged, the steps are added, the autopilot recovers,
+# and between conditions it changes speed and bank. Other aircraft keep flying their mission, and
+# the steps are added to its commands.
 
 AUTOPILOT = (
     "ap/engaged",
@@ -177,37 +237,55 @@ AUTOPILOT = (
     "nav/east-m",
     "nav/altitude-error-m",
 )
-"""Properties by which this project's autopilot is known."""
+"""Properties that identify this project's autopilot."""
 RECOVERY_S = 8.0
-"""On the autopilot after a point: from an unsettled state, controls that stand still lead into a dive."""
+"""Time on the autopilot after a point; without it fixed controls lead into a dive."""
 TRANSITION_S = 14.0
-"""To another speed or bank, on the autopilot."""
-MOST_BANK_RAD, MOST_PITCH_RAD, MOST_LOSS_M = math.radians(60.0), math.radians(30.0), 35.0
-"""Where the safety pilot takes over: bank, pitch, height below the commanded one."""
-_WIDE_M = 3000.0  # radius of a circle that counts as straight: 1 deg of bank at 22 m/s
-_GENTLE_S, _FIRM_S = 30.0, 17.0  # navigation period on straights and in turns
+"""Time on the autopilot to reach another speed or bank."""
+MAX_BANK_RAD, MAX_PITCH_RAD, MAX_HEIGHT_LOSS_M = math.radians(60.0), math.radians(30.0), 35.0
+"""Limits at which the safety pilot takes over: bank, pitch, height below the commanded one."""
+_STRAIGHT_RADIUS_M = 3000.0  # radius of a circle that counts as straight: 1 deg of bank at 22 m/s
+_STRAIGHT_PERIOD_S, _TURN_PERIOD_S = 30.0, 17.0  # navigation period on straights and in turns
 
 
 @dataclass(frozen=True)
-class Timed:
-    """A test point and when it begins and ends, s of the flight."""
+class ScheduledPoint:
+    """A test point with its start and end [s of the flight]."""
 
     point: TestPoint
     start_s: float
     end_s: float
 
 
-def schedule(points: Sequence[TestPoint], begin_s: float) -> tuple[list[Timed], float]:
-    """When each point is flown, and the end of the flight. Points of one condition should stand together.
+def schedule(points: Sequence[TestPoint], begin_s: float) -> tuple[list[ScheduledPoint], float]:
+    """Compute when each point is flown.
 
-    begin_s: when the mission has settled and the first transition may begin.
+    Parameters
+    ----------
+    points : sequence of TestPoint
+        In the order of the flight; points of one condition should be adjacent.
+    begin_s : float
+        When the mission has settled and the first transition may start.
+
+    Returns
+    -------
+    points : list of ScheduledPoint
+    end_s : float
+        End of the flight.
+
+    Examples
+    --------
+    >>> timed, end_s = schedule([TestPoint("steady", (), Condition(), STEADY_S)], 4.0)
+    >>> timed[0].start_s, timed[0].end_s, end_s
+    (4.0, 11.0, 19.0)
     """
-    time, last, out = begin_s, None, list[Timed]()
+    time, last, out = begin_s, None, list[ScheduledPoint]()
     for point in points:
+        # A new condition needs a transition.
         if point.condition != last:
             time += TRANSITION_S if point.condition.speed_mps is not None else 0.0
             last = point.condition
-        out.append(Timed(point, round(time, 3), round(time + point.seconds, 3)))
+        out.append(ScheduledPoint(point, round(time, 3), round(time + point.seconds, 3)))
         time += point.seconds + RECOVERY_S
     return out, round(time, 3)
 
@@ -221,7 +299,33 @@ def script_text(
     name: str,
     purpose: str,
 ) -> bytes:
-    """The script as XML: the file ``mission`` with the points of `schedule` added. Raises BadInputError as parse_xml does."""
+    """Write the run script of a flight of test points.
+
+    Parameters
+    ----------
+    mission : Path
+        Script of the mission; it is read, not changed.
+    aircraft : Aircraft
+        Aircraft that flies.
+    points : sequence of TestPoint
+        In the order of the flight.
+    begin_s : float
+        When the first transition may start.
+    has_autopilot : bool
+        Whether points are flown open loop with this project's autopilot between them.
+    name, purpose : str
+        Name of the script, and first words of its description.
+
+    Returns
+    -------
+    bytes
+        The script as XML.
+
+    Raises
+    ------
+    BadInputError
+        If the mission's script cannot be parsed.
+    """
     tree = parse_xml(mission)
     root = tree.getroot()
     run = root.find("run")
@@ -241,20 +345,22 @@ def script_text(
         root.remove(output)
     run.set("end", f"{end_s:g}")
     run.set("dt", f"{aircraft.dt_s:g}")
+    # Properties that the script sets already are changed, others added.
     present = {(item.text or "").strip(): item for item in run.findall("property")}
-    # The mission's own air is not that of a test flight: a host sets what it wants.
+    # The flight starts in still air without output files; the host sets wind and turbulence.
     calm: dict[str, float] = {
         name: 0.0 for name in ("air/wind-mps", "air/turbulence-w20-kt") if name in present
     }
     log = {"sensor/log": 1.0} if "sensor/log" in present else {}
-    wanted: dict[str, float] = {**SECOND_ORDER, MANOEUVRE_PROPERTY: 0.0, **calm, **log}
-    for prop, value in wanted.items():
+    initial_values: dict[str, float] = {**SECOND_ORDER, MANOEUVRE_PROPERTY: 0.0, **calm, **log}
+    for prop, value in initial_values.items():
         if prop in present:
             present[prop].set("value", f"{value:g}")
         else:
             item = etree.Element("property", value=f"{value:g}")
             item.text, item.tail = prop, "\n    "
             run.insert(0, item)
+    # Events keep the script's indentation.
     events = [*_events(timed, aircraft, has_autopilot)]
     if len(run):
         run[-1].tail = "\n    "
@@ -263,67 +369,81 @@ def script_text(
         item.tail = "\n    "
         run.append(item)
     events[-1].tail = "\n  "
-    # Comments above the mission's root are left out: they tell of the mission.
-    said = (
-        f"\n  {purpose}, made by uqharness next-flight from {mission.name}, in still air unless the host says otherwise.\n"
-        f"  {MANOEUVRE_PROPERTY} counts the test points, 0 in between; the event that sets a number bears the point's name.\n"
+    # Comments above the mission's root describe the mission and are left out.
+    comment = (
+        f"\n  {purpose}, made by uqharness next-flight from {mission.name}, in still air unless the"
+        f" host says otherwise.\n  {MANOEUVRE_PROPERTY} counts the test points, 0 in between; the"
+        " event that sets a number bears the point's name.\n"
     )
     body = etree.tostring(root, encoding="unicode", with_tail=False)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n<!--{said}-->\n{body}\n'.encode()
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n<!--{comment}-->\n{body}\n'.encode()
 
 
 def _events(
-    timed: Sequence[Timed], aircraft: Aircraft, has_autopilot: bool
+    timed: Sequence[ScheduledPoint], aircraft: Aircraft, has_autopilot: bool
 ) -> Iterator[etree._Element]:
-    early = 0.5 * aircraft.dt_s  # so that rounding of the clock cannot shift an event by a frame
+    """Yield the events of all test points, with a safety pilot if there is an autopilot."""
+    half_frame_s = (
+        0.5 * aircraft.dt_s
+    )  # so that rounding of the clock cannot shift an event by a frame
     last: Condition | None = None
     if has_autopilot:
         yield _safety_pilot()
     for number, item in enumerate(timed, start=1):
         condition = item.point.condition
+        # Change speed and bank before the first point of a condition.
         if has_autopilot and condition.speed_mps is not None and condition != last:
             at = item.start_s - TRANSITION_S
-            yield _event(f"{at:.2f} s, to {condition.text}", at - early, [*_heading_for(condition)])
+            yield _event(
+                f"{at:.2f} s, to {condition.text}", at - half_frame_s, [*_set_turn(condition)]
+            )
         last = condition
-        taking = [*_take_over(aircraft)] if has_autopilot else []
+        take_over = [*_take_over(aircraft)] if has_autopilot else []
         yield _event(
-            item.point.name, item.start_s - early, [*taking, _set(MANOEUVRE_PROPERTY, number)]
+            item.point.name,
+            item.start_s - half_frame_s,
+            [*take_over, _set(MANOEUVRE_PROPERTY, number)],
         )
+        # Each step becomes a change relative to the step before; changes at one time share an
+        # event.
         changes: dict[float, list[tuple[str, float]]] = {}
         for steps in item.point.steps:
-            time, before = item.start_s + QUIET_S + steps.start_s, 0.0
+            time, previous = item.start_s + QUIET_S + steps.start_s, 0.0
             for units, sign in (*steps.pattern, (0, 0.0)):
                 changes.setdefault(round(time, 4), []).append(
-                    (steps.control, steps.size * (sign - before))
+                    (steps.control, steps.size * (sign - previous))
                 )
-                before, time = sign, time + units * steps.unit_s
+                previous, time = sign, time + units * steps.unit_s
         for at, moves in sorted(changes.items()):
-            said = ", ".join(f"{control} {delta:+g}" for control, delta in moves)
+            move_words = ", ".join(f"{control} {delta:+g}" for control, delta in moves)
             sets = [
                 _delta(aircraft.card.inputs[control].property, delta) for control, delta in moves
             ]
-            yield _event(f"{at:.2f} s, {said}", at - early, sets)
-        giving = [_set("ap/engaged", 1), *_heading_for(condition)] if has_autopilot else []
+            yield _event(f"{at:.2f} s, {move_words}", at - half_frame_s, sets)
+        # The autopilot takes over again after the point.
+        hand_back = [_set("ap/engaged", 1), *_set_turn(condition)] if has_autopilot else []
         yield _event(
             f"{item.end_s:.2f} s, end of {number}",
-            item.end_s - early,
-            [*giving, _set(MANOEUVRE_PROPERTY, 0)],
+            item.end_s - half_frame_s,
+            [*hand_back, _set(MANOEUVRE_PROPERTY, 0)],
         )
 
 
 def _safety_pilot() -> etree._Element:
-    """Ends a point whose attitude or height gets out of hand: the autopilot takes over, and the point's record ends there."""
+    """Return the event that ends a point if attitude or height leave the limits: the autopilot
+    takes over, and the point's record ends.
+    """
     event = etree.Element("event", name="safety pilot", persistent="true")
     condition = etree.SubElement(event, "condition", logic="OR")
     condition.text = (
         "".join(
             f"\n        {name} {sign} {value:g}"
             for name, sign, value in (
-                ("attitude/phi-rad", "gt", MOST_BANK_RAD),
-                ("attitude/phi-rad", "lt", -MOST_BANK_RAD),
-                ("attitude/theta-rad", "gt", MOST_PITCH_RAD),
-                ("attitude/theta-rad", "lt", -MOST_PITCH_RAD),
-                ("nav/altitude-error-m", "lt", -MOST_LOSS_M),
+                ("attitude/phi-rad", "gt", MAX_BANK_RAD),
+                ("attitude/phi-rad", "lt", -MAX_BANK_RAD),
+                ("attitude/theta-rad", "gt", MAX_PITCH_RAD),
+                ("attitude/theta-rad", "lt", -MAX_PITCH_RAD),
+                ("nav/altitude-error-m", "lt", -MAX_HEIGHT_LOSS_M),
             )
         )
         + "\n      "
@@ -333,6 +453,7 @@ def _safety_pilot() -> etree._Element:
 
 
 def _event(name: str, time_s: float, sets: Sequence[etree._Element]) -> etree._Element:
+    """Return an event at a time of the simulation."""
     event = etree.Element("event", name=name)
     condition = etree.SubElement(event, "condition")
     condition.text = f"simulation/sim-time-sec ge {time_s:.4f}"
@@ -341,23 +462,26 @@ def _event(name: str, time_s: float, sets: Sequence[etree._Element]) -> etree._E
 
 
 def _set(name: str, value: float) -> etree._Element:
+    """Return an action that sets a property to a number."""
     return etree.Element("set", name=name, value=f"{value:.6g}")
 
 
 def _delta(name: str, value: float) -> etree._Element:
+    """Return an action that adds a number to a property."""
     return etree.Element("set", name=name, type="FG_DELTA", value=f"{value:.6g}")
 
 
 def _computed(name: str, function: str) -> etree._Element:
+    """Return an action that sets a property to the value of a function."""
     item = etree.Element("set", name=name)
     item.append(etree.fromstring(f"<function>{function}</function>"))
     return item
 
 
 def _take_over(aircraft: Aircraft) -> Iterator[etree._Element]:
-    """Commands to where the controls stand, then the autopilot lets go."""
+    """Set commands to the positions of the controls, then disengage the autopilot."""
     for card in aircraft.card.inputs.values():
-        source = _stands_at(card)
+        source = _position_property(card)
         if source is not None:
             yield _computed(
                 card.property, f"<sum><property>{source}</property><value>0</value></sum>"
@@ -365,8 +489,8 @@ def _take_over(aircraft: Aircraft) -> Iterator[etree._Element]:
     yield _set("ap/engaged", 0)
 
 
-def _stands_at(card: InputCard) -> str | None:
-    """Property that says, in the command's own unit, where a control stands."""
+def _position_property(card: InputCard) -> str | None:
+    """Return the property with the position of a control in the unit of its command."""
     return (
         card.position
         if card.position is not None and card.unit in ("deg", "pct", "rad")
@@ -374,18 +498,26 @@ def _stands_at(card: InputCard) -> str | None:
     )
 
 
-def _heading_for(condition: Condition) -> Iterator[etree._Element]:
-    """Speed, and a circle that begins here and now: its centre abeam, so that no transition to it is flown."""
+def _set_turn(condition: Condition) -> Iterator[etree._Element]:
+    """Command the speed and a circle of the condition's bank.
+
+    The circle's centre is abeam of the present position, so that the turn starts at once. R = V^2 /
+    (g tan(bank)); a radius of 3 km counts as straight.
+    """
     if condition.speed_mps is None:
         return
     bank = math.radians(abs(condition.bank_deg))
-    radius = condition.speed_mps**2 / (G0_MPS2 * math.tan(bank)) if bank > 1e-3 else _WIDE_M
-    radius = min(radius, _WIDE_M)
+    radius = (
+        condition.speed_mps**2 / (G0_MPS2 * math.tan(bank)) if bank > 1e-3 else _STRAIGHT_RADIUS_M
+    )
+    radius = min(radius, _STRAIGHT_RADIUS_M)
     side = -1.0 if condition.bank_deg < 0.0 else 1.0
     yield _set("ap/airspeed-cmd-mps", condition.speed_mps)
     yield _set("ap/WP_LOITER_RAD", round(radius, 1))
     yield _set("ap/loiter-direction", side)
-    yield _set("ap/NAVL1_PERIOD", _FIRM_S if radius < _WIDE_M else _GENTLE_S)
+    yield _set(
+        "ap/NAVL1_PERIOD", _TURN_PERIOD_S if radius < _STRAIGHT_RADIUS_M else _STRAIGHT_PERIOD_S
+    )
     for axis, trig, sign in (("north", "sin", -side), ("east", "cos", side)):
         yield _computed(
             f"ap/loiter-center-{axis}-m",
@@ -394,17 +526,29 @@ def _heading_for(condition: Condition) -> Iterator[etree._Element]:
         )
 
 
-# Where a mission flies: flight states of a few flights of a campaign, or of flight records.
+# States of a mission: from flights of a campaign, or from flight records.
 
 RATE_HZ = 10.0
-LONGEST_S = 300.0
-"""Of each flight; states of a mission that repeats itself are known by then."""
+MAX_FLIGHT_S = 300.0
+"""Length that is simulated of each flight; enough for a mission that repeats itself."""
 _GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
 class Occupancy:
-    """States of a mission, name -> (n,), evenly spaced in time. ``flights`` were flown, ``failed`` more did not end well."""
+    """Flight states of a mission.
+
+    Attributes
+    ----------
+    states : mapping
+        State -> values (n,), evenly spaced in time.
+    flights, failed : int
+        Flights behind them, and flights that did not reach their end.
+    seconds : float
+        Total time.
+    source : str
+        Where they come from, for messages.
+    """
 
     states: Mapping[str, FloatArray]
     flights: int
@@ -413,20 +557,34 @@ class Occupancy:
     source: str
 
     def of(self, names: Sequence[str]) -> dict[str, FloatArray]:
-        """The named states. Raises BadInputError for one that is not known."""
+        """Return the named states; BadInputError if one is not available."""
         missing = [n for n in names if n not in self.states]
         if missing:
             raise BadInputError(
-                f"the bounds depend on {', '.join(missing)}, which {self.source} does not tell; known are {', '.join(self.states)}"
+                f"the bounds depend on {', '.join(missing)}, which {self.source} does not tell;"
+                f" known are {', '.join(self.states)}"
             )
         return {n: self.states[n] for n in names}
 
 
 @dataclass(frozen=True)
 class CampaignMission:
-    """A finished campaign opened to fly some of it again. ``cases`` are those that ended well, ``failed`` how many did not.
+    """A finished campaign that is opened to repeat some of its flights.
 
-    ``same_aircraft`` False: made by uqharness 0.1, which left no identity that tells whether the aircraft is as it was.
+    Attributes
+    ----------
+    folder : Path
+        Its folder.
+    spec : CampaignSpec
+        Its settings.
+    mission : Mission
+        Aircraft and script.
+    cases : tuple of Case
+        Flights that reached their end.
+    failed : int
+        Number of the others.
+    same_aircraft : bool
+        False for campaigns of uqharness 0.1, which did not store whether the aircraft is unchanged.
     """
 
     folder: Path
@@ -438,43 +596,74 @@ class CampaignMission:
 
 
 def open_campaign(folder: Path) -> CampaignMission:
-    """Raises BadInputError where the campaign's aircraft, script or versions are not what they were."""
+    """Open a finished campaign.
+
+    Raises BadInputError if its aircraft, script or versions have changed.
+    """
     manifest = read_complete(folder)
     spec = spec_of(manifest)
     mission = find_mission(spec, folder)
-    # What this version calls the same aircraft is not what 0.1 did: its hash may differ with not a byte changed.
-    but_for = () if has_digests(manifest) else ("uqharness", "aircraft")
-    refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""), but_for)
+    # uqharness 0.1 hashed aircraft differently, so its hash says nothing about changes.
+    ignored_keys = () if has_digests(manifest) else ("uqharness", "aircraft")
+    refuse_if_different(
+        folder, manifest, describe(spec, mission, manifest["cases"], ""), ignored_keys
+    )
     if needs_copy(spec):
         make_copy(spec, mission, folder)
     table = read_cases(folder, manifest)
     ok = set(table.loc[table["status"] == "ok", "case_id"])
-    every = build_cases(spec, replace(mission, aircraft_hash=manifest["hashes"]["aircraft"]))
-    flown = tuple(c for c in every if c.case_id in ok)
+    all_cases = build_cases(spec, replace(mission, aircraft_hash=manifest["hashes"]["aircraft"]))
+    # Only flights that reached their end are repeated.
+    good_cases = tuple(c for c in all_cases if c.case_id in ok)
     return CampaignMission(
-        folder, spec, mission, flown, len(table) - len(ok), has_digests(manifest)
+        folder, spec, mission, good_cases, len(table) - len(ok), has_digests(manifest)
     )
 
 
 def some_cases(cases: Sequence[Case], count: int) -> list[Case]:
-    """``count`` cases that are spread over air, conditions and epistemic samples alike."""
+    """Choose cases spread evenly over air, conditions and epistemic samples.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        All cases.
+    count : int
+        Number to choose; fewer are returned if there are fewer.
+    """
     air = list(dict.fromkeys(c.aleatory_id for c in cases))
     conditions = list(dict.fromkeys((c.wind_mps, c.turbulence) for c in cases))
     chosen: list[Case] = []
     for k in range(min(count, len(cases))):
-        wanted = conditions[k % len(conditions)], air[(k // len(conditions)) % len(air)]
-        there = [
+        target = conditions[k % len(conditions)], air[(k // len(conditions)) % len(air)]
+        candidates = [
             c
             for c in cases
-            if ((c.wind_mps, c.turbulence), c.aleatory_id) == wanted and c not in chosen
+            if ((c.wind_mps, c.turbulence), c.aleatory_id) == target and c not in chosen
         ]
-        # Steps of the golden section never fall into step with the order of the corners.
-        chosen += [there[int(len(there) * math.fmod(0.5 + k * _GOLDEN, 1.0))]] if there else []
+        # Steps of the golden section do not align with the order of the corners.
+        chosen += (
+            [candidates[int(len(candidates) * math.fmod(0.5 + k * _GOLDEN, 1.0))]]
+            if candidates
+            else []
+        )
     return chosen
 
 
 def fly_mission(campaign: CampaignMission, count: int) -> Occupancy:
-    """States of ``count`` of the campaign's flights, after their burn-in. Raises BadInputError if none ended well."""
+    """Fly some cases of a campaign again and return the states after their burn-in.
+
+    Parameters
+    ----------
+    campaign : CampaignMission
+        The campaign.
+    count : int
+        Flights.
+
+    Raises
+    ------
+    BadInputError
+        If none reached its end.
+    """
     parts: list[dict[str, FloatArray]] = []
     failed, seconds = 0, 0.0
     for case in some_cases(campaign.cases, count):
@@ -486,8 +675,8 @@ def fly_mission(campaign: CampaignMission, count: int) -> Occupancy:
             failed += 1
     if not parts:
         raise BadInputError(
-            f"{campaign.folder}: all its flights failed, so the mission's flight states are not known; give records of complete "
-            "flights with --occupancy FILE..."
+            f"{campaign.folder}: all its flights failed, so the mission's flight states are not"
+            " known; give records of complete flights with --occupancy FILE..."
         )
     names = [n for n in parts[0] if all(n in p for p in parts)]
     merged = {n: np.concatenate([p[n] for p in parts]) for n in names}
@@ -495,7 +684,7 @@ def fly_mission(campaign: CampaignMission, count: int) -> Occupancy:
 
 
 def _fly(spec: FlightSpec) -> tuple[dict[str, FloatArray], bool]:
-    """States (n,) after the burn-in, true values as the bounds see them in a campaign, and whether the flight ended well."""
+    """Return the true states (n,) after the burn-in, and whether the flight reached its end."""
     mission = staged_mission(spec)
     table = {n: s for n, s in properties.sources(mission.aircraft).items() if n in STATES}
     needed = {n: s for n, s in table.items() if n in properties.STANDARD}
@@ -504,32 +693,50 @@ def _fly(spec: FlightSpec) -> tuple[dict[str, FloatArray], bool]:
         **{n: s for n, s in table.items() if n not in properties.STANDARD},
     }
     rate = min(RATE_HZ, 1.0 / mission.aircraft.dt_s)
-    flight = replace(spec, duration_s=min(spec.duration_s, LONGEST_S), record_rate_hz=rate)
+    flight = replace(spec, duration_s=min(spec.duration_s, MAX_FLIGHT_S), record_rate_hz=rate)
     recorded = record_mission(mission, flight, needed, optional)
     states = {n: np.asarray(v, dtype=float) for n, v in recorded.signals.items() if n != "time_s"}
     return states, recorded.status == "ok" and bool(len(next(iter(states.values()))))
 
 
 def recorded_mission(paths: Sequence[Path], aircraft: Aircraft, cutoff_hz: float) -> Occupancy:
-    """The same from flight records or logs of the mission, smoothed as the bounds' data were. Raises BadInputError."""
+    """Return the states of a mission from flight records or logs.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Records.
+    aircraft : Aircraft
+        Aircraft that flew them.
+    cutoff_hz : float
+        Cutoff of the smoothing; the same as for the data behind the bounds.
+
+    Raises
+    ------
+    BadInputError
+        If a record cannot be read, or has no second with all states.
+    """
     parts: list[dict[str, FloatArray]] = []
     seconds = 0.0
     for path in paths:
         record = read_flight(path, aircraft)
-        known = tuple(n for n in STATES if n in record and np.isfinite(record[n]).mean() > 0.5)
+        # States that the record has for at least half of its time.
+        available = tuple(n for n in STATES if n in record and np.isfinite(record[n]).mean() > 0.5)
+        # Thinned after smoothing.
         stride = max(1, round(1.0 / (RATE_HZ * record.dt_s)))
         pieces = [
             {
                 n: smooth(np.asarray(record[n][rows], dtype=float), record.dt_s, cutoff_hz)[
                     ::stride
                 ]
-                for n in known
+                for n in available
             }
-            for rows in record.segments(known, 1.0)
+            for rows in record.segments(available, 1.0)
         ]
         if not pieces:
             raise BadInputError(
-                f"--occupancy {path}: no second of it has all of {', '.join(known) or 'the states'}"
+                f"--occupancy {path}: no second of it has all of"
+                f" {', '.join(available) or 'the states'}"
             )
         parts += pieces
         seconds += sum(len(p["V_mps"]) for p in pieces if "V_mps" in p) * stride * record.dt_s

@@ -1,4 +1,9 @@
-"""Test points tried on the model: flown in simulation, refused where they leave what may be flown, measured by what they tell."""
+"""Try test points on the model.
+
+Each point is simulated with sensor noise and turbulence. A point is refused if the flight ends or a
+state leaves its allowed range; otherwise its filtered states say what information it would add, and
+its residuals what scatter noise and air alone produce.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +28,7 @@ from uqharness.flight import (
 )
 from uqharness.next_flight.points import (
     AUTOPILOT,
-    MOST_LOSS_M,
+    MAX_HEIGHT_LOSS_M,
     RECOVERY_S,
     TestPoint,
     schedule,
@@ -41,17 +46,34 @@ from uqharness.simulator import (
 )
 from uqharness.simulator import aircraft as properties
 
-WIDER = 0.5
-"""A state may leave what has been flown by this share of its range: flight tests go on step by step."""
+RANGE_EXTENSION = 0.5
+"""Share of its range by which a state may exceed what has been flown: flight tests proceed in
+small steps.
+"""
 _FALLBACK_UNIT_S = 0.5
-_PEAK = 2.331122
+_DOUBLET_PEAK = 2.331122
 
 
 @dataclass(frozen=True)
 class TestFlight:
-    """How test flights are flown: aircraft, mission script, what holds it, and the air and noise they meet.
+    """How test flights are simulated.
 
-    begin_s: when the first transition may begin. ``rate_hz`` of the record.
+    Attributes
+    ----------
+    aircraft : Aircraft
+        Model that flies.
+    mission : Path
+        Run script that the points are added to.
+    has_autopilot : bool
+        Whether the aircraft has this project's autopilot.
+    begin_s : float
+        When the first transition may start.
+    turbulence, turbulence_source : str
+        Intensity and model of turbulence.
+    noise : bool
+        Whether sensors have noise.
+    rate_hz : float
+        Rate of the record.
     """
 
     aircraft: Aircraft
@@ -68,7 +90,17 @@ class TestFlight:
 
 @dataclass(frozen=True)
 class Trial:
-    """A test point as flown: states name -> (n,), filtered as the bounds' data are, and what noise and air left, delta (n, 6)."""
+    """A test point as the model flew it.
+
+    Attributes
+    ----------
+    point : TestPoint
+        The point.
+    states : mapping
+        State -> values (n,), filtered as the data behind the bounds.
+    delta : array (n, 6)
+        Residual coefficients, which contain noise and gusts only.
+    """
 
     point: TestPoint
     states: Mapping[str, FloatArray]
@@ -76,41 +108,58 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Refused:
-    """A test point that may not be flown, and why."""
+class RefusedPoint:
+    """A test point that must not be flown, and the reason."""
 
     point: TestPoint
     reason: str
 
 
 def has_autopilot(aircraft: Aircraft) -> bool:
-    """Whether the aircraft has this project's autopilot."""
+    """Return whether the aircraft has this project's autopilot."""
     manager = open_aircraft(aircraft).get_property_manager()
     return all(manager.hasNode(name) for name in AUTOPILOT)
 
 
 def has_noise(aircraft: Aircraft) -> bool:
-    """Whether the aircraft has the sensors that ``noise`` asks for."""
+    """Return whether the aircraft has a sensors system."""
     return bool(open_aircraft(aircraft).get_property_manager().hasNode("sensor/V-mps"))
 
 
 def unit_times(aircraft: Aircraft, speed_mps: float, altitude_m: float) -> dict[str, float]:
-    """Seconds of one unit by control, from the model's own modes: a doublet then has most of its power where the mode answers.
+    """Choose the duration of one unit of a control's pattern from the modes of the model.
 
-    The spectrum of a doublet of half width T, (4/w) sin^2(wT/2), is largest at tan(wT/2) = wT, wT = 2.33. The elevator follows the
-    short period, aileron and rudder the dutch roll. 0.5 s for a model that cannot be trimmed at that speed.
+    The spectrum of a doublet of half width T, (4/w) sin^2(wT/2), is largest where tan(wT/2) = wT,
+    at wT = 2.33. The elevator excites the short period, aileron and rudder the dutch roll.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Model.
+    speed_mps, altitude_m : float
+        Condition of the trim.
+
+    Returns
+    -------
+    dict
+        Control -> seconds, between 0.2 and 3; 0.5 s if the model cannot be trimmed.
     """
-    found: dict[str, float] = {}
+    frequencies: dict[str, float] = {}
     try:
+        # Modes at the trim; a model that cannot be trimmed gets the default.
         trim = find_trim(aircraft, SteadyCondition(speed_mps, altitude_m))
         if trim.converged:
-            found = {m.name: abs(complex(m.real, m.imag)) for m in modes(linearise(aircraft, trim))}
+            frequencies = {
+                m.name: abs(complex(m.real, m.imag)) for m in modes(linearise(aircraft, trim))
+            }
     except (BadInputError, ArithmeticError, ValueError, np.linalg.LinAlgError):
         pass
     pitch, yaw = (
-        float(f"{min(max(_PEAK / found[m], 0.2), 3.0):.1g}")
-        if found.get(m, 0.0) > 0.0
-        else _FALLBACK_UNIT_S
+        (
+            float(f"{min(max(_DOUBLET_PEAK / frequencies[m], 0.2), 3.0):.1g}")
+            if frequencies.get(m, 0.0) > 0.0
+            else _FALLBACK_UNIT_S
+        )
         for m in ("short_period", "dutch_roll")
     )
     return {"elevator": pitch, "aileron": yaw, "rudder": yaw, "throttle": round(3.0 * pitch, 1)}
@@ -119,7 +168,17 @@ def unit_times(aircraft: Aircraft, speed_mps: float, altitude_m: float) -> dict[
 def fly_points(
     flight: TestFlight, points: Sequence[TestPoint], seed: int, path: Path
 ) -> tuple[bool, float, str]:
-    """Fly the points, write the record; whether it ended well, how long it flew, and why it ended."""
+    """Simulate points and write the record.
+
+    Returns
+    -------
+    ok : bool
+        Whether the flight reached its end.
+    flown_s : float
+        How long it flew.
+    reason : str
+        Why it ended.
+    """
     script = path.with_suffix(".xml")
     text = script_text(
         flight.mission,
@@ -137,7 +196,7 @@ def fly_points(
 def fly_script(
     flight: TestFlight, script: Path, seed: int, path: Path, duration_s: float | None = None
 ) -> tuple[bool, float, str]:
-    """The same for a script that is written already, or its first seconds."""
+    """Simulate a script, or its first ``duration_s`` seconds; see `fly_points`."""
     read = read_script(script)
     turbulence, noise = turbulence_and_noise_seeds(seed)
     spec = FlightSpec(
@@ -158,7 +217,10 @@ def fly_script(
 
 
 def residuals_of(aircraft: Aircraft, paths: Sequence[Path], cutoffs: Cutoffs) -> list[Residuals]:
-    """Residual coefficients of records, one a record. Raises BadInputError."""
+    """Compute residual coefficients of records, one `Residuals` per record.
+
+    Raises BadInputError if a record cannot be read.
+    """
     arm = aircraft.accelerometer_m
     flights, measured = read_bounds_flights(paths, aircraft)
     with prediction_of(aircraft, measured) as pair:
@@ -171,71 +233,104 @@ def try_points(
     allowed: Mapping[str, tuple[float, float]],
     cutoffs: Cutoffs,
     seed: int,
-) -> tuple[list[Trial], list[Refused]]:
-    """Fly every point once, those of a condition in one flight. A point at which a flight ends is refused, the rest flown again.
+) -> tuple[list[Trial], list[RefusedPoint]]:
+    """Simulate every point, those of one condition in one flight.
 
-    allowed: state -> smallest and largest value that a point, with its recovery, may reach.
+    A point at which a flight ends is refused, and the points after it are flown again.
+
+    Parameters
+    ----------
+    flight : TestFlight
+        How flights are simulated.
+    points : sequence of TestPoint
+        Grouped by condition.
+    allowed : mapping
+        State -> smallest and largest value that a point, with its recovery, may reach.
+    cutoffs : Cutoffs
+        Filters of the residuals.
+    seed : int
+        Seed of the first flight; later flights use the next ones.
+
+    Returns
+    -------
+    trials : list of Trial
+    refused : list of RefusedPoint
     """
     trials: list[Trial] = []
-    refused: list[Refused] = []
+    refused: list[RefusedPoint] = []
     with scratch_folder() as scratch:
         for number, (_, group) in enumerate(groupby(points, key=lambda p: p.condition)):
-            left, again = list(group), 0
-            while left:
-                path = scratch.path / f"trial-{number}-{again}.parquet"
-                again += 1
-                ok, flown_s, reason = fly_points(flight, left, seed + number, path)
-                timed, _ = schedule(left, flight.begin_s)
+            remaining, attempt = list(group), 0
+            while remaining:
+                path = scratch.path / f"trial-{number}-{attempt}.parquet"
+                attempt += 1
+                ok, flown_s, reason = fly_points(flight, remaining, seed + number, path)
+                timed, _ = schedule(remaining, flight.begin_s)
+                # Points whose recovery was complete before the flight ended count as flown.
                 done = [t for t in timed if ok or t.end_s + RECOVERY_S <= flown_s]
-                ended = [] if ok else left[len(done) : len(done) + 1]
-                good, bad = _judged(path, [(t.point, t.start_s, t.end_s) for t in done], allowed)
-                refused += bad + [Refused(p, f"the flight ends: {reason}") for p in ended]
-                if good:
-                    trials += _measured(flight.aircraft, path, good, cutoffs)
-                left = left[len(done) + len(ended) :]
+                # The first point that is not complete ended the flight.
+                ended = [] if ok else remaining[len(done) : len(done) + 1]
+                accepted, rejected = _check_points(
+                    path, [(t.point, t.start_s, t.end_s) for t in done], allowed
+                )
+                refused += rejected + [RefusedPoint(p, f"the flight ends: {reason}") for p in ended]
+                if accepted:
+                    trials += _trials_of(flight.aircraft, path, accepted, cutoffs)
+                remaining = remaining[len(done) + len(ended) :]
     return trials, refused
 
 
-def _judged(
+def _check_points(
     path: Path,
     points: Sequence[tuple[TestPoint, float, float]],
     allowed: Mapping[str, tuple[float, float]],
-) -> tuple[list[TestPoint], list[Refused]]:
+) -> tuple[list[TestPoint], list[RefusedPoint]]:
+    """Split points by whether they stay within the allowed ranges and do not lose too much
+    height.
+    """
     import pandas as pd
 
     frame = pd.read_parquet(path)
-    good: list[TestPoint] = []
-    bad: list[Refused] = []
+    accepted: list[TestPoint] = []
+    rejected: list[RefusedPoint] = []
     for point, start_s, end_s in points:
         rows = frame[(frame["time_s"] >= start_s) & (frame["time_s"] <= end_s + RECOVERY_S)]
         reason = ""
-        if "h_m" in rows and float(rows["h_m"].iloc[0] - rows["h_m"].min()) > MOST_LOSS_M:
-            reason = f"it loses {float(rows['h_m'].iloc[0] - rows['h_m'].min()):.0f} m, allowed are {MOST_LOSS_M:g}"
+        if "h_m" in rows and float(rows["h_m"].iloc[0] - rows["h_m"].min()) > MAX_HEIGHT_LOSS_M:
+            reason = (
+                f"it loses {float(rows['h_m'].iloc[0] - rows['h_m'].min()):.0f} m, allowed are"
+                f" {MAX_HEIGHT_LOSS_M:g}"
+            )
         for state, (low, high) in allowed.items():
             values = rows[state].to_numpy()
             if reason:
                 break
-            # Single samples are the sensors' noise.
-            least, most = np.percentile(values, [1.0, 99.0])
-            if least < low or most > high:
-                reason = f"{state} reaches {least if least < low else most:.3g}, allowed are {low:.3g} to {high:.3g}"
+            # Percentiles instead of extremes: single samples are sensor noise.
+            lowest, highest = np.percentile(values, [1.0, 99.0])
+            if lowest < low or highest > high:
+                reason = (
+                    f"{state} reaches {lowest if lowest < low else highest:.3g}, allowed are"
+                    f" {low:.3g} to {high:.3g}"
+                )
                 break
         if reason:
-            bad.append(Refused(point, reason))
+            rejected.append(RefusedPoint(point, reason))
         else:
-            good.append(point)
-    return good, bad
+            accepted.append(point)
+    return accepted, rejected
 
 
-def _measured(
+def _trials_of(
     aircraft: Aircraft, path: Path, points: Sequence[TestPoint], cutoffs: Cutoffs
 ) -> list[Trial]:
+    """Compute states and residuals of each point of a record."""
     try:
         (residuals,) = residuals_of(aircraft, [path], cutoffs)
     except LogError as error:
         raise BadInputError(str(error)) from None
     out = []
     for point in points:
+        # Segments are labelled with the point's name.
         pieces = [p for p in residuals.pieces if p.label == point.name]
         if pieces:
             names = [n for n in pieces[0].states if all(n in p.states for p in pieces)]
@@ -245,6 +340,6 @@ def _measured(
 
 
 def sorted_points(points: Sequence[TestPoint]) -> list[TestPoint]:
-    """Points of one condition together, conditions in the order of first choice."""
+    """Sort points by condition, conditions in the order of first appearance."""
     conditions = list(dict.fromkeys(p.condition for p in points))
     return sorted(points, key=lambda p: conditions.index(p.condition))

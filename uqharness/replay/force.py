@@ -116,8 +116,8 @@ def by_batch(
         return None
     # Recompile with the union of the properties, so that alternating sets do not recompile each
     # time.
-    names = {*properties, *(entry.program.given if entry.program is not None else ())}
-    if entry.program is None or not names <= set(entry.program.given):
+    names = {*properties, *(entry.program.properties if entry.program is not None else ())}
+    if entry.program is None or not names <= set(entry.program.properties):
         entry.program = _verified(
             model, states, dt_s, properties, by_jsbsim, _compile(model, dt_s, names, records)
         )

@@ -1,4 +1,8 @@
-"""A study: the whole chain from flights to a verdict about performance."""
+"""Run a study: from flights to a statement about performance, before and after refinement.
+
+``spec`` reads the study file, ``stages`` plans one ``uqharness`` command per stage, ``run`` runs
+what is not up to date, and ``answer`` states the result.
+"""
 
 import lazy_loader
 

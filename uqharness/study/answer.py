@@ -1,4 +1,14 @@
-"""The answer of a study in four lines: answer, why, what the model lacked and what adding it bought, what to do next."""
+"""State the results of a study in sentences: an answer in four lines, and a verdict.
+
+The answer says whether the acceptable rate of excursions is met at every corner of the model-form
+bounds, why, which effects the model lacked, and what to do next. The verdict lists one sentence
+with a level for each claim about performance, refinement, bounds and identification. All numbers
+come from the files that the stages of the study wrote (cases, statements, sensitivity.csv,
+refinement.json, coverage.json, fit.json).
+
+`fly_tracks` records ground tracks of the model and of its worst corner, before and after
+refinement, in the same air.
+"""
 
 from __future__ import annotations
 
@@ -53,12 +63,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-# What two campaigns of a study say of the aircraft's performance, before and after refinement,
-# in sentences.
+# Performance before and after refinement, from the two campaigns of a study.
 
 Sentence = tuple[str, str]
-"""Text and level: good where a claim was tested and held, warn, bad, or empty for a plain fact."""
-GOOD, WARN, BAD, PLAIN = "good", "warn", "bad", ""
+"""Text and level: good for a claim that was tested and holds, warn, bad, or empty for a fact."""
+LEVEL_GOOD, LEVEL_WARN, LEVEL_BAD, LEVEL_PLAIN = "good", "warn", "bad", ""
 
 _QUANTITIES = (
     ("cross_track_median_m", "cross-track error", "m"),
@@ -66,22 +75,30 @@ _QUANTITIES = (
     ("speed_median_mps", "speed error", "m/s"),
     ("heading_median_deg", "heading error", "deg"),
 )
-_LEVELS = {YES: GOOD, NO: BAD, OPEN: WARN}
+_LEVELS = {YES: LEVEL_GOOD, NO: LEVEL_BAD, OPEN: LEVEL_WARN}
 _ANSWERS = {YES: "yes", NO: "no", OPEN: "inconclusive"}
 TOO_FEW = "too few flight hours"
-"""Why an answer is inconclusive whose statement gives no other reason."""
-CONDITIONS_TOLD = 4
-"""Conditions that are told one by one; of more than that, the hardest, with all of them counted."""
-MUCH_OUTSIDE = 0.1
-SAME = 0.02
-"""Relative change of a width below which it is called unchanged."""
+"""Reason of an inconclusive answer whose statement has none."""
+MAX_CONDITIONS = 4
+"""Up to this number all conditions are listed; beyond it only the hardest, and counts."""
+LARGE_EXTRAPOLATED_SHARE = 0.1
+NEGLIGIBLE_CHANGE = 0.02
+"""Relative change of a width that counts as unchanged."""
 
 
 @dataclass(frozen=True)
 class Width:
-    """How wide a p-box is: the area between its sides [unit of the metric], and its median [low, high].
+    """Width of a p-box.
 
-    Infinite, with the reason, where flights failed: their error may be anything.
+    Attributes
+    ----------
+    area : float
+        Area between its two distribution functions [unit of the metric]. Infinite if flights
+        failed: their error is unbounded.
+    median : (float, float)
+        Lower and upper bound of the median.
+    reason : str
+        Why the area is infinite; else empty.
     """
 
     area: float
@@ -90,47 +107,103 @@ class Width:
 
 
 @dataclass(frozen=True)
-class Flown:
-    """A finished campaign: its folder, flights, settings, statements, and the rows of its sensitivity.csv."""
+class FlownCampaign:
+    """A finished campaign of a study.
+
+    Attributes
+    ----------
+    folder : Path
+        Its folder.
+    frame : DataFrame
+        One row per flight (cases.parquet).
+    campaign : mapping
+        Its settings, from the manifest.
+    statements : list of Statement
+        Excursion rates against the acceptable rate: one per condition, radius and kind of distance.
+    shares : list of dict
+        Rows of sensitivity.csv; empty without it.
+    """
 
     folder: Path
     frame: pd.DataFrame
     campaign: Mapping[str, Any]
-    signed: list[Statement]
+    statements: list[Statement]
     shares: list[dict[str, str]]
 
 
-def read_flown(out: Path, both: bool) -> dict[str, Flown]:
-    """The campaigns in a study's folder by when they were flown; ``both``: before and after refinement. Raises BadInputError."""
+def read_campaigns(out: Path, refined: bool) -> dict[str, FlownCampaign]:
+    """Read the campaigns in a study's folder.
+
+    Parameters
+    ----------
+    out : Path
+        The study's folder.
+    refined : bool
+        Whether the study has a campaign with the refined model.
+
+    Returns
+    -------
+    dict
+        ``before`` and, if ``refined``, ``after`` -> campaign.
+
+    Raises
+    ------
+    BadInputError
+        If a campaign is not finished or its files are damaged.
+    """
     return {
-        when: _read(out / f"campaign-{when}") for when in ((BEFORE, AFTER) if both else (BEFORE,))
+        when: _read(out / f"campaign-{when}")
+        for when in ((BEFORE, AFTER) if refined else (BEFORE,))
     }
 
 
-def _read(folder: Path) -> Flown:
+def _read(folder: Path) -> FlownCampaign:
+    """Read one finished campaign."""
     manifest = read_complete(folder)
     frame, campaign = read_cases(folder, manifest), manifest["campaign"]
-    signed = statements(frame, campaign, read_decisions(folder, manifest))
-    return Flown(folder, frame, campaign, signed, read_sensitivity(folder, manifest) or [])
+    all_statements = statements(frame, campaign, read_decisions(folder, manifest))
+    return FlownCampaign(
+        folder, frame, campaign, all_statements, read_sensitivity(folder, manifest) or []
+    )
 
 
-def performance(flown: Mapping[str, Flown]) -> Iterator[Sentence]:
-    """Sentences about the campaigns of a study, one or before and after refinement."""
-    both = AFTER in flown
-    last = flown[AFTER if both else BEFORE]
-    found = conditions(last.frame)
-    if not any(_asked(last.signed, condition) for condition in found):
-        yield "No excursion can be counted: this aircraft publishes no distance from a path.", WARN
-    elif len(found) > 1:
+def performance(campaigns: Mapping[str, FlownCampaign]) -> Iterator[Sentence]:
+    """Yield sentences on the performance in each condition, before and after refinement.
+
+    Parameters
+    ----------
+    campaigns : mapping
+        ``before`` and possibly ``after`` -> campaign.
+
+    Yields
+    ------
+    (str, str)
+        Text and level.
+    """
+    refined = AFTER in campaigns
+    # With refinement, the refined model is the answer; the other is for comparison.
+    last = campaigns[AFTER if refined else BEFORE]
+    all_conditions = conditions(last.frame)
+    if not any(_tightest_statement(last.statements, condition) for condition in all_conditions):
+        yield (
+            "No excursion can be counted: this aircraft publishes no distance from a path.",
+            LEVEL_WARN,
+        )
+    elif len(all_conditions) > 1:
         yield _tally(last)
-    told = found if len(found) <= CONDITIONS_TOLD else [hardest_condition(found)]
-    for condition in told:
-        for item in _asked(last.signed, condition):
-            yield _excursions(item, _same(flown[BEFORE].signed, item) if both else None)
+    listed = (
+        all_conditions if len(all_conditions) <= MAX_CONDITIONS else [hardest_condition(all_conditions)]
+    )
+    for condition in listed:
+        for item in _tightest_statement(last.statements, condition):
+            yield _excursions(
+                item, _matching_statement(campaigns[BEFORE].statements, item) if refined else None
+            )
+        # P-boxes are compared only if both campaigns have the metric.
         for metric, words, unit in _QUANTITIES:
             sides = {
                 when: width_of(in_condition(item.frame, condition), metric)
-                for when, item in flown.items()
+                for when, item in campaigns.items()
             }
             present = [side for side in sides.values() if side is not None]
             if len(present) == len(sides):
@@ -140,19 +213,24 @@ def performance(flown: Mapping[str, Flown]) -> Iterator[Sentence]:
         yield from _widest(last.shares, condition)
         # Bounds that are numbers hold everywhere: only those of a model form have an outside.
         if isinstance(last.campaign["epistemic"].get("bounds"), str):
-            yield from _outside(in_condition(last.frame, condition), condition)
-    yield _ended(flown)
+            yield from _extrapolation(in_condition(last.frame, condition), condition)
+    yield _flight_counts(campaigns)
 
 
-def asked_of(flown: Flown) -> list[Statement]:
-    """The statements about the smallest radius, one a condition; none where no distance from a path is known."""
+def tightest_statements(campaign: FlownCampaign) -> list[Statement]:
+    """Return the statements on the smallest radius, one per condition.
+
+    Empty if the aircraft publishes no distance from a path.
+    """
     return [
-        item for condition in conditions(flown.frame) for item in _asked(flown.signed, condition)
+        item
+        for condition in conditions(campaign.frame)
+        for item in _tightest_statement(campaign.statements, condition)
     ]
 
 
 def answer_words(item: Statement) -> str:
-    """The answer in words; of an inconclusive one with the reason."""
+    """Return the answer in words, with the reason if it is inconclusive."""
     return (
         f"{_ANSWERS[item.answer]} ({item.reason or TOO_FEW})"
         if item.answer == OPEN
@@ -160,57 +238,71 @@ def answer_words(item: Statement) -> str:
     )
 
 
-def _asked(signed: Sequence[Statement], condition: Condition) -> list[Statement]:
-    """The statement about the smallest radius, which is what is asked; none where no distance from a path is known."""
-    here = [
+def _tightest_statement(
+    all_statements: Sequence[Statement], condition: Condition
+) -> list[Statement]:
+    """Return the condition's statement on the smallest radius in a list; an empty list if there is
+    none.
+    """
+    horizontal = [
         item
-        for item in signed
+        for item in all_statements
         if item.cell.condition == condition and item.cell.distance == "horizontal"
     ]
-    return sorted(here, key=lambda item: item.cell.radius_m)[:1]
+    return sorted(horizontal, key=lambda item: item.cell.radius_m)[:1]
 
 
-def _same(signed: Sequence[Statement], wanted: Statement) -> Statement | None:
+def _matching_statement(all_statements: Sequence[Statement], target: Statement) -> Statement | None:
+    """Return the statement on the same condition, radius and distance as ``target``."""
+
     def key(item: Statement) -> tuple[Condition, float, str]:
         return item.cell.condition, item.cell.radius_m, item.cell.distance
 
-    return next((item for item in signed if key(item) == key(wanted)), None)
+    return next((item for item in all_statements if key(item) == key(target)), None)
 
 
-def _tally(flown: Flown) -> Sentence:
-    """The answers of all conditions, counted, for the smallest radius."""
-    asked = asked_of(flown)
-    radius = asked[0].cell.radius_m
+def _tally(campaign: FlownCampaign) -> Sentence:
+    """Count the answers of all conditions for the smallest radius."""
+    answered = tightest_statements(campaign)
+    radius = answered[0].cell.radius_m
     words = []
     for answer in (YES, NO, OPEN):
-        named = [item.cell.condition.label for item in asked if item.answer == answer]
-        if named:
-            words.append(f"{_ANSWERS[answer]} in {len(named)} ({', '.join(named)})")
-    text = f"At most {counted(asked[0].acceptable_per_h, 'excursion')} beyond {radius:g} m per flight hour at every corner? "
-    text += f"Of {len(asked)} conditions: "
-    answers = {item.answer for item in asked}
-    return text + "; ".join(
-        words
-    ) + ".", BAD if NO in answers else WARN if OPEN in answers else GOOD
+        labels = [item.cell.condition.label for item in answered if item.answer == answer]
+        if labels:
+            words.append(f"{_ANSWERS[answer]} in {len(labels)} ({', '.join(labels)})")
+    text = (
+        f"At most {counted(answered[0].acceptable_per_h, 'excursion')} beyond {radius:g} m per"
+        " flight hour at every corner? "
+    )
+    text += f"Of {len(answered)} conditions: "
+    answers = {item.answer for item in answered}
+    return text + "; ".join(words) + ".", (
+        LEVEL_BAD if NO in answers else LEVEL_WARN if OPEN in answers else LEVEL_GOOD
+    )
 
 
 def _excursions(item: Statement, before: Statement | None) -> Sentence:
+    """State the answer of one condition with its rates, and the answer before refinement."""
     cell = item.cell
-    asked = (
-        f"In {cell.condition.words}: at most {counted(item.acceptable_per_h, 'excursion')} beyond {cell.radius_m:g} m per flight hour "
-        f"at every corner? {answer_words(item).capitalize()}: {_rates(item)}"
+    text = (
+        f"In {cell.condition.words}: at most {counted(item.acceptable_per_h, 'excursion')} beyond"
+        f" {cell.radius_m:g} m per flight hour at every corner? {answer_words(item).capitalize()}:"
+        f" {_rates(item)}"
     )
     if item.flight_share:
-        asked += f"; {item.flight_share}"
+        text += f"; {item.flight_share}"
     if before is None:
-        return asked + ".", _LEVELS[item.answer]
-    return f"{asked}. Before refinement: {_ANSWERS[before.answer]}, {_rates(before)}.", _LEVELS[
-        item.answer
-    ]
+        return text + ".", _LEVELS[item.answer]
+    return (
+        f"{text}. Before refinement: {_ANSWERS[before.answer]}, {_rates(before)}.",
+        _LEVELS[item.answer],
+    )
 
 
 def _rates(item: Statement) -> str:
+    """State the excursion rates [1/h] at the best and the worst corner, and the upper limit."""
     hours = max((rate.hours for rate in item.cell.rates), default=0.0)
+    # No flight was long enough to be scored.
     if hours <= 0.0 or math.isnan(item.worst.rate):
         return "undefined, for no flight was scored"
     sure = f"{100 * CONFIDENCE:g} % upper limit"
@@ -218,104 +310,164 @@ def _rates(item: Statement) -> str:
         f"no finite {sure}" if math.isinf(item.worst.upper) else f"{sure} {item.worst.upper:.3g}/h"
     )
     return (
-        f"{item.best.rate:.3g} (best corner) to {item.worst.rate:.3g} (worst) per hour in {hours:.3g} h per corner, "
-        f"{upper} at the worst corner"
+        f"{item.best.rate:.3g} (best corner) to {item.worst.rate:.3g} (worst) per hour in"
+        f" {hours:.3g} h per corner, {upper} at the worst corner"
     )
 
 
 def width_of(rows: pd.DataFrame, metric: str) -> Width | None:
-    """Width of the p-box of one condition's flights; None where no flight has the metric."""
+    """Compute the width of the p-box of a metric in one condition.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Flights of the condition.
+    metric : str
+        Column of the metric.
+
+    Returns
+    -------
+    Width or None
+        None if no flight has the metric.
+    """
     if metric not in rows:
         return None
-    found = samples(rows, metric)
-    if not any(sample.values.size for sample in found):
+    groups = samples(rows, metric)
+    if not any(sample.values.size for sample in groups):
         return None
-    median = pbox(found, CONFIDENCE).quantile(0.5)
-    unknown = sum(sample.unknown for sample in found)
+    median = pbox(groups, CONFIDENCE).quantile(0.5)
+    # A flight without the metric may have had any value.
+    unknown = sum(sample.unknown for sample in groups)
     if unknown:
         return Width(
             math.inf,
             median,
             f"{unknown} of {len(rows)} flights have no such error, which leaves its sides open",
         )
-    return Width(area(found), median)
+    return Width(area(groups), median)
 
 
-def area(found: Sequence[Sample]) -> float:
-    """Area between the envelopes of the samples' distribution functions, in the unit of the values; none may be unknown."""
-    values = np.unique(np.concatenate([sample.values for sample in found]))
-    lower, upper = envelope(found, values)
+def area(groups: Sequence[Sample]) -> float:
+    """Integrate the area between the envelopes of several empirical distribution functions.
+
+    Parameters
+    ----------
+    groups : sequence of Sample
+        One per corner; no value may be unknown.
+
+    Returns
+    -------
+    float
+        Area, in the unit of the values.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from uqharness.statistics import Sample
+    >>> round(area([Sample("0", np.array([1.0, 2.0])), Sample("1", np.array([1.5, 2.5]))]), 6)
+    0.5
+    """
+    # The envelopes are step functions that change only at samples.
+    values = np.unique(np.concatenate([sample.values for sample in groups]))
+    lower, upper = envelope(groups, values)
     return float(np.sum((upper - lower)[:-1] * np.diff(values)))
 
 
 def _pbox_sentence(
-    words: str, unit: str, condition: Condition, duration_s: float, sides: Sequence[Width]
+    words: str, unit: str, condition: Condition, duration_s: float, widths: Sequence[Width]
 ) -> Sentence:
+    """State the median of a metric, and whether its p-box became narrower.
+
+    ``widths`` has the width before refinement and, in a study with refinement, the width after.
+    """
     text = f"Median {words} of a typical {duration_s:g} s flight, best to worst corner: "
-    if len(sides) == 1:
-        return f"{text}{_span(sides[0])} {unit} ({condition.label}).", PLAIN if not sides[
-            0
-        ].reason else WARN
-    before, after = sides
-    text += f"{_span(before)} {unit} before refinement, {_span(after)} {unit} after ({condition.label}); "
+    if len(widths) == 1:
+        return f"{text}{_span(widths[0])} {unit} ({condition.label}).", (
+            LEVEL_PLAIN if not widths[0].reason else LEVEL_WARN
+        )
+    before, after = widths
+    text += (
+        f"{_span(before)} {unit} before refinement, {_span(after)} {unit} after"
+        f" ({condition.label}); "
+    )
     if after.reason:
-        return f"{text}the p-box after refinement has no finite width: {after.reason}.", WARN
+        return f"{text}the p-box after refinement has no finite width: {after.reason}.", LEVEL_WARN
     if before.reason:
         return (
             f"{text}the p-box became narrower: before, {before.reason}; after, none lacks it.",
-            PLAIN,
+            LEVEL_PLAIN,
         )
     if before.area == 0.0:
-        return f"{text}the p-box had no width before.", WARN
+        return f"{text}the p-box had no width before.", LEVEL_WARN
+    # A change below 2 % counts as none.
     ratio = after.area / before.area
     sizes = f"mean width {before.area:.3g} {unit} before, {after.area:.3g} {unit} after"
-    if ratio < 1.0 - SAME:
-        return f"{text}the p-box became narrower by {100 * (1 - ratio):.0f} % ({sizes}).", PLAIN
-    if ratio > 1.0 + SAME:
+    if ratio < 1.0 - NEGLIGIBLE_CHANGE:
         return (
-            f"{text}the p-box did NOT become narrower, it is {100 * (ratio - 1):.0f} % wider ({sizes}).",
-            WARN,
+            f"{text}the p-box became narrower by {100 * (1 - ratio):.0f} % ({sizes}).",
+            LEVEL_PLAIN,
         )
-    return f"{text}the p-box did NOT become narrower ({sizes}).", WARN
+    if ratio > 1.0 + NEGLIGIBLE_CHANGE:
+        return (
+            (
+                f"{text}the p-box did NOT become narrower, it is {100 * (ratio - 1):.0f} % wider"
+                f" ({sizes})."
+            ),
+            LEVEL_WARN,
+        )
+    return f"{text}the p-box did NOT become narrower ({sizes}).", LEVEL_WARN
 
 
 def _span(side: Width) -> str:
+    """State the bounds of the median."""
     low, high = side.median
     return f"at least {low:.3g}" if math.isinf(high) else f"{low:.3g} to {high:.3g}"
 
 
-def _ended(flown: Mapping[str, Flown]) -> Sentence:
-    parts, failed_any, lost_any = [], False, False
-    for when, item in flown.items():
+def _flight_counts(campaigns: Mapping[str, FlownCampaign]) -> Sentence:
+    """Count failed flights and losses of control."""
+    parts, any_failed, any_lost_control = [], False, False
+    for when, item in campaigns.items():
         frame = item.frame
-        failed, lost = (
+        failed, lost_control = (
             int((frame["status"] != "ok").sum()),
             int(frame["loss_of_control"].fillna(0).sum()),
         )
         parts.append(
-            f"{len(frame)} {when if len(flown) > 1 else ''}".strip()
-            + f" ({failed} failed, control lost in {lost})"
+            f"{len(frame)} {when if len(campaigns) > 1 else ''}".strip()
+            + f" ({failed} failed, control lost in {lost_control})"
         )
-        failed_any, lost_any = failed_any or failed > 0, lost_any or lost > 0
-    level = BAD if lost_any else WARN if failed_any else PLAIN
+        any_failed, any_lost_control = (
+            any_failed or failed > 0,
+            any_lost_control or lost_control > 0,
+        )
+    level = LEVEL_BAD if any_lost_control else LEVEL_WARN if any_failed else LEVEL_PLAIN
     return (
         f"Flights: {', '.join(parts)}; a failed flight is bounded at the worst, never dropped.",
         level,
     )
 
 
-def _outside(rows: pd.DataFrame, condition: Condition) -> Iterator[Sentence]:
+def _extrapolation(rows: pd.DataFrame, condition: Condition) -> Iterator[Sentence]:
+    """State how much of the scored time was outside the states of the flights that the bounds come
+    from; yield nothing where that is undefined.
+    """
     share = rows["extrapolated_share"].mean()
     if not math.isnan(share):
-        text = f"{percent(share)} of the scored time in {condition.words} was flown outside the states that the bounds come from"
+        text = (
+            f"{percent(share)} of the scored time in {condition.words} was flown outside the states"
+            " that the bounds come from"
+        )
         yield (
             (text + (", where they are extrapolated." if share > 0 else ".")),
-            WARN if share > MUCH_OUTSIDE else PLAIN,
+            LEVEL_WARN if share > LARGE_EXTRAPOLATED_SHARE else LEVEL_PLAIN,
         )
 
 
 def _widest(shares: Sequence[Mapping[str, str]], condition: Condition) -> Iterator[Sentence]:
-    """Which coefficient's bounds give each p-box most of its width, from sensitivity.csv; nothing where that is undefined."""
+    """State which coefficient's bounds contribute most to the width of each p-box, from
+    sensitivity.csv; yield nothing where that is undefined.
+    """
     rows = [row for row in shares if row["condition"] == condition.label and row["share_max"]]
     parts = []
     for metric, words, _ in _QUANTITIES:
@@ -328,21 +480,34 @@ def _widest(shares: Sequence[Mapping[str, str]], condition: Condition) -> Iterat
             )
     if parts:
         yield (
-            f"What a next flight should reduce in {condition.words}: the bounds of {'; '.join(parts)}.",
-            PLAIN,
+            (
+                f"What a next flight should reduce in {condition.words}: the bounds of"
+                f" {'; '.join(parts)}."
+            ),
+            LEVEL_PLAIN,
         )
 
 
 _ORDER = (YES, NO, OPEN)
-_SURE = f"{100 * CONFIDENCE:g} %"
+_CONFIDENCE_WORDS = f"{100 * CONFIDENCE:g} %"
 _TRACK = "cross_track_median_m"
-_NAMED = 3
-"""Effects that are named in a line; of more than that, the first."""
+_MAX_NAMES = 3
+"""Number of effects that a line names."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Lines without the question; ``lacked`` is empty for a study without refinement. ``level``: good, warn or bad."""
+    """Answer of a study without the question itself.
+
+    Attributes
+    ----------
+    level : str
+        good, warn or bad.
+    answer, why, next : str
+        The answer, the rates that it rests on, and what to do next.
+    lacked : str
+        Effects that the model lacked and what adding them changed; empty without refinement.
+    """
 
     level: str
     answer: str
@@ -352,125 +517,168 @@ class Answer:
 
 
 def answer_of(
-    flown: Mapping[str, Flown],
+    campaigns: Mapping[str, FlownCampaign],
     refinement: Mapping[str, Any] | None,
     verdict: Sequence[tuple[str, str]],
-    no: Sequence[str] = (),
+    refused_stages: Sequence[str] = (),
 ) -> Answer:
-    """The answer from the finished campaigns, before and after, and refinement.json.
+    """Compute the answer of a study.
 
-    verdict: all sentences of the study, which answer where no campaign counts excursions. no: stages whose own answer is no.
+    Parameters
+    ----------
+    campaigns : mapping
+        ``before`` and possibly ``after`` -> finished campaign; may be empty.
+    refinement : mapping or None
+        Content of refinement.json.
+    verdict : sequence of (str, str)
+        All sentences of the study; the worst one is the reason if no campaign counts excursions.
+    refused_stages : sequence of str
+        Stages that ended with exit code 1.
     """
-    last = flown.get(AFTER) or flown.get(BEFORE)
-    asked = asked_of(last) if last is not None else []
-    remark = f" These stages answered no: {', '.join(no)} (log/STAGE.txt)." if no else ""
-    if last is None or not asked:
+    last = campaigns.get(AFTER) or campaigns.get(BEFORE)
+    answered = tightest_statements(last) if last is not None else []
+    remark = (
+        f" These stages answered no: {', '.join(refused_stages)} (log/STAGE.txt)."
+        if refused_stages
+        else ""
+    )
+    # Nothing to answer with: state why, and the worst sentence of the verdict.
+    if last is None or not answered:
         first = next(
-            (s for level in (BAD, WARN) for s in verdict if s[1] == level),
+            (s for level in (LEVEL_BAD, LEVEL_WARN) for s in verdict if s[1] == level),
             verdict[0] if verdict else ("", ""),
         )
-        why = (
+        reason = (
             "no campaign was flown"
             if last is None
             else "the aircraft publishes no distance from a path"
         )
-        text = f"No excursion rate: {why}."
-        lacked = "" if refinement is None else _lacked(refinement, flown, same=False)
+        text = f"No excursion rate: {reason}."
+        lacked = (
+            ""
+            if refinement is None
+            else _missing_effects_line(refinement, campaigns, same_answers=False)
+        )
         return Answer(
-            WARN,
+            LEVEL_WARN,
             text,
             first[0],
             lacked,
             f"Next: give the study a campaign that counts excursions.{remark}",
         )
-    answers = {item.cell.condition: item.answer for item in asked}
-    # Good or bad is what holds in every condition.
-    level = _LEVELS[asked[0].answer] if len(set(answers.values())) == 1 else WARN
-    first_words = _grouped(asked)
-    text = f"{first_words[:1].upper()}{first_words[1:]} ({_SURE} confidence)."
-    before = asked_of(flown[BEFORE]) if AFTER in flown else []
+    answers = {item.cell.condition: item.answer for item in answered}
+    # The level is good or bad only if all conditions agree.
+    level = _LEVELS[answered[0].answer] if len(set(answers.values())) == 1 else LEVEL_WARN
+    first_words = _group_by_answer(answered)
+    text = f"{first_words[:1].upper()}{first_words[1:]} ({_CONFIDENCE_WORDS} confidence)."
+    # Only conditions whose answer changed are repeated.
+    before = tightest_statements(campaigns[BEFORE]) if AFTER in campaigns else []
     changed = [item for item in before if answers.get(item.cell.condition) != item.answer]
     if changed:
-        text += f" Before refinement: {_grouped(changed)}."
-    lacked = "" if refinement is None else _lacked(refinement, flown, same=not changed)
-    return Answer(level, text, _why(asked), lacked, f"{_next(last, asked)}{remark}")
+        text += f" Before refinement: {_group_by_answer(changed)}."
+    lacked = (
+        ""
+        if refinement is None
+        else _missing_effects_line(refinement, campaigns, same_answers=not changed)
+    )
+    return Answer(
+        level, text, _reason_line(answered), lacked, f"{_next_step(last, answered)}{remark}"
+    )
 
 
-def _grouped(asked: Sequence[Statement]) -> str:
-    """Conditions by answer, in the order yes, no, inconclusive: ``yes in 3 and 7 m/s, no in 12 m/s wind with light turbulence``."""
-    found: dict[str, list[Condition]] = {}
-    for item in sorted(asked, key=lambda s: _ORDER.index(s.answer)):
-        found.setdefault(answer_words(item), []).append(item.cell.condition)
-    airs = {item.cell.condition.turbulence for item in asked}
+def _group_by_answer(answered: Sequence[Statement]) -> str:
+    """List conditions by answer, in the order yes, no, inconclusive: ``yes in 3 and 7 m/s, no in 12
+    m/s wind with light turbulence``.
+    """
+    by_answer: dict[str, list[Condition]] = {}
+    for item in sorted(answered, key=lambda s: _ORDER.index(s.answer)):
+        by_answer.setdefault(answer_words(item), []).append(item.cell.condition)
+    airs = {item.cell.condition.turbulence for item in answered}
+    # If all conditions have the same turbulence, it is named once.
     if len(airs) == 1:
-        return f"{', '.join(f'{answer} in {_winds(here)}' for answer, here in found.items())} wind with {_air(airs.pop())}"
-    return "; ".join(f"{answer} in {_named(here)}" for answer, here in found.items())
+        return (
+            f"{', '.join(f'{answer} in {_winds(group)}' for answer, group in by_answer.items())}"
+            f" wind with {_air(airs.pop())}"
+        )
+    return "; ".join(
+        f"{answer} in {_list_conditions(group)}" for answer, group in by_answer.items()
+    )
 
 
-def _winds(found: Sequence[Condition]) -> str:
-    winds = [f"{condition.wind_mps:g}" for condition in found]
+def _winds(group: Sequence[Condition]) -> str:
+    """List wind speeds: ``3, 7 and 12 m/s``."""
+    winds = [f"{condition.wind_mps:g}" for condition in group]
     return f"{' and '.join(filter(None, (', '.join(winds[:-1]), winds[-1])))} m/s"
 
 
 def _air(turbulence: str) -> str:
+    """Name the turbulence of a condition."""
     return f"{'no' if turbulence == 'none' else turbulence} turbulence"
 
 
-def _named(found: Sequence[Condition]) -> str:
-    """Conditions by turbulence: ``3 and 7 m/s wind with light turbulence``."""
+def _list_conditions(all_conditions: Sequence[Condition]) -> str:
+    """List conditions by turbulence: ``3 and 7 m/s wind with light turbulence``."""
     by_air: dict[str, list[Condition]] = {}
-    for condition in found:
+    for condition in all_conditions:
         by_air.setdefault(condition.turbulence, []).append(condition)
-    return ", ".join(f"{_winds(here)} wind with {_air(air)}" for air, here in by_air.items())
+    return ", ".join(f"{_winds(group)} wind with {_air(air)}" for air, group in by_air.items())
 
 
-def _why(asked: Sequence[Statement]) -> str:
-    """The rate of the hardest condition of each answer with the limit that decides, hours, and what happened to the flights."""
-    one_air = len({item.cell.condition.turbulence for item in asked}) == 1
+def _reason_line(answered: Sequence[Statement]) -> str:
+    """State for each answer the rate of the deciding condition with its limit; then flight hours
+    and aborted flights.
+    """
+    one_air = len({item.cell.condition.turbulence for item in answered}) == 1
     parts = []
     for answer in _ORDER:
-        here = [item for item in asked if item.answer == answer]
-        if here:
-            item = _deciding(here, answer)
-            where = (
+        same_answer = [item for item in answered if item.answer == answer]
+        if same_answer:
+            item = _deciding_statement(same_answer, answer)
+            place = (
                 f"{item.cell.condition.wind_mps:g} m/s" if one_air else item.cell.condition.label
             )
-            parts.append(f"{_rate(item, answer)} in {where}")
-    hours = [sum(rate.hours for rate in item.cell.rates) for item in asked]
-    flown = (
+            parts.append(f"{_rate(item, answer)} in {place}")
+    # Hours of all corners together.
+    hours = [sum(rate.hours for rate in item.cell.rates) for item in answered]
+    hours_words = (
         f"{min(hours):.3g}"
         if max(hours) - min(hours) < 1.0
         else f"{min(hours):.3g} to {max(hours):.3g}"
     )
     return (
-        f"Why: excursions beyond {asked[0].cell.radius_m:g} m, worst corner: {', '.join(parts)}; "
-        f"acceptable {asked[0].acceptable_per_h:g}/h; {flown} h a condition, {_aborted(asked)}."
+        f"Why: excursions beyond {answered[0].cell.radius_m:g} m, worst corner: {', '.join(parts)};"
+        f" acceptable {answered[0].acceptable_per_h:g}/h; {hours_words} h a condition,"
+        f" {_aborted_words(answered)}."
     )
 
 
-def _aborted(asked: Sequence[Statement]) -> str:
-    """How many flights were aborted, by kind."""
-    kinds = {kind: sum(item.aborted[kind] for item in asked) for kind in asked[0].aborted}
-    lost = sum(kinds.values())
-    if not lost:
+def _aborted_words(answered: Sequence[Statement]) -> str:
+    """Count aborted flights by kind."""
+    kinds = {kind: sum(item.aborted[kind] for item in answered) for kind in answered[0].aborted}
+    total = sum(kinds.values())
+    if not total:
         return "no flights aborted"
-    named = ", ".join(
+    kind_words = ", ".join(
         f"{kind.replace('_', ' ')} {number}" for kind, number in kinds.items() if number
     )
-    return f"{lost} flight{'' if lost == 1 else 's'} aborted ({named})"
+    return f"{total} flight{'' if total == 1 else 's'} aborted ({kind_words})"
 
 
-def _deciding(found: Sequence[Statement], answer: str) -> Statement:
-    """The one with the highest limit that the answer rests on; of several the hardest."""
-    limits = [item.worst.lower if answer == NO else item.worst.upper for item in found]
+def _deciding_statement(candidates: Sequence[Statement], answer: str) -> Statement:
+    """Return the statement with the highest limit that the answer rests on; if several have it, the
+    one in the hardest condition.
+    """
+    # A no rests on the lower confidence limit of the worst corner, other answers on the upper one.
+    limits = [item.worst.lower if answer == NO else item.worst.upper for item in candidates]
     highest = [
-        item for item, limit in zip(found, limits, strict=True) if limit == max(limits)
-    ] or list(found)
+        item for item, limit in zip(candidates, limits, strict=True) if limit == max(limits)
+    ] or list(candidates)
     condition = hardest_condition(item.cell.condition for item in highest)
     return next(item for item in highest if item.cell.condition == condition)
 
 
 def _rate(item: Statement, answer: str) -> str:
+    """State the rate and the confidence limit that support the answer."""
     worst = item.worst
     if math.isnan(worst.rate):
         return "undefined (no flight was scored)"
@@ -484,36 +692,50 @@ def _rate(item: Statement, answer: str) -> str:
     return f"{worst.rate:.3g}/h ({upper})"
 
 
-def _lacked(refinement: Mapping[str, Any], flown: Mapping[str, Flown], same: bool) -> str:
-    """Effects by name, and what adding them bought; ``same``: whether the answers before and after are."""
+def _missing_effects_line(
+    refinement: Mapping[str, Any], campaigns: Mapping[str, FlownCampaign], same_answers: bool
+) -> str:
+    """Name the effects that the model lacked, and what adding them changed."""
     effects = [e for e in refinement["effects"] if not e["withdrawn"]]
     if not effects:
         if refinement["verdict"] == "no-missing-effect":
             return "The model lacked nothing that these flights show."
         return "Something is missing in the model that no effect of the catalogue explains."
-    named = [e["name"] for e in effects]
-    more = f" and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
-    bought = [*_bought(refinement, flown), *(["same answers"] if same and AFTER in flown else [])]
-    gained = f". With {'it' if len(named) == 1 else 'them'}: {', '.join(bought)}" if bought else ""
-    return f"The model lacked {', '.join(named[:_NAMED])}{more}{gained}."
+    names = [e["name"] for e in effects]
+    remainder = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+    improvements = [
+        *_improvements(refinement, campaigns),
+        *(["same answers"] if same_answers and AFTER in campaigns else []),
+    ]
+    improvement_words = (
+        f". With {'it' if len(names) == 1 else 'them'}: {', '.join(improvements)}"
+        if improvements
+        else ""
+    )
+    return f"The model lacked {', '.join(names[:_MAX_NAMES])}{remainder}{improvement_words}."
 
 
-def _bought(refinement: Mapping[str, Any], flown: Mapping[str, Flown]) -> Iterator[str]:
+def _improvements(
+    refinement: Mapping[str, Any], campaigns: Mapping[str, FlownCampaign]
+) -> Iterator[str]:
+    """Yield how much refinement reduced the largest hold-out residual and the cross-track p-box."""
     gap = refinement["gap"]["test"]["channels"]
     sigma = {
         c: (row["rms_before"] / row["noise_rms"], row["rms_after"] / row["noise_rms"])
         for c, row in gap.items()
         if all(row.get(key) for key in ("rms_before", "rms_after", "noise_rms"))
     }
+    # The channel with the largest residual before refinement
     if sigma:
         channel = max(sigma, key=lambda c: sigma[c][0])
         before, after = sigma[channel]
         name = shown_channel(channel)[0]
         yield f"held-out residual of {name} from {before:.3g} to {after:.3g} sigma"
-    if AFTER in flown:
-        condition = _drawn(flown[AFTER])
+    if AFTER in campaigns:
+        condition = _hardest_condition(campaigns[AFTER])
         widths = [
-            width_of(in_condition(flown[when].frame, condition), _TRACK) for when in (BEFORE, AFTER)
+            width_of(in_condition(campaigns[when].frame, condition), _TRACK)
+            for when in (BEFORE, AFTER)
         ]
         if (
             all(width is not None and math.isfinite(width.area) for width in widths)
@@ -524,61 +746,77 @@ def _bought(refinement: Mapping[str, Any], flown: Mapping[str, Flown]) -> Iterat
             change = widths[1].area / widths[0].area - 1.0
             words = (
                 f"{100 * abs(change):.0f} % {'narrower' if change < 0.0 else 'wider'}"
-                if abs(change) > SAME
+                if abs(change) > NEGLIGIBLE_CHANGE
                 else "as wide"
             )
             yield f"cross-track p-box {words}"
 
 
-def _drawn(flown: Flown) -> Condition:
-    return hardest_condition(item.cell.condition for item in flown.signed)
+def _hardest_condition(campaign: FlownCampaign) -> Condition:
+    """Return the hardest condition of a campaign."""
+    return hardest_condition(item.cell.condition for item in campaign.statements)
 
 
-def _next(last: Flown, asked: Sequence[Statement]) -> str:
-    """What would change the answer, else what would narrow what is left."""
-    open_ = [item for item in asked if item.answer == OPEN]
-    if open_:
-        return " ".join(["Next:", *_undecided(last, open_)])
-    refused = [item for item in asked if item.answer == NO]
-    beyond = [item for item in refused if item.best.lower > item.acceptable_per_h]
-    if beyond:
-        item = min(beyond, key=lambda s: s.best.lower)
+def _next_step(last: FlownCampaign, answered: Sequence[Statement]) -> str:
+    """State what would change the answer, or else what would narrow the p-box."""
+    inconclusive = [item for item in answered if item.answer == OPEN]
+    if inconclusive:
+        return " ".join(["Next:", *_decide_inconclusive(last, inconclusive)])
+    # Even the best corner fails: a better model cannot change the answer.
+    refused = [item for item in answered if item.answer == NO]
+    # Even the best corner is above the acceptable rate.
+    infeasible = [item for item in refused if item.best.lower > item.acceptable_per_h]
+    if infeasible:
+        item = min(infeasible, key=lambda s: s.best.lower)
         return (
-            f"Next: change the autopilot, the radius or the wind limit: {item.cell.condition.label} fails at the best corner too "
-            f"(at least {item.best.lower:.2g}/h), so no better model changes it."
+            f"Next: change the autopilot, the radius or the wind limit: {item.cell.condition.label}"
+            f" fails at the best corner too (at least {item.best.lower:.2g}/h), so no better model"
+            " changes it."
         )
     if refused:
         item = refused[0]
         return (
-            f"Next: a better model may change the no in {item.cell.condition.label}: the best corner has {item.best.rate:.2g}/h. "
-            f"{_flight(last, item.cell.condition)}"
+            f"Next: a better model may change the no in {item.cell.condition.label}: the best"
+            f" corner has {item.best.rate:.2g}/h. {_propose_flight(last, item.cell.condition)}"
         ).rstrip()
-    return f"Next: nothing for this question. {_flight(last, _drawn(last))}".rstrip()
+    proposal = _propose_flight(last, _hardest_condition(last))
+    return f"Next: nothing for this question. {proposal}".rstrip()
 
 
-def _undecided(last: Flown, found: Sequence[Statement]) -> Iterator[str]:
-    """What would decide the conditions that are inconclusive: hours where they are too few, else what the reason asks for."""
-    short = [item for item in found if not item.reason]
-    if short:
-        item = max(short, key=lambda s: s.worst.upper)
+def _decide_inconclusive(last: FlownCampaign, inconclusive: Sequence[Statement]) -> Iterator[str]:
+    """Yield what would decide inconclusive conditions: more hours if these are too few, else
+    removal of the stated reason.
+    """
+    too_few_hours = [item for item in inconclusive if not item.reason]
+    if too_few_hours:
+        item = max(too_few_hours, key=lambda s: s.worst.upper)
         where = item.cell.condition.label
+        # With excursions observed, more hours may decide either way; without any, the hours needed
+        # for a yes can be computed.
         if item.worst.rate > 0.0:
             yield f"more flight hours in {where} ([aleatory] flights), or a narrower model."
-            yield from filter(None, [_flight(last, item.cell.condition)])
+            yield from filter(None, [_propose_flight(last, item.cell.condition)])
         else:
             hours = item.quiet_hours_needed
-            yield f"fly {hours:.3g} h per corner in {where} ([aleatory] flights); that much without an excursion is a yes."
-    for reason in dict.fromkeys(item.reason for item in found if item.reason):
-        here = [item for item in found if item.reason == reason]
+            yield (
+                f"fly {hours:.3g} h per corner in {where} ([aleatory] flights); that much without"
+                " an excursion is a yes."
+            )
+    for reason in dict.fromkeys(item.reason for item in inconclusive if item.reason):
+        same_reason = [item for item in inconclusive if item.reason == reason]
         advice = (
             "raise [metrics] dispersion"
-            if here[0].dispersion.is_contradicted
+            if same_reason[0].dispersion.is_contradicted
             else "remove the cause"
         )
-        yield f"{advice} for {', '.join(item.cell.condition.label for item in here)}: {reason}, which more hours do not change."
+        yield (
+            f"{advice} for {', '.join(item.cell.condition.label for item in same_reason)}:"
+            f" {reason}, which more hours do not change."
+        )
 
 
-def _answer_widest(last: Flown, condition: Condition) -> str:
+def _widest_coefficient(last: FlownCampaign, condition: Condition) -> str:
+    """State which coefficient contributes most to the cross-track p-box; empty if unknown."""
     rows = [
         r
         for r in last.shares
@@ -587,11 +825,15 @@ def _answer_widest(last: Flown, condition: Condition) -> str:
     if not rows:
         return ""
     first = max(rows, key=lambda row: float(row["share_max"]))
-    return f"{first['coefficient']} makes {100 * float(first['share_max']):.0f} % of the cross-track p-box"
+    return (
+        f"{first['coefficient']} makes {100 * float(first['share_max']):.0f} % of the cross-track"
+        " p-box"
+    )
 
 
-def _flight(last: Flown, condition: Condition) -> str:
-    widest = _answer_widest(last, condition)
+def _propose_flight(last: FlownCampaign, condition: Condition) -> str:
+    """Propose a flight that would narrow the bounds of the widest coefficient."""
+    widest = _widest_coefficient(last, condition)
     return (
         f"{widest}; uqharness next-flight {last.folder} --out DIR plans a flight for it."
         if widest
@@ -599,8 +841,7 @@ def _flight(last: Flown, condition: Condition) -> str:
     )
 
 
-# What a study found, in sentences computed from its stages' results: the answer first, then
-# what it rests on.
+# The verdict: one sentence and a level for each result of the stages.
 
 REFINEMENT = Path("refine") / "refinement.json"
 _ABOVE_NOISE = 1.15  # as `compare` and `refine` have it
@@ -611,100 +852,135 @@ def judge(
     stages: Sequence[Stage],
     rows: Sequence[Mapping[str, Any]],
     out: Path,
-    flown: Mapping[str, Flown],
+    campaigns: Mapping[str, FlownCampaign],
 ) -> list[Sentence]:
-    """Every sentence, from what the stages left in ``out`` and the campaigns ``flown``.
+    """Return all sentences of the verdict.
 
-    Raises BadInputError for a document that is damaged.
+    Parameters
+    ----------
+    spec : ChainSpec
+        The study.
+    stages : sequence of Stage
+        Its stages.
+    rows : sequence of mapping
+        Entries of the stages in study.json, with their exit codes.
+    out : Path
+        The study's folder.
+    campaigns : mapping
+        ``before`` and possibly ``after`` -> finished campaign; may be empty.
+
+    Returns
+    -------
+    list of (str, str)
+        Text and level.
+
+    Raises
+    ------
+    BadInputError
+        If a document of a stage is damaged.
     """
     kinds = {stage.kind for stage in stages}
     codes = {row["name"]: row["exit"] for row in rows}
-    found: list[Sentence] = []
-    if flown:
-        found += performance(flown)
+    sentences: list[Sentence] = []
+    if campaigns:
+        sentences += performance(campaigns)
+    # Then refinement, bounds, identification, in this order.
     if "refine" in kinds:
-        found += _of_refinement(out / REFINEMENT)
+        sentences += _read_refinement(out / REFINEMENT)
     if "validate-bounds" in kinds:
-        found += _coverage(out, spec.bounds.validate_on if spec.bounds else (), "refine" in kinds)
-    if "identify" in kinds:
-        found.append(
-            _identified(read_document(out / "identify" / "fit.json", Fit), codes["identify"])
+        sentences += _coverage(
+            out, spec.bounds.validate_on if spec.bounds else (), "refine" in kinds
         )
-    ended = [
+    if "identify" in kinds:
+        sentences.append(
+            _identification(read_document(out / "identify" / "fit.json", Fit), codes["identify"])
+        )
+    ended_early = [
         stage.name.removeprefix("fly-")
         for stage in stages
         if stage.kind == "fly" and codes[stage.name] == 1
     ]
-    if ended:
-        found.append(
+    if ended_early:
+        sentences.append(
             (
-                f"Flown but ended early: {', '.join(ended)}; what was recorded until then was used.",
-                WARN,
+                (
+                    f"Flown but ended early: {', '.join(ended_early)}; what was recorded until then"
+                    " was used."
+                ),
+                LEVEL_WARN,
             )
         )
-    return found
+    return sentences
 
 
-def _of_refinement(path: Path) -> list[Sentence]:
+def _read_refinement(path: Path) -> list[Sentence]:
+    """Return the sentences on refinement.json; BadInputError if it is damaged."""
     document = read_document(path, Part)
     try:
-        return list(_refined(document))
+        return list(_refinement_sentences(document))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadInputError(
             f"{path}: is no refinement's document ({error}); run the study again"
         ) from None
 
 
-def _refined(document: Mapping[str, Any]) -> Iterator[Sentence]:
+def _refinement_sentences(document: Mapping[str, Any]) -> Iterator[Sentence]:
+    """State the effects that were found, what is unexplained, and the hold-out residuals."""
     effects = [e for e in document["effects"] if not e["withdrawn"]]
     flights = f"from {', '.join(_stems(document['train']))}"
     if effects:
-        named = "; ".join(
-            f"{e['name']}, {e['value']:.4g} ± {e['std']:.2g}{'' if e['unit'] in ('', '1') else ' ' + e['unit']}"
+        effect_words = "; ".join(
+            f"{e['name']}, {e['value']:.4g} ±"
+            f" {e['std']:.2g}{'' if e['unit'] in ('', '1') else ' ' + e['unit']}"
             + (f" ({e['property']})" if e["property"] else "")
             for e in effects
         )
         yield (
-            f"Refinement named, {flights}: {named}.",
-            GOOD if document["verdict"] == "effects-found" else WARN,
+            f"Refinement named, {flights}: {effect_words}.",
+            LEVEL_GOOD if document["verdict"] == "effects-found" else LEVEL_WARN,
         )
     elif document["verdict"] == "no-missing-effect":
-        yield f"Refinement found nothing missing {flights}.", GOOD
+        yield f"Refinement found nothing missing {flights}.", LEVEL_GOOD
     if document["verdict"] == "unexplained":
-        yield "Refinement leaves something unexplained: " + _unexplained(document) + ".", BAD
+        yield "Refinement leaves something unexplained: " + _unexplained(document) + ".", LEVEL_BAD
     test = document["gap"]["test"]
-    # In turbulence replays hold what the gusts did, and predictions judge.
+    # In turbulence the residuals of replays include the gust response, so one-step predictions
+    # are compared.
     predictions = test.get("predictions") or {}
     gap = predictions or test["channels"]
+    # Residuals relative to the sensor noise
     ratios = {
         c: (g["rms_before"] / g["noise_rms"], g["rms_after"] / g["noise_rms"])
         for c, g in gap.items()
         if all(g[k] is not None for k in g) and g["noise_rms"] > 0.0
     }
     whose = "rms of one-step predictions" if predictions else "rms"
-    flown = f"On the hold-out flights ({', '.join(_stems(document['test']))}) {whose} over noise"
+    heading = f"On the hold-out flights ({', '.join(_stems(document['test']))}) {whose} over noise"
     above = {c: r for c, r in ratios.items() if max(r) > _ABOVE_NOISE}
     if not above:
-        most = max((max(r) for r in ratios.values()), default=math.nan)
-        yield f"{flown} is at most {most:.2f} in every channel, before and after.", GOOD
+        largest = max((max(r) for r in ratios.values()), default=math.nan)
+        yield f"{heading} is at most {largest:.2f} in every channel, before and after.", LEVEL_GOOD
         return
     words = ", ".join(
         f"{c} {b:.2f} to {a:.2f}"
         for c, (b, a) in sorted(above.items(), key=lambda item: -max(item[1]))
     )
-    shrank = all(a <= b * (1 + SAME) for b, a in above.values())
+    # Good only if residuals shrank and reached the noise.
+    shrank = all(a <= b * (1 + NEGLIGIBLE_CHANGE) for b, a in above.values())
     reached = all(a <= _ABOVE_NOISE for _, a in above.values())
     yield (
-        f"{flown} went, from before to after: {words} (1: the sensors' noise).",
-        GOOD if shrank and reached else WARN,
+        f"{heading} went, from before to after: {words} (1: the sensors' noise).",
+        LEVEL_GOOD if shrank and reached else LEVEL_WARN,
     )
 
 
 def _stems(names: Sequence[str]) -> list[str]:
+    """Return file names without folder and extension."""
     return [Path(name).stem for name in names]
 
 
 def _unexplained(document: Mapping[str, Any]) -> str:
+    """State which effects were withdrawn, or where residuals remain."""
     withdrawn = [e["name"] for e in document["effects"] if e["withdrawn"]]
     if withdrawn:
         return (
@@ -720,64 +996,84 @@ def _unexplained(document: Mapping[str, Any]) -> str:
     )
 
 
-def _coverage(out: Path, flights: Sequence[str], both: bool) -> Iterator[Sentence]:
+def _coverage(out: Path, flights: Sequence[str], refined: bool) -> Iterator[Sentence]:
+    """State which share of the hold-out flights the 95 % bounds contain, per coefficient, and how
+    their mean width changed by refinement.
+    """
     documents = {
         when: read_document(out / f"validate-{when}" / "coverage.json", Coverage)
-        for when in ((BEFORE, AFTER) if both else (BEFORE,))
+        for when in ((BEFORE, AFTER) if refined else (BEFORE,))
     }
-    found = {when: document["coverage"] for when, document in documents.items()}
-    named = ", ".join(flights)
-    for when, coverage in found.items():
+    coverages = {when: document["coverage"] for when, document in documents.items()}
+    flight_names = ", ".join(flights)
+    for when, coverage in coverages.items():
         shares = {c: row["0.95"] for c, row in coverage.items()}
         low, high = min(shares, key=lambda c: shares[c]), max(shares, key=lambda c: shares[c])
-        which = f" {when} refinement" if both else ""
-        text = f"Of {named}, {100 * shares[low]:.1f} % ({low}) to {100 * shares[high]:.1f} % ({high}) lies inside"
-        text += f" the 95 % bounds{which}"
+        suffix = f" {when} refinement" if refined else ""
+        text = (
+            f"Of {flight_names}, {100 * shares[low]:.1f} % ({low}) to {100 * shares[high]:.1f} %"
+            f" ({high}) lies inside"
+        )
+        text += f" the 95 % bounds{suffix}"
         verdicts = documents[when].get("verdicts", {})
-        bad = [c for c, said in verdicts.items() if said == "fails"] or [
+        # Documents without verdicts are judged by the share of samples inside.
+        failing = [c for c, verdict in verdicts.items() if verdict == "fails"] or [
             c for c in shares if not shares[c] >= HOLDS_FROM
         ]
-        open_ = [c for c, said in verdicts.items() if said == "inconclusive"]
-        if bad:
-            text += f": those of {', '.join(bad)} do not hold."
-        elif open_:
-            text += f": too short a flight to tell of {', '.join(open_)}."
+        undecided = [c for c, verdict in verdicts.items() if verdict == "inconclusive"]
+        if failing:
+            text += f": those of {', '.join(failing)} do not hold."
+        elif undecided:
+            text += f": too short a flight to tell of {', '.join(undecided)}."
         else:
             text += "."
-        yield text, BAD if bad else WARN if open_ else GOOD
-    if both:
+        yield text, LEVEL_BAD if failing else LEVEL_WARN if undecided else LEVEL_GOOD
+    # Compare the widths before and after refinement.
+    if refined:
         widths = {
             w: {c: row["mean_width"] for c, row in coverage.items()}
-            for w, coverage in found.items()
+            for w, coverage in coverages.items()
         }
         change = {
             c: _change(widths[BEFORE][c], width)
             for c, width in widths[AFTER].items()
             if c in widths[BEFORE]
         }
-        moved = ", ".join(f"{c} {100 * x:+.0f} %" for c, x in change.items() if abs(x) > SAME)
-        still = ", ".join(c for c, x in change.items() if abs(x) <= SAME)
+        moved = ", ".join(
+            f"{c} {100 * x:+.0f} %" for c, x in change.items() if abs(x) > NEGLIGIBLE_CHANGE
+        )
+        unchanged = ", ".join(c for c, x in change.items() if abs(x) <= NEGLIGIBLE_CHANGE)
         unknown = ", ".join(c for c, x in change.items() if math.isnan(x))
-        ends = (
+        groups = (
             (moved, ""),
-            (still, " as before"),
+            (unchanged, " as before"),
             (unknown, " undefined, a width is 0 or not known"),
         )
-        words = "; ".join(names + end for names, end in ends if names)
-        text = f"Mean width of the bounds on {named}, after against before refinement: {words}"
-        shrank = [c for c, x in change.items() if x < -SAME]
-        yield f"{text}{'' if shrank else '; none is narrower'}.", PLAIN if shrank else WARN
+        words = "; ".join(names + end for names, end in groups if names)
+        text = (
+            f"Mean width of the bounds on {flight_names}, after against before refinement: {words}"
+        )
+        shrank = [c for c, x in change.items() if x < -NEGLIGIBLE_CHANGE]
+        yield (
+            f"{text}{'' if shrank else '; none is narrower'}.",
+            LEVEL_PLAIN if shrank else LEVEL_WARN,
+        )
 
 
 def _change(before: float | None, after: float | None) -> float:
-    """Relative change; NaN where one is not known or there was nothing to change from."""
+    """Return the relative change; NaN if a width is unknown or the first is zero."""
     return math.nan if not before or after is None else after / before - 1.0
 
 
-def _identified(document: Mapping[str, Any], code: int) -> Sentence:
+def _identification(document: Mapping[str, Any], code: int) -> Sentence:
+    """State how many parameters were identified and the largest residual over its noise."""
     done = [row for row in document["parameters"].values() if row["status"] == "identified"]
     flights = ", ".join(_stems(document["flights"]))
-    text = f"{len(done)} of {len(document['parameters'])} parameters were identified from {flights} by {document['method']}"
+    text = (
+        f"{len(done)} of {len(document['parameters'])} parameters were identified from {flights} by"
+        f" {document['method']}"
+    )
+    # Residuals relative to the noise of the card
     ratios = {
         c: v["rms"] / v["noise"]
         for c, v in document["fit"].items()
@@ -787,13 +1083,13 @@ def _identified(document: Mapping[str, Any], code: int) -> Sentence:
     if worst:
         text += f"; the largest residual is {ratios[worst]:.2f} times the noise ({worst})"
     if code:
-        return f"{text}. The estimation did NOT converge, or nothing was identified.", BAD
-    tested = GOOD if worst else PLAIN
-    return f"{text}.", tested if not worst or ratios[worst] <= _ABOVE_NOISE else WARN
+        return f"{text}. The estimation did NOT converge, or nothing was identified.", LEVEL_BAD
+    tested = LEVEL_GOOD if worst else LEVEL_PLAIN
+    return f"{text}.", tested if not worst or ratios[worst] <= _ABOVE_NOISE else LEVEL_WARN
 
 
-# Ground tracks beside the answer: the model and its worst corner, before and after, in the same
-# air of the hardest condition.
+# Ground tracks: the model and its worst corner, before and after refinement, in the same air of
+# the hardest condition.
 
 TRACKS = "tracks.parquet"
 NOMINAL, WORST = "nominal", "worst corner"
@@ -804,35 +1100,64 @@ _NORTH, _EAST = "nav/north-m", "nav/east-m"
 
 
 @dataclass(frozen=True)
-class Asked:
-    """A finished campaign: its folder, its flights, and the statement of the smallest radius in the condition drawn, if any."""
+class TrackRequest:
+    """A finished campaign whose worst corner is flown again.
+
+    Attributes
+    ----------
+    folder : Path
+        The campaign's folder.
+    frame : DataFrame
+        One row per flight.
+    statement : Statement or None
+        Statement on the smallest radius in the hardest condition.
+    """
 
     folder: Path
     frame: pd.DataFrame
     statement: Statement | None
 
 
-def fly_tracks(out: Path, asked: Mapping[str, Asked], workers: int | None = None) -> dict[str, Any]:
-    """Fly them into ``out``/tracks.parquet; what study.json keeps of it. ``asked``: when -> campaign, the last one chooses the air.
+def fly_tracks(
+    out: Path, requests: Mapping[str, TrackRequest], workers: int | None = None
+) -> dict[str, Any]:
+    """Fly the nominal model and the worst corner of each campaign and write tracks.parquet.
 
-    The air is that in which the last campaign's worst corner went farthest from its path. Columns: when, model (``nominal``:
-    plugin off; ``worst corner``), epistemic_id, time_s, north_m, east_m, distance_m. Without such flights the reason is told.
+    The air is that in which the worst corner of the last campaign had the largest cross-track
+    error. Columns: when, model (``nominal``: plugin off; ``worst corner``), epistemic_id, time_s,
+    north_m, east_m, distance_m.
+
+    Parameters
+    ----------
+    out : Path
+        The study's folder.
+    requests : mapping
+        ``before`` and possibly ``after`` -> campaign.
+    workers : int, optional
+        Processes.
+
+    Returns
+    -------
+    dict
+        Wind, turbulence, number of the air and radius, for study.json; or ``reason`` if nothing
+        could be flown.
     """
-    *_, last = asked.values()
-    air = None if any(item.statement is None for item in asked.values()) else _tracks_air(last)
+    *_, last = requests.values()
+    # All campaigns must have a statement, and flights with a distance.
+    air = None if any(item.statement is None for item in requests.values()) else _worst_air(last)
     if air is None or last.statement is None:
         return {"reason": "no flight of the hardest condition has a distance from its path"}
     condition = last.statement.cell.condition
     try:
         flights = {
             (when, model, name): spec
-            for when, item in asked.items()
-            for model, name, spec in _flights(item, air)
+            for when, item in requests.items()
+            for model, name, spec in _track_flights(item, air)
         }
         import pandas as pd
         import pyarrow as pa
 
-        frame = pd.concat(_flown(flights, workers), ignore_index=True)
+        frame = pd.concat(_fly_frames(flights, workers), ignore_index=True)
         write_table(pa.Table.from_pandas(frame, preserve_index=False), out / TRACKS)
     except BadInputError as error:
         return {"reason": str(error)}
@@ -844,101 +1169,119 @@ def fly_tracks(out: Path, asked: Mapping[str, Asked], workers: int | None = None
     }
 
 
-def hardest(found: Sequence[Statement]) -> Statement | None:
-    """The statement about the smallest radius in the hardest condition; None where no distance from a path is known."""
-    here = [item for item in found if item.cell.distance == "horizontal"]
-    if not here:
+def hardest(candidates: Sequence[Statement]) -> Statement | None:
+    """Return the statement on the smallest radius in the hardest condition; None if no distance
+    from a path is recorded.
+    """
+    horizontal = [item for item in candidates if item.cell.distance == "horizontal"]
+    if not horizontal:
         return None
-    condition = hardest_condition(item.cell.condition for item in here)
+    condition = hardest_condition(item.cell.condition for item in horizontal)
     return min(
-        (item for item in here if item.cell.condition == condition),
+        (item for item in horizontal if item.cell.condition == condition),
         key=lambda item: item.cell.radius_m,
     )
 
 
-def _tracks_air(asked: Asked) -> int | None:
-    """The air in which the worst corner went farthest."""
-    assert asked.statement is not None
-    rows = in_condition(asked.frame, asked.statement.cell.condition)
+def _worst_air(request: TrackRequest) -> int | None:
+    """Return the number of the air in which the worst corner had the largest cross-track error;
+    None if some flight lacks the error.
+    """
+    assert request.statement is not None
+    rows = in_condition(request.frame, request.statement.cell.condition)
     rows = rows[
-        (rows["epistemic_id"] == asked.statement.worst.epistemic_id) & (rows["status"] == "ok")
+        (rows["epistemic_id"] == request.statement.worst.epistemic_id) & (rows["status"] == "ok")
     ]
     if _LARGEST not in rows or rows[_LARGEST].isna().any() or rows.empty:
         return None
     return int(rows["aleatory_id"].iloc[int(rows[_LARGEST].to_numpy(dtype=float).argmax())])
 
 
-def _flights(asked: Asked, air: int) -> Iterator[tuple[str, str, FlightSpec]]:
-    """Model, epistemic id and flight of both: that of the worst corner as the campaign flew it, and without the plugin's deltas."""
-    spec = spec_of(read_manifest(asked.folder))
-    mission = find_mission(spec, asked.folder)
+def _track_flights(request: TrackRequest, air: int) -> Iterator[tuple[str, str, FlightSpec]]:
+    """Yield model, epistemic id and flight: without the plugin's deltas, and at the worst corner
+    exactly as the campaign flew it.
+    """
+    spec = spec_of(read_manifest(request.folder))
+    mission = find_mission(spec, request.folder)
     if needs_copy(spec):
-        make_copy(spec, mission, asked.folder)
-    assert asked.statement is not None
-    condition = asked.statement.cell.condition
+        make_copy(spec, mission, request.folder)
+    assert request.statement is not None
+    condition = request.statement.cell.condition
     part = cases.Part(range(air, air + 1), ((condition.wind_mps, condition.turbulence),))
-    wanted = asked.statement.worst.epistemic_id
+    worst_id = request.statement.worst.epistemic_id
+    # The case exactly as the campaign flew it, plugin included.
     case = next(
-        case for case in cases.build_cases(spec, mission, part) if case.epistemic_id == wanted
+        case for case in cases.build_cases(spec, mission, part) if case.epistemic_id == worst_id
     )
-    plain = {
+    nominal_properties = {
         name: value for name, value in case.flight.properties.items() if not name.startswith("uq/")
     }
-    yield NOMINAL, "", replace(case.flight, properties=plain, levels=None, transient=None)
-    yield WORST, wanted, case.flight
+    yield (
+        NOMINAL,
+        "",
+        replace(case.flight, properties=nominal_properties, levels=None, transient=None),
+    )
+    yield WORST, worst_id, case.flight
 
 
 @dataclass(frozen=True)
 class _Recorder:
-    """A flight function for a worker: flies in JSBSim and leaves place and distance from the path in ``folder``."""
+    """Fly in a worker process and record position and distance from the path into ``folder``."""
 
     folder: Path
 
     def __call__(self, spec: FlightSpec) -> FlightResult:
+        """Record one flight; BadInputError if the aircraft's card has no cross-track metric."""
         import pandas as pd
 
         mission = staged_mission(spec)
         metric = mission.aircraft.card.metrics.get(_DISTANCE)
         if metric is None:
             raise BadInputError(
-                f"{mission.aircraft.name}: its card has no metric {_DISTANCE}, so no track can be drawn beside a path"
+                f"{mission.aircraft.name}: its card has no metric {_DISTANCE}, so no track can be"
+                " drawn beside a path"
             )
         table = {
             "north_m": Source(_NORTH),
             "east_m": Source(_EAST),
             "distance_m": Source(metric.true),
         }
-        flown = record_mission(mission, replace(spec, record_rate_hz=_RATE_HZ), table)
-        pd.DataFrame(flown.signals).to_parquet(self.folder / _file(spec), index=False)
-        return FlightResult(flown.status, flown.reason, flown.flown_s, {}, {}, {})
+        record = record_mission(mission, replace(spec, record_rate_hz=_RATE_HZ), table)
+        pd.DataFrame(record.signals).to_parquet(self.folder / _record_name(spec), index=False)
+        return FlightResult(record.status, record.reason, record.flown_s, {}, {}, {})
 
 
 def _timeout_s(flight: FlightSpec) -> float:
+    """Return the time limit of a flight [s of wall clock]."""
     return 120.0 + 0.5 * (flight.duration_s + flight.burn_in_s)
 
 
-def _file(spec: FlightSpec) -> str:
+def _record_name(spec: FlightSpec) -> str:
+    """Return a file name that is unique to the flight's settings."""
     return sha256_hex(repr(spec).encode()) + ".parquet"
 
 
-def _flown(
+def _fly_frames(
     flights: Mapping[tuple[str, str, str], FlightSpec], workers: int | None
 ) -> Iterator[pd.DataFrame]:
+    """Fly all flights in parallel and yield their records with when, model and epistemic id."""
     import pandas as pd
 
     numbered = {str(k): spec for k, spec in enumerate(flights.values())}
     with scratch_folder() as scratch:
         folder = scratch.path
         executor = ProcessExecutor(process_count(workers), timeout_s=_timeout_s, retries=0)
+        # A flight without a file has failed.
         for outcome in (
             item for batch in executor.run(_Recorder(folder), numbered.items()) for item in batch
         ):
-            if not (folder / _file(numbered[outcome.case_id])).is_file():
+            if not (folder / _record_name(numbered[outcome.case_id])).is_file():
                 raise BadInputError(
-                    f"the flights of the ground track were not flown: {outcome.reason or outcome.status}"
+                    "the flights of the ground track were not flown:"
+                    f" {outcome.reason or outcome.status}"
                 )
         for (when, model, name), spec in flights.items():
-            frame = pd.read_parquet(folder / _file(spec))
+            frame = pd.read_parquet(folder / _record_name(spec))
             frame.insert(0, "when", when)
             frame.insert(1, "model", model)
             frame.insert(2, "epistemic_id", name)

@@ -1,4 +1,9 @@
-"""Run a study: stage after stage, each skipped that is done and would come out the same; after a stop the same call goes on."""
+"""Run a study: one ``uqharness`` command per stage, and a verdict at the end.
+
+A stage is skipped if its inputs (by content), settings and outputs are those of the last run, so
+the same call resumes an interrupted study. study.json in the study's folder holds the state of each
+stage, the verdict, the answer and the ground tracks; it is rewritten after each stage.
+"""
 
 from __future__ import annotations
 
@@ -29,25 +34,36 @@ from uqharness.simulator import folder_hash
 from uqharness.study.answer import (
     REFINEMENT,
     TRACKS,
-    Asked,
+    TrackRequest,
     answer_of,
     fly_tracks,
     hardest,
     judge,
-    read_flown,
+    read_campaigns,
 )
 from uqharness.study.spec import ChainSpec
 from uqharness.study.stages import AFTER, BEFORE, Stage, plan
 
-# study.json: what a study's folder belongs to, how far it is, and what each stage was made
-# from.
+# study.json: the study file that a folder belongs to, and for each stage its state, the hash of
+# what it was made from, and the hashes of its outputs.
 
 STUDY = "study.json"
 _FORMAT = "study 1"
 
 
 def read_study(folder: Path) -> dict[str, Any] | None:
-    """study.json of a folder; None if it has none. Raises BadInputError if it cannot be read."""
+    """Read study.json of a folder.
+
+    Returns
+    -------
+    dict or None
+        None if the folder has none.
+
+    Raises
+    ------
+    BadInputError
+        If it cannot be read, or another version wrote it.
+    """
     path = folder / STUDY
     try:
         document = parse_json(read_regular(path))
@@ -61,18 +77,19 @@ def read_study(folder: Path) -> dict[str, Any] | None:
         raise BadInputError(f"{path}: {error}; choose another --out") from None
     if not isinstance(document, dict) or document.get("format") != _FORMAT:
         raise BadInputError(
-            f"{path}: written by another version of uqharness, or not by uqharness; choose another --out"
+            f"{path}: written by another version of uqharness, or not by uqharness; choose another"
+            " --out"
         )
     return document
 
 
 def write_study(folder: Path, document: Mapping[str, Any]) -> None:
-    """Write it whole or not at all."""
+    """Write study.json atomically."""
     write_bytes(folder / STUDY, (json.dumps(document, indent=1) + "\n").encode())
 
 
 def begin(spec: ChainSpec, command: str, version: str) -> dict[str, Any]:
-    """The document of a study of which nothing has run."""
+    """Return the document of a study of which no stage has run."""
     return {
         "format": _FORMAT,
         "study": spec.study.name,
@@ -89,31 +106,45 @@ def begin(spec: ChainSpec, command: str, version: str) -> dict[str, Any]:
 
 
 def refuse_foreign(folder: Path, old: Mapping[str, Any] | None, new: Mapping[str, Any]) -> None:
-    """BadInputError where the folder holds something else than this study: other files, or the stages of another study file.
+    """Raise BadInputError if a folder holds something other than this study.
 
-    The same file in the same place may have been edited, and the same content may have moved: the stages tell what still holds.
+    The same file in the same place may have been edited, and the same content may have moved: the
+    hashes of the stages decide which results are still valid.
+
+    Parameters
+    ----------
+    folder : Path
+        The study's folder.
+    old : mapping or None
+        Its study.json; None if it has none, then the folder must be empty.
+    new : mapping
+        study.json of the study that is about to run.
     """
+    # No study.json: the folder must be empty, except for locks and partial files.
     if old is None:
-        others = (
+        foreign_files = (
             sorted(p.name for p in folder.iterdir() if p.name != LOCK and p.suffix != PART)
             if folder.is_dir()
             else []
         )
-        if others:
+        if foreign_files:
             raise BadInputError(
-                f"--out {folder}: not empty and no study's folder (it has {others[0]}); choose another --out"
+                f"--out {folder}: not empty and no study's folder (it has {foreign_files[0]});"
+                " choose another --out"
             )
         return
     elsewhere = old["path"] != new["path"] and old["hash"] != new["hash"]
     if old["study"] != new["study"] or elsewhere:
         raise BadInputError(
-            f'--out {folder}: this folder holds the study "{old["study"]}" of {old["path"]}, not "{new["study"]}" of '
-            f"{new['path']}; choose another --out, or remove the folder if its results are not wanted"
+            f'--out {folder}: this folder holds the study "{old["study"]}" of {old["path"]}, not'
+            f' "{new["study"]}" of '
+            f"{new['path']}; choose another --out, or remove the folder if its results are not"
+            " wanted"
         )
 
 
 def content(path: Path) -> str:
-    """SHA-256 of a file, or of an aircraft's folder; empty where there is neither."""
+    """Return the SHA-256 of a file or of an aircraft's folder; empty if there is neither."""
     if path.is_dir():
         return folder_hash(path)
     try:
@@ -125,17 +156,29 @@ def content(path: Path) -> str:
 def stage_key(
     kind: str, options: Mapping[str, Any], inputs: Mapping[str, str], versions: Any
 ) -> str:
-    """What a stage's result depends on, as one hash: its command's kind and settings, what it reads, what computes it."""
+    """Hash everything that a stage's result depends on.
+
+    Parameters
+    ----------
+    kind : str
+        Command of the stage.
+    options : mapping
+        Settings, as plain JSON types.
+    inputs : mapping
+        Label -> SHA-256 of each input.
+    versions : Any
+        Versions of the programs that compute the result, as plain JSON types.
+    """
     text = json.dumps([kind, options, sorted(inputs.items()), versions], sort_keys=True)
     return sha256_hex(text.encode())
 
 
 LOGS = "log"
-"""Folder of what each stage printed."""
+"""Folder of the output of each stage."""
 _SUPERSEDED = "superseded"
-Say = Callable[[str], None]
+Callback = Callable[[str], None]
 Command = Callable[[list[str]], int]
-"""Runs the words of one ``uqharness`` command in this process; its exit code."""
+"""Runs the words of one ``uqharness`` command in this process; returns its exit code."""
 
 
 def run_chain(
@@ -144,12 +187,40 @@ def run_chain(
     out: Path,
     workers: int | None = None,
     command: str = "",
-    say: Say = lambda _: None,
+    callback: Callback = lambda _: None,
 ) -> dict[str, Any]:
-    """Run the stages that are missing into ``out``, each by ``run``; the content of its study.json.
+    """Run a study: all stages that are not up to date.
 
-    A stage that ends with 1, its answer being no, is done, and the study goes on. Raises BadInputError for a folder of something
-    else, a second run in the same folder, and a stage that cannot use its input; KeyboardInterrupt passes. What is done is kept.
+    A stage that ends with 1 (its answer is no) is done, and the study goes on. Results of finished
+    stages are kept whatever happens.
+
+    Parameters
+    ----------
+    run : callable
+        Runs the words of one ``uqharness`` command in this process and returns its exit code.
+    spec : ChainSpec
+        The study.
+    out : Path
+        Folder of the results; created if necessary.
+    workers : int, optional
+        Processes of each stage; None for the stage's default.
+    command : str
+        Command line that is stored in study.json.
+    callback : callable
+        Called with one line of text as stages start and end.
+
+    Returns
+    -------
+    dict
+        The content of study.json.
+
+    Raises
+    ------
+    BadInputError
+        If the folder holds something else, if another process runs a study in it, or if a stage
+        cannot use its input.
+    KeyboardInterrupt
+        Passed on; the same call resumes.
     """
     check_output_folder(out)
     stages = plan(spec, out)
@@ -161,30 +232,44 @@ def run_chain(
         raise BadInputError(
             f"--out {out}: cannot be made: {error.strerror or error}; choose another"
         ) from None
+    # One process at a time.
     with run_lock(out):
-        earlier = checksums.remove_sums(out)
-        was = read_study(out) or {}
-        old = {row["name"]: row for row in (*was.get("former", []), *was.get("stages", []))}
+        old_sums = checksums.remove_sums(out)
+        last_run = read_study(out) or {}
+        old = {
+            row["name"]: row for row in (*last_run.get("former", []), *last_run.get("stages", []))
+        }
         document = {**new, "stages": [_row(stage, old.pop(stage.name, None)) for stage in stages]}
-        # Stages that the file no longer asks for left folders, which are this study's all the same.
+        # Stages that were removed from the file keep their entry: their folders belong to this
+        # study.
         document["former"] = list(old.values())
         write_study(out, document)
         for number, (stage, row) in enumerate(
             zip(stages, document["stages"], strict=True), start=1
         ):
-            say(f"[{number}/{len(stages)}] {stage.name}")
+            callback(f"[{number}/{len(stages)}] {stage.name}")
             try:
-                _settle(run, stage, row, out, workers, lambda: write_study(out, document), say)
+                _run_stage(
+                    run,
+                    stage,
+                    row,
+                    out,
+                    workers,
+                    save=lambda: write_study(out, document),
+                    callback=callback,
+                )
             except KeyboardInterrupt:
+                # Interrupted: the state "running" stays, and the next call resumes.
                 raise
             except BaseException as error:
+                # Any other error ends the study; the finished stages stay.
                 row |= {"state": "failed", "exit": 2, "error": str(error)}
                 document["state"] = "failed"
                 with contextlib.suppress(BadInputError):
                     write_study(out, document)
                 if isinstance(error, BadInputError):
-                    said = f"stage {stage.name}: {error}".split("\n")
-                    raise BadInputError(*said, f"  the stage alone: {stage.command}") from None
+                    lines = f"stage {stage.name}: {error}".split("\n")
+                    raise BadInputError(*lines, f"  the stage alone: {stage.command}") from None
                 raise
         pair = {
             when: f"campaign-{when}"
@@ -193,10 +278,10 @@ def run_chain(
         }
         if len(pair) == 2:
             document["before_after"] = pair
-        _conclude(spec, stages, document, out, was, workers)
+        _conclude(spec, stages, document, out, last_run, workers)
         document["state"] = "done"
         write_study(out, document)
-        checksums.write_sums(out, earlier)
+        checksums.write_sums(out, old_sums)
     return document
 
 
@@ -205,40 +290,48 @@ def _conclude(
     stages: Sequence[Stage],
     document: dict[str, Any],
     out: Path,
-    was: Mapping[str, Any],
+    last_run: Mapping[str, Any],
     workers: int | None,
 ) -> None:
-    """The verdict, the answer and the ground tracks, from what all stages left."""
+    """Write verdict, answer and ground tracks into ``document``, from the results of all stages.
+
+    ``last_run`` is study.json of the last run, whose tracks are kept if the campaigns are
+    unchanged.
+    """
     kinds, rows = {stage.kind for stage in stages}, document["stages"]
-    flown = read_flown(out, "refine" in kinds) if "campaign" in kinds else {}
-    said = judge(spec, stages, rows, out, flown)
+    campaigns = read_campaigns(out, "refine" in kinds) if "campaign" in kinds else {}
+    sentences = judge(spec, stages, rows, out, campaigns)
     refinement = read_document(out / REFINEMENT, Part) if "refine" in kinds else None
-    no = [row["name"] for row in rows if row["exit"] == 1]
-    answer = answer_of(flown, refinement, said, no)
-    document["verdict"] = [{"text": text, "level": level} for text, level in said]
+    refused = [row["name"] for row in rows if row["exit"] == 1]
+    answer = answer_of(campaigns, refinement, sentences, refused)
+    document["verdict"] = [{"text": text, "level": level} for text, level in sentences]
     document["answer"] = dataclasses.asdict(answer)
-    asked = {
-        when: Asked(item.folder, item.frame, hardest(item.signed)) for when, item in flown.items()
+    track_requests = {
+        when: TrackRequest(item.folder, item.frame, hardest(item.statements))
+        for when, item in campaigns.items()
     }
-    # They depend on nothing but the campaigns, whose tables tell whether they are the same.
+    # The tracks depend on the campaigns only, so the hashes of their tables decide whether the
+    # tracks are up to date.
     key = stage_key(
         "tracks",
         {},
-        {when: content(item.folder / "cases.parquet") for when, item in flown.items()},
+        {when: content(item.folder / "cases.parquet") for when, item in campaigns.items()},
         uqharness.__version__,
     )
-    old = was.get("tracks") or {}
+    old = last_run.get("tracks") or {}
     if old.get("key") == key and content(out / TRACKS) == old.get("sha256"):
         document["tracks"] = old
-    elif asked:
-        document["tracks"] = fly_tracks(out, asked, workers) | {
+    elif track_requests:
+        document["tracks"] = fly_tracks(out, track_requests, workers) | {
             "key": key,
             "sha256": content(out / TRACKS),
         }
 
 
 def _row(stage: Stage, old: Mapping[str, Any] | None) -> dict[str, Any]:
-    """A stage's entry in study.json: what an earlier run left, under the words of this one."""
+    """Return a stage's entry in study.json: the state of an earlier run, with this run's
+    command.
+    """
     row = {
         "state": "waiting",
         "exit": None,
@@ -257,26 +350,34 @@ def _row(stage: Stage, old: Mapping[str, Any] | None) -> dict[str, Any]:
     }
 
 
-def _settle(
+def _run_stage(
     run: Command,
     stage: Stage,
     row: dict[str, Any],
     out: Path,
     workers: int | None,
+    *,
     save: Callable[[], None],
-    say: Say,
+    callback: Callback,
 ) -> None:
-    """Bring one stage to done, unless it is and would come out the same; ``row`` is brought up to date and saved."""
+    """Run one stage unless it is up to date; ``row``, its entry in study.json, is updated and
+    saved.
+
+    Raises BadInputError if an input is missing, or if the command did not write its outputs.
+    """
     inputs = {label: content(path) for label, path in stage.inputs.items()}
+    # Inputs are files of earlier stages or of the user.
     missing = [label for label, digest in inputs.items() if not digest]
     if missing:
         raise BadInputError(f"{', '.join(missing)}: needed, and no stage before has left it")
     key = stage_key(stage.kind, stage.options, inputs, (uqharness.__version__, binding_versions()))
-    same = row["key"] == key
-    if same and row["state"] == "done" and row["outputs"] == _outputs(stage, out):
-        say("  unchanged")
+    same_key = row["key"] == key
+    # Up to date: same inputs, settings and outputs.
+    if same_key and row["state"] == "done" and row["outputs"] == _outputs(stage, out):
+        callback("  unchanged")
         return
-    _make_room(stage, row, out, same)
+    # Without the old outputs a failed command cannot be mistaken for a finished one.
+    _clear_outputs(stage, row, out, same_key)
     row |= {
         "state": "running",
         "exit": None,
@@ -286,54 +387,64 @@ def _settle(
         "key": key,
         "outputs": {},
     }
+    # Saved as running, so that a killed run is not mistaken for a finished one.
     save()
     if stage.belongs is not None:
         _refuse_other_model(*stage.belongs)
     if stage.writes is not None:
         path, data = stage.writes
         write_bytes(path, (_HEADER + tomlkit.dumps(data)).encode())
-    begun = time.monotonic()
-    code = _call(run, stage, out, workers)
+    start_s = time.monotonic()
+    code = _run_command(run, stage, out, workers)
     row |= {
         "exit": code,
-        "seconds": round(time.monotonic() - begun, 1),
+        "seconds": round(time.monotonic() - start_s, 1),
         "outputs": _outputs(stage, out),
         "state": "done",
     }
-    lost = [name for name, digest in row["outputs"].items() if not digest]
-    if lost:
+    missing_outputs = [name for name, digest in row["outputs"].items() if not digest]
+    # A command that wrote nothing has not succeeded, whatever its exit code.
+    if missing_outputs:
         raise BadInputError(
-            f"ended with {code} and left no {', '.join(lost)}, which the study goes on from; what it said is in "
-            f"{out / LOGS / stage.name}.txt"
+            f"ended with {code} and left no {', '.join(missing_outputs)}, which the study goes on"
+            f" from; what it said is in {out / LOGS / stage.name}.txt"
         )
     save()
-    say(f"  {row['seconds']:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no"))
+    callback(
+        f"  {row['seconds']:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no")
+    )
 
 
 _HEADER = "# Written by `uqharness study`; edit the study's file instead.\n\n"
 
 
 def _outputs(stage: Stage, out: Path) -> dict[str, str]:
+    """Return path -> hash of a stage's outputs; the hash of a missing output is empty."""
     return {path.relative_to(out).as_posix(): content(path) for path in stage.outputs}
 
 
-def _make_room(stage: Stage, row: Mapping[str, Any], out: Path, same: bool) -> None:
-    """Take away what an earlier run of this stage left, unless the stage goes on from it. Flights of a campaign are put aside."""
-    if same and stage.resumes:
+def _clear_outputs(stage: Stage, row: Mapping[str, Any], out: Path, same_key: bool) -> None:
+    """Remove the results of an earlier run, unless the stage can resume from them.
+
+    Flights of a campaign are moved to ``superseded`` instead: they may have taken hours.
+    """
+    if same_key and stage.resumes:
         return
     for path in stage.owns:
+        # A folder that no stage has made is not removed.
         if path.is_dir() and not row["key"]:
             raise BadInputError(
-                f"{path}: is there, and not from this study; move it away, for the stage writes there"
+                f"{path}: is there, and not from this study; move it away, for the stage writes"
+                " there"
             )
         if stage.kind == "campaign" and path.is_dir():
-            aside = out / _SUPERSEDED / f"{stage.name}-{row['key'][:12]}"
+            backup = out / _SUPERSEDED / f"{stage.name}-{row['key'][:12]}"
             number = 1
-            while aside.exists():
+            while backup.exists():
                 number += 1
-                aside = aside.with_name(f"{stage.name}-{row['key'][:12]}-{number}")
-            aside.parent.mkdir(exist_ok=True)
-            os.replace(path, aside)
+                backup = backup.with_name(f"{stage.name}-{row['key'][:12]}-{number}")
+            backup.parent.mkdir(exist_ok=True)
+            os.replace(path, backup)
         elif path.is_dir():
             shutil.rmtree(path)
         else:
@@ -341,38 +452,40 @@ def _make_room(stage: Stage, row: Mapping[str, Any], out: Path, same: bool) -> N
 
 
 def _refuse_other_model(form: Path, folder: Path) -> None:
-    """BadInputError where bounds are not those of the aircraft that is about to fly with them."""
-    said, flown = read_bounds(form).aircraft.sha256, content(folder)
-    if said != flown:
+    """Raise BadInputError if bounds were made for another aircraft than the one that will fly."""
+    bounds_hash, aircraft_hash = read_bounds(form).aircraft.sha256, content(folder)
+    if bounds_hash != aircraft_hash:
         raise BadInputError(
-            f"{form}: these bounds are of another model ({said[:12]}) than {folder} ({flown[:12]}); "
-            f"remove {form.parent} and run again"
+            f"{form}: these bounds are of another model ({bounds_hash[:12]}) than {folder}"
+            f" ({aircraft_hash[:12]}); remove {form.parent} and run again"
         )
 
 
-def _call(run: Command, stage: Stage, out: Path, workers: int | None) -> int:
-    """Run the stage's command; what it prints goes to a file."""
+def _run_command(run: Command, stage: Stage, out: Path, workers: int | None) -> int:
+    """Run the stage's command and write its output to ``log/STAGE.txt``; return its exit code."""
     words = [
         *stage.argv,
         *(["--workers", str(workers)] if stage.workers and workers is not None else []),
     ]
-    # Whoever asked for the study asked for its campaigns.
+    # The user has agreed to the campaigns by running the study.
     words += ["--yes"] if stage.kind == "campaign" else []
-    said = io.StringIO()
+    output = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), _quiet(said):
+        with contextlib.redirect_stdout(output), _redirect_stderr(output):
             return run(words)
     finally:
-        text = f"$ {stage.command}\n{said.getvalue()}"
+        text = f"$ {stage.command}\n{output.getvalue()}"
         with contextlib.suppress(BadInputError):
             write_bytes(out / LOGS / f"{stage.name}.txt", text.encode())
 
 
 @contextlib.contextmanager
-def _quiet(said: TextIO) -> Iterator[None]:
-    """On a terminal the stage's own progress is seen; in a pipe its remarks go where its results go."""
+def _redirect_stderr(output: TextIO) -> Iterator[None]:
+    """Send messages to ``output``, except on a terminal, where the stage's progress is
+    displayed.
+    """
     if sys.stderr.isatty():
         yield
         return
-    with contextlib.redirect_stderr(said):
+    with contextlib.redirect_stderr(output):
         yield

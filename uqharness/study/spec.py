@@ -1,7 +1,11 @@
-"""STUDY.toml of `uqharness study`: flights, what is done with them, and the campaign flown before and after, strictly validated.
+"""Read STUDY.toml, the input of `uqharness study`, and check it strictly.
 
-The sections of a campaign stand in the same file under the names they have in campaign.toml. Errors name file, line, what was
-received and what is allowed. Paths are relative to the file.
+A study file names flights (simulated or logged), what is estimated from them, and one campaign that
+is flown before and after refinement. The sections of the campaign have the names that they have in
+campaign.toml. Each section is a pydantic model; `read_chain` adds the checks that need several
+sections (names of flights, flights with two incompatible roles).
+
+Errors name file, line, the value received and the values allowed. Paths are relative to the file.
 """
 
 from __future__ import annotations
@@ -33,8 +37,10 @@ CAMPAIGN_SECTIONS = ("campaign", "aleatory", "epistemic", "metrics", "stop", "st
 
 
 class StudySection(Section):
-    """What is asked, of which aircraft. ``servos`` goes to every stage that replays a flight; ``air`` to `instrument`, where the
-    aircraft lacks the plugin.
+    """Hold the question, the aircraft and the options that all stages share.
+
+    ``servos`` is passed to every stage that replays a flight. ``air`` is passed to `instrument`,
+    which runs only if the aircraft has no plugin yet.
     """
 
     name: str = Field(pattern=rf"^{_NAME}$")
@@ -45,7 +51,11 @@ class StudySection(Section):
 
 
 class FlySection(Section):
-    """One flight of a simulated truth, written as a log: the arguments of `uqharness fly`."""
+    """Describe one flight of a simulated truth that is written as a log.
+
+    The fields are the arguments of `uqharness fly`: speeds in m/s, directions in degrees, durations
+    in seconds, rates in Hz.
+    """
 
     name: str = Field(pattern=rf"^{_NAME}$")
     aircraft: str = Field(min_length=1)
@@ -62,7 +72,7 @@ class FlySection(Section):
 
 
 class LogSection(Section):
-    """One log of your own: the arguments of `uqharness log import`."""
+    """Describe one log of the user: the arguments of `uqharness log import`."""
 
     name: str = Field(pattern=rf"^{_NAME}$")
     file: str = Field(min_length=1)
@@ -71,7 +81,9 @@ class LogSection(Section):
 
 
 class IdentifySection(Section):
-    """Flights that the parameters are estimated from, and options of `uqharness identify`."""
+    """Name the flights that the parameters are estimated from, with options of `uqharness
+    identify`.
+    """
 
     flights: Names
     params: Annotated[tuple[str, ...] | None, BeforeValidator(list_as_tuple)] = None
@@ -82,13 +94,16 @@ class IdentifySection(Section):
 
 
 class CompareSection(Section):
-    """Flights that the model is replayed beside, before and after refinement."""
+    """Name the flights that the model is compared with, before and after refinement."""
 
     flights: Names
 
 
 class BoundsSection(Section):
-    """Flights that the model-form bounds are made from, flights that they are checked on, and options of `uqharness bounds`."""
+    """Name the flights of the model-form bounds and those that check them.
+
+    The other fields are options of `uqharness bounds`; cutoffs are in Hz.
+    """
 
     flights: Names
     validate_on: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
@@ -108,6 +123,7 @@ class BoundsSection(Section):
     @field_validator("states", "terms", mode="before")
     @classmethod
     def _lists(cls, value: Any) -> Any:
+        """Accept a single string where a coefficient has one state or term."""
         return (
             {name: list_as_tuple(item) for name, item in value.items()}
             if isinstance(value, dict)
@@ -116,7 +132,7 @@ class BoundsSection(Section):
 
 
 class RefineSection(Section):
-    """Flights that choose the effect, flights that only show what it did, and an effects file of your own."""
+    """Name training and hold-out flights of `uqharness refine`, and a file of user effects."""
 
     train: Names
     test: Names
@@ -124,6 +140,10 @@ class RefineSection(Section):
 
 
 class _Document(Section):
+    """Hold all sections of a study file; the campaign's are validated later, with the aircraft
+    added.
+    """
+
     study: StudySection
     fly: Annotated[tuple[FlySection, ...], BeforeValidator(list_as_tuple)] = ()
     logs: Annotated[tuple[LogSection, ...], BeforeValidator(list_as_tuple)] = ()
@@ -139,21 +159,34 @@ class _Document(Section):
     start: Any = None
 
     @model_validator(mode="after")
-    def _something(self) -> _Document:
+    def _require_stage(self) -> _Document:
+        """Refuse a study that runs no stage."""
         if not (
             self.identify or self.compare or self.bounds or self.refine or self.campaign is not None
         ):
             raise ValueError(
-                "asks for nothing; give at least one of [identify], [compare], [bounds], [refine], [campaign]"
+                "runs no stage; give at least one of [identify], [compare], [bounds], [refine],"
+                " [campaign]"
             )
         return self
 
 
 @dataclass(frozen=True)
 class ChainSpec:
-    """A validated study. ``path`` is its file, ``source`` the file's text; ``campaign`` is validated without the aircraft's bounds.
+    """A validated study.
 
-    ``campaign_data`` holds the campaign's sections as they stand in the file.
+    Attributes
+    ----------
+    path : Path
+        The study file.
+    source : str
+        Its text, for line numbers in later errors.
+    study, fly, logs, identify, compare, bounds, refine
+        Sections of the file; None or empty if absent.
+    campaign : CampaignSpec or None
+        The campaign, validated without the bounds that the study makes.
+    campaign_data : mapping
+        The campaign's sections as they are written in the file.
     """
 
     path: Path
@@ -170,29 +203,47 @@ class ChainSpec:
 
     @property
     def folder(self) -> Path:
-        """Where the file's relative paths begin."""
+        """Return the folder that the file's relative paths start from."""
         return self.path.resolve().parent
 
     @property
     def flights(self) -> tuple[str, ...]:
-        """Names of all flights, those to be flown first."""
+        """Return the names of all flights, simulated flights first."""
         return (*(item.name for item in self.fly), *(item.name for item in self.logs))
 
-    def beside(self, name: str) -> Path:
-        """A path that the file names."""
+    def resolve(self, name: str) -> Path:
+        """Return the path of a name in the file."""
         return self.folder / name
 
 
 def read_chain(path: str | Path) -> ChainSpec:
-    """Read and validate a study file. Raises BadInputError that lists every mistake as ``file:line: ...``."""
+    """Read and validate a study file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A STUDY.toml.
+
+    Returns
+    -------
+    ChainSpec
+        Its sections, checked one by one and against each other.
+
+    Raises
+    ------
+    BadInputError
+        If anything is wrong; it lists every mistake as ``file:line: ...``.
+    """
     path = Path(path)
     data, text = read_toml(path)
     try:
         document = _Document.model_validate(data)
     except ValidationError as error:
+        # All problems, sorted by line.
         problems = [explain(_Document, text, data, dict(item)) for item in error.errors()]
         lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
         raise BadInputError(*dict.fromkeys(lines)) from None
+    # pydantic has validated each section by itself; the campaign and the roles of flights follow.
     sections = {name: data[name] for name in CAMPAIGN_SECTIONS if name in data}
     spec = ChainSpec(
         path,
@@ -214,31 +265,40 @@ def read_chain(path: str | Path) -> ChainSpec:
 def _campaign(
     document: _Document, sections: Mapping[str, Any], path: Path, text: str
 ) -> CampaignSpec | None:
-    """The campaign's sections as campaign.toml would be validated; the study itself says which aircraft and which bounds."""
+    """Validate the campaign's sections as campaign.toml would be.
+
+    The study itself sets the aircraft and the bounds, so sections that set them too are refused.
+    None if the file has no section of a campaign.
+    """
     if not sections:
         return None
     campaign, epistemic = sections.get("campaign"), sections.get("epistemic")
 
-    def refuse(location: tuple[str, ...], why: str) -> BadInputError:
+    def located_error(location: tuple[str, ...], reason: str) -> BadInputError:
+        """Return an error that names file, line, section and key."""
         return BadInputError(
-            f"{path}:{line_of(text, location)}: [{'.'.join(location[:-1])}] {location[-1]}: {why}"
+            f"{path}:{line_of(text, location)}: [{'.'.join(location[:-1])}] {location[-1]}:"
+            f" {reason}"
         )
 
+    # Settings that the study makes itself must not be in the file.
     if isinstance(campaign, dict) and "aircraft" in campaign:
-        raise refuse(
+        raise located_error(
             ("campaign", "aircraft"),
             "the study flies its own aircraft, before and after; leave it out",
         )
     if isinstance(epistemic, dict) and "parameters" in epistemic:
-        raise refuse(
+        raise located_error(
             ("epistemic", "parameters"),
-            "a draw of parameters belongs to one model, and a study flies two; use `uqharness campaign run` for it",
+            "a draw of parameters belongs to one model, and a study flies two; use `uqharness"
+            " campaign run` for it",
         )
     if document.bounds is not None and isinstance(epistemic, dict) and "bounds" in epistemic:
-        raise refuse(
+        raise located_error(
             ("epistemic", "bounds"),
             "the section [bounds] makes them from flights; leave out one of the two",
         )
+    # The base aircraft stands in for the models that the study makes: both have its properties.
     data = dict(sections)
     if isinstance(campaign, dict):
         data["campaign"] = {**campaign, "aircraft": document.study.aircraft}
@@ -246,62 +306,82 @@ def _campaign(
 
 
 def _check(spec: ChainSpec) -> None:
-    """BadInputError for flights that are not there, are named twice, or would judge what was made from them."""
-    problems = [*_naming(spec), *_unknown(spec), *_roles(spec)]
+    """Raise BadInputError for missing, unused or repeated flights, and for flights in two roles of
+    which one would test the result of the other.
+    """
+    # All problems are collected before raising, so that one run shows them all.
+    problems = [*_name_problems(spec), *_unknown_flight_problems(spec), *_role_problems(spec)]
     if problems:
         raise BadInputError(*(f"{spec.path}:{line}: {text}" for line, text in problems))
 
 
-def _naming(spec: ChainSpec) -> Iterable[tuple[int, str]]:
+def _name_problems(spec: ChainSpec) -> Iterable[tuple[int, str]]:
+    """Yield (line, message) for flights with a name that is taken, and for flights that no section
+    uses.
+    """
     places = [(item.name, ("fly", str(k))) for k, item in enumerate(spec.fly)]
     places += [(item.name, ("logs", str(k))) for k, item in enumerate(spec.logs)]
-    wanted = {name for _, _, group in _uses(spec) for name in group}
-    seen: set[str] = set()
+    used_names = {name for _, _, group in _flight_uses(spec) for name in group}
+    visited: set[str] = set()
+    # Each flight needs a unique name and a section that uses it.
     for name, place in places:
         line = line_of(spec.source, (*place, "name"))
-        if name in seen:
+        if name in visited:
             yield (
                 line,
-                f"[[{place[0]}]] name = {as_toml(name)}: another flight has this name; give each its own",
+                (
+                    f"[[{place[0]}]] name = {as_toml(name)}: another flight has this name; give"
+                    " each its own"
+                ),
             )
-        elif name not in wanted:
+        elif name not in used_names:
             yield (
                 line,
-                f"[[{place[0]}]] name = {as_toml(name)}: no section uses this flight; name it in one, or leave it out",
+                (
+                    f"[[{place[0]}]] name = {as_toml(name)}: no section uses this flight; name it"
+                    " in one, or leave it out"
+                ),
             )
-        seen.add(name)
+        visited.add(name)
 
 
-def _uses(spec: ChainSpec) -> list[tuple[str, str, tuple[str, ...]]]:
-    """(section, key, flights named there)."""
-    found: list[tuple[str, str, tuple[str, ...]]] = []
+def _flight_uses(spec: ChainSpec) -> list[tuple[str, str, tuple[str, ...]]]:
+    """List section, key and the flights named there."""
+    uses: list[tuple[str, str, tuple[str, ...]]] = []
     for section in ("identify", "compare", "bounds"):
         part = getattr(spec, section)
         if part is not None:
-            found.append((section, "flights", part.flights))
+            uses.append((section, "flights", part.flights))
     if spec.bounds is not None:
-        found.append(("bounds", "validate_on", spec.bounds.validate_on))
+        uses.append(("bounds", "validate_on", spec.bounds.validate_on))
     if spec.refine is not None:
-        found += [("refine", "train", spec.refine.train), ("refine", "test", spec.refine.test)]
-    return found
+        uses += [("refine", "train", spec.refine.train), ("refine", "test", spec.refine.test)]
+    return uses
 
 
-def _unknown(spec: ChainSpec) -> Iterable[tuple[int, str]]:
-    known = spec.flights
-    for section, key, names in _uses(spec):
+def _unknown_flight_problems(spec: ChainSpec) -> Iterable[tuple[int, str]]:
+    """Yield (line, message) for flights that are not declared, and for flights named twice in one
+    list.
+    """
+    declared = spec.flights
+    for section, key, names in _flight_uses(spec):
         line = line_of(spec.source, (section, key))
         for name in names:
-            if name not in known:
-                there = ", ".join(known) or "none"
+            if name not in declared:
+                declared_names = ", ".join(declared) or "none"
                 yield (
                     line,
-                    f"[{section}] {key}: no flight is named {as_toml(name)}; [[fly]] and [[logs]] have: {there}",
+                    (
+                        f"[{section}] {key}: no flight is named {as_toml(name)}; [[fly]] and"
+                        f" [[logs]] have: {declared_names}"
+                    ),
                 )
         for name in dict.fromkeys(n for n in names if names.count(n) > 1):
             yield line, f"[{section}] {key}: {as_toml(name)} is named twice"
 
 
-_APART: Sequence[tuple[tuple[str, str], tuple[str, str], str]] = (
+# Two roles that one flight must not have, and the reason.
+_SEPARATE_ROLES: Sequence[tuple[tuple[str, str], tuple[str, str], str]] = (
     (("refine", "test"), ("refine", "train"), "a test flight must not choose the effect"),
     (("refine", "test"), ("identify", "flights"), "a test flight must not have made the model"),
     (
@@ -332,13 +412,18 @@ _APART: Sequence[tuple[tuple[str, str], tuple[str, str], str]] = (
 )
 
 
-def _roles(spec: ChainSpec) -> Iterable[tuple[int, str]]:
-    roles = {(section, key): names for section, key, names in _uses(spec)}
-    for mine, other, why in _APART:
-        for name in roles.get(mine, ()):
-            if name in roles.get(other, ()):
-                line = line_of(spec.source, mine)
+def _role_problems(spec: ChainSpec) -> Iterable[tuple[int, str]]:
+    """Yield (line, message) for flights in two roles that must be held by different flights."""
+    # Only roles of sections that exist are compared.
+    roles = {(section, key): names for section, key, names in _flight_uses(spec)}
+    for role, excluded_role, reason in _SEPARATE_ROLES:
+        for name in roles.get(role, ()):
+            if name in roles.get(excluded_role, ()):
+                line = line_of(spec.source, role)
                 yield (
                     line,
-                    f"[{mine[0]}] {mine[1]}: {as_toml(name)} is also in [{other[0]}] {other[1]}; {why}. Name another flight",
+                    (
+                        f"[{role[0]}] {role[1]}: {as_toml(name)} is also in [{excluded_role[0]}]"
+                        f" {excluded_role[1]}; {reason}. Name another flight"
+                    ),
                 )

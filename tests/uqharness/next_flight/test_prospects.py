@@ -48,8 +48,8 @@ def test_more_data_narrow_and_endless_data_narrow_most():
     for name in ("CZ", "Cm"):
         assert few[name].narrowing < many[name].narrowing <= many[name].at_most < 1.0
         assert few[name].parameter_narrowing < many[name].parameter_narrowing < 1.0
-        assert many[name].now == widths_over(FORM, MISSION)[name]
-        assert many[name].ever.parameter == 0.0
+        assert many[name].current == widths_over(FORM, MISSION)[name]
+        assert many[name].asymptotic.parameter == 0.0
     nothing = prospects(FORM, MISSION, flown(500), 0.0, STEADY)
     assert nothing["CZ"].parameter_narrowing == pytest.approx(0.0, abs=0.01)
 

@@ -46,12 +46,15 @@ def test_a_sound_plan_has_no_warning_and_each_weakness_has_its_own(tmp_path: Pat
         flights=[SimpleNamespace(sha256=file_sha256(record))],
     )
     flight: Any = SimpleNamespace(aircraft=aircraft, noise=True, has_autopilot=True)
-    assert warnings_of(form, campaign(own, failed=3), flight, None, [record], flown=False) == []
-    assert warnings_of(form, campaign(own), flight, own, [], flown=True) == []
+    assert (
+        warnings_of(form, campaign(own, failed=3), flight, None, [record], from_campaign=False)
+        == []
+    )
+    assert warnings_of(form, campaign(own), flight, own, [], from_campaign=True) == []
     bare: Any = SimpleNamespace(aircraft=aircraft, noise=False, has_autopilot=False)
     changed: Any = SimpleNamespace(aircraft=SimpleNamespace(sha256="0" * 64), flights=[])
     said = warnings_of(
-        changed, campaign(own, failed=3, same=False), bare, other, [record], flown=True
+        changed, campaign(own, failed=3, same=False), bare, other, [record], from_campaign=True
     )
     for part in (
         "has changed",
@@ -64,5 +67,7 @@ def test_a_sound_plan_has_no_warning_and_each_weakness_has_its_own(tmp_path: Pat
     ):
         assert sum(part in text for text in said) >= 1, part
     assert len(said) == 7
-    (constant,) = warnings_of(form, campaign(None, {"CY": 0.01}), flight, own, [], flown=True)
+    (constant,) = warnings_of(
+        form, campaign(None, {"CY": 0.01}), flight, own, [], from_campaign=True
+    )
     assert "(constant ones)" in constant

@@ -12,7 +12,7 @@ from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.samples import read_campaign
 from uqharness.campaign.statements import DISPERSION_EXCEEDED, bound_dispersion
-from uqharness.study.answer import answer_of, performance, read_flown
+from uqharness.study.answer import answer_of, performance, read_campaigns
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -98,7 +98,7 @@ def answered(tmp_path, before, after=None, flights=40, winds="3", no=(), air='"m
             mission = Mission(tmp_path / "plane", "a" * 64, tmp_path / "loiter.xml", "b" * 64)
             run_campaign(spec, tmp_path / name, executor=SerialExecutor(), fly=fly, mission=mission)
     return answer_of(
-        read_flown(tmp_path, after is not None), None if after is None else FOUND, [], no
+        read_campaigns(tmp_path, after is not None), None if after is None else FOUND, [], no
     )
 
 
@@ -199,7 +199,7 @@ def test_clusters_beyond_the_carried_limit_are_the_reason_and_more_hours_no_advi
     )
     (said, *_) = [
         text
-        for text, _ in performance(read_flown(tmp_path, both=False))
+        for text, _ in performance(read_campaigns(tmp_path, refined=False))
         if "at every corner?" in text
     ]
     assert "Inconclusive (clusters beyond the carried limit): " in said
@@ -208,14 +208,14 @@ def test_clusters_beyond_the_carried_limit_are_the_reason_and_more_hours_no_advi
 
 def test_hours_and_clusters_are_each_named_with_their_conditions(tmp_path):
     answered(tmp_path, quiet, flights=4, winds="[1, 3]")
-    flown = read_flown(tmp_path, both=False)
-    first, *rest = flown["before"].signed
+    flown = read_campaigns(tmp_path, refined=False)
+    first, *rest = flown["before"].statements
     other = replace(
         first,
         reason=DISPERSION_EXCEEDED,
         dispersion=replace(first.dispersion, is_contradicted=True),
     )
-    other = replace(flown["before"], signed=[other, *rest])
+    other = replace(flown["before"], statements=[other, *rest])
     found = answer_of({"before": other}, None, [])
     assert found.answer.startswith(
         "Inconclusive (clusters beyond the carried limit) in 1 m/s, inconclusive (too few flight hours) in 3 m/s"

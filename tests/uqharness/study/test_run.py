@@ -109,7 +109,7 @@ def study(tmp_path, monkeypatch):
                 (path / "more.xml").write_text(f"<a>{told}{stage.name}</a>")
         return what
 
-    monkeypatch.setattr(chain_run, "_call", call)
+    monkeypatch.setattr(chain_run, "_run_command", call)
     monkeypatch.setattr(chain_run, "_refuse_other_model", lambda form, folder: None)
     monkeypatch.setattr(
         "uqharness.cli.study.write_report",
@@ -117,7 +117,7 @@ def study(tmp_path, monkeypatch):
     )
     # The stages are made up, so that there is nothing to conclude from.
     monkeypatch.setattr(chain_run, "judge", lambda *_: [("It holds.", "good")])
-    monkeypatch.setattr(chain_run, "read_flown", lambda out, both: {})
+    monkeypatch.setattr(chain_run, "read_campaigns", lambda out, refined: {})
     monkeypatch.setattr(
         chain_run,
         "read_document",
@@ -302,7 +302,7 @@ def test_what_a_half_done_stage_left_is_taken_away(study, tmp_path):
 
 def test_a_stage_that_leaves_nothing_is_no_success(study, monkeypatch):
     run, _, _ = study
-    monkeypatch.setattr(chain_run, "_call", lambda run, stage, out, workers: 0)
+    monkeypatch.setattr(chain_run, "_run_command", lambda run, stage, out, workers: 0)
     with pytest.raises(BadInputError, match=r"left no flights/one\.parquet"):
         run()
 

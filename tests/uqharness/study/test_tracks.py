@@ -9,7 +9,7 @@ from uqharness.campaign.folder import read_cases, read_complete
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.samples import read_campaign
 from uqharness.campaign.statements import statements
-from uqharness.study.answer import TRACKS, Asked, fly_tracks, hardest
+from uqharness.study.answer import TRACKS, TrackRequest, fly_tracks, hardest
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -51,7 +51,7 @@ def campaign(tmp_path_factory):
 def asked(campaign):
     manifest = read_complete(campaign)
     frame = read_cases(campaign, manifest)
-    return Asked(campaign, frame, hardest(statements(frame, manifest["campaign"])))
+    return TrackRequest(campaign, frame, hardest(statements(frame, manifest["campaign"])))
 
 
 def test_the_hardest_condition_and_the_smallest_radius_are_drawn(asked):
@@ -89,15 +89,17 @@ def test_the_worst_corner_is_flown_as_in_the_campaign_and_the_nominal_model_with
 
 
 def test_flights_that_cannot_be_drawn_are_told_with_their_reason(tmp_path, asked):
-    nothing = Asked(asked.folder, asked.frame.drop(columns="cross_track_max_m"), asked.statement)
+    nothing = TrackRequest(
+        asked.folder, asked.frame.drop(columns="cross_track_max_m"), asked.statement
+    )
     assert (
         "has a distance from its path"
         in fly_tracks(tmp_path, {"before": nothing}, workers=1)["reason"]
     )
     assert (
         "has a distance"
-        in fly_tracks(tmp_path, {"before": Asked(asked.folder, asked.frame, None)}, workers=1)[
-            "reason"
-        ]
+        in fly_tracks(
+            tmp_path, {"before": TrackRequest(asked.folder, asked.frame, None)}, workers=1
+        )["reason"]
     )
     assert not (tmp_path / TRACKS).exists()

@@ -71,7 +71,7 @@ def flown(tmp_path, before, after=None, winds="3"):
             mission = Mission(tmp_path / "plane", "a" * 64, tmp_path / "loiter.xml", "b" * 64)
             run_campaign(spec, tmp_path / name, executor=SerialExecutor(), fly=fly, mission=mission)
     return list(
-        chain_performance.performance(chain_performance.read_flown(tmp_path, after is not None))
+        chain_performance.performance(chain_performance.read_campaigns(tmp_path, after is not None))
     )
 
 
@@ -138,11 +138,11 @@ def test_the_answer_is_that_of_the_last_campaign(tmp_path):
 def test_time_outside_the_data_is_told_of_bounds_that_have_an_outside(tmp_path):
     assert not [text for text, _ in flown(tmp_path, often) if "outside the states" in text]
     rows = pd.DataFrame({"extrapolated_share": [0.2, 0.4]})
-    ((text, level),) = chain_performance._outside(rows, Condition(3.0, "light"))
+    ((text, level),) = chain_performance._extrapolation(rows, Condition(3.0, "light"))
     assert (level, text[:4], "extrapolated" in text) == ("warn", "30 %", True)
-    ((text, level),) = chain_performance._outside(rows * 0.0, Condition(3.0, "light"))
+    ((text, level),) = chain_performance._extrapolation(rows * 0.0, Condition(3.0, "light"))
     assert (level, "extrapolated" in text) == ("", False)
-    assert list(chain_performance._outside(rows * math.nan, Condition(3.0, "light"))) == []
+    assert list(chain_performance._extrapolation(rows * math.nan, Condition(3.0, "light"))) == []
 
 
 def test_several_conditions_are_counted_and_told(tmp_path):
@@ -212,7 +212,7 @@ def refinement(verdict="effects-found", effects=(EFFECT,), after=1.0, where=()):
 
 
 def test_what_refinement_named_and_what_it_did_on_the_test_flight():
-    (named, first), (gap, second) = chain_verdict._refined(refinement(after=0.25))
+    (named, first), (gap, second) = chain_verdict._refinement_sentences(refinement(after=0.25))
     assert named == (
         "Refinement named, from a: pitching moment due to roll rate squared, 2.98 ± 0.03 (aero/Cm_p2)."
     )
@@ -224,18 +224,18 @@ def test_what_refinement_named_and_what_it_did_on_the_test_flight():
 
 
 def test_refinement_that_helps_too_little_or_explains_nothing_is_said_to():
-    *_, (_, level) = chain_verdict._refined(refinement(after=0.9))
+    *_, (_, level) = chain_verdict._refinement_sentences(refinement(after=0.9))
     assert level == "warn"
-    (text, level), *_ = chain_verdict._refined(
+    (text, level), *_ = chain_verdict._refinement_sentences(
         refinement("unexplained", (), where=[{"words": "something in Cl"}])
     )
     assert (text, level) == ("Refinement leaves something unexplained: something in Cl.", "bad")
-    (text, level), *_ = chain_verdict._refined(
+    (text, level), *_ = chain_verdict._refinement_sentences(
         refinement("unexplained", [EFFECT | {"withdrawn": True}])
     )
     assert "did not shrink the gap on the test flights and was withdrawn" in text
     assert level == "bad"
-    (text, level), *_ = chain_verdict._refined(refinement("no-missing-effect", ()))
+    (text, level), *_ = chain_verdict._refinement_sentences(refinement("no-missing-effect", ()))
     assert (text, level) == ("Refinement found nothing missing from a.", "good")
 
 
@@ -295,9 +295,9 @@ def test_identification_that_did_not_converge_is_bad_news():
         "method": "output error",
         "fit": {"p_radps": {"rms": 2.0, "noise": 1.0}, "V_mps": {"rms": None, "noise": 1.0}},
     }
-    text, level = chain_verdict._identified(fit, 0)
+    text, level = chain_verdict._identification(fit, 0)
     assert text == (
         "1 of 2 parameters were identified from x by output error; the largest residual is 2.00 times the noise (p_radps)."
     )
     assert level == "warn"
-    assert chain_verdict._identified(fit, 1)[1] == "bad"
+    assert chain_verdict._identification(fit, 1)[1] == "bad"

@@ -1,1 +1,3 @@
-"""The intermediate form: typed values without control flow, functions of them, programs, and passes over both."""
+"""Intermediate form of the batch engine: functions, programs, passes over them, and an
+interpreter.
+"""

@@ -1,9 +1,10 @@
-"""The intermediate form: a graph of typed values, built without repetition, with constants folded and without control flow.
+"""Intermediate representation: a graph of typed values in static single assignment form.
 
-A ``Builder`` makes values; a value that was made before is not made again, and an operation on constants is a constant. ``finish``
-keeps what outputs and stores need and gives a ``Function``, which passes rewrite, ``machine`` compiles and ``evaluate``
-computes in numpy. State is read once at the begin of a frame and written once at its end: ``load`` after ``store`` gives the
-stored value.
+A `Builder` creates values. It numbers values (an operation on the same arguments is created once),
+folds constants, and has no control flow. `Builder.finish` removes dead nodes and returns a
+`Function`, which passes rewrite, `uqharness.batch.machine` compiles and `evaluate` computes with
+numpy. State is read once at the start of a frame and written once at its end: ``load`` after
+``store`` returns the stored value.
 """
 
 from __future__ import annotations
@@ -16,21 +17,30 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-# What each operation of the intermediate form means: kinds of arguments and result, and its
-# value computed by numpy.
-#
-# Every operation but the transcendental ones is exact or correctly rounded by IEEE 754, so
-# numpy, constants folded at build time and the compiled code have the same bits. The one
-# exception is the sign and payload of a NaN, which processors choose differently: NaN is
-# compared as NaN. There is no fused multiply-add.
+# Operations: kinds of arguments and result, and the value computed by numpy. All operations
+# except transcendental ones are exact or correctly rounded (IEEE 754), so numpy, constant folding
+# and compiled code agree bit for bit. Only sign and payload of a NaN differ between processors.
+# There is no fused multiply-add.
 
 F64, I64, I1, TABLE = "f64", "i64", "i1", "table"
-"""Kinds of values: a double, its 64 bits as an integer, a truth value; and a row of constant doubles, the same in all lanes."""
+"""Kinds of values: a double, its 64 bits as an integer, a truth value; and a table of constant
+doubles, the same in all lanes.
+"""
 
 
 @dataclass(frozen=True)
 class Operation:
-    """``kinds`` of the arguments, ``result`` kind, ``compute`` over numpy arrays (None: expanded before it is computed)."""
+    """Signature and meaning of an operation.
+
+    Attributes
+    ----------
+    kinds : tuple of str
+        Kinds of the arguments.
+    result : str
+        Kind of the result.
+    compute : callable or None
+        Computes it over numpy arrays; None for operations that `maths.lower` expands first.
+    """
 
     kinds: tuple[str, ...]
     result: str
@@ -38,21 +48,24 @@ class Operation:
 
 
 def _shift(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A shift of the bits as unsigned numbers; the second argument is below 64."""
+    """Return a shift of the bits as unsigned numbers; the second argument is below 64."""
     return lambda a, n: function(np.asarray(a).view(np.uint64), np.asarray(n).view(np.uint64)).view(
         np.int64
     )
 
 
-def _bits(a: Any) -> Any:
+def _to_bits(a: Any) -> Any:
+    """View doubles as 64-bit integers."""
     return np.asarray(a, dtype=np.float64).view(np.int64)
 
 
-def _double(a: Any) -> Any:
+def _from_bits(a: Any) -> Any:
+    """View 64-bit integers as doubles."""
     return np.asarray(a, dtype=np.int64).view(np.float64)
 
 
-def _looked_up(table: Any, index: Any) -> Any:
+def _lookup(table: Any, index: Any) -> Any:
+    """Look up table entries at an index that is clipped to the table; NaN becomes 0."""
     inside = np.where(index > 0.0, index, 0.0)
     return table[np.where(inside < len(table) - 1.0, inside, len(table) - 1.0).astype(np.int64)]
 
@@ -96,7 +109,7 @@ TRANSCENDENTAL: Mapping[str, int] = {
     ),
     **dict.fromkeys(("atan2", "pow", "fmod"), 2),
 }
-"""Names and numbers of arguments; ``form.maths.lower`` writes them out in the other operations."""
+"""Name -> number of arguments; ``form.maths.lower`` expands them into the other operations."""
 
 OPERATIONS: Mapping[str, Operation] = {
     **{name: Operation((F64, F64), F64, f) for name, f in _BINARY.items()},
@@ -106,53 +119,73 @@ OPERATIONS: Mapping[str, Operation] = {
     **{name: Operation((I1, I1), I1, f) for name, f in _LOGIC.items()},
     **{name: Operation((F64,) * count, F64, None) for name, count in TRANSCENDENTAL.items()},
     "not": Operation((I1,), I1, np.logical_not),
-    "bits": Operation((F64,), I64, _bits),
-    "double": Operation((I64,), F64, _double),
+    "bits": Operation((F64,), I64, _to_bits),
+    "double": Operation((I64,), F64, _from_bits),
     "select": Operation((I1, F64, F64), F64, np.where),
-    "lookup": Operation((TABLE, F64), F64, _looked_up),
+    "lookup": Operation((TABLE, F64), F64, _lookup),
 }
-"""``min(a, b)`` is ``a if a < b else b`` and ``max(a, b)`` is ``a if a > b else b``: with a NaN, or two zeros, the second. ``ne``
-is true for a NaN, the other comparisons are false. ``bits`` and ``double`` view the 64 bits as an integer and back; ``ishr``
-fills with zeros. ``lookup`` gives the number of a table at an index, cut to a whole one and held at the ends; at 0 for a NaN."""
+"""Name -> operation. ``min(a, b)`` is ``a if a < b else b`` and ``max(a, b)`` is ``a if a > b
+else b``: the second argument for a NaN or two zeros. ``ne`` is true for a NaN, the other
+comparisons are false. ``bits`` and ``double`` view the 64 bits as an integer and back; ``ishr``
+fills with zeros. ``lookup`` returns a table's entry at a truncated index, clipped to the table;
+a NaN index counts as 0.
+"""
 
 
-def numpy_of(operation: str) -> Callable[..., Any]:
-    """What computes the operation over numpy arrays or scalars. Raises ValueError for a transcendental one."""
+def numpy_function(operation: str) -> Callable[..., Any]:
+    """Return the function that computes an operation over numpy arrays or scalars.
+
+    Raises ValueError for a transcendental operation.
+    """
     compute = OPERATIONS[operation].compute
     if compute is None:
         raise ValueError(f"{operation} is computed only after form.maths.lower has written it out")
     return compute
 
 
-def computed(operation: str, arguments: Sequence[Any]) -> Any:
-    """The operation over numpy arrays or scalars, without warnings of numpy. Raises ValueError for a transcendental one."""
-    compute = numpy_of(operation)
+def apply_operation(operation: str, arguments: Sequence[Any]) -> Any:
+    """Compute an operation over numpy arrays or scalars without floating-point warnings.
+
+    Raises ValueError for a transcendental operation.
+    """
+    compute = numpy_function(operation)
     with np.errstate(all="ignore"):
         return compute(*arguments)
 
 
 Constant = float | int | bool
-Known = Constant | tuple[float, ...]
-"""What a constant node holds."""
+ConstantValue = Constant | tuple[float, ...]
+"""Value of a constant node."""
 
 
 class Node(NamedTuple):
-    """An operation on earlier nodes. ``const`` has its ``value``; ``input`` and ``load`` have the ``name`` of what they read."""
+    """An operation on earlier nodes.
+
+    ``arguments`` are indices of nodes. ``const`` nodes have a ``value``; ``input`` and ``load``
+    nodes have the ``name`` of the input or slot.
+    """
 
     operation: str
     kind: str
     arguments: tuple[int, ...] = ()
-    value: Known | None = None
+    value: ConstantValue | None = None
     name: str = ""
 
 
 @dataclass(frozen=True)
 class Function:
-    """What is computed in a frame: ``nodes`` in an order in which each stands behind its arguments.
+    """Computation of one frame.
 
-    inputs   names of what is given from outside
-    slots    names of the state, read or written
-    outputs  name to the node that has the value;  ``stores`` the same for slots that change
+    Attributes
+    ----------
+    nodes : tuple of Node
+        In topological order.
+    inputs : tuple of str
+        Names of external inputs.
+    slots : tuple of str
+        Names of the state that is read or written.
+    outputs, stores : mapping
+        Name of an output, or of a slot that changes -> index of the node with its value.
     """
 
     nodes: tuple[Node, ...]
@@ -162,29 +195,32 @@ class Function:
     stores: Mapping[str, int]
 
     def counts(self) -> dict[str, int]:
-        """How often each operation occurs."""
-        found: dict[str, int] = {}
+        """Count the nodes of each operation."""
+        counts: dict[str, int] = {}
         for node in self.nodes:
-            found[node.operation] = found.get(node.operation, 0) + 1
-        return found
+            counts[node.operation] = counts.get(node.operation, 0) + 1
+        return counts
 
 
 @dataclass(slots=True, eq=False)
 class Value:
-    """A value of a builder, never changed. Arithmetic operators work on doubles and numbers; comparisons are methods, so that
-    ``==`` stays Python's."""
+    """An immutable value of a builder.
+
+    Arithmetic operators work on doubles and numbers. Comparisons are methods, so that ``==`` keeps
+    Python's meaning.
+    """
 
     builder: Builder
     index: int
 
     @property
     def kind(self) -> str:
-        """f64, i64 or i1."""
+        """Kind of the value: f64, i64 or i1."""
         return self.builder.nodes[self.index].kind
 
     @property
     def constant(self) -> Constant | None:
-        """The number it is known to be, or None."""
+        """The number if the value is constant, else None."""
         value = self.builder.nodes[self.index].value
         return None if isinstance(value, tuple) else value
 
@@ -216,44 +252,62 @@ class Value:
         return self.builder.op("neg", self)
 
     def lt(self, other: Value | float) -> Value:
-        """Whether it is less; false with a NaN, as ``le``, ``gt``, ``ge`` and ``eq``."""
+        """Return whether self < other. Like ``le``, ``gt``, ``ge`` and ``eq`` it is false for
+        NaN.
+        """
         return self.builder.op("lt", self, other)
 
     def le(self, other: Value | float) -> Value:
-        """Less or equal."""
+        """Return whether self <= other."""
         return self.builder.op("le", self, other)
 
     def gt(self, other: Value | float) -> Value:
-        """Greater."""
+        """Return whether self > other."""
         return self.builder.op("gt", self, other)
 
     def ge(self, other: Value | float) -> Value:
-        """Greater or equal."""
+        """Return whether self >= other."""
         return self.builder.op("ge", self, other)
 
     def eq(self, other: Value | float) -> Value:
-        """Equal; zeros of both signs are."""
+        """Return whether self == other; 0.0 equals -0.0."""
         return self.builder.op("eq", self, other)
 
     def ne(self, other: Value | float) -> Value:
-        """Not equal; true with a NaN."""
+        """Return whether self != other; true for NaN."""
         return self.builder.op("ne", self, other)
 
     def choose(self, yes: Value | float, no: Value | float) -> Value:
-        """``yes`` where this truth value is true, else ``no``; both are computed."""
+        """Return ``yes`` in lanes where this truth value is true, else ``no``; both are
+        computed.
+        """
         return self.builder.op("select", self, yes, no)
 
 
 class Builder:
-    """Makes values, each once."""
+    """Create values with value numbering and constant folding.
+
+    Examples
+    --------
+    >>> b = Builder()
+    >>> x = b.input("x")
+    >>> (x + 1.0).index == (x + 1.0).index
+    True
+    >>> (b.constant(2.0) * 3.0).constant
+    6.0
+    >>> outputs, _ = evaluate(b.finish({"y": x * x + 1.0}), {"x": np.array([3.0])})
+    >>> float(outputs["y"][0])
+    10.0
+    """
 
     def __init__(self) -> None:
+        """Start without values."""
         self.nodes: list[Node] = []
         self.state: dict[str, Value] = {}
-        self._known: dict[tuple[Any, ...], int] = {}
+        self._interned: dict[tuple[Any, ...], int] = {}
 
     def constant(self, value: Constant, kind: str = F64) -> Value:
-        """A number: doubles are distinguished by their bits, so 0.0 is not -0.0."""
+        """Return a constant; doubles are distinguished by their bits, so 0.0 is not -0.0."""
         if kind == F64:
             value = float(value)
             key: Any = value or struct.pack("<d", value) if value == value else "nan"
@@ -263,36 +317,40 @@ class Builder:
         return self._leaf(("const", kind, key), "const", kind, value)
 
     def integer(self, value: int) -> Value:
-        """A constant of kind i64."""
+        """Return a constant of kind i64."""
         return self.constant(value, I64)
 
     def truth(self, value: bool) -> Value:
-        """A constant of kind i1."""
+        """Return a constant of kind i1."""
         return self.constant(value, I1)
 
     def table(self, values: Sequence[float]) -> Value:
-        """Constant doubles that ``lookup`` picks from, at least one."""
+        """Return a table of constant doubles for ``lookup``; ValueError if it is empty."""
         if not values:
             raise ValueError("a table has a number at least")
         numbers = tuple(float(x) for x in values)
         return self._leaf(("const", TABLE, np.array(numbers).tobytes()), "const", TABLE, numbers)
 
     def input(self, name: str) -> Value:
-        """A double that is given from outside, for each lane its own."""
+        """Return an external input, one double per lane."""
         return self._leaf(("input", name), "input", F64, None, name)
 
     def load(self, slot: str) -> Value:
-        """The double in a slot of the state: what was stored in this frame, else what the last frame left."""
+        """Return the double in a slot of the state: the value stored in this frame, else that of
+        the last frame.
+        """
         if slot in self.state:
             return self.state[slot]
         return self._leaf(("load", slot), "load", F64, None, slot)
 
     def store(self, slot: str, value: Value | float) -> None:
-        """Put a double into a slot of the state."""
+        """Store a double into a slot of the state."""
         self.state[slot] = self.value(value)
 
     def value(self, value: Value | Constant) -> Value:
-        """A number as a constant; a value as it is. A value of another builder is refused."""
+        """Return a number as a constant, a value unchanged; ValueError for a value of another
+        builder.
+        """
         if not isinstance(value, Value):
             return self.constant(value)
         if value.builder is not self:
@@ -300,11 +358,14 @@ class Builder:
         return value
 
     def op(self, operation: str, *arguments: Value | float) -> Value:
-        """The operation on the arguments, folded where they are constants. Raises ValueError for wrong kinds."""
-        return Value(self, self._place(operation, tuple([self.value(a).index for a in arguments])))
+        """Return an operation on arguments, folded if they are constants.
 
-    def again(self, node: Node, values: Sequence[Value]) -> Value:
-        """A node of another builder in this one, made of this one's values for its arguments."""
+        Raises ValueError for arguments of the wrong kinds.
+        """
+        return Value(self, self._intern(operation, tuple([self.value(a).index for a in arguments])))
+
+    def copy_node(self, node: Node, values: Sequence[Value]) -> Value:
+        """Copy a node of another builder, with this builder's ``values`` as its arguments."""
         if node.operation == "const":
             assert node.value is not None
             return (
@@ -316,36 +377,43 @@ class Builder:
             return self.input(node.name)
         if node.operation == "load":
             return self.load(node.name)
-        return Value(self, self._place(node.operation, tuple([v.index for v in values])))
+        return Value(self, self._intern(node.operation, tuple([v.index for v in values])))
 
-    def _place(self, operation: str, arguments: tuple[int, ...]) -> int:
-        """The node of an operation on nodes."""
+    def _intern(self, operation: str, arguments: tuple[int, ...]) -> int:
+        """Return the index of an operation's node, created at its first use."""
         key = (operation, *arguments)
-        found = self._known.get(key)
-        if found is not None:
-            return found
+        existing = self._interned.get(key)
+        if existing is not None:
+            return existing
         nodes = [self.nodes[i] for i in arguments]
         meaning = OPERATIONS[operation]
+        # Kinds are checked once, when the node is created.
         if tuple([node.kind for node in nodes]) != meaning.kinds:
             raise ValueError(
-                f"{operation} takes {', '.join(meaning.kinds)}; received {', '.join(n.kind for n in nodes)}"
+                f"{operation} takes {', '.join(meaning.kinds)}; received"
+                f" {', '.join(n.kind for n in nodes)}"
             )
+        # All arguments are constant: fold.
         if meaning.compute is not None and None not in [node.value for node in nodes]:
-            made = self.constant(
-                computed(operation, [known(node) for node in nodes]).item(), meaning.result
+            index = self.constant(
+                apply_operation(operation, [numpy_constant(node) for node in nodes]).item(),
+                meaning.result,
             ).index
         else:
             simpler = self._simpler(operation, arguments, nodes)
-            made = len(self.nodes) if simpler is None else simpler
+            index = len(self.nodes) if simpler is None else simpler
             if simpler is None:
                 self.nodes.append(Node(operation, meaning.result, arguments))
-        self._known[key] = made
-        return made
+        self._interned[key] = index
+        return index
 
     def finish(
         self, outputs: Mapping[str, Value], stores: Mapping[str, Value] | None = None
     ) -> Function:
-        """The function that computes ``outputs`` and the stored slots; what they do not need is left out."""
+        """Return the function that computes ``outputs`` and the stores, without dead nodes.
+
+        ``stores`` defaults to everything that was stored.
+        """
         stores = self.state if stores is None else stores
         return _compact(
             self.nodes,
@@ -354,57 +422,70 @@ class Builder:
         )
 
     def _leaf(
-        self, key: tuple[Any, ...], operation: str, kind: str, value: Known | None, name: str = ""
+        self,
+        key: tuple[Any, ...],
+        operation: str,
+        kind: str,
+        value: ConstantValue | None,
+        name: str = "",
     ) -> Value:
-        index = self._known.get(key)
+        """Return a node without arguments, created at its first use."""
+        index = self._interned.get(key)
         if index is None:
-            index = self._known[key] = len(self.nodes)
+            index = self._interned[key] = len(self.nodes)
             self.nodes.append(Node(operation, kind, (), value, name))
         return Value(self, index)
 
     def _simpler(
         self, operation: str, arguments: tuple[int, ...], nodes: Sequence[Node]
     ) -> int | None:
-        """The node of the same value by less work, bit for bit; None if there is none."""
+        """Return an existing or cheaper node with exactly the same bits; None if there is none."""
         first, last = arguments[0], arguments[-1]
-        begins, ends = nodes[0].value, nodes[-1].value
+        first_value, last_value = nodes[0].value, nodes[-1].value
         if operation == "select":
-            if begins is not None:
-                return arguments[1] if begins else arguments[2]
+            if first_value is not None:
+                return arguments[1] if first_value else arguments[2]
             return arguments[1] if arguments[1] == arguments[2] else None
-        if operation in ("and", "or") and (begins is not None or ends is not None):
-            value, known_one, other = (
-                (begins, first, last) if begins is not None else (ends, last, first)
+        # Logic with one constant is the other argument or the constant.
+        if operation in ("and", "or") and (first_value is not None or last_value is not None):
+            value, constant_one, other = (
+                (first_value, first, last) if first_value is not None else (last_value, last, first)
             )
-            return other if bool(value) == (operation == "and") else known_one
+            return other if bool(value) == (operation == "and") else constant_one
         if operation in ("neg", "not") and nodes[0].operation == operation:
             return nodes[0].arguments[0]
-        if nodes[-1].kind != F64 or ends is None:
-            if operation == "mul" and begins in (1.0, -1.0):
-                return last if begins == 1.0 else self._place("neg", (last,))
+        # Only x * 1 and x * -1 can be simplified with a constant first factor.
+        if nodes[-1].kind != F64 or last_value is None:
+            if operation == "mul" and first_value in (1.0, -1.0):
+                return last if first_value == 1.0 else self._intern("neg", (last,))
             return None
-        assert isinstance(ends, float)
-        if (operation in ("mul", "div") and ends == 1.0) or (
-            operation == "sub" and _same(ends, 0.0)
+        assert isinstance(last_value, float)
+        if (operation in ("mul", "div") and last_value == 1.0) or (
+            operation == "sub" and same_bits(last_value, 0.0)
         ):
             return first
-        if operation == "mul" and ends == -1.0:
-            return self._place("neg", (first,))
-        if operation == "add" and _same(ends, -0.0):
+        if operation == "mul" and last_value == -1.0:
+            return self._intern("neg", (first,))
+        # x + 0.0 is not x if x is -0.0; x + -0.0 is.
+        if operation == "add" and same_bits(last_value, -0.0):
             return first
-        if operation == "div" and _exact_reciprocal(ends):
-            return self._place("mul", (first, self.constant(1.0 / ends).index))
+        # Division by a power of two is an exact multiplication, which is cheaper.
+        if operation == "div" and _exact_reciprocal(last_value):
+            return self._intern("mul", (first, self.constant(1.0 / last_value).index))
         return None
 
 
-def rebuilt(
+def rewrite(
     function: Function,
     operations: Collection[str],
     rule: Callable[[Builder, Node, list[Value]], Value],
 ) -> Function:
-    """The function with each of these ``operations`` made by ``rule`` in a new builder; all else stays."""
+    """Rebuild a function; nodes of ``operations`` are made by ``rule(builder, node, arguments)``,
+    all others are copied.
+    """
     if not any(node.operation in operations for node in function.nodes):
         return function
+    # A new builder folds and merges what the rule makes constant or equal.
     builder = Builder()
     values: list[Value] = []
     for node in function.nodes:
@@ -412,14 +493,14 @@ def rebuilt(
         values.append(
             rule(builder, node, arguments)
             if node.operation in operations
-            else builder.again(node, arguments)
+            else builder.copy_node(node, arguments)
         )
     outputs = {name: values[i] for name, i in function.outputs.items()}
     return builder.finish(outputs, {name: values[i] for name, i in function.stores.items()})
 
 
-def storing(function: Function, slots: Collection[str]) -> Function:
-    """The function with the stores of these slots alone."""
+def restrict_stores(function: Function, slots: Collection[str]) -> Function:
+    """Return the function with the stores of these slots only."""
     return _compact(
         function.nodes,
         function.outputs,
@@ -430,7 +511,8 @@ def storing(function: Function, slots: Collection[str]) -> Function:
 def _compact(
     nodes: Sequence[Node], outputs: Mapping[str, int], stores: Mapping[str, int]
 ) -> Function:
-    """Those of the nodes that outputs and stores need, in the same order."""
+    """Keep the nodes that outputs and stores need, in the same order."""
+    # Mark backwards from outputs and stores, then renumber.
     needed = bytearray(len(nodes))
     open_nodes = [*outputs.values(), *stores.values()]
     while open_nodes:
@@ -438,10 +520,10 @@ def _compact(
         if not needed[index]:
             needed[index] = 1
             open_nodes += nodes[index].arguments
-    kept = [index for index, used in enumerate(needed) if used]
-    if len(kept) < len(nodes):
-        place = dict(zip(kept, range(len(kept)), strict=True))
-        nodes = [_moved(nodes[old], place) for old in kept]
+    retained = [index for index, used in enumerate(needed) if used]
+    if len(retained) < len(nodes):
+        place = dict(zip(retained, range(len(retained)), strict=True))
+        nodes = [_renumber(nodes[old], place) for old in retained]
         outputs, stores = ({name: place[i] for name, i in of.items()} for of in (outputs, stores))
     loads = [node.name for node in nodes if node.operation == "load"]
     inputs = tuple(node.name for node in nodes if node.operation == "input")
@@ -451,7 +533,7 @@ def _compact(
 
 
 def slots_read(function: Function) -> dict[str, frozenset[str]]:
-    """For each store the slots that its value is made of."""
+    """Return, for each store, the slots that its value depends on."""
     of: list[frozenset[str]] = []
     for node in function.nodes:
         if node.operation == "load":
@@ -467,38 +549,55 @@ def evaluate(
     inputs: Mapping[str, np.ndarray],
     state: Mapping[str, np.ndarray] | None = None,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Outputs and the state after the frame, computed by numpy over lanes; the reference for the compiled code."""
+    """Compute a function with numpy; the reference for the compiled code.
+
+    Parameters
+    ----------
+    function : Function
+        Without transcendental operations.
+    inputs : mapping
+        Name -> values (n,), one per lane.
+    state : mapping, optional
+        Slot -> values (n,) at the start of the frame.
+
+    Returns
+    -------
+    outputs, state : dict
+        Values (n,) after the frame.
+    """
     lanes = max([np.size(a) for a in (*inputs.values(), *(state or {}).values())], default=1)
     last = _last_uses(function)
     values: list[Any] = [None] * len(function.nodes)
     with np.errstate(all="ignore"):
         for index, node in enumerate(function.nodes):
             if node.operation == "const":
-                values[index] = known(node)
+                values[index] = numpy_constant(node)
             elif node.operation in ("input", "load"):
                 source = inputs if node.operation == "input" else (state or {})
                 values[index] = np.asarray(source[node.name], dtype=np.float64)
             else:
-                values[index] = numpy_of(node.operation)(*[values[i] for i in node.arguments])
+                # Free arrays after their last use.
+                values[index] = numpy_function(node.operation)(*[values[i] for i in node.arguments])
             for i in node.arguments:
                 if last[i] == index:
                     values[i] = None
     outputs = {
         name: np.broadcast_to(values[i], lanes).copy() for name, i in function.outputs.items()
     }
-    after = {
+    # Slots that are only read keep their value.
+    updated = {
         slot: np.array(state[slot], dtype=np.float64)
         for slot in function.slots
         if state and slot in state
     }
-    after.update(
+    updated.update(
         {name: np.broadcast_to(values[i], lanes).copy() for name, i in function.stores.items()}
     )
-    return outputs, after
+    return outputs, updated
 
 
 def _last_uses(function: Function) -> list[int]:
-    """For each node the last node that reads it; outputs and stores are never done with."""
+    """Return for each node the last node that reads it; outputs and stores are read last of all."""
     last = [-1] * len(function.nodes)
     for index, node in enumerate(function.nodes):
         for i in node.arguments:
@@ -508,7 +607,8 @@ def _last_uses(function: Function) -> list[int]:
     return last
 
 
-def _moved(node: Node, place: Mapping[int, int]) -> Node:
+def _renumber(node: Node, place: Mapping[int, int]) -> Node:
+    """Return a node with new indices of its arguments."""
     if not node.arguments:
         return node
     return Node(
@@ -516,7 +616,7 @@ def _moved(node: Node, place: Mapping[int, int]) -> Node:
     )
 
 
-_MAKE: Mapping[str, Callable[..., Any]] = {
+NUMPY_TYPES: Mapping[str, Callable[..., Any]] = {
     F64: np.float64,
     I64: np.int64,
     I1: np.bool_,
@@ -524,17 +624,18 @@ _MAKE: Mapping[str, Callable[..., Any]] = {
 }
 
 
-def known(node: Node) -> Any:
-    """A constant as numpy has it."""
+def numpy_constant(node: Node) -> Any:
+    """Return the value of a constant node as numpy's type of its kind."""
     assert node.value is not None
-    return _MAKE[node.kind](node.value)
+    return NUMPY_TYPES[node.kind](node.value)
 
 
-def _same(a: Constant, b: float) -> bool:
+def same_bits(a: Constant, b: float) -> bool:
+    """Return whether two doubles have the same bits."""
     return struct.pack("<d", float(a)) == struct.pack("<d", b)
 
 
 def _exact_reciprocal(x: float) -> bool:
-    """Whether 1/x is a normal double without rounding: x is a power of two."""
+    """Return whether 1/x is a normal double without rounding, that is, x is a power of two."""
     mantissa, exponent = math.frexp(x)
     return abs(mantissa) == 0.5 and -1000 < exponent < 1000

@@ -1,7 +1,9 @@
-"""A flight as a program: sections that run in the order of a frame over slots of state, streams that feed slots, slots recorded.
+"""Represent a flight as a program over slots of state, and lay out lanes in memory.
 
-A section is a ``Function`` that loads and stores slots; between sections values pass through slots alone. Frames are counted from
-1. All lanes run in lockstep; a section may run in every n-th frame, in one frame, or in lanes whose mask slot is not 0.
+A program has sections, which run in order in every frame; streams, which feed slots from arrays;
+and records, slots whose values are kept. A section is a `Function` that loads and stores slots;
+values pass between sections through slots only. Frames count from 1. All lanes run in lockstep; a
+section may run in every n-th frame, in one frame, or only in lanes where its mask is set.
 """
 
 from __future__ import annotations
@@ -17,8 +19,17 @@ from uqharness.batch.form.ir import Function
 
 @dataclass(frozen=True)
 class When:
-    """When a section runs: in frames k with k % ``every`` == 0, or in frame ``at`` alone; and only in lanes where slot ``mask`` is
-    not 0: the others keep what they have."""
+    """When a section runs.
+
+    Attributes
+    ----------
+    every : int
+        In frames k with k % every == 0.
+    at : int or None
+        In this frame only.
+    mask : str or None
+        Slot that must not be 0; lanes where it is 0 keep their state.
+    """
 
     every: int = 1
     at: int | None = None
@@ -27,7 +38,10 @@ class When:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a frame. ``function`` has no inputs and no outputs: it loads slots and stores slots. ``name`` is for messages."""
+    """Part of a frame.
+
+    ``function`` has no inputs and no outputs: it loads and stores slots. ``name`` is for messages.
+    """
 
     name: str
     function: Function
@@ -36,11 +50,20 @@ class Section:
 
 @dataclass(frozen=True)
 class Stream:
-    """Numbers from outside: rows of ``columns``, which are put into the slots of those names at the begin of a frame.
+    """Numbers from an array that are put into slots at the start of a frame.
 
-    A row is taken in frames k with k % ``every`` == 0. Its number is k // every - 1, or, with ``counter``, what stands in that
-    slot at the begin of the frame, for each lane its own (a whole number, 0 or more). Lanes share rows: each lane has its offset in
-    the stream's array (``form.flying.Feed``).
+    Attributes
+    ----------
+    name : str
+        Name of the stream.
+    columns : tuple of str
+        Slot of each column.
+    every : int
+        A row is read in frames k with k % every == 0.
+    counter : str or None
+        Slot with the number of the row, an integer >= 0 for each lane. None: row k // every - 1.
+
+    Lanes share rows: each lane has its offset into the array (`Feed`).
     """
 
     name: str
@@ -51,13 +74,21 @@ class Stream:
 
 @dataclass(frozen=True)
 class Program:
-    """A frame of a flight.
+    """One frame of a flight.
 
-    sections  in the order in which they run
-    slots     names of the state to their value before the first frame (a lane's own values replace it)
-    streams   what is fed
-    records   slots that are recorded behind a frame
-    prelude   computed once before the frames of a call, from slots that no frame changes, into slots that only it stores
+    Attributes
+    ----------
+    sections : tuple of Section
+        In the order in which they run.
+    slots : mapping
+        Name of each slot -> its value before the first frame; lanes may have other values.
+    streams : tuple of Stream
+        Sources of numbers.
+    records : tuple of str
+        Slots that are recorded after a frame.
+    prelude : Function or None
+        Computed once before the frames of a call, from slots that no frame changes, into slots that
+        no section stores.
     """
 
     sections: tuple[Section, ...]
@@ -67,26 +98,30 @@ class Program:
     prelude: Function | None = None
 
 
-# What flying a program needs whatever computes it: how lanes lie in memory, what streams are
-# fed with, what is recorded.
-#
-# The state is an array of shape (blocks, slots, BLOCK), doubles: slot ``row`` of lane ``l`` is
-# at ``[l // BLOCK, row, l % BLOCK]``. Records have the shape (channels, blocks * BLOCK, times):
-# a lane's channel lies in one piece.
+# Calls of a program. The state has shape (blocks, slots, BLOCK): slot ``row`` of lane ``l`` is at
+# ``[l // BLOCK, row, l % BLOCK]``. Records have shape (channels, blocks * BLOCK, times), so a
+# lane's channel is contiguous.
 
 BLOCK = 8
-"""Lanes that lie side by side in memory; the width of a vector divides it."""
+"""Lanes that are adjacent in memory; a multiple of every vector width."""
 
 
 class Feed(NamedTuple):
-    """Numbers for a stream. Lane l's row r is ``array[offsets[l] + r - first_row]``.
+    """Numbers of a stream. Row r of lane l is ``array[offsets[l] + r - first_row]``.
 
-    array      (rows, columns of the stream), doubles
-    first_row  number of the row that stands at each lane's offset
-    offsets    (lanes,), a row of ``array`` for each lane, int64; lanes may share
-    rows       how many rows each lane has from its offset on; None: as many as every lane has to the end of ``array``
+    Attributes
+    ----------
+    array : array (rows, columns)
+        Doubles.
+    first_row : int
+        Number of the row at each lane's offset.
+    offsets : array (lanes,)
+        Row of ``array``, int64; lanes may share rows.
+    rows : int or None
+        Rows of each lane from its offset on; None: as many as every lane has to the end of
+        ``array``.
 
-    A row that a lane does not have: an error before the call, or NaN where the row comes from a counter.
+    A row outside these is an error before the call; with a counter it is NaN.
     """
 
     array: np.ndarray
@@ -99,11 +134,11 @@ Feeds = Mapping[str, Feed | tuple[np.ndarray, int, np.ndarray]]
 
 
 class Flyer(Protocol):
-    """A program that can be flown: compiled, or by numpy."""
+    """A program that can be flown, compiled or interpreted."""
 
     @property
     def program(self) -> Program:
-        """What is flown."""
+        """The program."""
 
     def fly(
         self,
@@ -113,18 +148,36 @@ class Flyer(Protocol):
         streams: Feeds | None = None,
         stride: int = 1,
     ) -> np.ndarray:
-        """Fly frames ``first_frame`` and on (from 1), ``state`` in place; the records of frames that ``stride`` divides."""
+        """Fly frames and return the records.
+
+        Parameters
+        ----------
+        state : array (blocks, slots, BLOCK)
+            Changed in place.
+        first_frame, frames : int
+            First frame (from 1) and number of frames.
+        streams : mapping, optional
+            Name of each stream -> Feed.
+        stride : int
+            Frames that it divides are recorded.
+
+        Returns
+        -------
+        array (records, lanes, times)
+        """
 
 
 @dataclass(frozen=True)
 class Call:
-    """A call of ``fly``, checked: feeds in the order of the program's streams, and the array that takes the records."""
+    """A checked call: feeds in the order of the program's streams, and an empty array for the
+    records.
+    """
 
     feeds: tuple[Feed, ...]
     records: np.ndarray
 
 
-def checked(
+def check_call(
     program: Program,
     state: np.ndarray,
     first_frame: int,
@@ -132,8 +185,10 @@ def checked(
     streams: Feeds | None,
     stride: int,
 ) -> Call:
-    """The call's feeds and an array for its records. Raises ValueError for arrays of other shapes, rows that are not there,
-    streams without numbers."""
+    """Check the arguments of ``fly``; see `Flyer.fly`.
+
+    Raises ValueError for arrays of wrong shapes, missing rows, and streams without numbers.
+    """
     if state.ndim != 3 or state.shape[1:] != (len(program.slots), BLOCK):
         raise ValueError(
             f"the state has shape (blocks, {len(program.slots)}, {BLOCK}); received {state.shape}"
@@ -142,23 +197,28 @@ def checked(
         raise ValueError("the state is an array of doubles in one piece that can be written")
     if first_frame < 1 or frames < 0 or stride < 1:
         raise ValueError(
-            f"frames count from 1 and a stride is at least 1; received {first_frame}, {frames} frames, stride {stride}"
+            f"frames count from 1 and a stride is at least 1; received {first_frame}, {frames}"
+            f" frames, stride {stride}"
         )
+    # Exactly the program's streams must be fed.
     streams = streams or {}
-    wanted = {stream.name for stream in program.streams}
-    if set(streams) != wanted:
+    required = {stream.name for stream in program.streams}
+    if set(streams) != required:
         raise ValueError(
-            f"streams {', '.join(sorted(wanted)) or 'none'} are needed; received {', '.join(sorted(streams)) or 'none'}"
+            f"streams {', '.join(sorted(required)) or 'none'} are needed; received"
+            f" {', '.join(sorted(streams)) or 'none'}"
         )
     lanes, last = state.shape[0] * BLOCK, first_frame + frames - 1
     feeds = tuple(
-        _checked_feed(s, Feed(*streams[s.name]), lanes, first_frame, last) for s in program.streams
+        _check_feed(s, Feed(*streams[s.name]), lanes, first_frame, last) for s in program.streams
     )
+    # Number of frames that the stride divides.
     times = last // stride - (first_frame - 1) // stride
     return Call(feeds, np.empty((len(program.records), lanes, times)))
 
 
-def _checked_feed(stream: Stream, feed: Feed, lanes: int, first: int, last: int) -> Feed:
+def _check_feed(stream: Stream, feed: Feed, lanes: int, first: int, last: int) -> Feed:
+    """Check the feed of one stream and pad its offsets to whole blocks."""
     name, columns = stream.name, len(stream.columns)
     array = feed.array
     if (
@@ -168,35 +228,51 @@ def _checked_feed(stream: Stream, feed: Feed, lanes: int, first: int, last: int)
         or not array.flags.c_contiguous
     ):
         raise ValueError(
-            f"stream {name}: doubles of shape (rows, {columns}) in one piece are needed; received {array.shape}"
+            f"stream {name}: doubles of shape (rows, {columns}) in one piece are needed; received"
+            f" {array.shape}"
         )
-    given = np.asarray(feed.offsets)
-    if given.ndim != 1 or not 0 < len(given) <= lanes or given.dtype.kind not in "iu":
+    # Fewer offsets than lanes: the lanes that fill the last block share the last offset.
+    lane_offsets = np.asarray(feed.offsets)
+    if (
+        lane_offsets.ndim != 1
+        or not 0 < len(lane_offsets) <= lanes
+        or lane_offsets.dtype.kind not in "iu"
+    ):
         raise ValueError(
-            f"stream {name}: a whole offset for each of up to {lanes} lanes is needed; received {given.shape}"
+            f"stream {name}: a whole offset for each of up to {lanes} lanes is needed; received"
+            f" {lane_offsets.shape}"
         )
     offsets = np.ascontiguousarray(
-        np.concatenate([given, np.full(lanes - len(given), given[-1])]).astype(np.int64)
+        np.concatenate([lane_offsets, np.full(lanes - len(lane_offsets), lane_offsets[-1])]).astype(
+            np.int64
+        )
     )
+    # Every row of every lane must be inside the array, so that compiled code needs no checks.
     rows = len(array) - int(offsets.max()) if feed.rows is None else feed.rows
     if offsets.min() < 0 or rows < 0 or int(offsets.max()) + rows > len(array):
         raise ValueError(
-            f"stream {name}: offsets {offsets.min()} to {offsets.max()} with {rows} rows leave the {len(array)} rows given"
+            f"stream {name}: offsets {offsets.min()} to {offsets.max()} with {rows} rows leave the"
+            f" {len(array)} rows given"
         )
     if stream.counter is not None and rows == 0:
         raise ValueError(f"stream {name}: a stream with a counter needs a row")
+    # Without a counter the rows are known before the call.
     if stream.counter is None:
-        least, most = -(-first // stream.every) - 1, last // stream.every - 1
-        if least <= most and not (feed.first_row <= least and most < feed.first_row + rows):
+        lowest_row, highest_row = -(-first // stream.every) - 1, last // stream.every - 1
+        if lowest_row <= highest_row and not (
+            feed.first_row <= lowest_row and highest_row < feed.first_row + rows
+        ):
             raise ValueError(
-                f"stream {name}: frames {first} to {last} need rows {least} to {most}; "
+                f"stream {name}: frames {first} to {last} need rows {lowest_row} to {highest_row}; "
                 f"each lane has {feed.first_row} to {feed.first_row + rows - 1}"
             )
     return Feed(array, int(feed.first_row), offsets, rows)
 
 
-def blocked(rows: Sequence[np.ndarray], lanes: int) -> np.ndarray:
-    """Rows of lanes, or numbers, as (blocks, rows, BLOCK); the last block is filled up with copies of the last lane."""
+def to_blocks(rows: Sequence[np.ndarray], lanes: int) -> np.ndarray:
+    """Arrange rows of lanes (or numbers) as (blocks, rows, BLOCK); the last block is padded with
+    copies of the last lane.
+    """
     blocks = -(-lanes // BLOCK)
     flat = np.empty((len(rows), blocks * BLOCK))
     for k, row in enumerate(rows):
@@ -205,21 +281,39 @@ def blocked(rows: Sequence[np.ndarray], lanes: int) -> np.ndarray:
     return np.ascontiguousarray(flat.reshape(len(rows), blocks, BLOCK).transpose(1, 0, 2))
 
 
-def unblocked(array: np.ndarray, lanes: int) -> list[np.ndarray]:
-    """The rows back."""
+def from_blocks(array: np.ndarray, lanes: int) -> list[np.ndarray]:
+    """Return the rows (lanes,) of a blocked array."""
     return list(array.transpose(1, 0, 2).reshape(array.shape[1], array.shape[0] * BLOCK)[:, :lanes])
 
 
-def begun(
+def initial_state(
     program: Program, lanes: int, values: Mapping[str, np.ndarray | float] | None = None
 ) -> np.ndarray:
-    """The state before the first frame: the program's values, those of ``values`` in their place, numbers or one for each lane.
-    Raises ValueError for a slot that the program does not have."""
+    """Return the state before the first frame.
+
+    Parameters
+    ----------
+    program : Program
+        Its slots have default values.
+    lanes : int
+        Number of lanes.
+    values : mapping, optional
+        Slot -> number or array (lanes,) in place of the default.
+
+    Returns
+    -------
+    array (blocks, slots, BLOCK)
+
+    Raises
+    ------
+    ValueError
+        For a slot that the program does not have.
+    """
     values = values or {}
-    strange = [name for name in values if name not in program.slots]
-    if strange:
-        raise ValueError(f"the program has no slot {', '.join(strange)}")
-    return blocked(
+    unknown = [name for name in values if name not in program.slots]
+    if unknown:
+        raise ValueError(f"the program has no slot {', '.join(unknown)}")
+    return to_blocks(
         [
             np.asarray(values.get(name, first), dtype=np.float64)
             for name, first in program.slots.items()
@@ -228,33 +322,38 @@ def begun(
     )
 
 
-def shared(pieces: Mapping[Any, np.ndarray], keys: Sequence[Hashable], first_row: int) -> Feed:
-    """One feed of equally long ``pieces``, each of which several lanes may share; ``keys`` name the piece of each lane."""
+def share_feed(pieces: Mapping[Any, np.ndarray], keys: Sequence[Hashable], first_row: int) -> Feed:
+    """Join equally long ``pieces`` into one feed; ``keys`` name the piece of each lane."""
     rows = len(next(iter(pieces.values())))
     starts = {key: k * rows for k, key in enumerate(pieces)}
     array = np.ascontiguousarray(np.concatenate(list(pieces.values())))
     return Feed(array, first_row, np.array([starts[key] for key in keys], dtype=np.int64), rows)
 
 
-def stepped(flyer: Flyer, values: Mapping[str, np.ndarray], lanes: int) -> dict[str, np.ndarray]:
-    """Every slot of a program behind one frame that begins with ``values``; those that the program does not have are left out."""
+def step_once(flyer: Flyer, values: Mapping[str, np.ndarray], lanes: int) -> dict[str, np.ndarray]:
+    """Return every slot after one frame that starts with ``values``; slots that the program lacks
+    are ignored.
+    """
     program = flyer.program
-    state = begun(
+    state = initial_state(
         program, lanes, {name: value for name, value in values.items() if name in program.slots}
     )
     flyer.fly(state, 1, 1)
-    return dict(zip(program.slots, unblocked(state, lanes), strict=True))
+    return dict(zip(program.slots, from_blocks(state, lanes), strict=True))
 
 
 def slot(program: Program, state: np.ndarray, name: str, lanes: int) -> np.ndarray:
-    """A slot's value in each lane, a copy."""
+    """Return a copy of a slot's value in each lane."""
     row = list(program.slots).index(name)
     return np.ascontiguousarray(state[:, row, :]).reshape(-1)[:lanes]
 
 
-def carried(state: np.ndarray, program: Program, other: Program) -> np.ndarray:
-    """The state as the slots of another program, by name: how a program's start becomes that of the program behind a pass. Slots
-    that ``program`` does not have begin with the other's values."""
+def remap_state(state: np.ndarray, program: Program, other: Program) -> np.ndarray:
+    """Return the state in the layout of another program, by names of slots.
+
+    Slots that ``program`` does not have get the other program's initial values.
+    """
+    # Copied row by row, by name.
     rows = {name: row for row, name in enumerate(program.slots)}
     out = np.empty((len(state), len(other.slots), BLOCK))
     for row, (name, first) in enumerate(other.slots.items()):
@@ -262,8 +361,8 @@ def carried(state: np.ndarray, program: Program, other: Program) -> np.ndarray:
     return out
 
 
-def chosen(state: np.ndarray, lanes: Sequence[int] | np.ndarray) -> np.ndarray:
-    """The state of some lanes, in that order: how lanes that have ended are left out."""
+def select_lanes(state: np.ndarray, lanes: Sequence[int] | np.ndarray) -> np.ndarray:
+    """Return the state of some lanes in the given order, padded to whole blocks."""
     picked = np.asarray(lanes, dtype=np.int64)
     full = np.concatenate([picked, np.full(-len(picked) % BLOCK, picked[-1])])
     return np.ascontiguousarray(

@@ -1,8 +1,9 @@
-"""Derivatives by forward mode: a function of the intermediate form becomes one that computes its values and their rates of change
-as well.
+"""Differentiate functions and programs by forward-mode automatic differentiation.
 
-Run it before ``form.maths.lower``: derivatives are those of sin, exp, pow ... themselves. Directions share all values. Where a
-value jumps or bends (floor, lookup, select, min, max, abs) the derivative is that of the branch taken.
+A function becomes one that computes its values and, for several directions, their derivatives. All
+directions share the values. Run it before `maths.lower`: derivatives are those of sin, exp, pow and
+so on. At jumps and kinks (floor, lookup, select, min, max, abs) the derivative is that of the
+branch taken.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from uqharness.batch.form.ir import F64, Builder, Function, Node, Value, slots_r
 from uqharness.batch.form.program import Program
 
 Rate = Value | None
-"""A derivative; None where it is 0 whatever the inputs are."""
+"""A derivative; None if it is identically 0."""
 
 
 def rate_name(name: str, direction: str) -> str:
-    """The name of an input's, slot's or output's derivative."""
+    """Return the name of the derivative of an input, slot or output in a direction."""
     return f"{name}'{direction}"
 
 
@@ -29,42 +30,69 @@ def tangent(
     inputs: Sequence[str] = (),
     moving: Mapping[str, Collection[str]] | None = None,
 ) -> Function:
-    """The function with, for each direction, derivatives as further inputs, slots and outputs (``rate_name``).
+    """Return a function that also computes directional derivatives.
 
-    ``inputs`` are those whose derivative is given from outside; the others do not change. Every slot of the state has a derivative,
-    or, with ``moving``, those that are named for the direction; that of the others is 0 and has no slot. Raises ValueError for
-    operations on bits, which ``lower`` brings in: differentiate first.
+    Parameters
+    ----------
+    function : Function
+        Before `maths.lower`.
+    directions : sequence of str
+        Names of the directions.
+    inputs : sequence of str
+        Inputs whose derivative is an input too; all others are constant.
+    moving : mapping, optional
+        Direction -> slots that have a derivative; other derivatives are 0 and have no slot. By
+        default all slots have one.
+
+    Returns
+    -------
+    Function
+        With further inputs, slots and outputs named by `rate_name`.
+
+    Raises
+    ------
+    ValueError
+        For operations on bits, which `maths.lower` introduces.
     """
     builder = Builder()
     values: list[Value] = []
     rates: dict[str, list[Rate]] = {d: [] for d in directions}
     for node in function.nodes:
         arguments = [values[i] for i in node.arguments]
-        value = builder.again(node, arguments)
+        value = builder.copy_node(node, arguments)
         values.append(value)
-        for direction, found in rates.items():
+        # Every value is computed once, and its derivative once for each direction.
+        for direction, direction_rates in rates.items():
+            # Leaves have a derivative of their own or none; all other nodes follow the chain rule.
             if node.operation in ("input", "load"):
-                given = node.name in (
+                has_rate = node.name in (
                     inputs
                     if node.operation == "input"
-                    else _moving(moving, direction, function.slots)
+                    else _slots_with_rate(moving, direction, function.slots)
                 )
                 read = builder.input if node.operation == "input" else builder.load
-                found.append(read(rate_name(node.name, direction)) if given else None)
+                direction_rates.append(read(rate_name(node.name, direction)) if has_rate else None)
             else:
-                found.append(
-                    _rate(builder, node, arguments, [found[i] for i in node.arguments], value)
+                direction_rates.append(
+                    _rate(
+                        builder,
+                        node,
+                        arguments,
+                        [direction_rates[i] for i in node.arguments],
+                        value,
+                    )
                 )
     outputs = {name: values[i] for name, i in function.outputs.items()}
     stores = {name: values[i] for name, i in function.stores.items()}
-    for direction, found in rates.items():
+    for direction, direction_rates in rates.items():
         zero = builder.constant(0.0)
         outputs |= {
-            rate_name(name, direction): found[i] or zero for name, i in function.outputs.items()
+            rate_name(name, direction): direction_rates[i] or zero
+            for name, i in function.outputs.items()
         }
-        moved = _moving(moving, direction, tuple(function.stores))
+        moved = _slots_with_rate(moving, direction, tuple(function.stores))
         stores |= {
-            rate_name(name, direction): found[i] or zero
+            rate_name(name, direction): direction_rates[i] or zero
             for name, i in function.stores.items()
             if name in moved
         }
@@ -72,18 +100,33 @@ def tangent(
 
 
 def tangent_program(program: Program, directions: Mapping[str, Mapping[str, float]]) -> Program:
-    """The program with derivatives of its slots: for each direction the slots that begin with a derivative, and which.
+    """Return a program that also computes derivatives of its slots.
 
-    Slots that a direction can never reach have no derivative. Records are followed by their derivatives, direction by direction
-    (``rate_name``). Streams do not depend on anything. Run it before ``form.passes``; raises ValueError for operations on bits, for
-    a program with a prelude, and for slots that the program does not have.
+    Parameters
+    ----------
+    program : Program
+        Before the passes of `form.passes`.
+    directions : mapping
+        Direction -> slots with a derivative at the start -> its value.
+
+    Returns
+    -------
+    Program
+        Records are followed by their derivatives, direction by direction. Slots that a direction
+        cannot reach have no derivative; streams are constant.
+
+    Raises
+    ------
+    ValueError
+        For operations on bits, a program with a prelude, or unknown slots.
     """
     if program.prelude is not None:
         raise ValueError("take the tangent of a program before what never changes is done before")
-    for direction, begins in directions.items():
-        strange = sorted(set(begins) - set(program.slots))
-        if strange:
-            raise ValueError(f"direction {direction}: the program has no slot {', '.join(strange)}")
+    for direction, seeds in directions.items():
+        unknown = sorted(set(seeds) - set(program.slots))
+        if unknown:
+            raise ValueError(f"direction {direction}: the program has no slot {', '.join(unknown)}")
+    # Restrict each direction to the slots that it can reach, which keeps programs small.
     moving = {
         direction: _reached(program, frozenset(begins)) for direction, begins in directions.items()
     }
@@ -93,35 +136,38 @@ def tangent_program(program: Program, directions: Mapping[str, Mapping[str, floa
     )
     slots = dict(program.slots)
     records = list(program.records)
-    for direction, begins in directions.items():
-        wanted = moving[direction] | frozenset(program.records)
+    for direction, seeds in directions.items():
+        # Records have derivatives even where these are always 0.
+        with_rates = moving[direction] | frozenset(program.records)
         slots |= {
-            rate_name(name, direction): begins.get(name, 0.0)
+            rate_name(name, direction): seeds.get(name, 0.0)
             for name in program.slots
-            if name in wanted
+            if name in with_rates
         }
         records += [rate_name(name, direction) for name in program.records]
     return replace(program, sections=sections, slots=slots, records=tuple(records))
 
 
-def _reached(program: Program, begin: frozenset[str]) -> frozenset[str]:
-    """Slots that may come to depend on these."""
+def _reached(program: Program, seeds: frozenset[str]) -> frozenset[str]:
+    """Return all slots that may depend on the seeds."""
     reads = [slots_read(section.function) for section in program.sections]
-    found = begin
+    reached = seeds
     while True:
-        more = found | {goal for read in reads for goal, slots in read.items() if slots & found}
-        if more == found:
-            return found
-        found = more
+        more = reached | {goal for read in reads for goal, slots in read.items() if slots & reached}
+        if more == reached:
+            return reached
+        reached = more
 
 
-def _moving(
+def _slots_with_rate(
     moving: Mapping[str, Collection[str]] | None, direction: str, every: Collection[str]
 ) -> Collection[str]:
+    """Return the slots that have a derivative in a direction."""
     return every if moving is None else moving[direction]
 
 
 def _rate(b: Builder, node: Node, arguments: list[Value], rates: list[Rate], value: Value) -> Rate:
+    """Return the derivative of a node by the chain rule; None if it is identically 0."""
     if node.operation in ("bits", "double"):
         raise ValueError(
             f"{node.operation} has no derivative; take the tangent before form.maths.lower"
@@ -134,39 +180,42 @@ def _rate(b: Builder, node: Node, arguments: list[Value], rates: list[Rate], val
     if node.operation in ("min", "max"):
         first = b.op("lt" if node.operation == "min" else "gt", *arguments)
         return first.choose(rates[0] or 0.0, rates[1] or 0.0)
+    # Piecewise constant.
     if node.operation in ("floor", "lookup"):
         return None
     parts = [
-        _times(r, slope)
+        _times_slope(r, slope)
         for r, slope in zip(rates, _SLOPES[node.operation](b, arguments, value), strict=True)
     ]
-    return _added(parts)
+    return _sum_terms(parts)
 
 
-def _times(rate: Rate, slope: Callable[[], Value]) -> Rate:
-    """The slope is built only where the argument changes."""
+def _times_slope(rate: Rate, slope: Callable[[], Value]) -> Rate:
+    """Multiply a derivative by a slope, which is built only if the argument varies."""
     return None if rate is None else slope() * rate
 
 
-def _added(parts: list[Rate]) -> Rate:
-    there = [p for p in parts if p is not None]
-    return there[0] if len(there) == 1 else there[0] + there[1]
+def _sum_terms(parts: list[Rate]) -> Rate:
+    """Sum the terms of the chain rule that are not identically 0."""
+    terms = [p for p in parts if p is not None]
+    return terms[0] if len(terms) == 1 else terms[0] + terms[1]
 
 
 Slopes = Callable[[Builder, list[Value], Value], Sequence[Callable[[], Value]]]
 
 
-def _one(slope: Callable[[Builder, Value, Value], Value]) -> Slopes:
-    """Of an operation with one argument: slope(builder, argument, value)."""
+def _unary(slope: Callable[[Builder, Value, Value], Value]) -> Slopes:
+    """Return the slopes of an operation with one argument: slope(builder, argument, value)."""
     return lambda b, a, v: (lambda: slope(b, a[0], v),)
 
 
-def _circle(b: Builder, x: Value, _: Value) -> Value:
+def _asin_slope(b: Builder, x: Value, _: Value) -> Value:
+    """Return 1 / sqrt(1 - x^2), without cancellation near 1."""
     return 1.0 / b.op("sqrt", (1.0 - x) * (1.0 + x))
 
 
-def _power(b: Builder, a: list[Value], v: Value) -> Sequence[Callable[[], Value]]:
-    """y x^(y-1) and x^y ln x; where x is 0 the latter is 0."""
+def _pow_slopes(b: Builder, a: list[Value], v: Value) -> Sequence[Callable[[], Value]]:
+    """Return y x^(y-1) and x^y ln x; the latter is 0 at x = 0."""
     x, y = a
     return (
         lambda: y * b.op("pow", x, y - 1.0),
@@ -174,11 +223,13 @@ def _power(b: Builder, a: list[Value], v: Value) -> Sequence[Callable[[], Value]
     )
 
 
-def _rest(b: Builder, a: list[Value], v: Value) -> Sequence[Callable[[], Value]]:
+def _fmod_slopes(b: Builder, a: list[Value], v: Value) -> Sequence[Callable[[], Value]]:
+    """Return 1 and minus the integer quotient."""
     return (lambda: b.constant(1.0), lambda: -((a[0] - v) / a[1]))
 
 
-def _angle(_: Builder, a: list[Value], __: Value) -> Sequence[Callable[[], Value]]:
+def _atan2_slopes(_: Builder, a: list[Value], __: Value) -> Sequence[Callable[[], Value]]:
+    """Return x / (x^2 + y^2) and -y / (x^2 + y^2)."""
     y, x = a
     return (lambda: x / (x * x + y * y), lambda: -y / (x * x + y * y))
 
@@ -188,20 +239,20 @@ _SLOPES: Mapping[str, Slopes] = {
     "sub": lambda b, a, v: (lambda: b.constant(1.0), lambda: b.constant(-1.0)),
     "mul": lambda b, a, v: (lambda: a[1], lambda: a[0]),
     "div": lambda b, a, v: (lambda: 1.0 / a[1], lambda: -v / a[1]),
-    "neg": _one(lambda b, x, v: b.constant(-1.0)),
-    "abs": _one(lambda b, x, v: x.lt(0.0).choose(-1.0, 1.0)),
-    "sqrt": _one(lambda b, x, v: 0.5 / v),
-    "sin": _one(lambda b, x, v: b.op("cos", x)),
-    "cos": _one(lambda b, x, v: -b.op("sin", x)),
-    "tan": _one(lambda b, x, v: 1.0 + v * v),
-    "asin": _one(_circle),
-    "acos": _one(lambda b, x, v: -_circle(b, x, v)),
-    "atan": _one(lambda b, x, v: 1.0 / (1.0 + x * x)),
-    "atan2": _angle,
-    "exp": _one(lambda b, x, v: v),
-    "log": _one(lambda b, x, v: 1.0 / x),
-    "log2": _one(lambda b, x, v: (1.0 / math.log(2.0)) / x),
-    "log10": _one(lambda b, x, v: (1.0 / math.log(10.0)) / x),
-    "pow": _power,
-    "fmod": _rest,
+    "neg": _unary(lambda b, x, v: b.constant(-1.0)),
+    "abs": _unary(lambda b, x, v: x.lt(0.0).choose(-1.0, 1.0)),
+    "sqrt": _unary(lambda b, x, v: 0.5 / v),
+    "sin": _unary(lambda b, x, v: b.op("cos", x)),
+    "cos": _unary(lambda b, x, v: -b.op("sin", x)),
+    "tan": _unary(lambda b, x, v: 1.0 + v * v),
+    "asin": _unary(_asin_slope),
+    "acos": _unary(lambda b, x, v: -_asin_slope(b, x, v)),
+    "atan": _unary(lambda b, x, v: 1.0 / (1.0 + x * x)),
+    "atan2": _atan2_slopes,
+    "exp": _unary(lambda b, x, v: v),
+    "log": _unary(lambda b, x, v: 1.0 / x),
+    "log2": _unary(lambda b, x, v: (1.0 / math.log(2.0)) / x),
+    "log10": _unary(lambda b, x, v: (1.0 / math.log(10.0)) / x),
+    "pow": _pow_slopes,
+    "fmod": _fmod_slopes,
 }

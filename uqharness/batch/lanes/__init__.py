@@ -1,1 +1,1 @@
-"""Flights in lanes: start, streams, stepping, records."""
+"""Flights, replays and evaluations of states in many lanes."""

@@ -1,7 +1,8 @@
-"""A mission made ready to fly in lanes: its programs compiled, and what JSBSim has to say before the first frame.
+"""Prepare a mission for lanes: compile its programs, and ask JSBSim for the values before the first
+frame.
 
-JSBSim itself loads the aircraft once: mass, metrics and initial conditions are its numbers, so that units, defaults and
-``<initialize>`` files have one meaning.
+JSBSim loads the aircraft once. Mass, metrics and initial conditions are its numbers, so units,
+defaults and ``<initialize>`` files are interpreted in one place.
 """
 
 from __future__ import annotations
@@ -13,18 +14,25 @@ from functools import cached_property
 from typing import Any
 
 from uqharness.batch.form.interpret import Interpreter
-from uqharness.batch.form.passes import for_what_follows, optimised, settled
+from uqharness.batch.form.passes import optimise, propagate_constants, specialise_startup
 from uqharness.batch.form.program import Flyer, Program, Stream
 from uqharness.batch.lanes.streams import GUSTS, LEVELS, TRANSIENTS, noise_streams
 from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.llvm import chosen_target
+from uqharness.batch.machine.llvm import choose_target
 from uqharness.batch.models.auxiliary import POINT, TOUCHED
-from uqharness.batch.models.motion import CONDITIONS, WEIGHTS_PARTS, rounded, slots
+from uqharness.batch.models.motion import CONDITIONS, WEIGHTS_PARTS, round_44_bits, slots
 from uqharness.batch.translate.channels import Sources, read_sources
-from uqharness.batch.translate.engines import going
-from uqharness.batch.translate.frame import BEYOND, INITIALISED, Values, canonical, fixed, own
+from uqharness.batch.translate.engines import settling_slot
+from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight
+from uqharness.batch.translate.frame import (
+    INITIALISED,
+    OUT_OF_RANGE,
+    Values,
+    canonical,
+    keeps_value,
+    made_by_jsbsim,
+)
 from uqharness.batch.translate.tanks import DRY, MASS, dry_aircraft
-from uqharness.batch.translate.whole import Asked, Flight, trace_flight
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     ContactPoint,
@@ -48,26 +56,34 @@ _DECLARING = (
     "run",
     "propulsion",
 )
-"""Elements whose property children declare; elsewhere they read."""
+"""Elements whose property children declare a property; in others they read it."""
 _START = re.compile(r"(?<![\w/])(?:/?fdm/jsbsim/)?ic/[\w.\-]+(?:\[\d+\])?")
 _ENGINE = "propulsion/engine"
 WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
-"""The steady wind as JSBSim blows it."""
+"""The steady wind in JSBSim."""
 AIR_WIND = ("air/wind-mps", "air/wind-from-deg", "air/turbulence-w20-kt")
-"""The conditions of a flight as the air system has them: one program flies them all."""
+"""Inputs of the air system, which differ between lanes of one program."""
 GROUND_SPEED = tuple(f"velocities/v-{axis}-fps" for axis in ("north", "east", "down"))
 _STATIC = ("inertia/", "metrics/")
-"""What loading alone does not fill in."""
+"""Prefixes of properties that JSBSim computes only when it initialises."""
 
 
 @dataclass(frozen=True)
-class Loaded:
+class LoadedStart:
     """What JSBSim has loaded and set for one start, before initialising.
 
-    conditions  CONDITIONS
-    settings    values of properties that were set: the aircraft's own where it has not all of them
-    wind_fps    steady wind, north, east, down, of JSBSim's initial conditions
-    blown_fps   that of the flight, where JSBSim blows it itself and not the air system
+    Attributes
+    ----------
+    conditions : mapping
+        CONDITIONS -> value.
+    settings : mapping
+        Values of properties that were set, as the model reports them.
+    static : mapping
+        Mass and start properties that differ from the aircraft's.
+    wind_fps : tuple
+        Steady wind (north, east, down) of JSBSim's initial conditions.
+    blown_fps : tuple
+        Steady wind of the flight, if JSBSim and not the air system applies it.
     """
 
     conditions: Mapping[str, float]
@@ -79,8 +95,29 @@ class Loaded:
 
 @dataclass(frozen=True)
 class LaneMission:
-    """A mission for any number of lanes. ``inputs`` are properties that may differ between them, ``varying`` all slots that may;
-    a row is recorded every ``stride`` frames; ``steady``: engines begin in the steady state of their throttles."""
+    """A mission for any number of lanes.
+
+    Attributes
+    ----------
+    mission : StagedMission
+        Aircraft and script.
+    flight : Flight
+        Traced frames.
+    inputs, varying : tuple of str
+        Properties, and all slots, that may differ between lanes.
+    stride : int
+        Frames between rows.
+    dt_s : float
+        Step.
+    air : bool
+        Whether the aircraft has the air system.
+    span_ft : float
+        Wing span.
+    points : tuple of ContactPoint
+        Points that end a flight when they touch the ground.
+    steady : bool
+        Whether engines start in the steady state of their throttles.
+    """
 
     mission: StagedMission
     flight: Flight
@@ -95,14 +132,17 @@ class LaneMission:
 
     @cached_property
     def program(self) -> Program:
-        """A frame of the flight with less work: made when it is flown, for who asks whether it can be does without."""
+        """The optimised frame; computed when it is flown, because `refusals` does not need it."""
         flight = self.flight
         between = (
             (*flight.steady, flight.renewed) if self.steady and flight.renewed is not None else ()
         )
-        program = settled((flight.first, flight.second), flight.frame, self.varying, between)
+        # Fold what never changes after the initialising frames, then add the noise streams.
+        program = propagate_constants(
+            (flight.first, flight.second), flight.frame, self.varying, between
+        )
         program = replace(program, streams=(*program.streams, *noise_streams(flight.draws)))
-        return optimised(
+        return optimise(
             program,
             [name for name in program.slots if name.startswith("#turbulence/row")],
             self.stride,
@@ -110,27 +150,29 @@ class LaneMission:
 
     @cached_property
     def flyer(self) -> Flyer:
-        """The program of the flight, compiled for this processor."""
-        return compile_program(self.program, chosen_target())
+        """The program, compiled for this processor."""
+        return compile_program(self.program, choose_target())
 
     @cached_property
     def initialisers(self) -> tuple[Interpreter, Interpreter]:
         """The two initialising frames."""
-        behind = [one for one in (*self.flight.steady, self.flight.renewed) if one is not None]
-        # From the ground speed the host's gusts are made where there is no air system.
-        kept = [*self.inputs, *(() if self.air else GROUND_SPEED)]
-        kept += [name for one in behind for name in one.slots] if self.steady else []
-        first, second = for_what_follows(self.flight.first, self.flight.second, self.program, kept)
+        settling = [one for one in (*self.flight.steady, self.flight.renewed) if one is not None]
+        # Without an air system, airspeed for the host's gusts comes from the ground speed.
+        retained = [*self.inputs, *(() if self.air else GROUND_SPEED)]
+        retained += [name for one in settling for name in one.slots] if self.steady else []
+        first, second = specialise_startup(
+            self.flight.first, self.flight.second, self.program, retained
+        )
         return Interpreter(first), Interpreter(second)
 
     @cached_property
     def settlers(self) -> tuple[tuple[str, Flyer], ...]:
-        """As `compiled_settlers` gives them."""
+        """Programs that settle engines, as `compiled_settlers` returns them."""
         return compiled_settlers(self.flight)
 
     @cached_property
     def renewer(self) -> Interpreter | None:
-        """The frame behind the steady state, in which time stands still; None without one."""
+        """The frame after the steady state, in which time stands still; None without engines."""
         return (
             Interpreter(self.flight.renewed)
             if self.steady and self.flight.renewed is not None
@@ -139,22 +181,25 @@ class LaneMission:
 
 
 def compiled_settlers(flight: Flight) -> tuple[tuple[str, Flyer], ...]:
-    """For each engine the slot that is not 0 while it is on its way to its steady state, and the turns of that way, compiled."""
+    """Return, for each engine, the slot that is nonzero until it is steady, and the compiled
+    program that gets it there.
+    """
     return tuple(
-        (going(engine), compile_program(program, chosen_target()))
+        (settling_slot(engine), compile_program(program, choose_target()))
         for engine, program in zip(flight.propulsion.engines, flight.steady, strict=True)
     )
 
 
 def _refuse_running(mission: StagedMission) -> None:
-    """BadInputError with file and line where the initial conditions start engines, which is not understood."""
+    """Raise BadInputError, with file and line, if the initial conditions start engines."""
     start = mission.aircraft.folder / mission.script.initialize
     path = start if start.is_file() else start.with_name(f"{start.name}.xml")
     document = read_document(path)
     for node in document.root.walk():
         if node.tag == "running":
             raise BadInputError(
-                f"{document.where(node)}: <running> in initial conditions is not understood by the batch engine"
+                f"{document.where(node)}: <running> in initial conditions is not understood by the"
+                " batch engine"
             )
 
 
@@ -165,15 +210,39 @@ def make_mission(
     records: Sequence[str],
     optional: Sequence[str] = (),
 ) -> LaneMission:
-    """Translate the mission under the conditions of ``spec``, recorded at its rate. Raises BadInputError with file and line."""
+    """Translate a mission.
+
+    Parameters
+    ----------
+    mission : StagedMission
+        Aircraft and script.
+    spec : FlightSpec
+        Conditions of the flight and rate of the record.
+    inputs : collection of str
+        Properties that may differ between lanes.
+    records, optional : sequence of str
+        Properties that are recorded; optional ones only if they exist.
+
+    Returns
+    -------
+    LaneMission
+
+    Raises
+    ------
+    BadInputError
+        With file and line, for what the batch engine does not support.
+    """
+    # Refuse early what cannot be flown at all.
     sources = read_sources(mission.aircraft, mission.script.path)
     _refuse_running(mission)
     _refuse_settling(mission)
+    # Mass properties that a lane changes are set per lane later.
     unchanged = replace(
         spec, properties={n: v for n, v in spec.properties.items() if n not in CHANGEABLE}
     )
 
     def opened() -> Any:
+        """Open JSBSim with the conditions of the flight, mass unchanged."""
         fdm = mission.open()
         set_conditions(fdm, mission, unchanged)
         return fdm
@@ -181,35 +250,44 @@ def make_mission(
     fdm = opened()
     air = has_air_system(fdm)
     values = Values(initial_values(opened, fdm), constant_properties(sources))
-    values.setdefault(BEYOND)
+    values.setdefault(OUT_OF_RANGE)
+    # Streams that the host feeds: gusts, moving levels, transient levels.
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
     fed: list[Stream] = [GUSTS] if gusty else []
     fed += [LEVELS] if spec.levels is not None else []
     fed += [TRANSIENTS] if spec.transient is not None else []
-    there = fdm.get_property_manager().hasNode
-    records = [*records, *(name for name in optional if there(name))]
+    exists = fdm.get_property_manager().hasNode
+    records = [*records, *(name for name in optional if exists(name))]
     points = tuple(contact_points(fdm, mission.aircraft))
     records = [*records, *((TOUCHED, POINT) if points else ())]
     names = dict.fromkeys(canonical(name) for name in inputs)
     if any(name.startswith("inertia/") for name in names):
-        # Whatever is changed of them may move the others.
+        # A change of one of these may change the others.
         names |= dict.fromkeys(MASS)
-    names |= dict.fromkeys(name for name in start_properties(sources) if there(name))
-    # Without an air system the wind is another one in the initialising frames.
+    names |= dict.fromkeys(name for name in start_properties(sources) if exists(name))
+    # Without an air system, the initialising frames have another wind.
     names |= dict.fromkeys(AIR_WIND if air else WIND)
-    asked = Asked(tuple(names), fed, records, points, turned=gusty and not air, reweighed=True)
-    flight = trace_flight(sources, mission.aircraft.dt_s, values, asked)
+    request = TraceRequest(
+        tuple(names),
+        fed,
+        records,
+        points,
+        gusts_by_heading=gusty and not air,
+        changes_dry_mass=True,
+    )
+    flight = trace_flight(sources, mission.aircraft.dt_s, values, request)
+    # Everything that differs between lanes must not be folded as a constant.
     varying = (
-        *asked.inputs,
+        *request.inputs,
         *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)),
         *(name for name, _ in flight.draws),
     )
-    varying = (*varying, *(DRY if set(asked.inputs) & set(MASS) else ()))
+    varying = (*varying, *(DRY if set(request.inputs) & set(MASS) else ()))
     steady = MARK in mission.script.run_properties and flight.renewed is not None
     return LaneMission(
         mission,
         flight,
-        tuple(asked.inputs),
+        tuple(request.inputs),
         varying,
         record_stride(spec, mission.aircraft.dt_s),
         mission.aircraft.dt_s,
@@ -221,41 +299,52 @@ def make_mission(
 
 
 def _refuse_settling(mission: StagedMission) -> None:
+    """Raise BadInputError if the script lets JSBSim bring the control system to rest first."""
     if any(mark in mission.script.run_properties for mark in (RATES_HELD, RATES_FREE)):
         raise BadInputError(
-            f"{mission.script.path}: frames of JSBSim bring the control system to rest before the flight begins; "
-            'fly it with engine = "jsbsim"'
+            f"{mission.script.path}: frames of JSBSim bring the control system to rest before the"
+            ' flight begins; fly it with engine = "jsbsim"'
         )
 
 
 def initial_values(open_fdm: Callable[[], Any], fdm: Any = None) -> Callable[[str], float | None]:
-    """A property's value before initialising, as in ``fdm`` or a new instance; mass and metrics from one that was initialised."""
+    """Return a function from a property to its value before initialising.
+
+    Values come from ``fdm`` or a new instance; mass and metrics from one that was initialised. None
+    for properties that do not exist.
+    """
     fdm = open_fdm() if fdm is None else fdm
-    done = open_fdm()
-    engine.run_ic(done)
+    initialised = open_fdm()
+    engine.run_ic(initialised)
     exists = fdm.get_property_manager().hasNode
-    later = done.get_property_manager().hasNode
+    exists_initialised = initialised.get_property_manager().hasNode
 
     def value(name: str) -> float | None:
+        """Return the value of a property."""
         if name == "aero/qbar-area":
-            # JSBSim does not set it before it computes it: whatever stands in the memory would be read.
+            # JSBSim reads uninitialised memory here; 0 is used instead.
             return 0.0
         if name.startswith(INITIALISED):
             name = name.removeprefix(INITIALISED)
-            found = float(done[name]) if later(name) else None
-            return rounded(found) if found is not None and name.startswith(_ENGINE) else found
+            number = float(initialised[name]) if exists_initialised(name) else None
+            return (
+                round_44_bits(number) if number is not None and name.startswith(_ENGINE) else number
+            )
         if name.startswith(_STATIC):
-            return float(done[name]) if later(name) else None
+            return float(initialised[name]) if exists_initialised(name) else None
         if name.startswith(_ENGINE):
-            # Engines that a script has set running: numbers of the C library, which differ in the last place between machines.
-            return rounded(float(fdm[name])) if exists(name) else None
+            # Running engines: numbers of the C library, which differ in the last place between
+            # machines.
+            return round_44_bits(float(fdm[name])) if exists(name) else None
         return float(fdm[name]) if exists(name) else None
 
     return value
 
 
 def start_properties(sources: Sources) -> list[str]:
-    """JSBSim's initial conditions that the XML reads: they differ from lane to lane as starts do."""
+    """List JSBSim's initial conditions that the XML reads; they differ between lanes as starts
+    do.
+    """
     parts = [(system.document, system.node) for system in sources.systems]
     parts += [
         part
@@ -273,10 +362,14 @@ def start_properties(sources: Sources) -> list[str]:
 
 
 def constant_properties(sources: Sources) -> Callable[[str], bool]:
-    """Whether a property keeps its value as long as nobody writes it: declared in the XML, or one of JSBSim's settings."""
+    """Return a predicate: whether a property keeps its value unless something writes it.
+
+    True for properties that the XML declares and for settings of JSBSim.
+    """
     declared: set[str] = set()
     parts = [(system.document, system.node) for system in sources.systems]
     parts += [part for part in (sources.aerodynamics, sources.external) if part is not None]
+    # Declarations in the aircraft, its systems and the script.
     documents: list[Document] = [
         sources.document,
         sources.script,
@@ -288,24 +381,31 @@ def constant_properties(sources: Sources) -> Callable[[str], bool]:
                 declared.add(canonical(node.text))
 
     def constant(name: str) -> bool:
-        return fixed(name) or (name in declared and not own(name))
+        """Return whether the property is declared or a setting."""
+        return keeps_value(name) or (name in declared and not made_by_jsbsim(name))
 
     return constant
 
 
-def load_start(mission: LaneMission, spec: FlightSpec) -> Loaded:
-    """Have JSBSim load and set one start. Raises BadInputError for what cannot be set."""
+def load_start(mission: LaneMission, spec: FlightSpec) -> LoadedStart:
+    """Let JSBSim load and set one start.
+
+    Raises BadInputError for what cannot be set.
+    """
     changed = {name: value for name, value in spec.properties.items() if name in CHANGEABLE}
     fdm = mission.mission.open(changed=changed)
     set_conditions(fdm, mission.mission, spec)
     settings = without_missing_switches(fdm, spec.properties)
     conditions = {name: float(fdm[name]) for name in CONDITIONS}
     wind = tuple(float(fdm[f"ic/vw-{axis}-fps"]) for axis in ("north", "east", "down"))
-    static = {name: rounded(float(fdm[name])) for name in mission.inputs if _START.fullmatch(name)}
+    static = {
+        name: round_44_bits(float(fdm[name])) for name in mission.inputs if _START.fullmatch(name)
+    }
+    # Mass properties are set before initialising; JSBSim computes what depends on them.
     if changed:
         engine.run_ic(fdm)
         static |= {name: float(fdm[name]) for name in mission.inputs if name.startswith(_STATIC)}
         if mission.flight.propulsion.tanks and set(mission.inputs) & set(MASS):
             static |= dry_aircraft(mission.flight.propulsion.tanks, lambda name: float(fdm[name]))
     set_wind_without_air(fdm, spec)
-    return Loaded(conditions, settings, static, wind, tuple(float(fdm[name]) for name in WIND))
+    return LoadedStart(conditions, settings, static, wind, tuple(float(fdm[name]) for name in WIND))

@@ -1,7 +1,12 @@
-"""Replays in lanes: a record's controls fed step by step, from start states and under properties that differ between lanes.
+"""Replay records in lanes, and evaluate a model at given states.
 
-One program serves every step length: the step is a number of the lane. How many frames lie between two rows is the program's: what
-only rows show is computed in their frames alone.
+A replay feeds a record's controls frame by frame, from start states and with properties that differ
+between lanes. One program serves every step length, which is a number of the lane. The number of
+frames between two rows is fixed in the program, because values that only rows need are computed in
+their frames only.
+
+`make_states` and `at_states` compute forces and accelerations at given states with JSBSim's two
+initialising frames.
 """
 
 from __future__ import annotations
@@ -16,29 +21,29 @@ import numpy as np
 from sysid.arrays import FloatArray
 from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.passes import (
-    alive,
-    for_what_follows,
-    joined,
-    lowered,
-    optimised,
-    settled,
-    trimmed,
+    eliminate_dead_stores,
+    fuse_sections,
+    lower_program,
+    optimise,
+    propagate_constants,
+    prune_slots,
+    specialise_startup,
 )
 from uqharness.batch.form.program import (
     BLOCK,
     Flyer,
     Program,
     Stream,
-    begun,
-    carried,
-    shared,
+    initial_state,
+    remap_state,
+    share_feed,
     slot,
-    stepped,
+    step_once,
 )
 from uqharness.batch.lanes.course import settle
 from uqharness.batch.lanes.mission import compiled_settlers, constant_properties, initial_values
 from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.llvm import chosen_target
+from uqharness.batch.machine.llvm import choose_target
 from uqharness.batch.models.motion import (
     CONDITIONS,
     WEIGHTS_PARTS,
@@ -48,21 +53,35 @@ from uqharness.batch.models.motion import (
     start_state,
 )
 from uqharness.batch.translate.channels import Sources
+from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight
 from uqharness.batch.translate.frame import STEP, Values, canonical
-from uqharness.batch.translate.whole import Asked, Flight, trace_flight
 from uqharness.errors import BadInputError
 from uqharness.simulator import MAX_FRAMES, SETTLED_RADPS
 
 TERRAIN = "position/terrain-elevation-asl-ft"
 _RECORD_BYTES = 8_000_000
-"""Records of lanes that are flown together: the memory is used again."""
-_ALIKE = 0.9
-"""Length of the shortest of lanes flown together, in that of the longest."""
+"""Memory for the records of lanes that are flown together."""
+_MIN_LENGTH_RATIO = 0.9
+"""Smallest length of a job relative to the longest one in its group."""
 
 
 @dataclass(frozen=True)
 class ReplayLane:
-    """One lane. ``controls`` (frames + 1, c): values while initialising, then of each frame."""
+    """One lane of a replay.
+
+    Attributes
+    ----------
+    properties : mapping
+        Properties that are set.
+    conditions : mapping
+        Start state, by CONDITIONS.
+    terrain_ft : float
+        Elevation of the terrain.
+    controls : array (frames + 1, c)
+        Values while initialising, then of each frame.
+    dt_s : float
+        Step.
+    """
 
     properties: Mapping[str, float]
     conditions: Mapping[str, float]
@@ -73,8 +92,11 @@ class ReplayLane:
 
 @dataclass(frozen=True)
 class ReplayProgram:
-    """A translated aircraft: ``controls`` are fed in the order given, ``inputs`` may differ between lanes, ``stride`` frames lie
-    between rows."""
+    """A translated aircraft.
+
+    ``controls`` are fed in this order, ``inputs`` may differ between lanes, ``stride`` frames lie
+    between rows.
+    """
 
     flight: Flight
     program: Program
@@ -83,7 +105,7 @@ class ReplayProgram:
     stride: int
 
     def first_value(self, name: str) -> float:
-        """A property's value in the aircraft's XML; 0 where nothing reads it."""
+        """Return a property's value in the aircraft's XML; 0 if nothing reads it."""
         return next(
             (
                 p.slots[name]
@@ -95,25 +117,31 @@ class ReplayProgram:
 
     @cached_property
     def flyer(self) -> Flyer:
-        """Compiled for this processor."""
-        return compile_program(self.program, chosen_target())
+        """The program, compiled for this processor."""
+        return compile_program(self.program, choose_target())
 
     @cached_property
     def initialisers(self) -> tuple[Interpreter, Interpreter]:
         """The two initialising frames."""
-        behind = (*self.flight.steady, *_renewed(self.flight))
-        kept = [*self.inputs, *(name for one in behind for name in one.slots)]
-        first, second = for_what_follows(self.flight.first, self.flight.second, self.program, kept)
+        settling = (*self.flight.steady, *_renewal_programs(self.flight))
+        retained = [*self.inputs, *(name for one in settling for name in one.slots)]
+        first, second = specialise_startup(
+            self.flight.first, self.flight.second, self.program, retained
+        )
         return Interpreter(first), Interpreter(second)
 
     @cached_property
     def settlers(self) -> tuple[tuple[str, Flyer], ...]:
-        """As `compiled_settlers` gives them; none without engines."""
+        """Programs that settle engines, as `compiled_settlers` returns them; empty without
+        engines.
+        """
         return compiled_settlers(self.flight)
 
     @cached_property
     def renewer(self) -> Interpreter | None:
-        """The frame behind the engines' steady state, in which time stands still; None without engines."""
+        """The frame after the engines' steady state, in which time stands still; None without
+        engines.
+        """
         return None if self.flight.renewed is None else Interpreter(self.flight.renewed)
 
 
@@ -126,44 +154,76 @@ def make_replay(
     records: Sequence[str],
     stride: int,
 ) -> ReplayProgram:
-    """Translate an aircraft for replays. ``open_fdm`` gives JSBSim with the aircraft loaded and set, nothing run.
+    """Translate an aircraft for replays.
 
-    ``controls`` are fed, ``inputs`` may differ between lanes; ``records`` are kept of every frame that ``stride`` divides.
+    Parameters
+    ----------
+    sources : Sources
+        XML of the aircraft.
+    open_fdm : callable
+        Returns JSBSim with the aircraft loaded and set, before any frame.
+    dt_s : float
+        Nominal step.
+    controls : sequence of str
+        Properties that are fed.
+    inputs : collection of str
+        Properties that may differ between lanes.
+    records : sequence of str
+        Properties that are recorded.
+    stride : int
+        Frames between rows.
 
-    Raises BadInputError with file and line for what is not understood.
+    Returns
+    -------
+    ReplayProgram
+
+    Raises
+    ------
+    BadInputError
+        With file and line, for what the batch engine does not support.
     """
-    flight, fed, names = traced(sources, open_fdm, dt_s, controls, inputs, records, started=True)
+    flight, fed, names = trace_replay(
+        sources, open_fdm, dt_s, controls, inputs, records, engines_running=True
+    )
+    # Everything that differs between lanes must not be folded as a constant.
     varying = (
         STEP,
         *names,
         *fed.columns,
         *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)),
     )
-    between = (*flight.steady, *_renewed(flight))
-    program = optimised(
-        settled((flight.first, flight.second), flight.frame, varying, between), stride=stride
+    between = (*flight.steady, *_renewal_programs(flight))
+    program = optimise(
+        propagate_constants((flight.first, flight.second), flight.frame, varying, between),
+        stride=stride,
     )
-    # What a stream feeds may be folded away with the section that read it.
+    # Constant folding may have removed the section that read a stream.
     read = {name for section in program.sections for name in section.function.slots}
     if any(read & set(stream.columns) for stream in program.streams if stream is not fed):
-        raise BadInputError("the aircraft has turbulence of its own, which a replay does without")
+        raise BadInputError(
+            "the aircraft switches on JSBSim's turbulence, which replays do not support"
+        )
     program = replace(program, streams=(fed,))
     return ReplayProgram(flight, program, fed.columns, names, stride)
 
 
-def traced(
+def trace_replay(
     sources: Sources,
     open_fdm: Callable[[], Any],
     dt_s: float,
     controls: Sequence[str],
     inputs: Collection[str],
     records: Sequence[str],
-    started: bool = False,
-    renewed: bool = False,
+    *,
+    engines_running: bool = False,
+    renewal: bool = False,
 ) -> tuple[Flight, Stream, tuple[str, ...]]:
-    """The frames of an aircraft of any step, the stream of its controls, and the names of what may differ between lanes; arguments
-    of `make_replay`. started: its engines run when ``open_fdm`` gives it; renewed: a frame in which time stands still is wanted.
-    Raises BadInputError for what cannot be replayed."""
+    """Trace the frames of an aircraft with a step that lanes set; parameters as `make_replay`.
+
+    ``engines_running``: engines run when ``open_fdm`` returns; ``renewal``: also trace a frame in
+    which time stands still. Returns the flight, the stream of the controls and the names of what
+    may differ between lanes. Raises BadInputError for what cannot be replayed.
+    """
     values = Values(initial_values(open_fdm), constant_properties(sources))
     fed = Stream("controls", tuple(canonical(name) for name in controls))
     names = (*(canonical(name) for name in inputs), TERRAIN)
@@ -171,30 +231,38 @@ def traced(
         sources,
         dt_s,
         values,
-        Asked(names, [fed], records, any_step=True, started=started, renewed=renewed),
+        TraceRequest(
+            names, [fed], records, any_step=True, engines_running=engines_running, renewal=renewal
+        ),
     )
-    if flight.propulsion.engines and not started:
+    # A replay starts from the steady state only if the engines already run.
+    if flight.propulsion.engines and not engines_running:
         raise BadInputError(
-            "the aircraft has engines in <propulsion>, whose steady state takes more than two frames"
+            "the aircraft has engines in <propulsion>, whose steady state takes more than two"
+            " frames"
         )
     if flight.draws:
         raise BadInputError("the aircraft draws random numbers, which a replay does without")
     return flight, fed, names
 
 
-def _renewed(flight: Flight) -> tuple[Program, ...]:
+def _renewal_programs(flight: Flight) -> tuple[Program, ...]:
+    """Return the frame in which time stands still, if there is one."""
     return () if flight.renewed is None else (flight.renewed,)
 
 
 def fly_replays(
     replay: ReplayProgram, jobs: Sequence[ReplayLane]
 ) -> Iterator[tuple[int, FloatArray]]:
-    """The number of each job, in any order, and its recorded properties (rows, records): at the start, then behind every ``stride``
-    frames."""
-    values = _begun(replay, jobs)
+    """Fly jobs; yield the number of each, in any order, and its recorded properties (rows,
+    records).
+
+    The first row is the start; one row follows after every ``stride`` frames.
+    """
+    values = _initial_slots(replay, jobs)
     for part in _parts(replay, [len(job.controls) for job in jobs]):
         begin = {name: value[part] for name, value in values.items()}
-        records = _flown(replay, [jobs[p] for p in part], begin)
+        records = _fly_part(replay, [jobs[p] for p in part], begin)
         starts = np.stack([begin[name] for name in replay.program.records])
         for lane, place in enumerate(part):
             # Channel by channel in memory, as the records are.
@@ -205,14 +273,19 @@ def fly_replays(
 
 
 def _parts(replay: ReplayProgram, frames: Sequence[int]) -> Iterator[list[int]]:
-    """Jobs that are flown together, the longest first: as many as their records leave room for, and, beyond the lanes that lie side
-    by side, none that is much shorter than the first. Frames behind the end of a shorter one cost less than a call for each."""
+    """Split jobs into groups that are flown together, the longest first.
+
+    A group is as large as memory for records allows and, beyond the lanes of one block, has no job
+    much shorter than its first: frames after the end of a shorter job cost less than a separate
+    call.
+    """
     row_bytes = 8 * len(replay.program.records) * BLOCK
     part: list[int] = []
     lanes = longest = 0
     for place in sorted(range(len(frames)), key=lambda k: -frames[k]):
         if part and (
-            len(part) == lanes or (len(part) % BLOCK == 0 and frames[place] < _ALIKE * longest)
+            len(part) == lanes
+            or (len(part) % BLOCK == 0 and frames[place] < _MIN_LENGTH_RATIO * longest)
         ):
             yield part
             part = []
@@ -224,12 +297,13 @@ def _parts(replay: ReplayProgram, frames: Sequence[int]) -> Iterator[list[int]]:
         yield part
 
 
-def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, FloatArray]:
-    """Slots behind the initialising frames, a value for each job."""
+def _initial_slots(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, FloatArray]:
+    """Return slots after the initialising frames, one value per job."""
     count = len(jobs)
     values = start_state(
         {name: np.array([job.conditions[name] for job in jobs]) for name in CONDITIONS}
     )
+    # Jobs that do not set a property keep the aircraft's value.
     for name in dict.fromkeys(name for job in jobs for name in job.properties):
         first = replay.first_value(canonical(name))
         values[canonical(name)] = np.array([job.properties.get(name, first) for job in jobs])
@@ -239,30 +313,33 @@ def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Float
         name: np.array([job.controls[0, k] for job in jobs])
         for k, name in enumerate(replay.controls)
     }
+    # Two initialising frames, as JSBSim runs them.
     for flyer in replay.initialisers:
-        values |= stepped(flyer, values, count)
+        values |= step_once(flyer, values, count)
     if replay.renewer is not None:
         settle(replay.settlers, values, count)
-        values |= stepped(replay.renewer, values, count)
+        values |= step_once(replay.renewer, values, count)
     return {
         name: values.get(name, np.full(count, first))
         for name, first in replay.program.slots.items()
     }
 
 
-def _flown(
+def _fly_part(
     replay: ReplayProgram, jobs: Sequence[ReplayLane], values: Mapping[str, FloatArray]
 ) -> FloatArray:
-    """(records, lanes, rows) behind the start; those behind a shorter job's end mean nothing."""
+    """Fly jobs together; return (records, lanes, rows) after the start. Rows after the end of a
+    shorter job are meaningless.
+    """
     frames = max(len(job.controls) for job in jobs) - 1
-    pieces = {id(job.controls): _held(job.controls[1:], frames) for job in jobs}
-    feed = shared(pieces, [id(job.controls) for job in jobs], 0)
-    state = begun(replay.program, len(jobs), values)
+    pieces = {id(job.controls): _extend_controls(job.controls[1:], frames) for job in jobs}
+    feed = share_feed(pieces, [id(job.controls) for job in jobs], 0)
+    state = initial_state(replay.program, len(jobs), values)
     return replay.flyer.fly(state, 1, frames, {"controls": feed}, replay.stride)
 
 
-def _held(controls: FloatArray, frames: int) -> FloatArray:
-    """(frames, c) controls, the last held to the end."""
+def _extend_controls(controls: FloatArray, frames: int) -> FloatArray:
+    """Return (frames, c) controls, the last row repeated to the end."""
     missing = frames - len(controls)
     return (
         controls
@@ -271,23 +348,25 @@ def _held(controls: FloatArray, frames: int) -> FloatArray:
     )
 
 
-# What an aircraft's model says at states that are given: JSBSim's two initialising frames,
-# compiled, all states at once.
+# Evaluation at given states: JSBSim's two initialising frames, compiled, for all states at once.
 
-_TOGETHER = 4096
-"""States computed together: their memory is used again."""
+_CHUNK = 4096
+"""States that are computed together."""
 RATES = ("aero/alphadot-rad_sec", "aero/betadot-rad_sec")
-"""What JSBSim takes from the accelerations of the frame before."""
+"""Properties that JSBSim computes from the accelerations of the frame before."""
 
 
 @dataclass(frozen=True)
 class StateProgram:
-    """A translated aircraft: ``controls`` are fed in the order given, properties ``given`` may differ between calls, ``records``
-    are read. ``renewer`` is a frame in which time stands still, for what reads RATES."""
+    """A translated aircraft for evaluation at states.
+
+    ``controls`` are fed in this order, ``properties`` may differ between calls, ``records`` are
+    returned. ``renewer`` is a frame in which time stands still, for models that read RATES.
+    """
 
     flyer: Flyer
     controls: tuple[str, ...]
-    given: frozenset[str]
+    properties: frozenset[str]
     records: tuple[str, ...]
     renewer: Flyer | None = None
 
@@ -299,35 +378,50 @@ def make_states(
     controls: Sequence[str],
     inputs: Collection[str],
     records: Sequence[str],
-    by_rates: bool = False,
+    uses_rates: bool = False,
 ) -> StateProgram:
-    """Translate and compile an aircraft, arguments as those of `make_replay`; by_rates: it reads RATES, which are to settle. Raises
-    BadInputError with file and line for what is not understood."""
-    flight, fed, _ = traced(sources, open_fdm, dt_s, controls, inputs, records, renewed=by_rates)
-    start, wanted = start_section(), tuple(records)
+    """Translate and compile an aircraft for evaluation at states; parameters as `make_replay`.
+
+    ``uses_rates``: the model reads RATES, which are iterated to a fixed point. Raises BadInputError
+    with file and line for what the batch engine does not support.
+    """
+    flight, fed, _ = trace_replay(
+        sources, open_fdm, dt_s, controls, inputs, records, renewal=uses_rates
+    )
+    # Start state and both initialising frames become a single program of one frame.
+    start, record_names = start_section(), tuple(records)
     sections = (start, *flight.first.sections, *flight.second.sections)
     slots = {
         **dict.fromkeys((*CONDITIONS, *start.function.stores), 0.0),
         **flight.first.slots,
         **flight.second.slots,
     }
-    lacking = [name for name in wanted if name not in slots]
-    if lacking:
+    missing = [name for name in record_names if name not in slots]
+    if missing:
         raise BadInputError(
-            f"property {lacking[0]} is not computed while initialising by the batch engine"
+            f"property {missing[0]} is not computed while initialising by the batch engine"
         )
-    read, renewer = wanted, None
+    read, renewer = record_names, None
+    # The iteration over RATES continues from all slots of this program.
     if flight.renewed is not None:
-        again = (*wanted, *RATES)
-        renewed = trimmed(alive(joined(lowered(flight.renewed)), again), again)
+        retained = (*record_names, *RATES)
+        renewed = prune_slots(
+            eliminate_dead_stores(fuse_sections(lower_program(flight.renewed)), retained), retained
+        )
         read, slots, renewer = (
             tuple(renewed.slots),
             {**renewed.slots, **slots},
-            compile_program(renewed, chosen_target()),
+            compile_program(renewed, choose_target()),
         )
-    program = trimmed(alive(joined(lowered(Program(sections, slots))), read), read)
+    program = prune_slots(
+        eliminate_dead_stores(fuse_sections(lower_program(Program(sections, slots))), read), read
+    )
     return StateProgram(
-        compile_program(program, chosen_target()), fed.columns, frozenset(inputs), wanted, renewer
+        compile_program(program, choose_target()),
+        fed.columns,
+        frozenset(inputs),
+        record_names,
+        renewer,
     )
 
 
@@ -339,18 +433,38 @@ def at_states(
     controls: FloatArray,
     properties: Mapping[str, float],
 ) -> FloatArray:
-    """(n, records) at n states: ``conditions`` by CONDITIONS and terrain_ft (n,), ``controls`` (n, c) in the units of their
-    properties."""
+    """Evaluate a model at n states.
+
+    Parameters
+    ----------
+    program : StateProgram
+        The model.
+    conditions : mapping
+        CONDITIONS -> values (n,).
+    terrain_ft : array (n,)
+        Elevation of the terrain.
+    dt_s : float
+        Step.
+    controls : array (n, c)
+        In the units of their properties.
+    properties : mapping
+        Properties that are set, the same for all states.
+
+    Returns
+    -------
+    array (n, records)
+    """
     out = np.empty((len(controls), len(program.records)))
     slots = program.flyer.program.slots
-    same = {**{canonical(name): value for name, value in properties.items()}, STEP: dt_s}
-    for begin in range(0, len(out), _TOGETHER):
-        part = slice(begin, begin + _TOGETHER)
+    shared = {**{canonical(name): value for name, value in properties.items()}, STEP: dt_s}
+    # States are processed in chunks that reuse memory.
+    for begin in range(0, len(out), _CHUNK):
+        part = slice(begin, begin + _CHUNK)
         start = start_conditions({name: conditions[name][part] for name in CONDITIONS})
-        values: dict[str, FloatArray | float] = {**same, TERRAIN: terrain_ft[part], **start}
+        values: dict[str, FloatArray | float] = {**shared, TERRAIN: terrain_ft[part], **start}
         values |= dict(zip(program.controls, controls[part].T, strict=True))
         count = len(controls[part])
-        state = begun(
+        state = initial_state(
             program.flyer.program,
             count,
             {name: value for name, value in values.items() if name in slots},
@@ -363,25 +477,30 @@ def at_states(
 
 
 def _read(flyer: Flyer, state: FloatArray, names: Sequence[str], count: int) -> FloatArray:
-    """(count, names) slots of a state."""
+    """Return slots of a state as (count, names)."""
     return np.column_stack([slot(flyer.program, state, name, count) for name in names])
 
 
 def _settle(program: StateProgram, renewer: Flyer, state: FloatArray, out: FloatArray) -> None:
-    """Records ``out`` (n, records) anew in frames in which time stands still, until RATES have settled; a force that outgrows the
-    acceleration that it is a part of settles nowhere, and no frame of it is better than another."""
+    """Repeat frames in which time stands still until RATES converge; ``out`` (n, records) is
+    updated.
+
+    A force that grows faster than the acceleration it depends on does not converge; the iteration
+    of that state stops when its change stops shrinking.
+    """
     count = len(out)
-    before, moved = _read(program.flyer, state, RATES, count), np.full(count, np.inf)
+    previous, moved = _read(program.flyer, state, RATES, count), np.full(count, np.inf)
     state, moving = (
-        carried(state, program.flyer.program, renewer.program),
+        remap_state(state, program.flyer.program, renewer.program),
         np.ones(count, dtype=bool),
     )
     for _ in range(MAX_FRAMES):
         renewer.fly(state, 1, 1)
-        now, last = _read(renewer, state, RATES, count), moved
-        moved = np.abs(now - before).sum(axis=1)
+        rates, last = _read(renewer, state, RATES, count), moved
+        moved = np.abs(rates - previous).sum(axis=1)
         out[moving] = _read(renewer, state, program.records, count)[moving]
+        # A state stops when its rates have settled or their change no longer shrinks.
         moving &= (moved >= SETTLED_RADPS) & (moved < last)
         if not moving.any():
             return
-        before = now
+        previous = rates

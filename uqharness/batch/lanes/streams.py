@@ -1,9 +1,10 @@
-"""Numbers that flights are fed with, frame by frame: sensor noise, JSBSim's turbulence, host gusts, moving levels.
+"""Generate the numbers that flights are fed with: sensor noise, JSBSim's turbulence, host gusts,
+moving levels.
 
-They are those that JSBSim's engine meets in the same case: noise and turbulence from JSBSim's generators, gusts and levels from
-``flight.dryden`` and ``flight.levels``. Compiled code makes them with the bits of numpy's forms. Each belongs to an air or to an
-epistemic sample, never to a lane; the numbers do not depend on how many frames are asked for at once, and ``copy.deepcopy`` gives
-a stream that goes on from where the first stands.
+They are identical to those of the JSBSim engine in the same case: noise and turbulence come from
+JSBSim's generators, gusts and levels from ``flight.dryden`` and ``flight.levels``. Each series
+belongs to an air or an epistemic sample, not to a lane; it does not depend on how many frames are
+requested at once, and ``copy.deepcopy`` returns a series that continues from the same point.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from uqharness.batch.form.program import Stream
-from uqharness.batch.machine.llvm import Target, chosen_target
+from uqharness.batch.machine.llvm import Target, choose_target
 from uqharness.batch.machine.random import compiled_pairs, compiled_recursion, compiled_tries
 from uqharness.batch.models.winds import DRAWS
 from uqharness.flight import (
@@ -33,100 +34,106 @@ from uqharness.flight import (
     random_numbers,
 )
 
-# JSBSim 1.3.3's random numbers, number by number: Lehmer's generator and Marsaglia's polar
-# method as libstdc++ has them.
-#
-# The generator is x' = 16807 x mod (2^31 - 1), minstd_rand0 of ISO C++; the seeds 0 and 1 are
-# the same stream. A uniform number u takes two of its numbers, ((a - 1) + (b - 1) r) / r^2 with
-# r = 2^31 - 2. A try takes two uniform numbers as a point (2 u - 1, 2 u' - 1) and is passed
-# over unless it lies in the unit circle; it gives two normals, that of the ordinate first.
-#
-# Between the normals that JSBSim draws nothing else may be drawn: ``<urandom/>`` takes from the
-# same generator. Setting a seed also drops the second normal of the last try.
-# ``atmosphere/randomseed`` gives the turbulence a generator of its own; while it is not set,
-# turbulence draws from the common one, before the systems of the same frame.
+# JSBSim 1.3.3's random numbers: Lehmer's generator and Marsaglia's polar method, as in libstdc++.
+# The generator is x' = 16807 x mod (2^31 - 1), minstd_rand0 of ISO C++; seeds 0 and 1 give the
+# same stream. A uniform number u takes two of its numbers, ((a - 1) + (b - 1) r) / r^2 with r =
+# 2^31 - 2. A try takes two uniform numbers as a point (2 u - 1, 2 u' - 1), rejected unless it
+# lies in the unit circle; it gives two normals, the ordinate's first. Nothing else may be drawn
+# between normals: ``<urandom/>`` uses the same generator. Setting a seed also drops the second
+# normal of the last try. ``atmosphere/randomseed`` gives turbulence its own generator; until it
+# is set, turbulence draws from the common one, before the systems of the same frame.
 
 MODULUS, MULTIPLIER = 2**31 - 1, 16807
 
 _RANGE = float(MODULUS - 1)
 _BELOW_ONE = float(np.nextafter(1.0, 0.0))
-_TRIES = 4096
-_SHARE = np.pi / 4.0
-"""Of tries that give normals."""
+_CHUNK = 4096
+_ACCEPTANCE = np.pi / 4.0
+"""Share of tries that are accepted."""
 
 Tries = Callable[[int, int], tuple[FloatArray, int]]
-"""Takes the generator's state and a number of tries; gives their normals, in order, and the state behind them."""
+"""(state of the generator, number of tries) -> (normals in order, state after them)."""
 
 
 class JsbsimNormals:
-    """The normals that JSBSim draws from a generator with this seed. ``tries`` may be a compiled form of ``numpy_tries``."""
+    """The normals that JSBSim draws from a generator with this seed.
+
+    ``tries`` may be a compiled form of `numpy_tries`. Raises ValueError for seeds outside 0 to 2^31
+    - 2.
+    """
 
     def __init__(self, seed: int, tries: Tries | None = None) -> None:
+        """Check the seed; nothing is drawn yet."""
         if not 0 <= seed < MODULUS:
             raise ValueError(f"seed {seed}: an integer from 0 to {MODULUS - 1} is needed")
         self._state, self._tries = max(seed, 1), tries or numpy_tries
-        self._left = np.empty(0)
+        self._remaining = np.empty(0)
 
     def take(self, n: int) -> FloatArray:
-        """The next ``n`` numbers, (n,). They do not depend on how they are cut into calls."""
-        parts, known = [self._left], self._left.size
-        while known < n:
-            made, self._state = self._tries(self._state, int((n - known) / (2.0 * _SHARE)) + 16)
-            parts.append(made)
-            known += made.size
-        joined = np.concatenate(parts) if len(parts) > 1 else self._left
-        out, self._left = joined[:n], joined[n:]
+        """Return the next ``n`` normals (n,); they do not depend on the sizes of earlier calls."""
+        parts, available = [self._remaining], self._remaining.size
+        # The expected number of accepted normals, and a few more.
+        while available < n:
+            normals, self._state = self._tries(
+                self._state, int((n - available) / (2.0 * _ACCEPTANCE)) + 16
+            )
+            parts.append(normals)
+            available += normals.size
+        numbers = np.concatenate(parts) if len(parts) > 1 else self._remaining
+        out, self._remaining = numbers[:n], numbers[n:]
         return out
 
     def copy(self) -> JsbsimNormals:
-        """Another stream that goes on from here with the same numbers."""
+        """Return another stream that continues with the same numbers."""
         other = JsbsimNormals(self._state, self._tries)
-        other._left = self._left
+        other._remaining = self._remaining
         return other
 
 
 def numpy_tries(state: int, count: int) -> tuple[FloatArray, int]:
-    """See ``Tries``; by numpy."""
+    """Draw ``count`` tries with numpy; see ``Tries``."""
     parts = []
-    for first in range(0, count, _TRIES):
-        drawn = _folded(state * _leaps()[: 4 * min(_TRIES, count - first)])
-        state = int(drawn[-1])
+    for first in range(0, count, _CHUNK):
+        raw = _reduce_modulus(state * _multiplier_powers()[: 4 * min(_CHUNK, count - first)])
+        state = int(raw[-1])
         with np.errstate(invalid="ignore", divide="ignore"):
             one, other, square = polar_normals(
-                [drawn[k::4] - 1.0 for k in range(4)], random_numbers.NUMPY
+                [raw[k::4] - 1.0 for k in range(4)], random_numbers.NUMPY
             )
+        # Points outside the unit circle, and the origin, are rejected.
         inside = (square <= 1.0) & (square != 0.0)
         parts.append(np.column_stack([one[inside], other[inside]]).reshape(-1))
     return np.concatenate(parts) if parts else np.empty(0), state
 
 
-def polar_normals(drawn: Sequence[Any], m: random_numbers.Operations) -> tuple[Any, Any, Any]:
-    """Two normals of a try, and the square of its point's distance; the normals count if that is above 0 and at most 1.
+def polar_normals(raw: Sequence[Any], m: random_numbers.Operations) -> tuple[Any, Any, Any]:
+    """Return two normals of a try, and the squared distance of its point.
 
-    ``drawn`` are four of the generator's numbers less 1, as doubles. JSBSim takes the C library's logarithm: normals agree to 3
-    units in the last place.
+    The normals are accepted if the square is above 0 and at most 1. ``raw`` are four numbers of the
+    generator less 1, as doubles. JSBSim uses the C library's logarithm, so normals agree to 3 units
+    in the last place.
     """
-    x, y = (_uniform(drawn[k], drawn[k + 1], m) * 2.0 - 1.0 for k in (0, 2))
+    x, y = (_uniform(raw[k], raw[k + 1], m) * 2.0 - 1.0 for k in (0, 2))
     square = x * x + y * y
     scale = m.sqrt(random_numbers.logarithm(square, m) * -2.0 / square)
     return y * scale, x * scale, square
 
 
 def _uniform(first: Any, second: Any, m: random_numbers.Operations) -> Any:
-    """Numbers in [0, 1) of two of the generator's each."""
+    """Combine two numbers of the generator to a uniform number in [0, 1)."""
     return m.minimum((first + second * _RANGE) / (_RANGE * _RANGE), _BELOW_ONE)
 
 
-def _folded(x: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rests modulo 2^31 - 1 of positive numbers below 2^62 that are no multiples of it."""
+def _reduce_modulus(x: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Reduce positive numbers below 2^62, no multiples of 2^31 - 1, modulo 2^31 - 1."""
     x = (x & MODULUS) + (x >> 31)
     return (x & MODULUS) + (x >> 31)
 
 
 @lru_cache(maxsize=1)
-def _leaps() -> NDArray[np.int64]:
-    """The generator's factors for 1 step, 2 steps and so on, as many as a round of tries takes."""
-    factors = np.empty(4 * _TRIES, dtype=np.int64)
+def _multiplier_powers() -> NDArray[np.int64]:
+    """Return the generator's factors for 1 step, 2 steps and so on, for one chunk of tries."""
+    factors = np.empty(4 * _CHUNK, dtype=np.int64)
     factor = 1
     for k in range(factors.size):
         factors[k] = factor = factor * MULTIPLIER % MODULUS
@@ -140,13 +147,13 @@ GUSTS = Stream(
         for name in ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
     ),
 )
-"""Host gusts, a row a frame."""
+"""Host gusts, one row per frame."""
 LEVELS = Stream("levels", tuple(f"uq/{name}/level" for name in COEFFICIENTS))
-"""Moving levels, a row a frame."""
+"""Moving levels, one row per frame."""
 TRANSIENTS = Stream("transients", tuple(f"uq/{name}/transient-level" for name in COEFFICIENTS))
-"""Moving levels of the transient part, a row a frame."""
+"""Moving levels of the transient part, one row per frame."""
 
-_LONGEST_PERIOD = 100_000
+_MAX_PERIOD = 100_000
 
 
 class Rows(NamedTuple):
@@ -157,14 +164,17 @@ class Rows(NamedTuple):
 
 
 class Series(Protocol):
-    """A stream with a row a frame, or a row each time its counter moves."""
+    """A stream with a row per frame, or a row whenever its counter advances."""
 
     def rows(self, n: int) -> Rows:
-        """The next ``n`` rows."""
+        """Return the next ``n`` rows."""
 
 
 def noise_streams(draws: Sequence[tuple[str, int]]) -> tuple[Stream, ...]:
-    """The streams for places that draw normals (slot, every), one for each rate, in the order of the rates."""
+    """Return one stream for each rate at which normals are drawn, in the order of the rates.
+
+    ``draws`` are (slot, every).
+    """
     rates = sorted({every for _, every in draws})
     return tuple(
         Stream(f"noise/{rate}", tuple(slot for slot, every in draws if every == rate), rate)
@@ -175,9 +185,27 @@ def noise_streams(draws: Sequence[tuple[str, int]]) -> tuple[Stream, ...]:
 class Noise:
     """Normals that the systems of a flight draw from JSBSim's common generator.
 
-    draws    places of the frame in which a normal is drawn (slot, every), in their order: that with ``every`` draws in frames
-             that ``every`` divides
-    initial  what the initialising frames draw, (frames, first_draws): they come first; none where it begins behind ``frame`` frames
+    Parameters
+    ----------
+    seed : int
+        Of the generator.
+    draws : sequence of (str, int)
+        Slots in the order in which a frame draws them; a slot with ``every`` draws in frames that
+        ``every`` divides.
+    first_draws : int, optional
+        Draws of each initialising frame; by default those of a frame. They come first, as
+        ``initial`` (initialising, first_draws).
+    target : Target, optional
+        Processor.
+    initialising : int
+        Number of initialising frames.
+    frame : int
+        Frames already flown.
+
+    Raises
+    ------
+    ValueError
+        If the rates have too long a common period.
     """
 
     def __init__(
@@ -189,72 +217,77 @@ class Noise:
         initialising: int = 2,
         frame: int = 0,
     ) -> None:
+        """Draw the initialising numbers and tabulate the order of draws."""
         first_draws = len(draws) if first_draws is None else first_draws
-        self._normals = JsbsimNormals(seed, _tries(target or _widest()))
+        self._normals = JsbsimNormals(seed, _tries(target or choose_target()))
         self.initial = self._normals.take(initialising * first_draws).reshape(
             initialising, first_draws
         )
         self._streams = noise_streams(draws)
         self._period = math.lcm(*(stream.every for stream in self._streams))
-        if self._period > _LONGEST_PERIOD:
+        if self._period > _MAX_PERIOD:
             raise ValueError(
-                f"the draws repeat every {self._period} frames; {_LONGEST_PERIOD} at most are possible"
+                f"the draws repeat every {self._period} frames; {_MAX_PERIOD} at most are possible"
             )
-        # Over a period: which number of those drawn in it stands in each row and column.
+        # For one period: the position of each row's and column's number in the order of draws.
         rates = np.array([every for _, every in draws], dtype=np.int64)
-        drawn = (
+        is_drawn = (
             np.arange(1, self._period + 1)[:, None] % rates == 0
             if len(draws)
             else np.zeros((self._period, 0), dtype=bool)
         )
-        number = np.cumsum(drawn.ravel()).reshape(drawn.shape) - 1
-        self._per_period = int(drawn.sum())
+        number = np.cumsum(is_drawn.ravel()).reshape(is_drawn.shape) - 1
+        self._per_period = int(is_drawn.sum())
         self._places = {
             s.name: number[s.every - 1 :: s.every, rates == s.every] for s in self._streams
         }
-        self._held = {s.name: np.empty((0, len(s.columns))) for s in self._streams}
-        # Numbers stand in periods: those of the begun one are left.
+        self._stored = {s.name: np.empty((0, len(s.columns))) for s in self._streams}
+        # Numbers are drawn by periods; skip the part of the current one that is over.
         self._frame = frame - frame % self._period
         self.frames(frame - self._frame)
 
     def frames(self, count: int) -> dict[str, Rows]:
-        """Rows of the next ``count`` frames by the streams' names."""
+        """Return the rows of the next ``count`` frames by name of the stream."""
         last = self._frame + count
         out = {}
-        wanted = {s.name: last // s.every - self._frame // s.every for s in self._streams}
+        n_rows = {s.name: last // s.every - self._frame // s.every for s in self._streams}
         lacking = [
-            -(-(wanted[name] - len(self._held[name])) // len(places))
+            -(-(n_rows[name] - len(self._stored[name])) // len(places))
             for name, places in self._places.items()
         ]
         self._draw(max(lacking, default=0))
         for stream in self._streams:
-            held, n = self._held[stream.name], wanted[stream.name]
-            out[stream.name] = Rows(np.ascontiguousarray(held[:n]), self._frame // stream.every)
-            self._held[stream.name] = held[n:]
+            stored, n = self._stored[stream.name], n_rows[stream.name]
+            out[stream.name] = Rows(np.ascontiguousarray(stored[:n]), self._frame // stream.every)
+            self._stored[stream.name] = stored[n:]
         self._frame = last
         return out
 
     def _draw(self, periods: int) -> None:
+        """Draw whole periods and sort them into streams."""
         if periods <= 0:
             return
-        drawn = self._normals.take(periods * self._per_period).reshape(periods, self._per_period)
+        normals = self._normals.take(periods * self._per_period).reshape(periods, self._per_period)
         for name, places in self._places.items():
-            # With one rate the numbers stand in order already.
-            rows = drawn if places.size == self._per_period else drawn[:, places.ravel()]
+            # With a single rate the numbers are in order already.
+            rows = normals if places.size == self._per_period else normals[:, places.ravel()]
             rows = rows.reshape(periods * len(places), places.shape[1])
-            self._held[name] = (
-                np.concatenate([self._held[name], rows]) if len(self._held[name]) else rows
+            self._stored[name] = (
+                np.concatenate([self._stored[name], rows]) if len(self._stored[name]) else rows
             )
 
 
 class Turbulence:
-    """Normals of JSBSim's turbulence: a row (nu_u, nu_v, nu_w, nu_p) for each frame in which its filters run."""
+    """Normals of JSBSim's turbulence: a row (nu_u, nu_v, nu_w, nu_p) for each frame in which its
+    filters run.
+    """
 
     def __init__(self, seed: int, target: Target | None = None, row: int = 0) -> None:
-        self._normals, self._row = JsbsimNormals(seed, _tries(target or _widest())), row
+        """Start the generator; ``row`` is the number of the first row."""
+        self._normals, self._row = JsbsimNormals(seed, _tries(target or choose_target())), row
 
     def rows(self, n: int) -> Rows:
-        """The next ``n`` rows (n, 4)."""
+        """Return the next ``n`` rows (n, 4)."""
         first, self._row = self._row, self._row + n
         return Rows(self._normals.take(len(DRAWS) * n).reshape(n, len(DRAWS)), first)
 
@@ -270,44 +303,47 @@ class HostGusts:
         target: Target | None = None,
         splits: Sequence[Split] = (),
     ) -> None:
-        target = target or _widest()
+        """Start the filters; ``splits`` are changes of the seed at later frames."""
+        target = target or choose_target()
         self._gusts = DrydenGusts(
             parameters, dt_s, seed, compiled_pairs(target), compiled_recursion(target), splits
         )
-        self._held, self._row = np.empty((0, len(GUSTS.columns))), 0
+        self._stored, self._row = np.empty((0, len(GUSTS.columns))), 0
 
     def rows(self, n: int) -> Rows:
-        """The next ``n`` rows (n, 6) [m/s, rad/s]."""
-        parts, known = [self._held], len(self._held)
-        while known < n:
+        """Return the next ``n`` rows (n, 6) [m/s, rad/s]."""
+        parts, available = [self._stored], len(self._stored)
+        while available < n:
             parts.append(self._gusts.page().T)
-            known += len(parts[-1])
-        joined = np.concatenate(parts) if len(parts) > 1 else self._held
+            available += len(parts[-1])
+        stacked = np.concatenate(parts) if len(parts) > 1 else self._stored
         first, self._row = self._row, self._row + n
-        self._held = joined[n:]
-        return Rows(np.ascontiguousarray(joined[:n]), first)
+        self._stored = stacked[n:]
+        return Rows(np.ascontiguousarray(stacked[:n]), first)
 
-    def branch_from_now_on(self) -> None:
-        """Keep what ``branched`` needs of the pages to come."""
+    def keep_branching_state(self) -> None:
+        """Keep what `branched` needs from the pages to come."""
         self._gusts.keep_noise()
 
     def branched(self, split: Split) -> HostGusts | None:
-        """Gusts that leave these at the row where they stand, at the cost of a page; None where ``branch_from_now_on`` was not
-        called before the page was made. Raises ValueError for a split at another row."""
+        """Return gusts that leave these at the current row, at the cost of one page.
+
+        None if `keep_branching_state` was not called before the page was made. Raises ValueError
+        for a split at another row.
+        """
         if split.frame != self._row:
-            raise ValueError(
-                f"the gusts stand at row {self._row}; received a split at {split.frame}"
-            )
+            raise ValueError(f"the gusts are at row {self._row}; received a split at {split.frame}")
         other = copy.copy(self)
-        if not len(self._held):
+        # Between two pages the filters themselves can branch.
+        if not len(self._stored):
             other._gusts = copy.deepcopy(self._gusts)
             other._gusts.branch(split)
             return other
-        found = self._gusts.branched(split)
-        if found is None:
+        branch = self._gusts.branched(split)
+        if branch is None:
             return None
-        other._gusts, page = found
-        other._held = page.T[-len(self._held) :]
+        other._gusts, page = branch
+        other._stored = page.T[-len(self._stored) :]
         return other
 
 
@@ -321,21 +357,19 @@ class MovingLevels:
         target: Target | None = None,
         splits: Sequence[Split] = (),
     ) -> None:
+        """Start the random walk of the driver."""
         self._levels, self._row = (
-            Levels(driver, dt_s, compiled_pairs(target or _widest()), splits),
+            Levels(driver, dt_s, compiled_pairs(target or choose_target()), splits),
             0,
         )
 
     def rows(self, n: int) -> Rows:
-        """The next ``n`` rows (n, 6) in 0..1, transient ones in -1..1."""
+        """Return the next ``n`` rows (n, 6), in 0..1, transient ones in -1..1."""
         first, self._row = self._row, self._row + n
         return Rows(np.ascontiguousarray(self._levels.take(n)), first)
 
 
-def _widest() -> Target:
-    return chosen_target()
-
-
 @lru_cache(maxsize=8)
 def _tries(target: Target) -> Tries:
+    """Compile the polar method for a processor."""
     return compiled_tries(target, MODULUS, MULTIPLIER, polar_normals)

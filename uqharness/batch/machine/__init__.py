@@ -1,1 +1,1 @@
-"""Programs as machine code."""
+"""Machine code of the intermediate form, by LLVM."""

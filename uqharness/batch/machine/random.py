@@ -1,9 +1,13 @@
-"""Random normals as machine code: the same as ``flight.normals.numpy_pairs`` and of JSBSim's polar method, with the same bits."""
+"""Compile random-number generators and gust filters.
+
+Three algorithms of `uqharness.flight` run here as machine code with identical bits: pairs of
+normals (`flight.random_numbers`), JSBSim's polar method on Lehmer's generator, and the recursion of
+the Dryden filters (`flight.dryden`).
+"""
 
 from __future__ import annotations
 
 import ctypes
-import struct
 import threading
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -15,47 +19,57 @@ from numpy.typing import NDArray
 from sysid.arrays import FloatArray
 from uqharness.batch.form.ir import Builder, Value
 from uqharness.batch.form.program import BLOCK
-from uqharness.batch.machine.llvm import Kernel, Target, attributes, built, compiled
+from uqharness.batch.machine.llvm import (
+    Kernel,
+    Target,
+    attributes,
+    build_code,
+    compile_function,
+    hexadecimal,
+)
 from uqharness.flight import dryden, random_numbers
 
 assert random_numbers.GROUP == 2 * BLOCK
 
 
 class Traced:
-    """``flight.normals.Operations`` over values of a builder."""
+    """Implement `random_numbers.Operations` on values of a builder."""
 
     def __init__(self, builder: Builder) -> None:
+        """Keep the builder."""
         self._builder = builder
 
     def bits(self, x: Any) -> Any:
-        """The 64 bits of a double as an integer."""
+        """Return the 64 bits of a double as an integer."""
         return self._builder.op("bits", x)
 
     def double(self, bits: Any) -> Any:
-        """The double of 64 bits."""
+        """Return the double of 64 bits."""
         return self._builder.op("double", bits)
 
     def sqrt(self, x: Any) -> Any:
-        """The square root."""
+        """Return the square root."""
         return self._builder.op("sqrt", x)
 
     def minimum(self, a: Any, b: Any) -> Any:
-        """The smaller of two doubles."""
+        """Return the smaller of two doubles."""
         return self._builder.op("min", a, b)
 
     def integer(self, operation: str, a: Any, b: Any) -> Any:
-        """Of 64-bit integers: add, sub, and, or, xor, shl, shr."""
+        """Return a 64-bit integer operation: add, sub, and, or, xor, shl or shr."""
         values = [x if isinstance(x, Value) else self._builder.integer(x) for x in (a, b)]
         return self._builder.op(f"i{operation}", *values)
 
 
 @lru_cache(maxsize=8)
 def compiled_pairs(target: Target) -> random_numbers.Pairs:
-    """The same as ``flight.normals.numpy_pairs``."""
+    """Return a function with the results of ``numpy_pairs``: raw integers (blocks, 2, BLOCK) to
+    normals.
+    """
     b = Builder()
     m = Traced(b)
     one, other = random_numbers.normal_pair(m.bits(b.input("first")), m.bits(b.input("second")), m)
-    kernel = compiled(b.finish({"one": one, "other": other}), target)
+    kernel = compile_function(b.finish({"one": one, "other": other}), target)
 
     def pairs(raw: NDArray[np.int64]) -> FloatArray:
         out = np.empty(raw.shape)
@@ -69,56 +83,77 @@ Tries = Callable[[int, int], tuple[FloatArray, int]]
 
 
 Points = Callable[[Sequence[Any], random_numbers.Operations], tuple[Any, Any, Any]]
-_ROUND = 8192
-"""Tries computed at once, so that they stay in the processor's cache."""
+_CHUNK = 8192
+"""Tries that are computed together, so that they stay in the cache."""
 
 
 def compiled_tries(target: Target, modulus: int, multiplier: int, points: Points) -> Tries:
-    """The polar method on Lehmer's generator: state and number of tries to normals, in order, and the state behind them.
+    """Compile the polar method on Lehmer's generator.
 
-    ``modulus`` is 2^31 - 1. ``points`` makes of four of the generator's numbers, less 1, two normals and the square by which they
-    count or not.
+    Parameters
+    ----------
+    target : Target
+        Processor.
+    modulus, multiplier : int
+        Of the generator; the modulus is 2^31 - 1.
+    points : callable
+        Makes of four numbers of the generator, less 1, two normals and the square that decides
+        whether they are accepted.
+
+    Returns
+    -------
+    callable
+        (state, number of tries) -> accepted normals in order, and the state after them.
     """
     factors = [pow(multiplier, k, modulus) for k in range(1, 4 * BLOCK + 1)]
-    drawing = built(_drawing(target, modulus, factors), "draw", target)
-    choosing = built(_choosing(target), "choose", target)
+    drawing = build_code(_generator_text(target, modulus, factors), "draw", target)
+    choosing = build_code(_rejection_text(target), "choose", target)
     pointer, integer = ctypes.c_void_p, ctypes.c_int64
     draw = ctypes.CFUNCTYPE(integer, integer, integer, pointer)(drawing.address)
     choose = ctypes.CFUNCTYPE(integer, integer, pointer, pointer)(choosing.address)
-    kernel = _kernel(target, points)
-    # Arrays are kept, for new ones cost as much as what is computed in them; each thread has its own.
-    kept = threading.local()
+    kernel = _compile_points(target, points)
+    # Arrays are reused, because allocating them would cost as much as the computation; each
+    # thread has its own.
+    thread_arrays = threading.local()
 
     def tries(state: int, count: int) -> tuple[FloatArray, int]:
-        if not hasattr(kept, "arrays"):
-            kept.arrays = tuple(np.empty((_ROUND // BLOCK, rows, BLOCK)) for rows in (4, 3, 0))
-        drawn, made, nothing = kept.arrays
+        if not hasattr(thread_arrays, "arrays"):
+            thread_arrays.arrays = tuple(
+                np.empty((_CHUNK // BLOCK, rows, BLOCK)) for rows in (4, 3, 0)
+            )
+        raw_numbers, normals, no_state = thread_arrays.arrays
         out = np.empty(2 * count + 2)
-        found = 0
-        for first in range(0, count, _ROUND):
-            now = min(_ROUND, count - first)
-            blocks = -(-now // BLOCK)
-            draw(state, blocks, drawn.ctypes.data)
-            state = int(drawn[(now - 1) // BLOCK, 3, (now - 1) % BLOCK]) + 1
-            kernel.run(drawn[:blocks], nothing[:blocks], made[:blocks])
-            found += choose(now, made.ctypes.data, out.ctypes.data + 2 * found * out.itemsize)
-        return out[: 2 * found], state
+        accepted = 0
+        # Chunks fit into the cache; the state of one starts the next.
+        for first in range(0, count, _CHUNK):
+            size = min(_CHUNK, count - first)
+            blocks = -(-size // BLOCK)
+            draw(state, blocks, raw_numbers.ctypes.data)
+            state = int(raw_numbers[(size - 1) // BLOCK, 3, (size - 1) % BLOCK]) + 1
+            kernel.run(raw_numbers[:blocks], no_state[:blocks], normals[:blocks])
+            accepted += choose(
+                size, normals.ctypes.data, out.ctypes.data + 2 * accepted * out.itemsize
+            )
+        return out[: 2 * accepted], state
 
     # Machine code lives as long as its engine.
     tries.code = (drawing, choosing)  # type: ignore[attr-defined]
     return tries
 
 
-def _kernel(target: Target, points: Points) -> Kernel:
+def _compile_points(target: Target, points: Points) -> Kernel:
+    """Compile the step from raw numbers to normals."""
     b = Builder()
     one, other, square = points([b.input(f"drawn{k}") for k in range(4)], Traced(b))
-    return compiled(b.finish({"one": one, "other": other, "square": square}), target)
+    return compile_function(b.finish({"one": one, "other": other, "square": square}), target)
 
 
-def _drawing(target: Target, modulus: int, factors: list[int]) -> str:
-    """``i64 draw(i64 state, i64 blocks, double* drawn)``: the generator's next numbers, less 1, and the state behind them.
+def _generator_text(target: Target, modulus: int, factors: list[int]) -> str:
+    """Return LLVM text of ``i64 draw(i64 state, i64 blocks, double* drawn)``.
 
-    Number k of try l stands at [l // BLOCK, k, l % BLOCK]; a block's numbers are leaps from the state before it.
+    It writes the generator's next numbers, less 1, and returns the last state. Number k of try l is
+    at [l // BLOCK, k, l % BLOCK]; all numbers of a block are computed from the state before it by
+    powers of the multiplier.
     """
     width = target.width
     parts = BLOCK // width
@@ -127,6 +162,7 @@ def _drawing(target: Target, modulus: int, factors: list[int]) -> str:
     def same(value: int) -> str:
         return f"splat (i64 {value})"
 
+    # x mod (2^31 - 1) by adding the upper bits to the lower 31.
     def fold(name: str, result: str) -> list[str]:
         return [
             f"  %{result}.low = and {vector} %{name}, {same(modulus)}",
@@ -134,6 +170,7 @@ def _drawing(target: Target, modulus: int, factors: list[int]) -> str:
             f"  %{result} = add {vector} %{result}.low, %{result}.high",
         ]
 
+    # Four numbers per try; the constant 0x433... turns an integer into a double.
     lines: list[str] = []
     for part in range(parts):
         for k in range(4):
@@ -147,7 +184,7 @@ def _drawing(target: Target, modulus: int, factors: list[int]) -> str:
                 *fold(f"q{me}", f"raw{me}"),
                 f"  %bits{me} = or {vector} %raw{me}, {same(0x4330000000000000)}",
                 f"  %whole{me} = bitcast {vector} %bits{me} to {of}",
-                f"  %less{me} = fsub {of} %whole{me}, splat (double {_double(2.0**52 + 1.0)})",
+                f"  %less{me} = fsub {of} %whole{me}, splat (double {hexadecimal(2.0**52 + 1.0)})",
                 f"  %place{me} = getelementptr double, ptr %here, i64 {k * BLOCK + part * width}",
                 f"  store {of} %less{me}, ptr %place{me}, align 8",
             ]
@@ -177,11 +214,12 @@ done:
 """
 
 
-def _choosing(target: Target) -> str:
-    """``i64 choose(i64 tries, double* made, double* out)``: of made (blocks, {one, other, square}, BLOCK) the pairs that count.
+def _rejection_text(target: Target) -> str:
+    """Return LLVM text of ``i64 choose(i64 tries, double* made, double* out)``.
 
-    They stand side by side in their order; the value is how many. Every pair is stored where the next belongs; the place moves on
-    only if it counts.
+    Of ``made`` (blocks, {one, other, square}, BLOCK) it writes the accepted pairs side by side and
+    returns their number. Every pair is written; the position advances only if the pair is accepted,
+    which avoids a branch.
     """
     return f"""
 define i64 @choose(i64 %count, ptr noalias %made, ptr noalias %out) #0 {{
@@ -205,8 +243,8 @@ loop:
   %to.other = getelementptr double, ptr %to.one, i64 1
   store double %one, ptr %to.one, align 8
   store double %other, ptr %to.other, align 8
-  %near = fcmp ole double %square, {_double(1.0)}
-  %apart = fcmp une double %square, {_double(0.0)}
+  %near = fcmp ole double %square, {hexadecimal(1.0)}
+  %apart = fcmp une double %square, {hexadecimal(0.0)}
   %counts = and i1 %near, %apart
   %more.found = zext i1 %counts to i64
   %found.next = add i64 %found, %more.found
@@ -220,21 +258,19 @@ done:
 """
 
 
-def _double(value: float) -> str:
-    return f"0x{struct.unpack('<Q', struct.pack('<d', value))[0]:016X}"
+# Recursion of the gust filters: the results of ``dryden.numpy_recursion``, bit for bit.
 
-
-# The recursion of the gust filters as machine code: the same as
-# ``flight.gust_filters.numpy_recursion``, with the same bits.
-
-_SIDE_BY_SIDE = 4
-"""Segments summed at once: one sum waits for itself in each step."""
+_CHAINS = 4
+"""Segments that are summed side by side, because each sum depends on its last term."""
 
 
 @lru_cache(maxsize=8)
 def compiled_recursion(target: Target) -> dryden.Recur:
-    """The same as ``flight.gust_filters.numpy_recursion``, for a multiple of four segments."""
-    code = built(_text(target), "recur", target)
+    """Compile the recursion for a multiple of four segments.
+
+    The returned function raises ValueError for other sizes.
+    """
+    code = build_code(_recursion_text(target), "recur", target)
     pointer, integer = ctypes.c_void_p, ctypes.c_int64
     call = ctypes.CFUNCTYPE(None, *[pointer] * 3, integer, integer, ctypes.c_double, pointer)(
         code.address
@@ -249,11 +285,12 @@ def compiled_recursion(target: Target) -> dryden.Recur:
         segments = drive.size // powers.size
         if (
             segments * powers.size != drive.size
-            or segments % _SIDE_BY_SIDE
+            or segments % _CHAINS
             or not drive.flags.c_contiguous
         ):
             raise ValueError(
-                f"{drive.size} steps are not a multiple of {_SIDE_BY_SIDE} segments of {powers.size} in one piece"
+                f"{drive.size} steps are not a multiple of {_CHAINS} segments of"
+                f" {powers.size} in one piece"
             )
         out = np.empty(drive.size + 1)
         call(
@@ -272,9 +309,12 @@ def compiled_recursion(target: Target) -> dryden.Recur:
     return recur
 
 
-def _text(target: Target) -> str:
-    """``void recur(drive, powers, inverse, i64 segments, i64 steps, double last, out)``: sums of segments, then their states."""
-    chains = range(_SIDE_BY_SIDE)
+def _recursion_text(target: Target) -> str:
+    """Return LLVM text of ``void recur(drive, powers, inverse, i64 segments, i64 steps, double
+    last, out)``: weighted sums within segments first, then the states across segments.
+    """
+    # Several segments are summed side by side, because each sum waits for its last term.
+    chains = range(_CHAINS)
     sums = "\n".join(
         f"  %sum{c} = phi double [ 0.0, %segments ], [ %more{c}, %inner ]" for c in chains
     )
@@ -292,8 +332,8 @@ def _text(target: Target) -> str:
         for c in chains
     )
     return f"""
-define void @recur(ptr noalias %drive, ptr noalias %powers, ptr noalias %inverse, i64 %count, i64 %steps, double %last,
-                   ptr noalias %out) #0 {{
+define void @recur(ptr noalias %drive, ptr noalias %powers, ptr noalias %inverse, i64 %count,
+                   i64 %steps, double %last, ptr noalias %out) #0 {{
 entry:
   store double %last, ptr %out, align 8
   %states = getelementptr double, ptr %out, i64 1
@@ -313,7 +353,7 @@ inner:
   %k.more = icmp slt i64 %k.next, %steps
   br i1 %k.more, label %inner, label %summed
 summed:
-  %segment.next = add i64 %segment, {_SIDE_BY_SIDE}
+  %segment.next = add i64 %segment, {_CHAINS}
   %segment.more = icmp slt i64 %segment.next, %count
   br i1 %segment.more, label %segments, label %carry
 carry:

@@ -1,1 +1,1 @@
-"""JSBSim's own models as values of the intermediate form: earth, motion, atmosphere, winds, forces."""
+"""JSBSim's own models as values: motion, atmosphere, winds, auxiliary quantities."""

@@ -1,7 +1,8 @@
-"""US Standard Atmosphere 1976 as JSBSim 1.3.3 has it, dry, with its uniform temperature bias and sea level pressure.
+"""Trace the US Standard Atmosphere 1976 as in JSBSim 1.3.3, and air data.
 
-Layers are those of the standard up to 298,556 ft of geopotential height; JSBSim's height is the distance from the sea level
-ellipsoid along the radius.
+The atmosphere is dry, with JSBSim's uniform temperature bias and sea-level pressure. Layers are
+those of the standard up to 298,556 ft of geopotential height; JSBSim's height is the distance from
+the sea-level ellipsoid along the radius.
 """
 
 from __future__ import annotations
@@ -34,25 +35,27 @@ _SLOPES = tuple((t1 - t0) / (h1 - h0) for (h0, t0), (h1, t1) in itertools.pairwi
 
 PRODUCED = ("atmosphere/T-R", "atmosphere/P-psf", "atmosphere/rho-slugs_ft3", "atmosphere/a-fps")
 SETTINGS = {"atmosphere/delta-T": 0.0, "atmosphere/P-sl-psf": 2116.228}
-"""What may be set, and the standard day's values."""
+"""Settable properties, with the values of the standard day."""
 
 STANDARD_DENSITY_SLUGS_FT3 = SETTINGS["atmosphere/P-sl-psf"] / (_R_DRY * _LAYERS[0][1])
-"""At sea level of the standard day."""
+"""Density at sea level on the standard day."""
 
 
 def trace_atmosphere(frame: Frame) -> None:
-    """Temperature, pressure, density and speed of sound at the height of this frame."""
+    """Publish temperature, pressure, density and speed of sound at this frame's height."""
     height = frame.get("position/h-sl-ft")
     b = frame.builder
+    # Geopotential height
     potential = (height * _EARTH_RADIUS_FT) / (height + _EARTH_RADIUS_FT)
     bias = frame.get("atmosphere/delta-T")
     pressures = _breakpoints(bias, frame.get("atmosphere/P-sl-psf"))
 
     def pick(choices: list[Value | float]) -> Value:
-        found = b.value(choices[0])
+        """Return the choice of the layer."""
+        result = b.value(choices[0])
         for (base, _), choice in zip(_LAYERS[1:], choices[1:], strict=False):
-            found = potential.lt(base).choose(found, choice)
-        return found
+            result = potential.lt(base).choose(result, choice)
+        return result
 
     base = pick([h for h, _ in _LAYERS[:-1]])
     slope = pick(list(_SLOPES))
@@ -61,7 +64,8 @@ def trace_atmosphere(frame: Frame) -> None:
     temperature = pick([t for _, t in _LAYERS[:-1]]) + slope * above + bias
     exponent = _G0_FPS2 / _R_DRY
     isothermal = slope.eq(0.0)
-    # P = Pb (Tb/(Tb + L dh))^(g/RL), or Pb exp(-g dh/RTb) in an isothermal layer: eqs 33a and 33b of the standard
+    # P = Pb (Tb/(Tb + L dh))^(g/RL), or Pb exp(-g dh/RTb) in an isothermal layer: eqs 33a and 33b
+    # of the standard
     ratio = isothermal.choose(1.0, at_base / (at_base + slope * above))
     power = isothermal.choose(
         -(exponent * above / at_base),
@@ -82,9 +86,9 @@ def trace_atmosphere(frame: Frame) -> None:
 
 
 def _breakpoints(bias: Value, at_sea_level: Value) -> list[Value]:
-    """Pressure at the foot of each layer."""
+    """Return the pressure at the bottom of each layer."""
     b = bias.builder
-    found = [at_sea_level]
+    pressures = [at_sea_level]
     for ((h0, t0), (h1, _)), slope in zip(itertools.pairwise(_LAYERS), _SLOPES, strict=True):
         foot = t0 + bias
         if slope:
@@ -94,12 +98,14 @@ def _breakpoints(bias: Value, at_sea_level: Value) -> list[Value]:
             )
         else:
             factor = b.op("exp", -(_G0_FPS2 * (h1 - h0) / _R_DRY / foot))
-        found.append(found[-1] * factor)
-    return found[:-1]
+        pressures.append(pressures[-1] * factor)
+    return pressures[:-1]
 
 
 def _trace_altitudes(frame: Frame) -> None:
-    """Density and pressure altitude: geometric heights [ft] at which the standard day has this density or pressure."""
+    """Publish density and pressure altitude: the geometric heights [ft] at which the standard day
+    has this density or pressure.
+    """
     b = frame.builder
     density, pressure = frame.get("atmosphere/rho-slugs_ft3"), frame.get("atmosphere/P-psf")
     pressures = _breakpoints(b.constant(0.0), b.constant(SETTINGS["atmosphere/P-sl-psf"]))
@@ -111,14 +117,17 @@ def _trace_altitudes(frame: Frame) -> None:
 
 
 def _standard_height(value: Value, feet: list[Value], exponents: list[float]) -> Value:
-    """Geometric height [ft]; ``feet`` are the values at the foot of each layer."""
+    """Return the geometric height [ft] of a value; ``feet`` are the values at the bottom of each
+    layer.
+    """
     b = value.builder
 
     def pick(choices: Sequence[Value | float]) -> Value:
-        found = b.value(choices[-1])
+        """Return the choice of the layer."""
+        result = b.value(choices[-1])
         for foot, choice in zip(reversed(feet[1:]), reversed(choices[:-1]), strict=True):
-            found = value.ge(foot).choose(choice, found)
-        return found
+            result = value.ge(foot).choose(choice, result)
+        return result
 
     logarithm = b.op("log", value / pick(feet))
     layers = list(zip(_LAYERS, _SLOPES, strict=False))
@@ -129,35 +138,35 @@ def _standard_height(value: Value, feet: list[Value], exponents: list[float]) ->
         flat * logarithm, scale * (b.op("exp", pick(exponents) * logarithm) - 1.0)
     )
     height = pick([h for (h, _), _ in layers]) + rise
+    # Back to geometric height
     return height * _EARTH_RADIUS_FT / (_EARTH_RADIUS_FT - height)
 
 
-# What follows from airspeed and atmosphere alone: calibrated airspeed, total pressure and
-# temperature, Reynolds number, ratios.
-#
+# Air data: calibrated airspeed, total pressure and temperature, Reynolds number, ratios.
 # Calibrated airspeed: AFFTC-TIH-99-01, "Aircraft performance flight testing", sections 4.6 to
-# 4.8, with Rayleigh's formula behind a shock. Viscosity: U.S. Standard Atmosphere 1976, eq 51.
+# 4.8, with Rayleigh's formula behind a shock. Viscosity: US Standard Atmosphere 1976, eq 51.
 
 _KT = FT_M / KT_MPS
-"""Knots in a foot per second."""
+"""Knots per foot per second."""
 _P0_PSF, _A0_FPS = 2116.228, 1116.4485575897318
-"""Standard day at sea level, as JSBSim 1.3.3 has it."""
+"""Standard day at sea level, with the digits of JSBSim 1.3.3."""
 _VISCOSITY, _SUTHERLAND_R = 2.269690e-8, 198.72
 """Sutherland's constants, slug/(s ft sqrt(R)) and deg R."""
 _RAYLEIGH, _SUPERSONIC = 166.9215800931683, 0.8812848543473311
 """1.2^3.5 6^2.5, and 1.2^-1.75 (6/7)^-1.25."""
 _TURNS = 10
-"""Iterations of a supersonic Mach number."""
+"""Iterations for a supersonic Mach number."""
 
 
 def trace_air_data(frame: Frame) -> None:
-    """Write them; behind the auxiliary model's airspeed and Mach number."""
+    """Publish air data; runs after the auxiliary model's airspeed and Mach number."""
     b = frame.builder
     speed, mach = frame.get("velocities/vt-fps"), frame.get("velocities/mach")
     pressure, temperature, density = (
         frame.get(f"atmosphere/{name}") for name in ("P-psf", "T-R", "rho-slugs_ft3")
     )
     total = _pitot(b, mach, pressure)
+    # Mach number at sea level that gives the same impact pressure
     calibrated = mach.ne(0.0).choose(_A0_FPS * _mach(b, (total - pressure) / _P0_PSF + 1.0), 0.0)
     frame.write("velocities/vc-fps", calibrated)
     frame.write("velocities/vc-kts", calibrated * _KT)
@@ -174,7 +183,7 @@ def trace_air_data(frame: Frame) -> None:
 
 
 def trace_ratios(frame: Frame) -> None:
-    """Write the atmosphere over that of the same day at sea level."""
+    """Publish the atmosphere relative to sea level of the same day."""
     for name, of, below in (
         ("theta", "T-R", "T-sl-R"),
         ("delta", "P-psf", "P-sl-psf"),
@@ -187,22 +196,26 @@ def trace_ratios(frame: Frame) -> None:
 
 
 def _pitot(b: Builder, mach: Value, pressure: Value) -> Value:
-    """Total pressure [psf] behind a normal shock, if there is one, at a ratio of specific heats of 1.4."""
+    """Return the total pressure [psf], behind a normal shock if there is one; ratio of specific
+    heats 1.4.
+    """
     square = mach * mach
     slow = 1.0 + 0.2 * square
     fast = 7.0 * square - 1.0
-    behind = _RAYLEIGH * (square * square * square * mach) / _to_2_5(b, fast)
-    return pressure * mach.lt(1.0).choose(slow * _to_2_5(b, slow), behind)
+    behind = _RAYLEIGH * (square * square * square * mach) / _power_2_5(b, fast)
+    return pressure * mach.lt(1.0).choose(slow * _power_2_5(b, slow), behind)
 
 
 def _mach(b: Builder, ratio: Value) -> Value:
-    """The Mach number at which total over static pressure is ``ratio``."""
+    """Return the Mach number at which total over static pressure is ``ratio``."""
     slow = b.op("sqrt", 5.0 * (b.op("pow", ratio, b.constant(2.0 / 7.0)) - 1.0))
-    found = slow
+    mach = slow
+    # Fixed-point iteration of Rayleigh's formula.
     for _ in range(_TURNS):
-        found = _SUPERSONIC * b.op("sqrt", ratio * _to_2_5(b, 1.0 - 1.0 / (7.0 * found * found)))
-    return slow.gt(1.0).choose(found, slow)
+        mach = _SUPERSONIC * b.op("sqrt", ratio * _power_2_5(b, 1.0 - 1.0 / (7.0 * mach * mach)))
+    return slow.gt(1.0).choose(mach, slow)
 
 
-def _to_2_5(b: Builder, x: Value) -> Value:
+def _power_2_5(b: Builder, x: Value) -> Value:
+    """Return x^2.5."""
     return x * x * b.op("sqrt", x)

@@ -1,6 +1,8 @@
-"""What JSBSim's auxiliary model publishes: airspeed, incidence, dynamic pressure, load factors, pilot's accelerations, flight path.
+"""Trace JSBSim's auxiliary model: airspeed, incidence, dynamic pressure, load factors,
+accelerations at the pilot, flight path; and contact with the ground.
 
-It runs behind the systems and before the aerodynamics, so systems see the values of the frame before.
+It runs after the systems and before the aerodynamics, so systems see the values of the frame
+before.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from sysid.units import FT_M, G0_MPS2
 from uqharness.batch.form.ir import Value
 from uqharness.batch.models.atmosphere import STANDARD_DENSITY_SLUGS_FT3
 from uqharness.batch.models.motion import BODY_ACCELERATION, MATRIX, PLACE, matrix, slots, vector
-from uqharness.batch.models.vectors import Vector, applied, cross, dot, minus, plus, times
+from uqharness.batch.models.vectors import Vector, cross, dot, matvec, minus, plus, times
 from uqharness.batch.models.winds import AXES
 from uqharness.batch.translate.frame import TIME, Frame
 from uqharness.flight import ContactPoint
@@ -20,20 +22,26 @@ from uqharness.flight import ContactPoint
 _DEG = 180.0 / math.pi
 G_FPS2 = G0_MPS2 / FT_M
 """Standard gravity."""
-_LEAST_SPEED = 0.001
-_LEAST_SQUARE = 1e-6
+_MIN_SPEED = 0.001
+_MIN_SQUARE = 1e-6
 
 
 def trace_auxiliary(frame: Frame) -> None:
-    """Write everything that depends on the air and on the accelerations of the frame before."""
+    """Publish everything that depends on the air and on the accelerations of the frame before."""
     b = frame.builder
-    pqr: Vector = tuple(frame.get(f"velocities/{a}-rad_sec") for a in "pqr")  # type: ignore[assignment]
+    pqr: Vector = tuple(  # type: ignore[assignment]
+        frame.get(f"velocities/{a}-rad_sec") for a in "pqr"
+    )
     uvw: Vector = tuple(frame.get(f"velocities/{a}-fps") for a in "uvw")  # type: ignore[assignment]
-    air: Vector = tuple(frame.get(f"atmosphere/total-wind-{axis}-fps") for axis in AXES)  # type: ignore[assignment]
-    u, v, w = (b.value(c) for c in minus(uvw, applied(matrix(frame, MATRIX), air)))
+    air: Vector = tuple(  # type: ignore[assignment]
+        frame.get(f"atmosphere/total-wind-{axis}-fps") for axis in AXES
+    )
+    # Airspeed in body axes: velocity less total wind.
+    u, v, w = (b.value(c) for c in minus(uvw, matvec(matrix(frame, MATRIX), air)))
     for name, value in zip("uvw", (u, v, w), strict=True):
         frame.write(f"velocities/{name}-aero-fps", value)
     for k, name in enumerate("pqr"):
+        # Rotary gusts act as rates of the air.
         gust = frame.get(f"atmosphere/{name}-turb-rad_sec")
         frame.write(f"velocities/{name}-aero-rad_sec", b.value(pqr[k]) - gust)
     plane = u * u + w * w
@@ -54,7 +62,7 @@ def trace_auxiliary(frame: Frame) -> None:
         b.op("sqrt", 2.0 * (half * square) / STANDARD_DENSITY_SLUGS_FT3), 0.0
     )
     frame.write("velocities/ve-fps", equivalent)
-    _path(frame)
+    _flight_path(frame)
     _attitude_rates(frame, pqr)
     _accelerations(frame)
     height, span = frame.get("position/h-agl-ft"), frame.get("metrics/bw-ft")
@@ -65,18 +73,19 @@ def trace_auxiliary(frame: Frame) -> None:
 
 
 def _incidence(frame: Frame, air: tuple[Value, Value, Value], plane: Value, speed: Value) -> None:
+    """Publish angles of attack and sideslip and their rates."""
     b = frame.builder
     u, v, w = air
     udot, vdot, wdot = (frame.get(f"accelerations/{a}dot-ft_sec2") for a in "uvw")
-    moving, forward = speed.gt(_LEAST_SPEED), plane.ge(_LEAST_SQUARE)
-    both = b.op("and", moving, forward)
+    moving, forward = speed.gt(_MIN_SPEED), plane.ge(_MIN_SQUARE)
+    is_defined = b.op("and", moving, forward)
     root = b.op("sqrt", plane)
-    alpha = both.choose(b.op("atan2", w, u), 0.0)
+    alpha = is_defined.choose(b.op("atan2", w, u), 0.0)
     beta = moving.choose(b.op("atan2", v, root), 0.0)
     # Stevens and Lewis, eqs 2.3-6
     faster = (u * udot + v * vdot + w * wdot) / speed
-    alpha_rate = both.choose((u * wdot - w * udot) / plane, 0.0)
-    beta_rate = both.choose((vdot * speed - v * faster) / (speed * root), 0.0)
+    alpha_rate = is_defined.choose((u * wdot - w * udot) / plane, 0.0)
+    beta_rate = is_defined.choose((vdot * speed - v * faster) / (speed * root), 0.0)
     for name, value in (("alpha", alpha), ("beta", beta)):
         frame.write(f"aero/{name}-rad", value)
         frame.write(f"aero/{name}-deg", value * _DEG)
@@ -87,7 +96,8 @@ def _incidence(frame: Frame, air: tuple[Value, Value, Value], plane: Value, spee
     frame.write("aero/mag-beta-deg", b.op("abs", beta) * _DEG)
 
 
-def _path(frame: Frame) -> None:
+def _flight_path(frame: Frame) -> None:
+    """Publish ground speed, course and flight-path angle."""
     b = frame.builder
     north, east, down = (frame.get(f"velocities/v-{axis}-fps") for axis in AXES)
     ground = b.op("sqrt", north * north + east * east)
@@ -100,11 +110,13 @@ def _path(frame: Frame) -> None:
 
 
 def _attitude_rates(frame: Frame, pqr: Vector) -> None:
+    """Publish the rates of the Euler angles; at a pitch of 90 deg those of the frame before."""
     b = frame.builder
     phi, theta = frame.get("attitude/phi-rad"), frame.get("attitude/theta-rad")
     p, q, r = (b.value(c) for c in pqr)
     sine, cosine = b.op("sin", phi), b.op("cos", phi)
     frame.write("velocities/thetadot-rad_sec", q * cosine - r * sine)
+    # psi' = (q sin phi + r cos phi) / cos theta
     level = b.op("cos", theta)
     psi_rate = level.ne(0.0).choose(
         (q * sine + r * cosine) / level, frame.get("velocities/psidot-rad_sec")
@@ -117,7 +129,7 @@ def _attitude_rates(frame: Frame, pqr: Vector) -> None:
 
 
 def _accelerations(frame: Frame) -> None:
-    """Specific force at the CG [g] and at the eyepoint, from the frame before."""
+    """Publish specific force at the CG [g] and at the eyepoint, from the frame before."""
     body = vector(frame, BODY_ACCELERATION)
     b = frame.builder
     x, y, z = (b.value(c) for c in times(body, 1.0 / G_FPS2))
@@ -125,7 +137,9 @@ def _accelerations(frame: Frame) -> None:
     frame.write("accelerations/Ny", y)
     frame.write("accelerations/Nz", -z)
     rates: Vector = tuple(frame.memory(name) for name in slots("rates"))  # type: ignore[assignment]
-    turning: Vector = tuple(frame.memory(name) for name in slots("rates", 0))  # type: ignore[assignment]
+    turning: Vector = tuple(  # type: ignore[assignment]
+        frame.memory(name) for name in slots("rates", 0)
+    )
     arm = structural_to_body(frame, "eyepoint")
     pilot = plus(plus(body, cross(turning, arm)), cross(rates, cross(rates, arm)))
     for axis, value in zip("xyz", pilot, strict=True):
@@ -134,65 +148,75 @@ def _accelerations(frame: Frame) -> None:
 
 
 def structural_to_body(frame: Frame, point: str) -> Vector:
-    """From the CG to metrics/<point>-x-in ... in body axes [ft]: x forward, z down, where structural axes have x aft and z up."""
-    return arm(frame, tuple(frame.get(f"metrics/{point}-{axis}-in") for axis in "xyz"))  # type: ignore[arg-type]
+    """Return the vector from the CG to metrics/<point>-x-in ... in body axes [ft].
+
+    Body axes: x forward, z down. Structural axes: x aft, z up.
+    """
+    return arm(
+        frame,
+        tuple(frame.get(f"metrics/{point}-{axis}-in") for axis in "xyz"),  # type: ignore[arg-type]
+    )
 
 
 def arm(frame: Frame, at_in: tuple[Value, Value, Value]) -> Vector:
-    """From the CG to a point of the structural frame [in] in body axes [ft]."""
+    """Return the vector from the CG to a point of the structural frame [in] in body axes [ft]."""
     x, y, z = (frame.get(f"inertia/cg-{axis}-in") for axis in "xyz")
     inch = 1.0 / 12.0
     return ((x - at_in[0]) * inch, (at_in[1] - y) * inch, (z - at_in[2]) * inch)
 
 
 def trace_start_distance(frame: Frame) -> None:
-    """From the ellipsoid below the start of the flight in its local axes [ft]: position/from-start-neu-...; systems see it late."""
+    """Publish the position relative to the ellipsoid below the start, in its local axes [ft]:
+    position/from-start-neu-... .
+    """
 
     start = [
         frame.memory(f"start/{k}")
         for k in ("x", "y", "z", "sin-lat", "cos-lat", "sin-lon", "cos-lon", "height")
     ]
-    here = [frame.get(f"position/ecef-{axis}-ft") for axis in "xyz"]
+    position = [frame.get(f"position/ecef-{axis}-ft") for axis in "xyz"]
+    # The start is the position after initialising.
     if frame.initialising:
         place = [frame.memory(name) for name in PLACE]
-        start = [*here, *place, frame.get("position/geod-alt-ft")]
+        start = [*position, *place, frame.get("position/geod-alt-ft")]
         for name, value in zip(
             ("x", "y", "z", "sin-lat", "cos-lat", "sin-lon", "cos-lon", "height"),
             start,
             strict=True,
         ):
             frame.remember(f"start/{name}", value)
-    dx, dy, dz = (h - s for h, s in zip(here, start[:3], strict=True))
+    dx, dy, dz = (h - s for h, s in zip(position, start[:3], strict=True))
     sin_lat, cos_lat, sin_lon, cos_lon, height = start[3:]
-    along = cos_lon * dx + sin_lon * dy
-    frame.write("position/from-start-neu-n-ft", cos_lat * dz - sin_lat * along)
+    outward = cos_lon * dx + sin_lon * dy
+    frame.write("position/from-start-neu-n-ft", cos_lat * dz - sin_lat * outward)
     frame.write("position/from-start-neu-e-ft", cos_lon * dy - sin_lon * dx)
-    frame.write("position/from-start-neu-u-ft", cos_lat * along + sin_lat * dz + height)
+    frame.write("position/from-start-neu-u-ft", cos_lat * outward + sin_lat * dz + height)
 
 
-# Contact of gear and structure with the ground: it ends a flight, so no forces of contact are
-# computed.
-#
-# A contact point touches where it lies below the ground; one that retracts counts while its
-# gear is down. JSBSim looks for contact behind the aerodynamics, with the place and attitude of
-# the same frame.
+# Ground contact ends a flight, so contact forces are not computed. A point touches if it is below
+# the ground; a retractable one counts while its gear is down. JSBSim tests contact after the
+# aerodynamics, with position and attitude of the same frame.
 
 TOUCHED = "#ground/time"
-"""Slot: when a point first touched [s]; -1 until then."""
+"""Slot with the time of the first contact [s]; -1 before."""
 POINT = "#ground/point"
-"""Slot: the number of that point."""
+"""Slot with the index of the point that touched first; -1 before."""
 _DOWN = 0.99
-"""Position of a gear from which on JSBSim takes it for down."""
+"""Gear position from which JSBSim counts the gear as down."""
 
 
 def trace_ground(frame: Frame, points: Sequence[ContactPoint]) -> None:
-    """Remember the first contact. Behind the initialising frames TOUCHED tells of a flight that starts on the ground."""
+    """Remember the first contact.
+
+    After the initialising frames TOUCHED shows whether the flight starts on the ground.
+    """
     if not points:
         return
     b = frame.builder
     down = matrix(frame, MATRIX)
     height = frame.get("position/h-agl-ft")
     touched, point = frame.memory(TOUCHED[1:], -1.0), frame.memory(POINT[1:], -1.0)
+    # Walked backwards, so that the first point in the list wins.
     number: Value = b.constant(-1.0)
     for k, contact in reversed(list(enumerate(points))):
         x, y, z = (b.constant(c) for c in contact.at_in)

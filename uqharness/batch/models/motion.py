@@ -1,9 +1,11 @@
-"""The motion of the aircraft: state in inertial axes, JSBSim's integrators, and what follows from the state.
+"""Trace rigid-body motion: the earth, JSBSim's integrators, and what follows from the state.
 
-State (slots of ``Frame.memory``): attitude quaternion from inertial to body axes, body rates relative to inertial axes [rad/s],
-inertial position [ft] and velocity [ft/s], the earth's rotation angle [rad]; their derivatives of this frame and of up to four
-frames before. Found by experiment with JSBSim 1.3.3: the derivatives of the frame before move the state, the position moves with
-the velocity from before this step, and the attitude is brought to unit length only where it is off by more than 1e-10.
+State (slots of ``Frame.memory``): attitude quaternion from inertial to body axes, body rates
+relative to inertial axes [rad/s], inertial position [ft] and velocity [ft/s], rotation angle of the
+earth [rad]; and their derivatives of this frame and up to four frames before. As experiments with
+JSBSim 1.3.3 show, derivatives of the frame before advance the state, the position moves with the
+velocity from before the step, and the quaternion is normalised only if its length is off by more
+than 1e-10.
 """
 
 from __future__ import annotations
@@ -23,30 +25,29 @@ from uqharness.batch.models.vectors import (
     Matrix,
     Quaternion,
     Vector,
-    applied,
     cross,
     direction,
     inverse,
+    matmul,
+    matvec,
     minus,
     plus,
-    product,
     quaternion_rate,
     rotation,
     times,
-    transposed,
+    transpose,
 )
 from uqharness.batch.translate.frame import TIME, Frame
 
-# The earth: WGS-84 ellipsoid that rotates, gravity with J2, geodetic place and local axes.
-#
-# Lengths are in feet, as JSBSim has them. Geodetic place: T. Fukushima, "Transformation from
-# Cartesian to geodetic coordinates accelerated by Halley's method", Journal of Geodesy 79
-# (2006), 689-693. Local axes: Stevens and Lewis, "Aircraft control and simulation", 2nd ed., eq
-# 1.4-13. One iteration, as JSBSim 1.3.3 does it: its error lies below the rounding of a double.
+# The earth: rotating WGS-84 ellipsoid, gravity with J2, geodetic position and local axes, in feet
+# as in JSBSim. Geodetic position: T. Fukushima, "Transformation from Cartesian to geodetic
+# coordinates accelerated by Halley's method", Journal of Geodesy 79 (2006), 689-693, one
+# iteration as in JSBSim 1.3.3 (its error is below the rounding of a double). Local axes: Stevens
+# and Lewis, "Aircraft control and simulation", 2nd ed., eq 1.4-13.
 
 A_FT = 20925646.32546
 B_FT = 20855486.5951
-"""Half axes of the ellipsoid."""
+"""Semi-minor axis of the ellipsoid; ``A_FT`` is the semi-major one."""
 GM_FT3_S2 = 14.0764417572e15
 J2 = 1.08262982e-3
 RATE_RADPS = 0.00007292115
@@ -57,9 +58,22 @@ _E2 = 1.0 - _RATIO * _RATIO
 
 @dataclass(frozen=True)
 class Place:
-    """A point: ECEF coordinates, distance from the centre, and what follows from them.
+    """A point relative to the earth.
 
-    ``to_local`` turns earth-fixed components to north, east, down of the ellipsoid; ``height_ft`` is geodetic.
+    Attributes
+    ----------
+    ecef : vector
+        Earth-centred, earth-fixed coordinates [ft].
+    radius_ft : Value
+        Distance from the centre.
+    height_ft : Value
+        Geodetic height.
+    sea_level_radius_ft : Value
+        Radius of the ellipsoid below the point.
+    sin_latitude, cos_latitude, sin_longitude, cos_longitude : Value
+        Of the geodetic position.
+    to_local : matrix
+        From earth-fixed to north, east, down.
     """
 
     ecef: Vector
@@ -74,7 +88,7 @@ class Place:
 
 
 def place(ecef: Vector) -> Place:
-    """The point with these earth-fixed coordinates [ft]."""
+    """Return the point with these earth-fixed coordinates [ft]."""
     x, y, z = (_value(c, ecef) for c in ecef)
     b = x.builder
     radius = b.op("sqrt", x * x + y * y + z * z)
@@ -93,12 +107,16 @@ def place(ecef: Vector) -> Place:
 
 
 def _value(coordinate: Value | float, ecef: Vector) -> Value:
+    """Return a coordinate as a value of the builder of the others."""
     builder = next(c.builder for c in ecef if isinstance(c, Value))
     return builder.value(coordinate)
 
 
 def _geodetic(b: Builder, across: Value, z: Value) -> tuple[Value, Value, Value]:
-    """Sine and cosine of the geodetic latitude and the height above the ellipsoid [ft]."""
+    """Return sine and cosine of the geodetic latitude and the height above the ellipsoid [ft]
+    (Fukushima 2006).
+    """
+    # One iteration of Halley's method (Fukushima 2006)
     c = A_FT * _E2
     s0 = b.op("abs", z)
     zc, c0 = _RATIO * s0, _RATIO * across
@@ -118,7 +136,7 @@ def _geodetic(b: Builder, across: Value, z: Value) -> tuple[Value, Value, Value]
 
 
 def gravity(at: Place) -> Vector:
-    """Acceleration [ft/s2] in earth-fixed axes (Stevens and Lewis, eq 1.4-16)."""
+    """Return the acceleration [ft/s2] in earth-fixed axes (Stevens and Lewis, eq 1.4-16)."""
     x, y, z = at.ecef
     r = at.radius_ft
     ratio, sine = A_FT / r, z / r
@@ -128,14 +146,14 @@ def gravity(at: Place) -> Vector:
     return (level * (x / r), level * (y / r), polar * (z / r))
 
 
-def turned(angle_sin: Value, angle_cos: Value, v: Vector) -> Vector:
-    """Inertial components in axes that have turned by the earth's rotation angle."""
+def earth_fixed(angle_sin: Value, angle_cos: Value, v: Vector) -> Vector:
+    """Transform inertial components to axes turned by the earth's rotation angle."""
     return (angle_cos * v[0] + angle_sin * v[1], angle_cos * v[1] - angle_sin * v[0], v[2])
 
 
 def to_local(at: Place, v: Vector) -> Vector:
-    """Earth-fixed components to north, east, down."""
-    return applied(at.to_local, v)
+    """Transform earth-fixed components to north, east, down."""
+    return matvec(at.to_local, v)
 
 
 WEIGHTS = {
@@ -146,7 +164,9 @@ WEIGHTS = {
     4: (23.0 / 12.0, -16.0 / 12.0, 5.0 / 12.0),
     5: (55.0 / 24.0, -59.0 / 24.0, 37.0 / 24.0, -9.0 / 24.0),
 }
-"""JSBSim's numbers of integrators to weights of the derivatives, newest first: none, Euler, trapezoidal, Adams-Bashforth 2 to 4."""
+"""JSBSim's number of an integrator -> weights of the derivatives, newest first: none, Euler,
+trapezoidal, Adams-Bashforth of order 2 to 4.
+"""
 INTEGRATORS = {
     "attitude": "simulation/integrator/position/rotational",
     "rates": "simulation/integrator/rate/rotational",
@@ -159,22 +179,28 @@ _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 def slots(part: str, back: int = -1) -> list[str]:
-    """Slots of a part of the state (attitude, rates, position, velocity), or of its derivative, ``back`` frames old."""
+    """List slots of a part of the state (attitude, rates, position, velocity), or of its derivative
+    ``back`` frames ago.
+    """
     names = [f"{part}/{k}" for k in range(_SIZE[part])]
     return names if back < 0 else [f"{name}/rate{back}" for name in names]
 
 
 def _read(frame: Frame, names: Sequence[str]) -> tuple[Value, ...]:
+    """Return the values of slots."""
     return tuple(frame.memory(name) for name in names)
 
 
-def _keep(frame: Frame, names: Sequence[str], values: Sequence[Value | float]) -> None:
+def _remember(frame: Frame, names: Sequence[str], values: Sequence[Value | float]) -> None:
+    """Store values in slots."""
     for name, value in zip(names, values, strict=True):
         frame.remember(name, value)
 
 
 def integrate(frame: Frame, methods: dict[str, int]) -> None:
-    """Move the state on by one step of the frame; ``methods`` names the integrator of each part (a key of WEIGHTS)."""
+    """Advance the state by one step; ``methods`` names the integrator of each part (a key of
+    WEIGHTS).
+    """
     new = {}
     for part, number in methods.items():
         weights = WEIGHTS[number]
@@ -188,14 +214,17 @@ def integrate(frame: Frame, methods: dict[str, int]) -> None:
                     slope = slope + weight * rate[k]
                 value = value + frame.step * slope
             moved.append(value)
+        # Shift the history of derivatives.
         for back in range(len(weights) - 1, 0, -1):
-            _keep(frame, slots(part, back), rates[back - 1])
+            _remember(frame, slots(part, back), rates[back - 1])
         new[part] = moved
+    # All parts advance from the same old state.
     for part, values in new.items():
-        _keep(frame, slots(part), _unit(values) if part == "attitude" else values)
+        _remember(frame, slots(part), _unit(values) if part == "attitude" else values)
 
 
 def _unit(q: Sequence[Value]) -> list[Value]:
+    """Normalise a quaternion if its length is off by more than 1e-10."""
     b = q[0].builder
     size = b.op("sqrt", q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     factor = b.op("abs", 1.0 - size).gt(_NORMAL).choose(1.0 / size, 1.0)
@@ -203,18 +232,20 @@ def _unit(q: Sequence[Value]) -> list[Value]:
 
 
 def remember_derivatives(frame: Frame) -> None:
-    """Fill the histories, as JSBSim does when initialising ends: accelerations are those of the pass before this one."""
+    """Fill the histories, as JSBSim does when initialising ends: with the derivatives of the pass
+    before.
+    """
     for part in WEIGHTS_PARTS:
         newest = _read(frame, slots(part, 0))
         for back in range(1, 4):
-            _keep(frame, slots(part, back), newest)
+            _remember(frame, slots(part, back), newest)
 
 
 WEIGHTS_PARTS = ("attitude", "rates", "position", "velocity")
 
 
 def trace_propagate(frame: Frame, methods: dict[str, int]) -> None:
-    """Integrate (unless initialising) and write what JSBSim's propagation publishes."""
+    """Integrate (except while initialising) and publish what JSBSim's propagation publishes."""
     b = frame.builder
     angle = frame.memory("earth/angle")
     if not frame.initialising:
@@ -226,24 +257,28 @@ def trace_propagate(frame: Frame, methods: dict[str, int]) -> None:
     velocity = _vector(_read(frame, slots("velocity")))
     rates = _vector(_read(frame, slots("rates")))
     sine, cosine = b.op("sin", angle), b.op("cos", angle)
-    at = place(turned(sine, cosine, position))
+    at = place(earth_fixed(sine, cosine, position))
     inertial_to_body = rotation((q[0], q[1], q[2], q[3]))
     to_inertial: Matrix = ((cosine, -sine, 0.0), (sine, cosine, 0.0), (0.0, 0.0, 1.0))
-    local_to_body = product(product(inertial_to_body, to_inertial), transposed(at.to_local))
+    local_to_body = matmul(matmul(inertial_to_body, to_inertial), transpose(at.to_local))
     spin: Vector = (0.0, 0.0, RATE_RADPS)
-    uvw = applied(inertial_to_body, minus(velocity, cross(spin, position)))
+    # Body velocity relative to the rotating earth, and its rates.
+    uvw = matvec(inertial_to_body, minus(velocity, cross(spin, position)))
     pqr = minus(rates, times(_column(inertial_to_body, 2), RATE_RADPS))
-    ned = applied(transposed(local_to_body), uvw)
-    _keep(frame, slots("attitude", 0), quaternion_rate((q[0], q[1], q[2], q[3]), rates))
-    _keep(frame, slots("position", 0), _values(velocity, b))
-    _keep(frame, MATRIX, [b.value(local_to_body[i][j]) for i in range(3) for j in range(3)])
-    gravity_body = applied(product(inertial_to_body, to_inertial), gravity(at))
-    _keep(frame, GRAVITY, _values(gravity_body, b))
-    _keep(frame, SPIN, _values(times(_column(inertial_to_body, 2), RATE_RADPS), b))
-    centre = applied(inertial_to_body, cross(spin, cross(spin, position)))
-    _keep(frame, CENTRIPETAL, _values(centre, b))
-    _keep(frame, INERTIAL, [b.value(inertial_to_body[i][j]) for i in range(3) for j in range(3)])
-    _publish(frame, at, uvw, pqr, rates, ned, local_to_body)
+    ned = matvec(transpose(local_to_body), uvw)
+    _remember(frame, slots("attitude", 0), quaternion_rate((q[0], q[1], q[2], q[3]), rates))
+    _remember(frame, slots("position", 0), _values(velocity, b))
+    _remember(frame, MATRIX, [b.value(local_to_body[i][j]) for i in range(3) for j in range(3)])
+    gravity_body = matvec(matmul(inertial_to_body, to_inertial), gravity(at))
+    _remember(frame, GRAVITY, _values(gravity_body, b))
+    _remember(frame, SPIN, _values(times(_column(inertial_to_body, 2), RATE_RADPS), b))
+    # Centripetal acceleration of the rotating earth.
+    centre = matvec(inertial_to_body, cross(spin, cross(spin, position)))
+    _remember(frame, CENTRIPETAL, _values(centre, b))
+    _remember(
+        frame, INERTIAL, [b.value(inertial_to_body[i][j]) for i in range(3) for j in range(3)]
+    )
+    _publish(frame, at, uvw=uvw, pqr=pqr, rates=rates, ned=ned, local_to_body=local_to_body)
     _publish_place(frame, at, position, velocity)
 
 
@@ -255,37 +290,42 @@ CENTRIPETAL = [f"centripetal/{k}" for k in range(3)]
 
 
 def matrix(frame: Frame, names: Sequence[str]) -> Matrix:
-    """A matrix kept in nine slots."""
+    """Return a matrix that is stored in nine slots."""
     m = _read(frame, names)
     return ((m[0], m[1], m[2]), (m[3], m[4], m[5]), (m[6], m[7], m[8]))
 
 
 def vector(frame: Frame, names: Sequence[str]) -> Vector:
-    """A vector kept in three slots."""
+    """Return a vector that is stored in three slots."""
     return _vector(_read(frame, names))
 
 
 def _vector(values: Sequence[Value]) -> Vector:
+    """Return three values as a vector."""
     return (values[0], values[1], values[2])
 
 
 def _values(v: Vector, b: Builder) -> list[Value]:
+    """Return the components of a vector as values."""
     return [b.value(c) for c in v]
 
 
 def _column(m: Matrix, k: int) -> Vector:
+    """Return a column of a matrix."""
     return (m[0][k], m[1][k], m[2][k])
 
 
 def _publish(
     frame: Frame,
     at: Place,
+    *,
     uvw: Vector,
     pqr: Vector,
     rates: Vector,
     ned: Vector,
     local_to_body: Matrix,
 ) -> None:
+    """Publish velocities, rates and Euler angles."""
     b = frame.builder
     for name, value in zip("uvw", uvw, strict=True):
         frame.write(f"velocities/{name}-fps", value)
@@ -299,10 +339,12 @@ def _publish(
     t = local_to_body
     phi = _angle(frame, "phi", b.value(t[1][2]), b.value(t[2][2]))
     sine = b.value(t[0][2])
+    # Rounding may leave the range of the arc sine.
     limited = sine.lt(-1.0).choose(-1.0, sine.gt(1.0).choose(1.0, sine))
     theta = -b.op("asin", limited)
-    _keep_turn(frame, "theta", -limited, b.op("sqrt", (1.0 - limited) * (1.0 + limited)))
+    _remember_sine(frame, "theta", -limited, b.op("sqrt", (1.0 - limited) * (1.0 + limited)))
     psi = _angle(frame, "psi", b.value(t[0][1]), b.value(t[0][0]))
+    # Heading from 0 to 2 pi.
     psi = psi.lt(0.0).choose(psi + 2.0 * math.pi, psi)
     for name, value in (("phi", phi), ("theta", theta), ("psi", psi)):
         frame.write(f"attitude/{name}-rad", value)
@@ -313,22 +355,27 @@ def _publish(
 
 
 def _size(b: Builder, v: Vector) -> Value:
+    """Return the length of a vector."""
     return b.op("sqrt", b.value(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]))
 
 
 def _angle(frame: Frame, name: str, y: Value, x: Value) -> Value:
+    """Return atan2(y, x), pi/2 for x = 0 as in JSBSim, and keep its sine and cosine."""
     level, (cosine, sine) = x.eq(0.0), direction(x, y)
-    _keep_turn(frame, name, level.choose(1.0, sine), level.choose(0.0, cosine))
+    _remember_sine(frame, name, level.choose(1.0, sine), level.choose(0.0, cosine))
     return level.choose(0.5 * math.pi, frame.builder.op("atan2", y, x))
 
 
-def _keep_turn(frame: Frame, name: str, sine: Value, cosine: Value) -> None:
-    """The sine and cosine of an angle, for who wants them rather than the angle."""
+def _remember_sine(frame: Frame, name: str, sine: Value, cosine: Value) -> None:
+    """Store sine and cosine of an angle, so that `maths.reuse_sines` need not compute them
+    again.
+    """
     for prefix, value in ((SINE, sine), (COSINE, cosine)):
         frame.remember(f"{prefix[1:]}attitude/{name}-rad", value)
 
 
 def _publish_place(frame: Frame, at: Place, position: Vector, velocity: Vector) -> None:
+    """Publish position, height, latitude and longitude."""
     b = frame.builder
     terrain = frame.get("position/terrain-elevation-asl-ft")
     for axis, ecef, eci, speed in zip("xyz", at.ecef, position, velocity, strict=True):
@@ -336,6 +383,7 @@ def _publish_place(frame: Frame, at: Place, position: Vector, velocity: Vector) 
         frame.write(f"position/eci-{axis}-ft", eci)
         frame.write(f"velocities/eci-{axis}-fps", speed)
     frame.write("velocities/eci-velocity-mag-fps", _size(b, velocity))
+    # JSBSim's height is measured along the radius.
     above_sea = at.radius_ft - at.sea_level_radius_ft
     frame.write("position/h-sl-ft", above_sea)
     frame.write("position/h-sl-meters", above_sea * FT_M)
@@ -349,51 +397,61 @@ def _publish_place(frame: Frame, at: Place, position: Vector, velocity: Vector) 
     frame.write("position/lat-geod-deg", latitude * (180.0 / math.pi))
     frame.write("position/long-gc-rad", longitude)
     frame.write("position/long-gc-deg", longitude * (180.0 / math.pi))
-    _keep(frame, PLACE, [at.sin_latitude, at.cos_latitude, at.sin_longitude, at.cos_longitude])
+    _remember(frame, PLACE, [at.sin_latitude, at.cos_latitude, at.sin_longitude, at.cos_longitude])
 
 
 PLACE = [f"place/{k}" for k in ("sin-lat", "cos-lat", "sin-lon", "cos-lon")]
 
 
 def trace_time(frame: Frame) -> None:
-    """The clock, which goes on before anything else in a frame."""
+    """Advance the clock, before anything else in a frame."""
     if not frame.initialising:
         frame.write(TIME, frame.get(TIME) + frame.step)
 
 
 def inertia_matrix(frame: Frame) -> Matrix:
-    """From inertia/ixx-slugs_ft2 and its like [slug ft2].
+    """Return the inertia matrix [slug ft2] from inertia/ixx-slugs_ft2 and so on.
 
-    JSBSim gives ixz as an entry of the matrix, ixy and iyz with their sign changed.
+    JSBSim publishes ixz as the matrix entry, but ixy and iyz with the opposite sign.
     """
     ixx, iyy, izz, ixy, ixz, iyz = (frame.get(f"inertia/{name}-slugs_ft2") for name in _INERTIA)
     return ((ixx, -ixy, ixz), (-ixy, iyy, -iyz), (ixz, -iyz, izz))
 
 
 def trace_accelerations(frame: Frame) -> None:
-    """Forces and moments of this frame to the derivatives that move the next one (Stevens and Lewis, eqs 1.3-1 ff.)."""
+    """Compute the derivatives that advance the next frame from the forces and moments of this one
+    (Stevens and Lewis, eqs 1.3-1 ff.).
+    """
     b = frame.builder
-    force: Vector = tuple(frame.get(f"forces/fb{a}-total-lbs") for a in "xyz")  # type: ignore[assignment]
-    moment: Vector = tuple(frame.get(f"moments/{a}-total-lbsft") for a in "lmn")  # type: ignore[assignment]
+    force: Vector = tuple(  # type: ignore[assignment]
+        frame.get(f"forces/fb{a}-total-lbs") for a in "xyz"
+    )
+    moment: Vector = tuple(  # type: ignore[assignment]
+        frame.get(f"moments/{a}-total-lbsft") for a in "lmn"
+    )
     mass = frame.get("inertia/mass-slugs")
     inertia = inertia_matrix(frame)
     rates = _vector(_read(frame, slots("rates")))
     spin = vector(frame, SPIN)
-    pqr: Vector = tuple(frame.get(f"velocities/{a}-rad_sec") for a in "pqr")  # type: ignore[assignment]
+    pqr: Vector = tuple(  # type: ignore[assignment]
+        frame.get(f"velocities/{a}-rad_sec") for a in "pqr"
+    )
     uvw: Vector = tuple(frame.get(f"velocities/{a}-fps") for a in "uvw")  # type: ignore[assignment]
-    turning = applied(inverse(inertia), minus(moment, cross(rates, applied(inertia, rates))))
+    # I w' = M - w x (I w)
+    turning = matvec(inverse(inertia), minus(moment, cross(rates, matvec(inertia, rates))))
     relative = plus(turning, cross(rates, spin))
     body: Vector = times(force, 1.0 / mass)
     gravity = vector(frame, GRAVITY)
+    # Acceleration in the rotating frame: Coriolis, centripetal and gravity terms
     linear = minus(body, cross(plus(pqr, times(spin, 2.0)), uvw))
     linear = plus(minus(linear, vector(frame, CENTRIPETAL)), gravity)
-    inertial = applied(transposed(matrix(frame, INERTIAL)), plus(body, gravity))
-    _keep(frame, slots("rates", 0), _values(turning, b))
-    _keep(frame, slots("velocity", 0), _values(inertial, b))
-    _keep(frame, BODY_ACCELERATION, _values(body, b))
-    for name, value, own in zip("pqr", relative, turning, strict=True):
+    inertial = matvec(transpose(matrix(frame, INERTIAL)), plus(body, gravity))
+    _remember(frame, slots("rates", 0), _values(turning, b))
+    _remember(frame, slots("velocity", 0), _values(inertial, b))
+    _remember(frame, BODY_ACCELERATION, _values(body, b))
+    for name, value, inertial_rate in zip("pqr", relative, turning, strict=True):
         frame.write(f"accelerations/{name}dot-rad_sec2", value)
-        frame.write(f"accelerations/{name}idot-rad_sec2", own)
+        frame.write(f"accelerations/{name}idot-rad_sec2", inertial_rate)
     for name, value in zip("uvw", linear, strict=True):
         frame.write(f"accelerations/{name}dot-ft_sec2", value)
     g = gravity
@@ -422,12 +480,16 @@ CONDITIONS = (
     "ic/q-rad_sec",
     "ic/r-rad_sec",
 )
-"""What a start is made of."""
+"""Properties that define a start."""
 _BITS = 44
 
 
-def rounded(value: float) -> float:
-    """To 44 bits: initial conditions pass through the C library's sines, which differ in the last place between machines."""
+def round_44_bits(value: float) -> float:
+    """Round to 44 bits.
+
+    Initial conditions pass through the C library's sines, which differ in the last place between
+    machines.
+    """
     fraction, exponent = math.frexp(value)
     return (
         math.ldexp(round(math.ldexp(fraction, _BITS)), exponent - _BITS)
@@ -436,8 +498,8 @@ def rounded(value: float) -> float:
     )
 
 
-def _rounded(values: FloatArray) -> FloatArray:
-    """`rounded` of every element."""
+def _round_array(values: FloatArray) -> FloatArray:
+    """Apply `round_44_bits` to every element."""
     fraction, exponent = np.frexp(values)
     return np.asarray(
         np.where(
@@ -449,33 +511,35 @@ def _rounded(values: FloatArray) -> FloatArray:
 
 
 def start_state(conditions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Slots of the motion from CONDITIONS, arrays over lanes."""
-    found, _ = evaluate(_FUNCTION, start_conditions(conditions))
-    return found
+    """Compute the slots of the motion from CONDITIONS, arrays over lanes."""
+    state, _ = evaluate(_START_FUNCTION, start_conditions(conditions))
+    return state
 
 
 def start_conditions(conditions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """CONDITIONS as a start is made of them, arrays over lanes."""
+    """Return CONDITIONS rounded as a start uses them, arrays over lanes."""
     return {
-        name: _rounded(np.atleast_1d(np.asarray(conditions[name], dtype=float)))
+        name: _round_array(np.atleast_1d(np.asarray(conditions[name], dtype=float)))
         for name in CONDITIONS
     }
 
 
 def start_section() -> Section:
-    """`start_state` as a part of a frame: it loads the slots CONDITIONS."""
+    """Return `start_state` as a section, which loads the slots CONDITIONS."""
     b = Builder()
-    for name, value in _start(b, b.load).items():
+    for name, value in _start_values(b, b.load).items():
         b.store(name, value)
     return Section("start", b.finish({}))
 
 
-def _outputs() -> Function:
+def _start_function() -> Function:
+    """Return `start_state` as a lowered function with CONDITIONS as inputs."""
     b = Builder()
-    return lower(b.finish(_start(b, b.input), {}))
+    return lower(b.finish(_start_values(b, b.input), {}))
 
 
-def _start(b: Builder, read: Callable[[str], Value]) -> dict[str, Value]:
+def _start_values(b: Builder, read: Callable[[str], Value]) -> dict[str, Value]:
+    """Compute the initial state from CONDITIONS."""
     lat, lon, height, phi, theta, psi, u, v, w, p, q, r = (read(name) for name in CONDITIONS)
     sin_lat, cos_lat, sin_lon, cos_lon = (
         b.op("sin", lat),
@@ -483,15 +547,17 @@ def _start(b: Builder, read: Callable[[str], Value]) -> dict[str, Value]:
         b.op("sin", lon),
         b.op("cos", lon),
     )
+    # Geodetic to Cartesian coordinates
     squeeze = (B_FT / A_FT) ** 2
     normal = A_FT / b.op("sqrt", 1.0 - (1.0 - squeeze) * (sin_lat * sin_lat))
     across = (normal + height) * cos_lat
     position: Vector = (across * cos_lon, across * sin_lon, (normal * squeeze + height) * sin_lat)
-    attitude = _after(_about_z(lon), _about_y(-(lat + 0.5 * math.pi)))
-    attitude = _after(_after(_after(attitude, _about_z(psi)), _about_y(theta)), _about_x(phi))
+    # From inertial axes to local axes, then by heading, pitch and bank.
+    attitude = _compose(_about_z(lon), _about_y(-(lat + 0.5 * math.pi)))
+    attitude = _compose(_compose(_compose(attitude, _about_z(psi)), _about_y(theta)), _about_x(phi))
     to_body = rotation(attitude)
     spin: Vector = (0.0, 0.0, RATE_RADPS)
-    velocity = plus(applied(transposed(to_body), (u, v, w)), cross(spin, position))
+    velocity = plus(matvec(transpose(to_body), (u, v, w)), cross(spin, position))
     rates = plus((p, q, r), times((to_body[0][2], to_body[1][2], to_body[2][2]), RATE_RADPS))
     values = {"attitude": attitude, "position": position, "velocity": velocity, "rates": rates}
     return {
@@ -502,30 +568,34 @@ def _start(b: Builder, read: Callable[[str], Value]) -> dict[str, Value]:
 
 
 def _half(angle: Value) -> tuple[Value, Value]:
+    """Return cosine and sine of half an angle."""
     b = angle.builder
     return b.op("cos", 0.5 * angle), b.op("sin", 0.5 * angle)
 
 
 def _about_x(angle: Value) -> Quaternion:
+    """Return the quaternion of a rotation about x."""
     c, s = _half(angle)
     zero = angle.builder.constant(0.0)
     return (c, s, zero, zero)
 
 
 def _about_y(angle: Value) -> Quaternion:
+    """Return the quaternion of a rotation about y."""
     c, s = _half(angle)
     zero = angle.builder.constant(0.0)
     return (c, zero, s, zero)
 
 
 def _about_z(angle: Value) -> Quaternion:
+    """Return the quaternion of a rotation about z."""
     c, s = _half(angle)
     zero = angle.builder.constant(0.0)
     return (c, zero, zero, s)
 
 
-def _after(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Turn by a, then by b (about the axes that a has turned)."""
+def _compose(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Rotate by a, then by b about the rotated axes."""
     a0, a1, a2, a3 = a
     b0, b1, b2, b3 = b
     return (
@@ -536,4 +606,4 @@ def _after(a: Quaternion, b: Quaternion) -> Quaternion:
     )
 
 
-_FUNCTION = _outputs()
+_START_FUNCTION = _start_function()

@@ -1,4 +1,7 @@
-"""Vectors, matrices and quaternions of values. A vector is three values, a matrix three rows, a quaternion scalar part first."""
+"""Vectors, matrices and quaternions of values.
+
+A vector is three values, a matrix three rows, a quaternion scalar part first.
+"""
 
 from __future__ import annotations
 
@@ -11,43 +14,43 @@ Quaternion = tuple[Value, Value, Value, Value]
 
 
 def plus(a: Vector, b: Vector) -> Vector:
-    """a + b."""
+    """Return a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 def minus(a: Vector, b: Vector) -> Vector:
-    """a - b."""
+    """Return a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
 def times(a: Vector, factor: Number) -> Vector:
-    """a times a number."""
+    """Return a times a number."""
     return (factor * a[0], factor * a[1], factor * a[2])
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """a x b."""
+    """Return a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def dot(a: Vector, b: Vector) -> Number:
-    """a . b."""
+    """Return a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def applied(m: Matrix, v: Vector) -> Vector:
-    """Matrix times vector."""
+def matvec(m: Matrix, v: Vector) -> Vector:
+    """Return m v."""
     return (dot(m[0], v), dot(m[1], v), dot(m[2], v))
 
 
-def transposed(m: Matrix) -> Matrix:
-    """Rows become columns."""
+def transpose(m: Matrix) -> Matrix:
+    """Return the transpose."""
     return ((m[0][0], m[1][0], m[2][0]), (m[0][1], m[1][1], m[2][1]), (m[0][2], m[1][2], m[2][2]))
 
 
-def product(a: Matrix, b: Matrix) -> Matrix:
-    """a b."""
-    c = transposed(b)
+def matmul(a: Matrix, b: Matrix) -> Matrix:
+    """Return a b."""
+    c = transpose(b)
     return (
         (dot(a[0], c[0]), dot(a[0], c[1]), dot(a[0], c[2])),
         (dot(a[1], c[0]), dot(a[1], c[1]), dot(a[1], c[2])),
@@ -56,7 +59,9 @@ def product(a: Matrix, b: Matrix) -> Matrix:
 
 
 def rotation(q: Quaternion) -> Matrix:
-    """The matrix that turns components into the axes of the attitude q (Stevens and Lewis, 2nd ed., eq 1.3-32)."""
+    """Return the matrix that transforms components into the axes of attitude q (Stevens and Lewis,
+    2nd ed., eq 1.3-32).
+    """
     q0, q1, q2, q3 = q
     s0, s1, s2, s3 = q0 * q0, q1 * q1, q2 * q2, q3 * q3
     return (
@@ -67,7 +72,7 @@ def rotation(q: Quaternion) -> Matrix:
 
 
 def quaternion_rate(q: Quaternion, w: Vector) -> Quaternion:
-    """dq/dt of an attitude that turns with body rates w (Stevens and Lewis, eq 1.3-30)."""
+    """Return dq/dt of an attitude with body rates w (Stevens and Lewis, eq 1.3-30)."""
     q0, q1, q2, q3 = q
     p, qq, r = w
     return (
@@ -79,7 +84,7 @@ def quaternion_rate(q: Quaternion, w: Vector) -> Quaternion:
 
 
 def inverse(m: Matrix) -> Matrix:
-    """By cofactors."""
+    """Invert a matrix by cofactors."""
     (a, b, c), (d, e, f), (g, h, i) = m
     rows = (
         (e * i - f * h, c * h - b * i, b * f - c * e),
@@ -92,7 +97,10 @@ def inverse(m: Matrix) -> Matrix:
 
 
 def direction(x: Value, y: Value) -> tuple[Value, Value]:
-    """Cosine and sine of the angle of the point (x, y); NaN for the origin. Coordinates are 1e60 at most in size."""
+    """Return cosine and sine of the angle of the point (x, y); NaN for the origin.
+
+    Coordinates must not exceed 1e60 in size.
+    """
     large = 2.0**300  # The square of a coordinate of 1e-200 would be 0.
     x, y = x * large, y * large
     inverse = 1.0 / x.builder.op("sqrt", x * x + y * y)

@@ -1,8 +1,10 @@
-"""Wind, gusts and JSBSim's Tustin-discretised Dryden turbulence (atmosphere/turb-type 4).
+"""Trace wind, gusts and JSBSim's Dryden turbulence (atmosphere/turb-type 4, Tustin discretisation).
 
-Turbulence: J. Yeager, "Implementation and testing of turbulence models for the F18-HARV", NASA CR-1998-206937; sizes and scale
-lengths of MIL-F-8785C, figures 7, 10 and 11. What JSBSim 1.3.3 makes of it (height above sea level, axes along the wind's
-azimuth with the rotation's sign reversed, the sign of q) is kept: docs/jsbsim-traps.md names it, the air system mends it.
+Turbulence: J. Yeager, "Implementation and testing of turbulence models for the F18-HARV", NASA
+CR-1998-206937; intensities and scale lengths of MIL-F-8785C, figures 7, 10 and 11. Deviations of
+JSBSim 1.3.3 (height above sea level, axes along the wind's azimuth with the rotation's sign
+reversed, sign of q) are reproduced; docs/jsbsim-traps.md lists them, and the air system corrects
+them.
 """
 
 from __future__ import annotations
@@ -13,11 +15,11 @@ from typing import NamedTuple
 
 from sysid.units import FT_M
 from uqharness.batch.form.ir import Value
-from uqharness.batch.form.maths import rounded
+from uqharness.batch.form.maths import round_to_even
 from uqharness.batch.form.program import Stream, When
 from uqharness.batch.models.motion import MATRIX, matrix
-from uqharness.batch.models.vectors import Vector, applied, direction
-from uqharness.batch.translate.frame import Frame
+from uqharness.batch.models.vectors import Vector, direction, matvec
+from uqharness.batch.translate.frame import Frame, integer_hook
 from uqharness.errors import BadInputError
 
 AXES = ("north", "east", "down")
@@ -29,7 +31,7 @@ _PSI = "atmosphere/psiw-rad"
 DRAWS = tuple(f"#turbulence/nu-{k}" for k in ("u", "v", "w", "p"))
 COUNTER = "#turbulence/row"
 NORMALS = Stream("turbulence", DRAWS, counter=COUNTER)
-"""Standard normals of JSBSim's atmosphere generator, a row for each frame in which the filters run."""
+"""Standard normals of JSBSim's atmosphere generator, one row per frame in which the filters run."""
 MASK, HIGH = "#turbulence/on", "#turbulence/high"
 
 _HEIGHTS = (
@@ -55,13 +57,16 @@ _SIGMA = (
     (15.6, 17.6, 23.0, 23.6, 22.1, 20.0, 16.0, 15.1, 12.1, 7.9, 6.2, 5.1),
     (18.7, 21.5, 28.4, 30.2, 30.7, 31.0, 25.2, 23.1, 17.5, 10.7, 8.4, 7.2),
 )
-"""Root mean square of the vertical gust [ft/s] by severity 1 to 7 and height [ft]: MIL-F-8785C, figure 7."""
+"""Root mean square of the vertical gust [ft/s] by severity 1 to 7 and height [ft]: MIL-F-8785C,
+figure 7.
+"""
 
 
 def set_psi(frame: Frame, value: Value) -> None:
-    """Write atmosphere/psiw-rad: JSBSim turns the steady wind to it."""
+    """Write atmosphere/psiw-rad: JSBSim turns the steady wind to this azimuth."""
     size = _size(frame)
     b = frame.builder
+    # Without wind JSBSim resets the azimuth.
     none = size.eq(0.0)
     cosine, sine = b.op("cos", value), b.op("sin", value)
     frame.store(_PSI, none.choose(0.0, value))
@@ -77,7 +82,9 @@ def set_psi(frame: Frame, value: Value) -> None:
 
 
 def set_size(frame: Frame, value: Value) -> None:
-    """Write atmosphere/wind-mag-fps: along the wind's azimuth; northwards where there was no wind."""
+    """Write atmosphere/wind-mag-fps: along the wind's azimuth, to the north if there was no
+    wind.
+    """
     none = _size(frame).eq(0.0)
     cosine, sine = _direction(frame)
     frame.store(_PSI, none.choose(0.0, frame.get(_PSI)))
@@ -88,32 +95,23 @@ def set_size(frame: Frame, value: Value) -> None:
     frame.store("atmosphere/wind-down-fps", none.choose(down, 0.0))
 
 
-def _whole(name: str) -> Callable[[Frame, Value], None]:
-    """JSBSim keeps a whole number: what stands behind the point is cut off."""
-
-    def write(frame: Frame, value: Value) -> None:
-        size = frame.builder.op("floor", frame.builder.op("abs", value))
-        frame.store(name, value.lt(0.0).choose(-size, size))
-
-    return write
-
-
 WRITES: Mapping[str, Callable[[Frame, Value], None]] = {
     _PSI: set_psi,
     "atmosphere/wind-mag-fps": set_size,
-    TYPE: _whole(TYPE),
-    _SEVERITY: _whole(_SEVERITY),
+    TYPE: integer_hook(TYPE),
+    _SEVERITY: integer_hook(_SEVERITY),
 }
-"""For ``Frame.hooks``: properties whose setting moves others, or that are cut."""
+"""For ``Frame.hooks``: properties whose setting changes others, or that are truncated."""
 
 
 def _size(frame: Frame) -> Value:
+    """Return the wind speed [ft/s]."""
     n, e, d = (frame.get(f"atmosphere/wind-{axis}-fps") for axis in AXES)
     return frame.builder.op("sqrt", n * n + e * e + d * d)
 
 
 def _direction(frame: Frame) -> tuple[Value, Value]:
-    """Cosine and sine of the wind's azimuth."""
+    """Return cosine and sine of the wind's azimuth."""
     if _PSI in frame.inputs:
         psi = frame.get(_PSI)
         return frame.builder.op("cos", psi), frame.builder.op("sin", psi)
@@ -121,12 +119,15 @@ def _direction(frame: Frame) -> tuple[Value, Value]:
 
 
 def _keep_direction(frame: Frame, cosine: Value, sine: Value) -> None:
+    """Store cosine and sine of the wind's azimuth."""
     frame.remember("wind/cosine", cosine, 1.0)
     frame.remember("wind/sine", sine)
 
 
 def turn_gusts(frame: Frame) -> None:
-    """Host gusts [m/s] in heading axes to JSBSim's gusts, for an aircraft without the air system."""
+    """Convert host gusts [m/s] in heading axes to JSBSim's gusts, for an aircraft without the air
+    system.
+    """
     b = frame.builder
     psi = frame.get("attitude/psi-rad")
     u, v, w = (frame.get(f"air/host/{name}-mps") for name in "uvw")
@@ -137,26 +138,32 @@ def turn_gusts(frame: Frame) -> None:
 
 
 def trace_winds(frame: Frame) -> None:
-    """Turbulence, where it is on, in a section of its own; then the wind that the aircraft meets."""
+    """Trace turbulence in a section that runs only while it is on, then the total wind.
+
+    Raises BadInputError for turbulence that is on from the start.
+    """
     with frame.section("turbulence: whether"):
         kind = frame.get(TYPE)
+        # A constant type means that turbulence can never be switched on.
         if kind.constant is None:
-            _whether(frame, kind)
+            _switch_turbulence(frame, kind)
         elif kind.constant != 0.0 and frame.get(_SEVERITY).constant != 0.0:
             raise BadInputError(
-                f"{TYPE} stands at {kind.constant:g} from the start of the flight: the batch engine has turbulence of type 4 that "
-                "is switched on in flight, as the air system does it"
+                f"{TYPE} is {kind.constant:g} from the start of the flight: the batch engine"
+                " supports turbulence of type 4, and only if it is switched on in flight, as the"
+                " air system does"
             )
     if kind.constant is None:
         with frame.section("turbulence: aloft", When(mask=HIGH)):
-            frame.remember("turbulence/aloft", _aloft(frame, frame.get("position/h-sl-ft")))
+            frame.remember("turbulence/aloft", _sigma_aloft(frame, frame.get("position/h-sl-ft")))
         with frame.section("turbulence", When(mask=MASK)):
             _filters(frame)
     with frame.section("wind"):
-        _total(frame)
+        _total_wind(frame)
 
 
-def _whether(frame: Frame, kind: Value) -> None:
+def _switch_turbulence(frame: Frame, kind: Value) -> None:
+    """Set the masks of the turbulence sections."""
     b = frame.builder
     speed = _airspeed(frame)
     on = b.op("and", b.op("and", kind.eq(TUSTIN), frame.get(_SEVERITY).ne(0.0)), speed.ne(0.0))
@@ -164,37 +171,41 @@ def _whether(frame: Frame, kind: Value) -> None:
     frame.remember("turbulence/speed", speed)
     high = b.op("and", on, frame.get("position/h-sl-ft").gt(1000.0))
     frame.remember(HIGH[1:], high.choose(1.0, 0.0))
-    # Off, or severity 0: JSBSim puts the velocities to 0; what the filters remember stays. Other types are not known here.
-    known = b.op("or", b.op("or", kind.eq(0.0), kind.eq(TUSTIN)), frame.get(_SEVERITY).eq(0.0))
-    for name in OUT:
-        frame.write(name, on.choose(frame.get(name), known.choose(0.0, math.nan)))
+    # Off, or severity 0: JSBSim sets the velocities to 0 and keeps the filters' states. Other
+    # types are not supported: NaN.
+    is_supported = b.op(
+        "or", b.op("or", kind.eq(0.0), kind.eq(TUSTIN)), frame.get(_SEVERITY).eq(0.0)
+    )
+    for name in OUTPUTS:
+        frame.write(name, on.choose(frame.get(name), is_supported.choose(0.0, math.nan)))
 
 
-def _total(frame: Frame) -> None:
+def _total_wind(frame: Frame) -> None:
+    """Publish the total wind and the steady wind's azimuth."""
     for axis in AXES:
         parts = [frame.get(f"atmosphere/{kind}-{axis}-fps") for kind in ("wind", "gust", "turb")]
         frame.write(f"atmosphere/total-wind-{axis}-fps", parts[0] + parts[1] + parts[2])
     b = frame.builder
     north, east = (frame.get(f"atmosphere/wind-{axis}-fps") for axis in AXES[:2])
-    known, old = north.ne(0.0), frame.get(_PSI)
-    psi = known.choose(b.op("atan2", east, north), old)
+    is_defined, old = north.ne(0.0), frame.get(_PSI)
+    psi = is_defined.choose(b.op("atan2", east, north), old)
     frame.store(_PSI, psi.lt(0.0).choose(psi + 2.0 * math.pi, psi))
     if frame.initialising:
         _keep_direction(frame, b.op("cos", psi), b.op("sin", psi))
         return
     cosine, sine = _direction(frame)
-    along, across = direction(north, east)
-    _keep_direction(frame, known.choose(along, cosine), known.choose(across, sine))
+    new_cosine, new_sine = direction(north, east)
+    _keep_direction(frame, is_defined.choose(new_cosine, cosine), is_defined.choose(new_sine, sine))
 
 
-OUT = (
+OUTPUTS = (
     *(f"atmosphere/turb-{axis}-fps" for axis in AXES),
     *(f"atmosphere/{k}-turb-rad_sec" for k in "pqr"),
 )
 
 
 def _airspeed(frame: Frame) -> Value:
-    """Without turbulence: what the filters move along with [ft/s]."""
+    """Return the airspeed without turbulence, at which the filters move [ft/s]."""
     b = frame.builder
     total = b.constant(0.0)
     for axis in AXES:
@@ -206,19 +217,22 @@ def _airspeed(frame: Frame) -> Value:
     return b.op("sqrt", total)
 
 
-def _sizes(frame: Frame) -> tuple[Value, Value, Value, Value]:
-    """Scale lengths Lu and Lw [ft] and sigmas u and w [ft/s]."""
+def _scales_and_sigmas(frame: Frame) -> tuple[Value, Value, Value, Value]:
+    """Return scale lengths Lu and Lw [ft] and standard deviations u and w [ft/s]."""
     b = frame.builder
     h = frame.get("position/h-sl-ft")
+    # The model starts at 10 ft.
     h = h.le(10.0).choose(10.0, h)
     low, high = h.le(1000.0), h.gt(2000.0)
     w20 = frame.get(_W20)
-    # MIL-F-8785C, figures 10 and 11: (0.177 + 0.000823 h)^1.2 and ^0.4, of which the one is the cube of the other.
+    # MIL-F-8785C, figures 10 and 11: (0.177 + 0.000823 h)^1.2 and ^0.4, of which the one is the
+    # cube of the other.
     root = b.op("exp", -0.4 * b.op("log", 0.177 + 0.000823 * b.op("min", h, b.constant(1000.0))))
     lw_low, sw_low = h, 0.1 * w20
     lu_low = h * (root * root * root)
     su_low = sw_low * root
     aloft = frame.memory("turbulence/aloft")
+    # Linear between 1000 and 2000 ft.
     between = (h - 1000.0) / 1000.0
     l_high = high.choose(1750.0, 1000.0 + between * 750.0)
     s_high = high.choose(aloft, sw_low + between * (aloft - sw_low))
@@ -230,28 +244,33 @@ def _sizes(frame: Frame) -> tuple[Value, Value, Value, Value]:
     )
 
 
-def _aloft(frame: Frame, h: Value) -> Value:
-    """Figure 7 between its heights, at a whole severity."""
+def _sigma_aloft(frame: Frame, h: Value) -> Value:
+    """Interpolate figure 7 over height, at an integer severity."""
     severity = frame.get(_SEVERITY)
     b = frame.builder
 
     def row(sigmas: Sequence[float]) -> Value:
-        found: Value = b.constant(sigmas[-1])
+        """Interpolate one severity."""
+        sigma: Value = b.constant(sigmas[-1])
         for k in range(len(_HEIGHTS) - 2, -1, -1):
             weight = (h - _HEIGHTS[k]) / (_HEIGHTS[k + 1] - _HEIGHTS[k])
-            found = h.lt(_HEIGHTS[k + 1]).choose(
-                sigmas[k] + weight * (sigmas[k + 1] - sigmas[k]), found
+            sigma = h.lt(_HEIGHTS[k + 1]).choose(
+                sigmas[k] + weight * (sigmas[k + 1] - sigmas[k]), sigma
             )
-        return h.lt(_HEIGHTS[0]).choose(sigmas[0], found)
+        return h.lt(_HEIGHTS[0]).choose(sigmas[0], sigma)
 
-    found: Value = b.constant(math.nan)
+    result: Value = b.constant(math.nan)
     for number, sigmas in enumerate(_SIGMA, start=1):
-        found = severity.eq(float(number)).choose(row(sigmas), found)
-    return found
+        result = severity.eq(float(number)).choose(row(sigmas), result)
+    return result
 
 
 def _filters(frame: Frame) -> None:
-    """With equations divided by 1/tau, of the pre-warped c = 1/(tau tan(dt/2 tau)) only c tau = cot(dt/2 tau) remains."""
+    """Run the filters of all six components.
+
+    Equations are divided by 1/tau, so that of the pre-warped c = 1/(tau tan(dt/2 tau)) only c tau =
+    cot(dt/2 tau) remains.
+    """
     b = frame.builder
     span = frame.get("metrics/bw-ft")
     span = span.eq(0.0).choose(30.0, span)
@@ -259,7 +278,7 @@ def _filters(frame: Frame) -> None:
     half = dt / 2.0
     speed = frame.memory("turbulence/speed")
     slow = 1.0 / speed
-    lu, lw, su, sw = _sizes(frame)
+    lu, lw, su, sw = _scales_and_sigmas(frame)
     # 1/sqrt(length speed), with tau_p = length / (2.6 speed) and sigma_p = 1.9 sigma_w / length.
     root_p = 1.0 / b.op("sqrt", b.op("sqrt", lw * span) * speed)
     steep_q, steep_r = math.pi / (4.0 * span), math.pi / (3.0 * span)
@@ -279,28 +298,31 @@ def _filters(frame: Frame) -> None:
     for name, (new, _) in (("v", v), ("w", w)):
         frame.remember(f"turbulence/{name}1", new)
     cosine, sine = _direction(frame)
+    # From axes along the wind's azimuth to north, east, down; then rates to body axes.
     velocities = (cosine * u + sine * v[0], cosine * v[0] - sine * u, w[0])
     rates: Vector = (cosine * p + sine * q, cosine * q - sine * p, r)
-    for name, value in zip(OUT, (*velocities, *applied(matrix(frame, MATRIX), rates)), strict=True):
+    for name, value in zip(
+        OUTPUTS, (*velocities, *matvec(matrix(frame, MATRIX), rates)), strict=True
+    ):
         frame.write(name, value)
     frame.remember(COUNTER[1:], frame.memory(COUNTER[1:]) + 1.0)
 
 
 def _cotangent(angle: Value) -> tuple[Value, Value]:
-    """A numerator and a denominator of the cotangent of an angle that is not negative.
+    """Return numerator and denominator of the cotangent of a non-negative angle, to 5e-16.
 
-    From Lambert's continued fraction of the tangent of half the angle left after whole turns of pi, to 5e-16.
+    Lambert's continued fraction of the tangent of half the angle, after removing multiples of pi.
     """
-    left = angle - rounded(angle * (1.0 / math.pi)) * math.pi
-    x = 0.5 * left
+    remainder = angle - round_to_even(angle * (1.0 / math.pi)) * math.pi
+    x = 0.5 * remainder
     z = x * x
     above = ((6930.0 - 36.0 * z) * z - 270270.0) * z + 2027025.0
     below = (((z - 630.0) * z + 51975.0) * z - 945945.0) * z + 2027025.0
-    return below * below - z * (above * above), left * (above * below)
+    return below * below - z * (above * above), remainder * (above * below)
 
 
 class _Weights(NamedTuple):
-    """Of k = c tau: (1 - k)/(1 + k), 1/(1 + k) and k/(1 + k)."""
+    """(1 - k)/(1 + k), 1/(1 + k) and k/(1 + k) of k = c tau."""
 
     pole: Value
     one: Value
@@ -308,13 +330,13 @@ class _Weights(NamedTuple):
 
 
 def _weights(above: Value, below: Value) -> _Weights:
-    """k is the quotient of the two."""
+    """Return the weights of k = above / below."""
     inverse = 1.0 / (above + below)
     return _Weights((below - above) * inverse, below * inverse, above * inverse)
 
 
 def _first_order(frame: Frame, name: str, by: _Weights, size: Value, nu: Value) -> Value:
-    """Yeager (1998), eqs 18 and 21."""
+    """Step a first-order filter (Yeager 1998, eqs 18 and 21)."""
     old, nu_old = frame.memory(f"turbulence/{name}1"), frame.memory(f"turbulence/nu-{name}1")
     x = size * by.one * (nu + nu_old) - by.pole * old
     frame.remember(f"turbulence/{name}1", x)
@@ -325,7 +347,10 @@ def _first_order(frame: Frame, name: str, by: _Weights, size: Value, nu: Value) 
 def _second_order(
     frame: Frame, name: str, by: _Weights, size: Value, nu: Value
 ) -> tuple[Value, Value]:
-    """Yeager (1998), eq 20: the new value and the one before; ``_slope`` needs both, so the caller keeps the new one."""
+    """Step a second-order filter (Yeager 1998, eq 20); return the new and the last value.
+
+    `_slope` needs both, so the caller stores the new one.
+    """
     x1, x2 = frame.memory(f"turbulence/{name}1"), frame.memory(f"turbulence/{name}2")
     nu1, nu2 = frame.memory(f"turbulence/nu-{name}1"), frame.memory(f"turbulence/nu-{name}2")
     third = by.one * (1.0 / math.sqrt(3.0))
@@ -337,9 +362,13 @@ def _second_order(
     return x, x1
 
 
-def _slope(frame: Frame, name: str, by: _Weights, steep: Value, of: tuple[Value, Value]) -> Value:
-    """Yeager (1998), eqs 23 and 25: a rate from the slope of a velocity; ``steep`` is 1/(tau speed)."""
+def _slope(
+    frame: Frame, name: str, by: _Weights, steep: Value, values: tuple[Value, Value]
+) -> Value:
+    """Step the filter of a rate from the slope of a velocity (Yeager 1998, eqs 23 and 25);
+    ``steep`` is 1/(tau speed).
+    """
     old = frame.memory(f"turbulence/{name}1")
-    x = steep * by.k * (of[0] - of[1]) - by.pole * old
+    x = steep * by.k * (values[0] - values[1]) - by.pole * old
     frame.remember(f"turbulence/{name}1", x)
     return x

@@ -1,1 +1,1 @@
-"""JSBSim XML to the intermediate form: functions, tables, components, sections of an aircraft, scripts."""
+"""Translation of an aircraft's XML to programs."""

@@ -1,10 +1,13 @@
-"""``<aerodynamics>``: functions and axes to forces and moments.
+"""Translate ``<aerodynamics>`` and ``<external_reactions>``: functions and axes to forces and
+moments.
 
-Found by experiment with JSBSim 1.3.3: aero/cl-squared comes first, with the lift of the frame before; functions outside an axis run
-next, in the order of the file; aero/bi2vel, ci2vel and qbar-area follow, so such functions read them a frame old. Axes run in the
-order x, y, z, roll, pitch, yaw, whatever the file's, in each axis the functions with apply_at_cg last. A moment is taken about
-AERORP and moved to the CG with the force, but for those functions. One system of axes is allowed: JSBSim loads a mixture and flies
-wrong forces. DRAG, SIDE and LIFT are along the wind whatever ``frame`` says, and ``unit`` says nothing.
+As experiments with JSBSim 1.3.3 show: aero/cl-squared comes first, with the lift of the frame
+before; functions outside an axis follow, in the order of the file; then aero/bi2vel, ci2vel and
+qbar-area, which such functions therefore read a frame late. Axes run in the order x, y, z, roll,
+pitch, yaw, and in each axis functions with apply_at_cg last. Moments are taken about AERORP and
+moved to the CG with the force, except for those functions. Only one system of axes is allowed,
+because JSBSim computes wrong forces from a mixture. DRAG, SIDE and LIFT are along the wind whatever
+``frame`` says, and ``unit`` is ignored.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from collections.abc import Sequence
 from uqharness.batch.form.ir import Value
 from uqharness.batch.models.auxiliary import arm, structural_to_body
 from uqharness.batch.models.motion import INERTIAL, MATRIX, matrix
-from uqharness.batch.models.vectors import Matrix, Vector, applied, cross, plus, times, transposed
+from uqharness.batch.models.vectors import Matrix, Vector, cross, matvec, plus, times, transpose
 from uqharness.batch.translate.channels import function_name
 from uqharness.batch.translate.frame import Frame, Scope, canonical, writable
 from uqharness.batch.translate.functions import function_value
@@ -33,20 +36,24 @@ _LIMITS = {
     "hysteresis_limits": ("least", "greatest"),
 }
 _ANGLES = {"RAD": 1.0, "": 1.0, "DEG": math.pi / 180.0}
-_TEXT = ("description", "documentation", "note", "reference", "title")
+_REMARKS = ("description", "documentation", "note", "reference", "title")
 
 
 def trace_aerodynamics(frame: Frame, document: Document, node: Node | None) -> None:
-    """Functions, then forces and moments about the CG [lbf, lbf ft] as forces/fb?-aero-lbs and moments/?-aero-lbsft."""
+    """Add functions, then forces and moments about the CG [lbf, lbf ft] as forces/fb?-aero-lbs and
+    moments/?-aero-lbsft.
+    """
     with frame.section("aerodynamics"):
         scope = frame.scope(document)
         children = (
             []
             if node is None
-            else [child for child in node.children if child.tag not in (*_TEXT, "property")]
+            else [child for child in node.children if child.tag not in (*_REMARKS, "property")]
         )
         if node is not None:
             scope.only(node, ("name",))
+        # JSBSim's order: lift of the frame before, functions, ratios, axes, functions of type
+        # "post".
         _lift_squared(frame)
         functions = [child for child in children if child.tag == "function"]
         for child in functions:
@@ -57,17 +64,17 @@ def trace_aerodynamics(frame: Frame, document: Document, node: Node | None) -> N
                 )
             if child.attributes.get("type", "") != "post":
                 write_function(frame, scope, child, ("name", "type"))
-        _shared(frame)
+        _publish_ratios(frame)
         _stall(frame, scope, [child for child in children if child.tag in _LIMITS])
-        others = ("function", *_LIMITS)
+        known_tags = ("function", *_LIMITS)
         force, moment = _axes(
-            frame, scope, [child for child in children if child.tag not in others]
+            frame, scope, [child for child in children if child.tag not in known_tags]
         )
         for axis, value in zip("xyz", force, strict=True):
             frame.write(f"forces/fb{axis}-aero-lbs", value)
         for axis, value in zip("lmn", moment, strict=True):
             frame.write(f"moments/{axis}-aero-lbsft", value)
-        _along_wind(frame, force)
+        _publish_wind_axes(frame, force)
         for child in functions:
             if child.attributes.get("type", "") == "post":
                 write_function(frame, scope, child, ("name", "type"))
@@ -76,11 +83,12 @@ def trace_aerodynamics(frame: Frame, document: Document, node: Node | None) -> N
 def write_function(
     frame: Frame, scope: Scope, node: Node, attributes: Sequence[str] = ("name",)
 ) -> Value:
-    """A function's value, put into the property of its name if it has one."""
+    """Return a function's value and write it to the property of its name, if it has one."""
     value = function_value(scope, node, attributes)
     name = node.attributes.get("name", "").strip()
     if name:
         name = function_name(name)
+        # JSBSim would overwrite or ignore such a property.
         if not writable(canonical(name)):
             scope.refuse(node, f"property {name} is JSBSim's own; a function cannot have its name")
         frame.live.pop(canonical(name), None)
@@ -89,7 +97,7 @@ def write_function(
 
 
 def functions_of(node: Node | None) -> list[Node]:
-    """Every ``<function>`` with a name, in the order of the text."""
+    """List every named ``<function>`` in the order of the text."""
     return (
         []
         if node is None
@@ -102,6 +110,7 @@ def functions_of(node: Node | None) -> list[Node]:
 
 
 def _lift_squared(frame: Frame) -> None:
+    """Write the squared lift coefficient of the frame before."""
     qbar, area = frame.get("aero/qbar-psf"), frame.get("metrics/Sw-sqft")
     fast = qbar.gt(1.0)
     coefficient = frame.get("forces/fwz-aero-lbs") / (area * qbar)
@@ -110,55 +119,60 @@ def _lift_squared(frame: Frame) -> None:
     )
 
 
-def _shared(frame: Frame) -> None:
-    """What JSBSim computes between the functions and the axes."""
+def _publish_ratios(frame: Frame) -> None:
+    """Write what JSBSim computes between the functions and the axes."""
     speed = frame.get("velocities/vt-fps")
-    twice = 2.0 * speed
-    moving = twice.ne(0.0)
+    double_speed = 2.0 * speed
+    moving = double_speed.ne(0.0)
     for name, length in (("aero/bi2vel", "metrics/bw-ft"), ("aero/ci2vel", "metrics/cbarw-ft")):
-        frame.write(name, moving.choose(frame.get(length) / twice, frame.get(name)))
+        frame.write(name, moving.choose(frame.get(length) / double_speed, frame.get(name)))
     frame.write("aero/qbar-area", frame.get("aero/qbar-psf") * frame.get("metrics/Sw-sqft"))
     frame.write("aero/alpha-wing-rad", frame.get("aero/alpha-rad") + frame.get("metrics/iw-rad"))
 
 
 def _stall(frame: Frame, scope: Scope, limits: Sequence[Node]) -> None:
-    """Stall warning and stall hysteresis, 0 without limits."""
+    """Write stall warning and stall hysteresis; 0 without limits."""
     b, zero = frame.builder, frame.builder.constant(0.0)
-    found = {name: zero for names in _LIMITS.values() for name in names}
+    limit_values = {name: zero for names in _LIMITS.values() for name in names}
+    # Each pair of limits may be given once.
     for node in limits:
         unit = node.attributes.get("unit", "")
         scope.only(node, ("unit",))
-        tags = [child.tag for child in node.children if child.tag not in _TEXT]
+        tags = [child.tag for child in node.children if child.tag not in _REMARKS]
         if (
             unit not in _ANGLES
             or sorted(tags) != ["max", "min"]
             or sum(other.tag == node.tag for other in limits) > 1
         ):
             scope.refuse(
-                node, f"<{node.tag}> stands once, with one <min> and one <max> in RAD or DEG"
+                node, f"<{node.tag}> occurs once, with one <min> and one <max> in RAD or DEG"
             )
         for tag, name in zip(("min", "max"), _LIMITS[node.tag], strict=True):
             child = node.all(tag)[0]
             scope.only(child)
-            found[name] = b.constant(scope.number(child) * _ANGLES[unit])
-    alpha, most = frame.get("aero/alpha-rad"), found["aero/alpha-max-rad"]
+            limit_values[name] = b.constant(scope.number(child) * _ANGLES[unit])
+    alpha, alpha_max = frame.get("aero/alpha-rad"), limit_values["aero/alpha-max-rad"]
     for name in _LIMITS["alphalimits"]:
-        frame.write(name, found[name])
-    warned = alpha.gt(0.85 * most).choose(10.0 * (alpha / most - 0.85), 0.0)
-    frame.write("systems/stall-warn-norm", most.ne(0.0).choose(warned, 0.0))
-    before, both = (
+        frame.write(name, limit_values[name])
+    # The warning starts at 85 % of the largest angle of attack.
+    warned = alpha.gt(0.85 * alpha_max).choose(10.0 * (alpha / alpha_max - 0.85), 0.0)
+    frame.write("systems/stall-warn-norm", alpha_max.ne(0.0).choose(warned, 0.0))
+    before, is_defined = (
         frame.get("aero/stall-hyst-norm"),
-        b.op("and", found["least"].ne(0.0), found["greatest"].ne(0.0)),
+        b.op("and", limit_values["least"].ne(0.0), limit_values["greatest"].ne(0.0)),
     )
-    held = alpha.gt(found["greatest"]).choose(1.0, alpha.lt(found["least"]).choose(0.0, before))
-    frame.write("aero/stall-hyst-norm", both.choose(held, before))
+    # Hysteresis: stalled above the upper limit until below the lower one.
+    stalled = alpha.gt(limit_values["greatest"]).choose(
+        1.0, alpha.lt(limit_values["least"]).choose(0.0, before)
+    )
+    frame.write("aero/stall-hyst-norm", is_defined.choose(stalled, before))
 
 
-def _along_wind(frame: Frame, force: Vector) -> None:
-    """The forces as drag, side force and lift of the wind axes, and of the stability axes; lift over drag."""
+def _publish_wind_axes(frame: Frame, force: Vector) -> None:
+    """Write the forces in wind and stability axes (drag, side, lift), and lift over drag."""
     b = frame.builder
     for kind in ("w", "s"):
-        x, y, z = (b.value(c) for c in applied(transposed(wind_to_body(frame, kind == "s")), force))
+        x, y, z = (b.value(c) for c in matvec(transpose(wind_to_body(frame, kind == "s")), force))
         for axis, value in zip("xyz", (-x, y, -z), strict=True):
             frame.write(f"forces/f{kind}{axis}-aero-lbs", value)
     drag, lift = frame.get("forces/fwx-aero-lbs"), frame.get("forces/fwz-aero-lbs")
@@ -169,8 +183,9 @@ def _along_wind(frame: Frame, force: Vector) -> None:
 
 
 def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vector]:
-    """Force and moment in body axes about the CG."""
-    named: dict[str, Node] = {}
+    """Return force and moment about the CG in body axes."""
+    by_name: dict[str, Node] = {}
+    # Check names and frames before anything is traced.
     for axis in axes:
         if axis.tag != "axis":
             scope.refuse(
@@ -178,39 +193,45 @@ def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vec
             )
         scope.only(axis, ("name", "unit", "frame"))
         name = axis.attributes.get("name", "")
-        if name in named:
-            scope.refuse(axis, f"axis {name} stands here twice")
+        if name in by_name:
+            scope.refuse(axis, f"axis {name} occurs twice")
         if name not in _MOMENTS and not any(name in names for names in _FORCES.values()):
             scope.refuse(axis, f"axis '{name}' is not understood")
         if axis.attributes.get("frame", "") not in _FRAMES:
             scope.refuse(
                 axis,
-                f"frame='{axis.attributes['frame']}' of an axis: allowed are BODY, STABILITY and WIND",
+                f"frame='{axis.attributes['frame']}' of an axis: allowed are BODY, STABILITY and"
+                " WIND",
             )
-        named[name] = axis
-    names, kind = _force_axes(scope, named)
+        by_name[name] = axis
+    names, kind = _force_axes(scope, by_name)
+    # All moments must be in one frame.
     frames = {
-        _FRAMES[named[name].attributes.get("frame", "")] for name in _MOMENTS if name in named
+        _FRAMES[by_name[name].attributes.get("frame", "")] for name in _MOMENTS if name in by_name
     }
     if len(frames) > 1:
         scope.refuse(
-            named[next(name for name in _MOMENTS if name in named)], "moments have one frame"
+            by_name[next(name for name in _MOMENTS if name in by_name)], "moments have one frame"
         )
-    sums = [_axis(frame, scope, named.get(name), name in _MOMENTS) for name in (*names, *_MOMENTS)]
+    # JSBSim runs the axes in this order, whatever the file's.
+    sums = [
+        _axis(frame, scope, by_name.get(name), name in _MOMENTS) for name in (*names, *_MOMENTS)
+    ]
     force = _to_body(frame, kind, (sums[0][0], sums[1][0], sums[2][0]))
     at_cg = _to_body(frame, kind, (sums[0][1], sums[1][1], sums[2][1]))
     moment: Vector = (sums[3][0], sums[4][0], sums[5][0])
     turn = frames.pop() if frames else "body"
     if turn != "body":
-        moment = applied(wind_to_body(frame, turn == "stability"), moment)
+        moment = matvec(wind_to_body(frame, turn == "stability"), moment)
+    # The moment of the force about the CG is added; forces at the CG have none.
     return plus(force, at_cg), plus(moment, cross(structural_to_body(frame, "aero-rp"), force))
 
 
 def _axis(frame: Frame, scope: Scope, axis: Node | None, moment: bool) -> tuple[Value, Value]:
-    """Sums of the axis's functions: those about AERORP, then those at the CG."""
+    """Return the sums of an axis's functions: those about AERORP, and those at the CG."""
     sums = [frame.builder.constant(0.0), frame.builder.constant(0.0)]
     for child in [] if axis is None else axis.children:
-        if child.tag not in ("function", *_TEXT):
+        if child.tag not in ("function", *_REMARKS):
             scope.refuse(child, f"<{child.tag}> in an axis is not understood; functions are")
         at_cg = child.attributes.get("apply_at_cg", "false")
         if at_cg not in ("true", "false") or (at_cg == "true" and moment):
@@ -218,49 +239,54 @@ def _axis(frame: Frame, scope: Scope, axis: Node | None, moment: bool) -> tuple[
                 child, f"apply_at_cg='{at_cg}': true or false is allowed, true for forces alone"
             )
     functions = [] if axis is None else axis.all("function")
-    for place, wanted in enumerate(("false", "true")):
+    # Functions at the CG run last.
+    for column, at_cg_text in enumerate(("false", "true")):
         for child in functions:
-            if child.attributes.get("apply_at_cg", "false") == wanted:
-                sums[place] = sums[place] + write_function(
+            if child.attributes.get("apply_at_cg", "false") == at_cg_text:
+                sums[column] = sums[column] + write_function(
                     frame, scope, child, ("name", "apply_at_cg")
                 )
     return sums[0], sums[1]
 
 
-def _force_axes(scope: Scope, named: dict[str, Node]) -> tuple[Sequence[str], str]:
-    """Names of the force axes, and their system: body, axial-normal, stability or wind."""
-    forces = [name for name in named if name not in _MOMENTS]
+def _force_axes(scope: Scope, by_name: dict[str, Node]) -> tuple[Sequence[str], str]:
+    """Return names and system of the force axes: body, axial-normal, stability or wind."""
+    forces = [name for name in by_name if name not in _MOMENTS]
     if not forces:
         return _FORCES["named"], "body"
-    # SIDE alone is taken along the wind.
-    fitting = next(
+    # SIDE alone counts as a wind axis.
+    system = next(
         (kind for kind, names in _FORCES.items() if all(name in names for name in forces)), None
     )
-    if fitting is None:
-        first = named[forces[0]]
+    if system is None:
+        first = by_name[forces[0]]
         scope.refuse(
             first,
-            f"axes {', '.join(forces)} do not belong to one system (DRAG SIDE LIFT, X Y Z, or AXIAL SIDE NORMAL)",
+            f"axes {', '.join(forces)} do not belong to one system (DRAG SIDE LIFT, X Y Z, or AXIAL"
+            " SIDE NORMAL)",
         )
-    if fitting != "named":
-        return _FORCES[fitting], fitting
-    frames = {_FRAMES[named[name].attributes.get("frame", "")] for name in forces}
+    if system != "named":
+        return _FORCES[system], system
+    frames = {_FRAMES[by_name[name].attributes.get("frame", "")] for name in forces}
     if len(frames) > 1:
-        scope.refuse(named[forces[0]], f"axes {', '.join(forces)} have different frames")
-    return _FORCES[fitting], frames.pop()
+        scope.refuse(by_name[forces[0]], f"axes {', '.join(forces)} have different frames")
+    return _FORCES[system], frames.pop()
 
 
 def _to_body(frame: Frame, kind: str, force: Vector) -> Vector:
+    """Transform a force from its system to body axes."""
     x, y, z = force
     if kind == "body":
         return force
     if kind == "axial-normal":
         return (-x, y, -z)
-    return applied(wind_to_body(frame, kind == "stability"), (-x, y, -z))
+    return matvec(wind_to_body(frame, kind == "stability"), (-x, y, -z))
 
 
 def wind_to_body(frame: Frame, stability: bool = False) -> Matrix:
-    """Stevens and Lewis, eq 2.3-2; stability axes are wind axes without sideslip."""
+    """Return the matrix from wind to body axes (Stevens and Lewis, eq 2.3-2); stability axes are
+    wind axes without sideslip.
+    """
     b = frame.builder
     alpha = frame.get("aero/alpha-rad")
     ca, sa = b.op("cos", alpha), b.op("sin", alpha)
@@ -271,18 +297,19 @@ def wind_to_body(frame: Frame, stability: bool = False) -> Matrix:
     return ((ca * cb, -(ca * sb), -sa), (sb, cb, 0.0), (sa * cb, -(sa * sb), ca))
 
 
-# ``<external_reactions>``: forces and moments on the aircraft; and the sum of all that move it.
-#
-# Found by experiment with JSBSim 1.3.3: a force's magnitude is its function, else the property
-# external_reactions/NAME/magnitude; direction and place are read from properties in every
-# frame, and a direction is not brought to unit length again. A frame that is not spelt as here
-# is taken for BODY, with a warning that nobody sees: it is refused.
+# External reactions, and the sum of all forces and moments. As experiments with JSBSim 1.3.3
+# show: a force's magnitude is its function, else the property external_reactions/NAME/magnitude;
+# direction and location are read from properties in every frame, and the direction is not
+# normalised again. JSBSim takes a misspelt frame for BODY with a hidden warning; here it is
+# refused.
 
 _KINDS = ("", "BODY", "LOCAL", "WIND", "INERTIAL")
 
 
 def trace_external(frame: Frame, document: Document, node: Node | None) -> None:
-    """Forces and moments about the CG as forces/fb?-external-lbs and moments/?-external-lbsft."""
+    """Add forces and moments about the CG as forces/fb?-external-lbs and
+    moments/?-external-lbsft.
+    """
     with frame.section("external reactions"):
         scope = frame.scope(document)
         zero = frame.builder.constant(0.0)
@@ -291,15 +318,17 @@ def trace_external(frame: Frame, document: Document, node: Node | None) -> None:
         children = (
             []
             if node is None
-            else [child for child in node.children if child.tag not in (*_TEXT, "property")]
+            else [child for child in node.children if child.tag not in (*_REMARKS, "property")]
         )
         if node is not None:
             scope.only(node)
+        # Functions first, so that forces may read them.
         for child in children:
             if child.tag not in ("function", "force", "moment"):
                 scope.refuse(
                     child,
-                    f"<{child.tag}> in <external_reactions> is not understood; force, moment and function are",
+                    f"<{child.tag}> in <external_reactions> is not understood; force, moment and"
+                    " function are",
                 )
             if child.tag == "function":
                 write_function(frame, scope, child)
@@ -322,45 +351,53 @@ def trace_external(frame: Frame, document: Document, node: Node | None) -> None:
 
 
 def _base(node: Node) -> str:
+    """Return the prefix of an external reaction's properties."""
     return f"external_reactions/{node.attributes.get('name', '')}/"
 
 
 def _vector(
     frame: Frame, scope: Scope, node: Node, axes: tuple[str, str, str], size: str
 ) -> Vector:
-    """The force or moment of an element in body axes."""
+    """Return the force or moment of an element in body axes."""
     scope.only(node, ("name", "frame"))
     kind = node.attributes.get("frame", "")
     if kind not in _KINDS:
         scope.refuse(
             node,
-            f"frame '{kind}' of a <{node.tag}> is not understood; BODY, LOCAL, WIND and INERTIAL are",
+            f"frame '{kind}' of a <{node.tag}> is not understood; BODY, LOCAL, WIND and"
+            " INERTIAL are",
         )
-    parts = {child.tag: child for child in node.children if child.tag not in _TEXT}
+    # At most one of each element.
+    parts = {child.tag: child for child in node.children if child.tag not in _REMARKS}
     allowed = {"function", "direction", *(("location",) if node.tag == "force" else ())}
     if set(parts) - allowed or len(parts) != len(
-        [child for child in node.children if child.tag not in _TEXT]
+        [child for child in node.children if child.tag not in _REMARKS]
     ):
         scope.refuse(node, f"a <{node.tag}> has at most one each of {', '.join(sorted(allowed))}")
     name = f"{_base(node)}{size}"
     if "function" in parts:
         magnitude = write_function(frame, scope, parts["function"])
     else:
-        found = frame.read(name)
-        if found is None:
+        value = frame.read(name)
+        if value is None:
             scope.refuse(node, f"nothing sets {name}")
-        magnitude = found
-    direction: Vector = tuple(frame.get(f"{_base(node)}{axis}") for axis in axes)  # type: ignore[assignment]
+        magnitude = value
+    # The direction is used as it is, without normalising.
+    direction: Vector = tuple(  # type: ignore[assignment]
+        frame.get(f"{_base(node)}{axis}") for axis in axes
+    )
     vector = times(direction, magnitude)
     if kind == "LOCAL":
-        return applied(matrix(frame, MATRIX), vector)
+        return matvec(matrix(frame, MATRIX), vector)
     if kind == "WIND":
-        return applied(wind_to_body(frame), vector)
-    return applied(matrix(frame, INERTIAL), vector) if kind == "INERTIAL" else vector
+        return matvec(wind_to_body(frame), vector)
+    return matvec(matrix(frame, INERTIAL), vector) if kind == "INERTIAL" else vector
 
 
 def trace_totals(frame: Frame, parts: Sequence[str]) -> None:
-    """Sum of the forces and moments of the models that act: of aero, external, prop, gear, buoyancy those in ``parts``."""
+    """Sum the forces and moments of the models named in ``parts`` (aero, external, prop, gear,
+    buoyancy).
+    """
     b = frame.builder
     for kind, axes, unit in (("forces/fb", "xyz", "lbs"), ("moments/", "lmn", "lbsft")):
         for axis in axes:

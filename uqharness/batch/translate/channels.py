@@ -1,9 +1,11 @@
-"""Everything of ``<system>``, ``<autopilot>`` and ``<flight_control>``: functions, and channels of components.
+"""Translate ``<system>``, ``<autopilot>`` and ``<flight_control>``: functions, and channels of
+components; and read the files of an aircraft.
 
-JSBSim 1.3.3 puts all of them into one model. In each frame it runs the functions of all of them in the order of loading, copies
-the engines' levers, runs all channels, and at the end the functions of ``type="post"``. A channel of ``execrate`` n runs in every
-n-th frame in which its ``execute`` property is not 0; where time stands still, in each such frame. A function is computed wherever
-its property is read until it has been run for the first time.
+JSBSim 1.3.3 merges all of them into one model. In each frame it runs their functions in the order
+of loading, copies the engines' levers, runs all channels, and at the end functions of
+``type="post"``. A channel of ``execrate`` n runs in every n-th frame in which its ``execute``
+property is not 0; while time stands still, in each such frame. Until a function has run for the
+first time, it is computed wherever its property is read.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from uqharness.batch.form.ir import Builder, Value
+from uqharness.batch.form.ir import Value
 from uqharness.batch.form.program import When
 from uqharness.batch.translate import filters, gains
 from uqharness.batch.translate.component import Component
@@ -22,6 +24,7 @@ from uqharness.batch.translate.frame import (
     Frame,
     Scope,
     copy_levers,
+    error_scope,
     property_of,
     read_only,
 )
@@ -30,7 +33,7 @@ from uqharness.errors import BadInputError
 from uqharness.simulator import INSIDE, Aircraft, model_files, read_xml
 from uqharness.xml import Document, Node, parse_document
 
-# The components by their tags: what each may have in it, and how it is traced.
+# Components by tag: allowed elements, and how each is traced.
 
 _COEFFICIENTS = tuple(f"c{k}" for k in range(1, 7))
 _MEASURED = ("lag", "noise", "drift_rate", "gain", "bias", "quantization")
@@ -39,11 +42,13 @@ _CONTROL = ("kp", "kd", "pvdot", "trigger")
 
 @dataclass(frozen=True)
 class Kind:
-    """``trace`` writes what the component does; ``once`` and ``many`` are its own elements, ``attributes`` those beside name."""
+    """A component: ``trace`` adds what it does; ``single`` and ``repeated`` are its elements,
+    ``attributes`` those besides name.
+    """
 
     trace: Callable[[Component], None]
-    once: tuple[str, ...] = ()
-    many: tuple[str, ...] = ()
+    single: tuple[str, ...] = ()
+    repeated: tuple[str, ...] = ()
     attributes: tuple[str, ...] = ()
 
 
@@ -77,37 +82,41 @@ KINDS: Mapping[str, Kind] = {
     "gyro": Kind(filters.gyro, (*_MEASURED, "axis", "orientation")),
     "accelerometer": Kind(filters.accelerometer, (*_MEASURED, "axis", "orientation", "location")),
 }
-"""Components that are understood."""
+"""Supported components by tag."""
 
 REFUSED: Mapping[str, str] = {
     "magnetometer": "takes the field of the day on which it runs",
     "waypoint_heading": "finds geodesics on the ellipsoid, which the batch engine does not",
     "waypoint_distance": "finds geodesics on the ellipsoid, which the batch engine does not",
 }
-"""Components of JSBSim's that are not, and why."""
+"""Components of JSBSim that are not supported -> reason."""
 
 
 def trace(c: Component) -> None:
-    """What the component does in the frame. Raises BadInputError with file and line for what is not understood."""
+    """Trace a component.
+
+    Raises BadInputError with file and line for what the engine does not support.
+    """
     tag = c.node.tag
     if tag in REFUSED:
         c.scope.refuse(c.node, f'<{tag}> {REFUSED[tag]}; fly this aircraft with engine = "jsbsim"')
     kind = KINDS.get(tag)
     if kind is None:
         c.scope.refuse(c.node, f"component <{tag}> is unknown; allowed are {', '.join(KINDS)}")
-    c.check(kind.once, kind.many, kind.attributes)
+    c.check(kind.single, kind.repeated, kind.attributes)
     kind.trace(c)
 
 
-_SILENT = ("description", "documentation", "limitation", "note", "reference")
+_REMARKS = ("description", "documentation", "limitation", "note", "reference")
 _FUNCTION = ("name", "type", "copyto")
 
 
 @dataclass(frozen=True)
 class System:
-    """A ``<system>``, ``<autopilot>`` or ``<flight_control>`` and the file it stands in.
+    """A ``<system>``, ``<autopilot>`` or ``<flight_control>`` and its file.
 
-    For ``<system file="x">`` these are the root of that file, and ``outer`` the document and the element that names it.
+    For ``<system file="x">`` these are the root of that file; ``outer`` is the document and element
+    that name it.
     """
 
     document: Document
@@ -117,10 +126,17 @@ class System:
 
 @dataclass(frozen=True)
 class Systems:
-    """The systems of an aircraft in the order in which JSBSim loads them: systems, the autopilot, the flight control.
+    """Systems of an aircraft in the order in which JSBSim loads them: systems, autopilot, flight
+    control.
 
-    load_dt_s  the step at which the aircraft is loaded
-    engines    how many engines have levers
+    Attributes
+    ----------
+    parts : sequence of System
+        The systems.
+    load_dt_s : float
+        Step at which the aircraft is loaded.
+    engines : int
+        Number of engines with levers.
     """
 
     parts: Sequence[System]
@@ -128,15 +144,17 @@ class Systems:
     engines: int = 0
 
     def trace(self, frame: Frame, first: bool = False) -> None:
-        """Put a frame's sections into ``frame``. ``first``: it is the first of the two in which JSBSim initialises.
+        """Add the sections of all systems; ``first``: in the first initialising frame.
 
-        Raises BadInputError with file and line for what is not understood.
+        Raises BadInputError with file and line for what the engine does not support.
         """
         frame.hooks.update(HOOKS)
+        # Named tables and operations become properties in JSBSim, which is not supported.
         for part in self.parts:
             _check(part)
             refuse_inner_names(frame, part.document, part.node)
         before, after = self._functions("pre"), self._functions("post")
+        # Before its first run a function is evaluated wherever it is read.
         for document, node in (*before, *after) if first else ():
             compute_where_read(frame, document, node)
         _set_step(frame, 1)
@@ -144,6 +162,7 @@ class Systems:
         if self.engines:
             with frame.section("levers"):
                 copy_levers(frame, self.engines)
+        # All channels of all systems, in the order of loading.
         channels = [
             (part.document, channel) for part in self.parts for channel in part.node.all("channel")
         ]
@@ -153,6 +172,7 @@ class Systems:
         _trace_functions(frame, "last functions of systems", after)
 
     def _functions(self, kind: str) -> list[tuple[Document, Node]]:
+        """List functions of a type, in the order of loading."""
         return [
             (part.document, node)
             for part in self.parts
@@ -162,32 +182,37 @@ class Systems:
 
 
 def compute_where_read(frame: Frame, document: Document, node: Node) -> None:
-    """Have a function computed wherever its property is read, until ``frame.live`` loses it."""
+    """Compute a function wherever its property is read, until ``frame.live`` loses it."""
     name = node.attributes.get("name", "")
     if not name:
         return
     reading: list[str] = []
 
     def value() -> Value:
-        # What is drawn here would be drawn again when the function is run, so there is no draw.
+        """Return the function's value; refuse recursion, random numbers and ``copyto``."""
+        # Random numbers are not drawn here, because the function draws them again when it runs.
         scope = Scope(frame.builder, document, frame.read)
         if reading:
             scope.refuse(node, "this function reads itself")
         if node.attributes.get("copyto"):
             scope.refuse(
                 node,
-                "this function is read before it is run, and copies what it gives; the batch engine does not",
+                "this function is read before it is run, and copies what it gives; the batch engine"
+                " does not",
             )
+        # Detects recursion.
         reading.append(name)
-        found = function_value(scope, node, _FUNCTION)
+        result = function_value(scope, node, _FUNCTION)
         reading.pop()
-        return found
+        return result
 
-    frame.live[property_of(_plain(document), node, function_name(name))] = value
+    frame.live[property_of(error_scope(document), node, function_name(name))] = value
 
 
 def refuse_inner_names(frame: Frame, document: Document, node: Node) -> None:
-    """Have names of tables, and of operations inside functions, refused where they are read: JSBSim makes properties of them."""
+    """Refuse properties that JSBSim creates for named tables and named operations, where they are
+    read.
+    """
     for outer in node.walk():
         inside = (
             [inner for inner in outer.walk() if inner is not outer]
@@ -197,36 +222,42 @@ def refuse_inner_names(frame: Frame, document: Document, node: Node) -> None:
         for inner in [outer, *inside] if outer.tag in ("table", "t") else inside:
             name = inner.attributes.get("name", "")
             if name:
-                frame.live[property_of(_plain(document), inner, function_name(name))] = _refusal(
-                    document, inner, name
+                frame.live[property_of(error_scope(document), inner, function_name(name))] = (
+                    _refusal(document, inner, name)
                 )
 
 
 def function_name(name: str) -> str:
-    """The property of a function: white space becomes '-'."""
+    """Return the property of a function: white space becomes '-'."""
     return "".join("-" if c.isspace() else c for c in name)
 
 
 def _refusal(document: Document, node: Node, name: str) -> Callable[[], Value]:
+    """Return a function that refuses the property."""
+
     def refuse() -> Value:
-        _plain(document).refuse(
+        """Raise BadInputError at the element."""
+        error_scope(document).refuse(
             node,
-            f"property {name} is made by a <{node.tag}> of that name, which the batch engine does not",
+            f"property {name} is made by a <{node.tag}> of that name, which the batch engine"
+            " does not",
         )
 
     return refuse
 
 
 def _set_step(frame: Frame, rate: int) -> None:
-    """``simulation/channel-dt`` as it is in a channel of that rate."""
+    """Set ``simulation/channel-dt`` to its value in a channel of that rate."""
     frame.live[CHANNEL_STEP] = lambda: frame.step * float(rate)
 
 
 def _check(part: System) -> None:
-    """Refuse what stands beside properties, functions and channels, and what stands beside the name of a file."""
-    scope = _plain(part.document)
+    """Refuse elements other than properties, functions and channels, and elements next to the name
+    of a file.
+    """
+    scope = error_scope(part.document)
     for node in part.node.children:
-        if node.tag not in ("property", "channel", "function", *_SILENT):
+        if node.tag not in ("property", "channel", "function", *_REMARKS):
             scope.refuse(
                 node, f"<{node.tag}> in <{part.node.tag}> is not understood by the batch engine"
             )
@@ -234,25 +265,23 @@ def _check(part: System) -> None:
             scope.refuse(
                 node, f"type='{node.attributes['type']}' of <function>: allowed are pre and post"
             )
+    # An element that names a file may only add properties.
     if part.outer is None:
         return
     document, outer = part.outer
     if outer.tag != part.node.tag:
-        _plain(document).refuse(outer, f"<{outer.tag}> names a file of <{part.node.tag}>")
+        error_scope(document).refuse(outer, f"<{outer.tag}> names a file of <{part.node.tag}>")
     for node in outer.children:
-        if node.tag != "property" and node.tag not in _SILENT:
-            _plain(document).refuse(
+        if node.tag != "property" and node.tag not in _REMARKS:
+            error_scope(document).refuse(
                 node,
-                f"<{node.tag}> beside a file is not understood by the batch engine; allowed is <property>",
+                f"<{node.tag}> beside a file is not understood by the batch engine; allowed is"
+                " <property>",
             )
 
 
-def _plain(document: Document) -> Scope:
-    """For refusals outside a frame."""
-    return Scope(Builder(), document, lambda _: None)
-
-
 def _trace_functions(frame: Frame, name: str, functions: Sequence[tuple[Document, Node]]) -> None:
+    """Add a section with functions; each replaces its ``frame.live`` entry."""
     if not functions:
         return
     with frame.section(name):
@@ -260,23 +289,27 @@ def _trace_functions(frame: Frame, name: str, functions: Sequence[tuple[Document
             scope = frame.scope(document)
             value = function_value(scope, node, _FUNCTION)
             title, copy = node.attributes.get("name", ""), node.attributes.get("copyto", "")
+            # copyto sets a second property.
             if copy:
                 target = property_of(scope, node, copy)
-                if read_only(target) or (frame.written is None and target not in frame.values):
+                if read_only(target) or (
+                    frame.written_properties is None and target not in frame.values
+                ):
                     scope.refuse(
                         node,
-                        f"property {target} cannot be written by copyto: JSBSim takes no value for it",
+                        f"property {target} cannot be written by copyto: JSBSim takes no value"
+                        " for it",
                     )
                 frame.write(target, value)
             if title:
-                own = property_of(scope, node, function_name(title))
-                frame.live.pop(own, None)
-                frame.write(own, value)
+                target_name = property_of(scope, node, function_name(title))
+                frame.live.pop(target_name, None)
+                frame.write(target_name, value)
 
 
 @dataclass(frozen=True)
 class _Channel:
-    """A channel in the frame that is traced. ``key`` begins the names of its memory."""
+    """A channel in the frame that is traced; ``key`` is the prefix of its memory."""
 
     frame: Frame
     document: Document
@@ -285,8 +318,10 @@ class _Channel:
     key: str
 
     def trace(self) -> None:
-        """Its sections: one that decides whether it runs, if that may differ between lanes or frames, and one that does."""
-        frame, scope = self.frame, _plain(self.document)
+        """Add the channel's sections: one that decides whether it runs, if that may differ between
+        lanes or frames, and one that runs it.
+        """
+        frame, scope = self.frame, error_scope(self.document)
         scope.only(self.node, ("name", "execrate", "execute"))
         text = self.node.attributes.get("execrate", "")
         rate = scope.number(self.node, text) if text else 1.0
@@ -294,27 +329,29 @@ class _Channel:
             scope.refuse(
                 self.node, f"execrate of a <channel> is a whole number, 0 or more; received {text}"
             )
-        # Rate 0 runs in every frame, but its components are told a step of 0.
+        # Rate 0 runs in every frame, but its components see a step of 0.
         every = max(int(rate), 1)
         runs, mask = self._switched(every)
         if not runs:
             return
+        # Components see the step times the channel's rate.
         _set_step(frame, every)
         when = When(1 if frame.initialising or mask is not None else every, mask=mask)
         with frame.section(
             f"{self.document.where(self.node)}: channel {self.node.attributes.get('name', '')}",
             when,
         ):
-            asked: list[bool] = []
+            uses_history: list[bool] = []
 
-            def started() -> Value:
+            def has_run() -> Value:
+                """Return whether the channel has run before."""
                 if mask is None and not frame.initialising:
-                    # It has run while JSBSim initialised.
+                    # It ran while JSBSim initialised.
                     return frame.builder.truth(True)
-                asked.append(True)
+                uses_history.append(True)
                 return frame.memory(f"{self.key}/started").ne(0.0)
 
-            components = [node for node in self.node.children if node.tag not in _SILENT]
+            components = [node for node in self.node.children if node.tag not in _REMARKS]
             for number, node in enumerate(components, start=1):
                 key = f"{self.key}/{number}"
                 trace(
@@ -325,23 +362,28 @@ class _Channel:
                         self.load_dt_s * int(rate),
                         int(rate),
                         key,
-                        started,
+                        has_run,
                     )
                 )
-            if asked:
+            # Remembered only if a component asked for it.
+            if uses_history:
                 frame.remember(f"{self.key}/started", 1.0)
 
     def _switched(self, every: int) -> tuple[bool, str | None]:
-        """Whether it may run at all, and the slot that says where it does; None: everywhere."""
+        """Return whether the channel may run at all, and the slot that masks it; None: in all
+        lanes.
+        """
         frame, name = self.frame, self.node.attributes.get("execute", "")
         if not name:
             return True, None
         slot, count_slot = f"{self.key}/runs", f"{self.key}/count"
         with frame.section(f"{self.document.where(self.node)}: execute"):
             switch = frame.scope(self.document).named_property(self.node, name)
+            # A constant switch needs no mask.
             if switch.constant is not None:
                 return switch.constant != 0.0, None
             runs = switch.ne(0.0)
+            # Frames are counted only while the switch is on, as in JSBSim.
             if every > 1:
                 before = frame.memory(count_slot, float(every))
                 count = (
@@ -355,14 +397,13 @@ class _Channel:
         return True, f"#{slot}"
 
 
-# The files of an aircraft and its mission as elements: main file, systems in the order in which
-# they run, script.
+# Files of an aircraft and its mission: main file, systems in execution order, script.
 
 Part = tuple[Document, Node]
-"""An element and the file that it stands in."""
+"""An element and its file."""
 
 _SYSTEMS = ("system", "flight_control", "autopilot")
-_READ = (
+_ELEMENTS = (
     *_SYSTEMS,
     "fileheader",
     "metrics",
@@ -379,10 +420,20 @@ _READ = (
 
 @dataclass(frozen=True)
 class Sources:
-    """What is translated.
+    """XML that is translated.
 
-    systems   ``<system>``, ``<autopilot>`` and ``<flight_control>`` in JSBSim's order of execution
-    included  engines and thrusters that name a file, and its root
+    Attributes
+    ----------
+    document : Document
+        Main file.
+    systems : tuple of System
+        In JSBSim's order of execution.
+    aerodynamics, external, propulsion, ground, mass : (Document, Node) or None
+        Elements of the aircraft.
+    script : Document
+        Run script.
+    included : mapping
+        Engine or thruster element that names a file -> root of that file.
     """
 
     document: Document
@@ -398,7 +449,7 @@ class Sources:
 
 @dataclass(frozen=True)
 class Files:
-    """Where an aircraft's files lie."""
+    """Paths of an aircraft's files."""
 
     folder: Path
     xml: Path
@@ -407,58 +458,62 @@ class Files:
 
 
 def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
-    """Read the files; without a script there are no events.
+    """Read the files of an aircraft; without a script there are no events.
 
-    Raises BadInputError with file and line for an element that is not understood.
+    Raises BadInputError with file and line for unknown elements.
     """
     files = model_files(aircraft)
-    # The gate has blanked what JSBSim never sees; lines are the author's.
+    # Elements that JSBSim ignores have been blanked; line numbers are those of the file.
     document = parse_document(
         aircraft.xml, files.local[aircraft.xml.relative_to(aircraft.folder).as_posix()].content
     )
-    found: dict[str, Part] = {}
+    parts: dict[str, Part] = {}
     systems: list[System] = []
     for node in document.root.children:
-        if node.tag not in _READ:
+        if node.tag not in _ELEMENTS:
             raise BadInputError(
                 f"{document.where(node)}: <{node.tag}> is not understood by the batch engine"
             )
         part = (document, node)
         if "file" in node.attributes:
-            part = _included(aircraft, document, node)
+            part = _open_included(aircraft, document, node)
         if node.tag in _SYSTEMS:
-            # JSBSim takes the first of these and leaves the others.
+            # JSBSim reads only the first of these.
             if node.tag != "system" and any(one.node.tag == node.tag for one in systems):
-                raise BadInputError(f"{document.where(node)}: <{node.tag}> stands here twice")
+                raise BadInputError(f"{document.where(node)}: <{node.tag}> occurs twice")
             systems.append(System(*part, None if part[1] is node else (document, node)))
-        elif node.tag in found and node.tag not in ("input", "output"):
-            raise BadInputError(f"{document.where(node)}: <{node.tag}> stands here twice")
+        elif node.tag in parts and node.tag not in ("input", "output"):
+            raise BadInputError(f"{document.where(node)}: <{node.tag}> occurs twice")
         else:
-            found[node.tag] = part
+            parts[node.tag] = part
+    # JSBSim runs systems first, then the autopilot, then the flight control.
     order = {"system": 0, "autopilot": 1, "flight_control": 2}
     systems.sort(key=lambda part: order[part.node.tag])
-    if "planet" in found:
+    if "planet" in parts:
         raise BadInputError(
-            f"{document.where(found['planet'][1])}: <planet> is not understood by the batch engine"
+            f"{document.where(parts['planet'][1])}: <planet> is not understood by the batch engine"
         )
-    propulsion = found.get("propulsion")
+    propulsion = parts.get("propulsion")
     included = {} if propulsion is None else _engine_files(aircraft, propulsion)
     return Sources(
         document,
         tuple(systems),
-        found.get("aerodynamics"),
-        found.get("external_reactions"),
+        parts.get("aerodynamics"),
+        parts.get("external_reactions"),
         propulsion,
-        found.get("ground_reactions"),
-        found.get("mass_balance"),
-        parse_document(Path("no script"), b"<runscript/>")
-        if script is None
-        else parse_document(script, read_xml(script)),
+        parts.get("ground_reactions"),
+        parts.get("mass_balance"),
+        (
+            parse_document(Path("no script"), b"<runscript/>")
+            if script is None
+            else parse_document(script, read_xml(script))
+        ),
         included,
     )
 
 
 def _engine_files(aircraft: Aircraft | Files, propulsion: Part) -> dict[Node, Part]:
+    """Open the files that engines and thrusters name."""
     document, root = propulsion
     nodes = [
         node
@@ -466,11 +521,13 @@ def _engine_files(aircraft: Aircraft | Files, propulsion: Part) -> dict[Node, Pa
         for node in (engine, *engine.all("thruster"))
         if "file" in node.attributes
     ]
-    return {node: _included(aircraft, document, node) for node in nodes}
+    return {node: _open_included(aircraft, document, node) for node in nodes}
 
 
-def _included(aircraft: Aircraft | Files, document: Document, node: Node) -> Part:
-    """The root element of the file that is named; JSBSim looks in the aircraft's folder, its Systems, then the shared folder."""
+def _open_included(aircraft: Aircraft | Files, document: Document, node: Node) -> Part:
+    """Return the root of the file that an element names, searched in the aircraft's folder, its
+    Systems, then the shared folder.
+    """
     name = node.attributes["file"].strip()
     name = name if name.endswith(".xml") else f"{name}.xml"
     kind = "systems" if node.tag in _SYSTEMS else "engine"

@@ -1,8 +1,9 @@
-"""What all components share: where one stands, its inputs and coefficients, its memory, clipping, delay and outputs.
+"""Shared parts of all components: inputs, coefficients, memory, clipping, delay and outputs.
 
-Found by experiment with JSBSim 1.3.3 (tests/uqharness/batch/translate): coefficients of time are computed with the step at which
-the aircraft was loaded times the channel's ``execrate``, in the initialising frames too, where time stands still. ``<clipto>``
-with min above max is ignored. ``<delay>`` of N frames delays by N - 1. ``<init>`` is read and never used.
+As experiments with JSBSim 1.3.3 show: time coefficients use the step at load time times the
+channel's ``execrate``, also in the initialising frames, where time stands still. ``<clipto>`` with
+min above max is ignored. ``<delay>`` of N frames delays by N - 1. ``<init>`` is read and never
+used.
 """
 
 from __future__ import annotations
@@ -18,17 +19,25 @@ from uqharness.xml import Node
 REMARKS = ("description", "documentation")
 SHARED = ("input", "output", "init", "clipto", "delay", *REMARKS)
 """Elements that any component may have."""
-_LONGEST_DELAY = 1000
+_MAX_DELAY = 1000
 
 
 @dataclass(frozen=True)
 class Component:
     """A component in the frame that is traced.
 
-    dt_s     step at load time times the channel's execution rate
-    rate     that rate
-    key      what its memory is called, of its own
-    started  whether its channel has run before
+    Attributes
+    ----------
+    frame, scope, node
+        Frame, context and XML element.
+    dt_s : float
+        Step at load time times the channel's execution rate.
+    rate : int
+        That rate.
+    key : str
+        Prefix of the names of its memory.
+    has_run : callable
+        Returns whether its channel has run before.
     """
 
     frame: Frame
@@ -37,7 +46,7 @@ class Component:
     dt_s: float
     rate: int
     key: str
-    started: Callable[[], Value]
+    has_run: Callable[[], Value]
 
     @property
     def step(self) -> Value:
@@ -49,47 +58,52 @@ class Component:
 
     @property
     def builder(self) -> Builder:
-        """What makes the values."""
+        """Builder of the values."""
         return self.scope.builder
 
     def check(
-        self, once: Collection[str], many: Collection[str], attributes: Collection[str]
+        self, single: Collection[str], repeated: Collection[str], attributes: Collection[str]
     ) -> None:
-        """Refuse attributes and elements that are not understood, and those that are there twice and JSBSim reads once."""
+        """Refuse unknown attributes and elements, and repeated elements of which JSBSim reads only
+        the first.
+        """
         self.scope.only(self.node, ("name", *attributes))
-        seen: set[str] = set()
+        visited: set[str] = set()
+        # Elements of which JSBSim reads only the first must not be repeated.
         for child in self.node.children:
-            if child.tag not in SHARED and child.tag not in once and child.tag not in many:
+            if child.tag not in SHARED and child.tag not in single and child.tag not in repeated:
                 self.scope.refuse(
                     child,
                     f"<{child.tag}> in <{self.node.tag}> is not understood by the batch engine",
                 )
-            if child.tag in seen and (child.tag in once or child.tag in ("clipto", "delay")):
+            if child.tag in visited and (child.tag in single or child.tag in ("clipto", "delay")):
                 self.scope.refuse(
                     child, f"a <{self.node.tag}> has one <{child.tag}>: JSBSim takes the first"
                 )
-            seen.add(child.tag)
+            visited.add(child.tag)
 
-    def inputs(self, least: int, most: int | None) -> list[Value]:
-        """Values of the inputs. Refused if there are fewer or more."""
+    def inputs(self, minimum: int, maximum: int | None) -> list[Value]:
+        """Return the values of the inputs; refuse fewer or more."""
         nodes = self.node.all("input")
-        if len(nodes) < least or (most is not None and len(nodes) > most):
-            wanted = (
-                least if most == least else f"{least} to {'any number' if most is None else most}"
+        if len(nodes) < minimum or (maximum is not None and len(nodes) > maximum):
+            allowed = (
+                minimum
+                if maximum == minimum
+                else f"{minimum} to {'any number' if maximum is None else maximum}"
             )
             self.scope.refuse(
-                self.node, f"a <{self.node.tag}> has {wanted} <input>; received {len(nodes)}"
+                self.node, f"a <{self.node.tag}> has {allowed} <input>; received {len(nodes)}"
             )
         for node in nodes:
             self.scope.only(node)
         return [self.scope.property_value(node) for node in nodes]
 
     def input(self) -> Value:
-        """Value of the only input."""
+        """Return the value of the only input."""
         return self.inputs(1, 1)[0]
 
     def number(self, tag: str, default: float, attributes: Collection[str] = ()) -> float:
-        """The number in an element; ``default`` if there is none."""
+        """Return the number in an element; ``default`` if there is none."""
         node = self.node.find(tag)
         if node is None:
             return default
@@ -97,7 +111,7 @@ class Component:
         return self.scope.number(node)
 
     def needed(self, tag: str) -> Node:
-        """The element of that name; refused without."""
+        """Return the element of that name; refuse the component without it."""
         node = self.node.find(tag)
         if node is None:
             self.scope.refuse(self.node, f"a <{self.node.tag}> has <{tag}>; it has none")
@@ -106,7 +120,9 @@ class Component:
     def parameter(
         self, tag: str, default: float | None = None, attributes: Collection[str] = ()
     ) -> Value:
-        """The number in an element or the value of the property named there; without ``default`` it must be there."""
+        """Return the number in an element or the value of the property named there; without
+        ``default`` it is required.
+        """
         node = self.node.find(tag) if default is not None else self.needed(tag)
         if node is None:
             assert default is not None
@@ -115,32 +131,36 @@ class Component:
         return self.scope.parameter(node)
 
     def memory(self, name: str) -> Value:
-        """What the component remembered under that name, 0 before its first run."""
+        """Return a remembered value, 0 before the first run."""
         return self.frame.memory(f"{self.key}/{name}")
 
-    def remember(self, name: str, value: Value | float, still: Value | None = None) -> None:
-        """Remember a value, except where ``still`` holds."""
-        if still is not None:
-            value = still.choose(self.memory(name), value)
+    def remember(self, name: str, value: Value | float, is_frozen: Value | None = None) -> None:
+        """Remember a value, except where ``is_frozen`` holds."""
+        if is_frozen is not None:
+            value = is_frozen.choose(self.memory(name), value)
         self.frame.remember(f"{self.key}/{name}", value)
 
     def lagged(self, value: Value, rate: Value) -> Value:
-        """A first-order lag by Tustin's rule of corner frequency ``rate`` [1/s], from memory ``lag-in`` and ``lag-out``."""
+        """Apply a first-order lag (Tustin) of corner frequency ``rate`` [1/s], with memory
+        ``lag-in`` and ``lag-out``.
+        """
+        # Tustin: y = (dt c (x + x') + (2 - dt c) y') / (2 + dt c)
         below = 2.0 + self.step * rate
         a, b = self.step * rate / below, (2.0 - self.step * rate) / below
         return a * (value + self.memory("lag-in")) + self.memory("lag-out") * b
 
-    def delayed(self, value: Value, still: Value | None = None) -> Value:
-        """The value of as many runs before as ``<delay>`` is long, less one; 0 until there is one. The line does not move where
-        ``still`` holds."""
+    def delayed(self, value: Value, is_frozen: Value | None = None) -> Value:
+        """Return the value of ``<delay>`` - 1 runs before, 0 at first; the line does not move where
+        ``is_frozen`` holds.
+        """
         places = [f"delay-{k}" for k in range(self._delay() - 1)]
-        held = [self.memory(name) for name in places]
-        for name, later in zip(places, [*held[1:], value], strict=False):
-            self.remember(name, later, still)
-        return held[0] if held else value
+        line = [self.memory(name) for name in places]
+        for name, shifted in zip(places, [*line[1:], value], strict=False):
+            self.remember(name, shifted, is_frozen)
+        return line[0] if line else value
 
     def _delay(self) -> int:
-        """Length of the delay line, 0 without."""
+        """Return the length of the delay line, 0 without one."""
         node = self.node.find("delay")
         if node is None:
             return 0
@@ -149,19 +169,20 @@ class Component:
         if kind not in ("time", "frames"):
             self.scope.refuse(node, f"type='{kind}' of <delay>: allowed are time and frames")
         value = self.scope.number(node)
+        # Seconds become frames, which needs a fixed step.
         if kind == "time" and self.frame.any_step:
             self.scope.refuse(
                 node, "a <delay> in seconds has no fixed number of frames where the step may differ"
             )
         frames = value if kind == "frames" else value / self.dt_s if self.dt_s > 0.0 else math.inf
-        if not 0.0 <= frames <= _LONGEST_DELAY:
+        if not 0.0 <= frames <= _MAX_DELAY:
             self.scope.refuse(
-                node, f"a <delay> is 0 to {_LONGEST_DELAY} frames long; received {frames:g}"
+                node, f"a <delay> is 0 to {_MAX_DELAY} frames long; received {frames:g}"
             )
         return int(frames)
 
     def limits(self) -> tuple[Value, Value] | None:
-        """Least and greatest of ``<clipto>``; None without."""
+        """Return the lower and upper limit of ``<clipto>``; None without one."""
         node = self.node.find("clipto")
         if node is None:
             return None
@@ -174,41 +195,45 @@ class Component:
         return self.scope.parameter(ends[0]), self.scope.parameter(ends[1])
 
     def clipped(self, value: Value) -> Value:
-        """The value within ``<clipto>``, or turned round into it if that is cyclic."""
+        """Clip a value to ``<clipto>``, or wrap it into a cyclic one."""
         limits, node = self.limits(), self.node.find("clipto")
         if limits is None or node is None:
             return value
-        least, greatest = limits
-        span = greatest - least
-        held = constrained(least, value, greatest)
+        low, high = limits
+        span = high - low
+        result = clip(low, value, high)
         kind = node.attributes.get("type", "")
+        # Wrapped into the range by a remainder.
         if kind == "cyclic":
-            turned = self.builder.op("fmod", value - least, span) + least
-            turned = turned.lt(least).choose(turned + span, turned)
-            held = span.ne(0.0).choose(turned, held)
+            wrapped = self.builder.op("fmod", value - low, span) + low
+            wrapped = wrapped.lt(low).choose(wrapped + span, wrapped)
+            result = span.ne(0.0).choose(wrapped, result)
         elif kind:
             self.scope.refuse(
                 node, f"type='{kind}' of <clipto> is not understood; allowed is cyclic"
             )
-        return span.lt(0.0).choose(value, held)
+        return span.lt(0.0).choose(value, result)
 
     def write(self, node: Node, name: str, value: Value) -> None:
-        """Put a value into a property; refused if JSBSim would not take it."""
+        """Write a property; refuse it if JSBSim would not take it."""
         if read_only(name):
             self.scope.refuse(
                 node,
-                f"property {name} cannot be written by <{self.node.tag}>: JSBSim takes no value for it",
+                f"property {name} cannot be written by <{self.node.tag}>: JSBSim takes no value"
+                " for it",
             )
         self.frame.write(name, value)
 
-    def put(self, value: Value) -> None:
-        """Put the value into the outputs and the component's own property."""
+    def write_outputs(self, value: Value) -> None:
+        """Write the value to the outputs and the component's own property."""
         for name in output_names(self.scope, self.node):
             self.write(self.node, name, value)
 
 
 def output_names(scope: Scope, node: Node) -> list[str]:
-    """Properties that a component writes, in JSBSim's order: its ``<output>``s, then the one of its name."""
+    """List the properties that a component writes, in JSBSim's order: its ``<output>`` elements,
+    then the one of its name.
+    """
     names = []
     for child in node.all("output"):
         scope.only(child)
@@ -222,12 +247,19 @@ def output_names(scope: Scope, node: Node) -> list[str]:
 
 
 def inner(node: Node) -> list[Node]:
-    """Elements in an element of a component, without remarks."""
+    """Return the child elements without remarks."""
     return [child for child in node.children if child.tag not in REMARKS]
 
 
 def own_name(name: str) -> str:
-    """A component's property: its name as it stands if it has a '/', else below ``fcs/`` in small letters, white space as '-'."""
+    """Return a component's property: its name if it has a '/', else the name below ``fcs/`` in
+    lower case, white space as '-'.
+
+    Examples
+    --------
+    >>> own_name("Pitch Trim Sum"), own_name("ap/Hold")
+    ('fcs/pitch-trim-sum', 'ap/Hold')
+    """
     if "/" in name:
         return canonical(name)
     return canonical(
@@ -235,6 +267,6 @@ def own_name(name: str) -> str:
     )
 
 
-def constrained(least: Value, value: Value, greatest: Value) -> Value:
-    """The value between two others; where they are in the wrong order, below the least the least."""
-    return value.lt(least).choose(least, value.gt(greatest).choose(greatest, value))
+def clip(low: Value, value: Value, high: Value) -> Value:
+    """Clip a value; if the limits are in the wrong order, values below ``low`` become ``low``."""
+    return value.lt(low).choose(low, value.gt(high).choose(high, value))

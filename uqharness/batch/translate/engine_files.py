@@ -1,4 +1,7 @@
-"""Units of engine files and the factors by which JSBSim 1.3.3 converts them: some have fewer digits than the units themselves."""
+"""Read numbers of engine files with JSBSim's unit conversions.
+
+JSBSim 1.3.3 converts some units with fewer digits than the units have; the factors are its own.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from dataclasses import replace
 from sysid.units import LB_KG
 from uqharness.batch.form.ir import Value
 from uqharness.batch.translate.frame import Scope
-from uqharness.batch.translate.functions import Grid, interpolated, read_grid
+from uqharness.batch.translate.functions import Grid, interpolate, read_grid
 from uqharness.xml import Document, Node
 
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -31,25 +34,24 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "OHMS": {"OHMS": 1.0},
     "AMPERES": {"AMPERES": 1.0},
 }
-"""Unit that is wanted to units that may be given and the factor by which JSBSim converts them."""
+"""Required unit -> allowed units -> JSBSim's conversion factor."""
 
 MANIFOLD_PA_INHG, MANIFOLD_PA_PSF = 3386.38, 47.88
-"""What JSBSim's piston engines compute with."""
+"""Conversion factors of JSBSim's piston engines."""
 
 
-# Numbers of engine files as JSBSim 1.3.3 reads them: units, tables, and files whose names hold
-# '#' for the engine's number.
+# Numbers, tables, and files in which '#' stands for the engine's number.
 
 Part = tuple[Document, Node]
 
 TEXT = ("description", "documentation", "limitation", "note", "reference")
-"""Elements that say nothing to JSBSim."""
+"""Elements that JSBSim ignores."""
 
 
-def known(
+def refuse_unknown(
     scope: Scope, node: Node, tags: Collection[str], attributes: Collection[str] = ("name",)
 ) -> None:
-    """Refuse children and attributes that are not understood."""
+    """Refuse unknown children and attributes."""
     scope.only(node, attributes)
     for child in node.children:
         if child.tag not in tags and child.tag not in TEXT:
@@ -59,7 +61,7 @@ def known(
 
 
 def number(scope: Scope, node: Node, tag: str, default: float, unit: str = "") -> float:
-    """The first child of that name as a number, in ``unit``; ``default`` if there is none."""
+    """Return the first child of that name as a number in ``unit``; ``default`` if there is none."""
     child = node.find(tag)
     if child is None:
         return default
@@ -67,8 +69,8 @@ def number(scope: Scope, node: Node, tag: str, default: float, unit: str = "") -
     return scope.number(child) * _factor(scope, child, unit)
 
 
-def needed(scope: Scope, node: Node, tag: str, unit: str = "") -> float:
-    """The same where there is no default."""
+def required_number(scope: Scope, node: Node, tag: str, unit: str = "") -> float:
+    """Return the number of a required child."""
     if node.find(tag) is None:
         scope.refuse(node, f"<{node.tag}> has no <{tag}>")
     return number(scope, node, tag, 0.0, unit)
@@ -77,8 +79,8 @@ def needed(scope: Scope, node: Node, tag: str, unit: str = "") -> float:
 def triplet(
     scope: Scope, node: Node, names: tuple[str, str, str], unit: str
 ) -> tuple[float, float, float]:
-    """Three children as numbers; one that lacks is 0."""
-    known(scope, node, names, ("unit", "name"))
+    """Return three children as numbers; missing ones are 0."""
+    refuse_unknown(scope, node, names, ("unit", "name"))
     factor = _factor(scope, node, unit)
     parts = [
         0.0 if (child := node.find(name)) is None else scope.number(child) * factor
@@ -90,17 +92,22 @@ def triplet(
 
 
 def _factor(scope: Scope, node: Node, unit: str) -> float:
-    given = node.attributes.get("unit", "")
-    if not given:
+    """Return the factor from an element's unit."""
+    unit_name = node.attributes.get("unit", "")
+    if not unit_name:
         return 1.0
-    factor = UNITS.get(unit, {}).get(given)
+    factor = UNITS.get(unit, {}).get(unit_name)
     if factor is None:
-        scope.refuse(node, f"unit {given} of <{node.tag}> is not understood by the batch engine")
+        scope.refuse(
+            node, f"unit {unit_name} of <{node.tag}> is not understood by the batch engine"
+        )
     return factor
 
 
 def grid(scope: Scope, table: Node) -> Grid:
-    """The numbers of a ``<table type="internal">``: its columns tell whether it has one dimension or two."""
+    """Read a ``<table type="internal">``; its columns decide whether it has one or two
+    dimensions.
+    """
     scope.only(table, ("name", "type"))
     data = table.all("tableData")
     if (
@@ -110,22 +117,24 @@ def grid(scope: Scope, table: Node) -> Grid:
     ):
         scope.refuse(table, 'a table of an engine has type="internal" and one <tableData>')
     scope.only(data[0])
+    # Two dimensions: the first line has one number less than the second.
     lines = [line.split() for line in data[0].text.splitlines() if line.strip()]
     if not lines:
         scope.refuse(table, "the table has no numbers")
     return read_grid(scope, data[0], columns=len(lines) > 1 and len(lines[1]) == len(lines[0]) + 1)
 
 
-def looked_up(table: Grid, row: Value, column: Value | None = None) -> Value:
-    """The table's value; ``column`` only for a table of two dimensions."""
-    return interpolated(table, row, column if table.columns else None)
+def lookup(table: Grid, row: Value, column: Value | None = None) -> Value:
+    """Interpolate a table; ``column`` is used only in two dimensions."""
+    return interpolate(table, row, column if table.columns else None)
 
 
-def numbered(part: Part, number_of_engine: int) -> Part:
-    """The element with the engine's number in place of each '#'."""
+def with_number(part: Part, number_of_engine: int) -> Part:
+    """Return the element with the engine's number in place of each '#'."""
     document, node = part
 
     def copied(old: Node, parent: Node | None) -> Node:
+        """Copy an element and its children."""
         attributes = {
             key: text.replace("#", str(number_of_engine)) for key, text in old.attributes.items()
         }
@@ -142,6 +151,12 @@ def numbered(part: Part, number_of_engine: int) -> Part:
     return document, copied(node, node.parent)
 
 
-def base(number_of_engine: int) -> str:
-    """The begin of the names of an engine's properties."""
+def property_base(number_of_engine: int) -> str:
+    """Return the prefix of an engine's properties.
+
+    Examples
+    --------
+    >>> property_base(0), property_base(1)
+    ('propulsion/engine/', 'propulsion/engine[1]/')
+    """
     return f"propulsion/engine[{number_of_engine}]/" if number_of_engine else "propulsion/engine/"

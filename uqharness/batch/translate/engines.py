@@ -1,4 +1,5 @@
-"""``<electric_engine>`` and ``<brushless_dc_motor>``: power to the shaft by the throttle (JSBSim 1.3.3).
+"""Translate ``<propulsion>``: electric motors, and all engines with thrusters and tanks (JSBSim
+1.3.3).
 
 The brushless motor is Drela's (First-Order DC Electric Motor Model, 2007, eqs 2 and 4).
 """
@@ -9,13 +10,28 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from uqharness.batch.form.ir import Builder, Value
+from uqharness.batch.form.ir import Value
 from uqharness.batch.form.program import When
 from uqharness.batch.models.vectors import Vector, plus
 from uqharness.batch.translate.aerodynamics import write_function
 from uqharness.batch.translate.channels import Sources, compute_where_read, refuse_inner_names
-from uqharness.batch.translate.engine_files import Part, base, known, needed, number, numbered
-from uqharness.batch.translate.frame import INITIALISED, Frame, Scope, Values, canonical
+from uqharness.batch.translate.engine_files import (
+    Part,
+    number,
+    property_base,
+    refuse_unknown,
+    required_number,
+    with_number,
+)
+from uqharness.batch.translate.frame import (
+    INITIALISED,
+    Frame,
+    Scope,
+    Values,
+    canonical,
+    error_scope,
+    integer_hook,
+)
 from uqharness.batch.translate.piston import Piston, read_piston
 from uqharness.batch.translate.propeller import Jet, Propeller, read_jet, read_mount, read_propeller
 from uqharness.batch.translate.tanks import (
@@ -24,7 +40,6 @@ from uqharness.batch.translate.tanks import (
     feeding,
     read_tank,
     set_contents,
-    set_whole,
     trace_mass,
     trace_tanks,
 )
@@ -40,14 +55,14 @@ _ALWAYS = ("function",)
 
 @dataclass(frozen=True)
 class Electric:
-    """Power in proportion to the throttle."""
+    """Electric engine: power proportional to the throttle."""
 
     name: str
     index: str
     watts: float
 
     def trace(self, frame: Frame, thruster: Propeller | Jet) -> Value:
-        """What the thruster gets [ft lbf/s]."""
+        """Return the shaft power [ft lbf/s]."""
         hp = self.watts * frame.get(f"fcs/throttle-pos-norm{self.index}") / _HP_WATTS
         frame.store(f"{self.name}power-hp", hp)
         power = hp * _HP_FTLBPS
@@ -60,7 +75,7 @@ class Electric:
 
 @dataclass(frozen=True)
 class Brushless:
-    """A motor whose voltage follows the throttle."""
+    """Brushless motor: voltage proportional to the throttle."""
 
     name: str
     index: str
@@ -70,7 +85,7 @@ class Brushless:
     no_load_amperes: float
 
     def trace(self, frame: Frame, thruster: Propeller | Jet) -> Value:
-        """What the thruster gets [ft lbf/s]."""
+        """Return the shaft power [ft lbf/s]."""
         b, kv, idle = frame.builder, self.rpm_per_volt, self.no_load_amperes
         rpm = (
             frame.get(f"{self.name}propeller-rpm")
@@ -78,9 +93,11 @@ class Brushless:
             else b.constant(0.0)
         )
         volts = self.volts * frame.get(f"fcs/throttle-pos-norm{self.index}")
+        # i = (U - rpm / Kv) / R (Drela, eq 2)
         current = (volts - rpm / kv) / self.ohms
-        held = current.gt(idle).choose(idle, current.lt(-idle).choose(-idle, current))
-        friction = rpm.gt(0.0).choose(idle, held)
+        # At rest friction takes at most the no-load current.
+        clipped = current.gt(idle).choose(idle, current.lt(-idle).choose(-idle, current))
+        friction = rpm.gt(0.0).choose(idle, clipped)
         torque = (current - friction) / kv * (60.0 / (2.0 * math.pi * _NM_FTLB))
         power = 2.0 * math.pi * b.op("max", rpm, 0.0001) * torque / 60.0
         frame.store(f"{self.name}current-amperes", current)
@@ -89,39 +106,39 @@ class Brushless:
 
 
 def read_electric(scope: Scope, part: Part, name: str, index: str) -> Electric | Brushless:
-    """An engine of either kind. Raises BadInputError with file and line."""
+    """Read an electric engine of either kind; raises BadInputError with file and line."""
     node = part[1]
     if node.tag == "electric_engine":
-        known(scope, node, ("power", *_ALWAYS))
+        refuse_unknown(scope, node, ("power", *_ALWAYS))
         return Electric(name, index, number(scope, node, "power", _HP_WATTS, "WATTS"))
-    known(
+    refuse_unknown(
         scope, node, ("maxvolts", "velocityconstant", "coilresistance", "noloadcurrent", *_ALWAYS)
     )
     return Brushless(
         name,
         index,
-        needed(scope, node, "maxvolts", "VOLTS"),
-        needed(scope, node, "velocityconstant"),
-        needed(scope, node, "coilresistance", "OHMS"),
-        needed(scope, node, "noloadcurrent", "AMPERES"),
+        required_number(scope, node, "maxvolts", "VOLTS"),
+        required_number(scope, node, "velocityconstant"),
+        required_number(scope, node, "coilresistance", "OHMS"),
+        required_number(scope, node, "noloadcurrent", "AMPERES"),
     )
 
 
-# ``<propulsion>`` read and traced: engines in the order of the file, each with its thruster and
-# the tanks that feed it.
-#
-# Found by experiment with JSBSim 1.3.3: an engine is computed, then takes its fuel, then its
-# thruster's force and moment are added; it learns that its tanks are empty a frame later.
-# ``propulsion/set-running`` in a script acts when the script is loaded: what engines are at
-# then is JSBSim's to tell.
+# Engines in the order of the file, each with its thruster and the tanks that feed it. As
+# experiments with JSBSim 1.3.3 show: an engine is computed, takes its fuel, then its thruster's
+# force and moment are added; it sees a frame late that its tanks are empty.
+# ``propulsion/set-running`` in a script acts when the script is loaded; the resulting state is
+# taken from JSBSim.
 
 _BOTH_MAGNETOS = 3.0
-_NEAR_LBS, _TIMES, _MOST = 1e-4, 120.0, 6000.0
+_SETTLED_LBS, _SETTLED_TURNS, _MAX_TURNS = 1e-4, 120.0, 6000.0
 
 
 @dataclass(frozen=True)
 class Engine:
-    """``part`` is the root of its file, with its number; ``feeds`` are numbers of tanks."""
+    """An engine with its thruster; ``part`` is the root of its file, ``feeds`` are indices of
+    tanks.
+    """
 
     part: Part
     name: str
@@ -136,34 +153,36 @@ class Engine:
         return f"engine{self.index}/starved"
 
     def trace(self, frame: Frame) -> tuple[Vector, Vector]:
-        """Its functions, power and thrust; force and moment."""
+        """Add functions, power and thrust; return force and moment."""
         document, root = self.part
         scope = frame.scope(document)
         for function in root.all("function"):
             if function.attributes.get("type", "") in ("", "pre"):
                 write_function(frame, scope, function, ("name", "type"))
-        acting = self.thruster.trace(frame, self.motor.trace(frame, self.thruster))
+        loads = self.thruster.trace(frame, self.motor.trace(frame, self.thruster))
         for function in root.all("function"):
             if function.attributes.get("type", "") == "post":
                 write_function(frame, scope, function, ("name", "type"))
-        return acting
+        return loads
 
 
 @dataclass(frozen=True)
 class Propulsion:
-    """All of it. ``part`` is None without a ``<propulsion>``."""
+    """Engines and tanks; ``part`` is None without a ``<propulsion>``."""
 
     part: Part | None
     engines: tuple[Engine, ...]
     tanks: tuple[Tank, ...]
 
     def prepare(self, frame: Frame, first: bool) -> None:
-        """Hooks, and functions that are computed wherever they are read until they have been run."""
+        """Install hooks, and functions that are computed where they are read until they have
+        run.
+        """
         for tank in self.tanks:
             frame.hooks[f"{tank.name}contents-lbs"] = set_contents(tank)
-            frame.hooks[f"{tank.name}priority"] = set_whole(f"{tank.name}priority")
+            frame.hooks[f"{tank.name}priority"] = integer_hook(f"{tank.name}priority")
         for engine in self.engines:
-            frame.hooks[f"{engine.name}constant-speed-mode"] = set_whole(
+            frame.hooks[f"{engine.name}constant-speed-mode"] = integer_hook(
                 f"{engine.name}constant-speed-mode"
             )
             refuse_inner_names(frame, *engine.part)
@@ -171,13 +190,15 @@ class Propulsion:
                 compute_where_read(frame, engine.part[0], function)
 
     def trace_mass(self, frame: Frame, first: bool) -> None:
-        """Mass, place and inertia by what is in the tanks."""
+        """Add mass, centre of gravity and inertia, if there are tanks."""
         if self.tanks:
             with frame.section("mass"):
                 trace_mass(frame, self.tanks, first)
 
     def trace(self, frame: Frame) -> None:
-        """Forces and moments as forces/fb?-prop-lbs and moments/?-prop-lbsft, and what engines take from tanks."""
+        """Add forces and moments as forces/fb?-prop-lbs and moments/?-prop-lbsft, and the
+        consumption of fuel.
+        """
         if self.part is None or not (self.engines or self.tanks):
             return
         with frame.section("propulsion"):
@@ -198,14 +219,16 @@ class Propulsion:
     def _consume(self, frame: Frame, engine: Engine) -> None:
         """Take an engine's fuel from its tanks."""
         b, name = frame.builder, engine.name
-        now, count, starved = feeding(frame, self.tanks, engine.feeds)
+        feeding_tanks, count, starved = feeding(frame, self.tanks, engine.feeds)
         frame.remember(engine.starved, starved.choose(1.0, 0.0))
         if isinstance(engine.motor, Electric | Brushless):
             return
+        # Without fuel the last flow stays published and nothing is taken.
         burns = b.op("not", starved)
         rate = burns.choose(engine.motor.fuel_rate(frame), frame.get(f"{name}fuel-flow-rate-pps"))
         spent = burns.choose(rate * frame.step, 0.0)
         frame.store(f"{name}fuel-flow-rate-pps", rate)
+        # JSBSim uses the density of the last tank for volumes.
         density = (
             frame.get(f"{self.tanks[-1].name}density-lbs_per_gal")
             if self.tanks
@@ -213,56 +236,62 @@ class Propulsion:
         )
         frame.store(f"{name}fuel-flow-rate-gph", rate * 3600.0 / density)
         frame.store(f"{name}fuel-used-lbs", frame.get(f"{name}fuel-used-lbs") + spent)
-        for k, gives in zip(engine.feeds, now, strict=True):
+        for k, gives in zip(engine.feeds, feeding_tanks, strict=True):
             self.tanks[k].drain(frame, spent / count, gives)
 
     def trace_steady(self, frame: Frame, engine: Engine) -> None:
-        """One turn of JSBSim's way to an engine's steady state; the slot ``going`` tells whether there is another."""
+        """Add one step of JSBSim's iteration to an engine's steady state; the slot `settling_slot`
+        is 0 when it is done.
+        """
         thrust, count, turns = (
             "steady/thrust",
             f"steady{engine.index}/count",
             f"steady{engine.index}/turns",
         )
-        with frame.section("steady state", When(mask=going(engine))):
+        with frame.section("steady state", When(mask=settling_slot(engine))):
             engine.trace(frame)
             b = frame.builder
-            before, now = frame.memory(thrust), frame.get(f"{engine.name}thrust-lbs")
-            near = b.op("abs", before - now).lt(_NEAR_LBS)
-            counted = near.choose(frame.memory(count) + 1.0, 0.0)
-            turned = frame.memory(turns) + 1.0
-            frame.remember(thrust, now)
-            frame.remember(count, counted)
-            frame.remember(turns, turned)
-            over = b.op("or", counted.gt(_TIMES), turned.ge(_MOST))
-            frame.remember(going(engine)[1:], over.choose(0.0, 1.0), 1.0)
+            before, current = frame.memory(thrust), frame.get(f"{engine.name}thrust-lbs")
+            # Thrust of two successive steps agrees.
+            is_settled = b.op("abs", before - current).lt(_SETTLED_LBS)
+            settled_turns = is_settled.choose(frame.memory(count) + 1.0, 0.0)
+            new_turns = frame.memory(turns) + 1.0
+            frame.remember(thrust, current)
+            frame.remember(count, settled_turns)
+            frame.remember(turns, new_turns)
+            # Steady: thrust unchanged for 120 steps; JSBSim gives up after 6000.
+            over = b.op("or", settled_turns.gt(_SETTLED_TURNS), new_turns.ge(_MAX_TURNS))
+            frame.remember(settling_slot(engine)[1:], over.choose(0.0, 1.0), 1.0)
 
 
-def going(engine: Engine) -> str:
-    """Slot: whether an engine is still on its way to its steady state."""
+def settling_slot(engine: Engine) -> str:
+    """Return the slot that is nonzero until an engine is steady."""
     return f"#steady{engine.index}/going"
 
 
 STEADY_STEP_S = 0.5
-"""Step of JSBSim's way to a steady state."""
+"""Step of JSBSim's iteration to a steady state."""
 
 
-def read_propulsion(sources: Sources, values: Values, started: bool = False) -> Propulsion:
-    """Read engines, thrusters and tanks, and put the aircraft without fuel into ``values``. started: by the host, not by a script.
+def read_propulsion(sources: Sources, values: Values, engines_running: bool = False) -> Propulsion:
+    """Read engines, thrusters and tanks, and add the aircraft without fuel to ``values``.
 
-    Raises BadInputError with file and line for what is not understood.
+    ``engines_running``: the host starts them, not a script. Raises BadInputError with file and line
+    for what the engine does not support.
     """
     if sources.propulsion is None:
         return Propulsion(None, (), ())
     document, node = sources.propulsion
-    scope = _plain(document)
-    known(scope, node, ("engine", "tank", "property"), ("name", "file"))
+    scope = error_scope(document)
+    refuse_unknown(scope, node, ("engine", "tank", "property"), ("name", "file"))
     _check_start(values)
     tanks = tuple(read_tank(scope, (document, tank), k) for k, tank in enumerate(node.all("tank")))
-    magnetos = _BOTH_MAGNETOS if started else _magnetos(sources.script)
+    magnetos = _BOTH_MAGNETOS if engines_running else _magnetos(sources.script)
     engines = tuple(
         _read_engine((document, engine), k, sources.included, len(tanks), magnetos)
         for k, engine in enumerate(node.all("engine"))
     )
+    # Mass properties without fuel, from those that JSBSim reports with fuel.
     if tanks:
         values.update(dry_aircraft(tanks, lambda name: _initialised(values, name)))
     return Propulsion(sources.propulsion, engines, tanks)
@@ -271,17 +300,22 @@ def read_propulsion(sources: Sources, values: Values, started: bool = False) -> 
 def _read_engine(
     part: Part, k: int, included: Mapping[Node, Part], tanks: int, magnetos: float
 ) -> Engine:
+    """Read one engine with its thruster and feeds."""
     document, node = part
-    scope, name, index = _plain(document), base(k), f"[{k}]" if k else ""
+    scope, name, index = error_scope(document), property_base(k), f"[{k}]" if k else ""
     kinds = ("electric_engine", "brushless_dc_motor", "piston_engine", "turbine_engine")
-    known(scope, node, ("feed", "thruster", "location", "orient", *kinds), ("file", "name"))
-    root_part = numbered(_content(scope, part, included, kinds), k)
-    scope_of_root, root = _plain(root_part[0]), root_part[1]
+    refuse_unknown(
+        scope, node, ("feed", "thruster", "location", "orient", *kinds), ("file", "name")
+    )
+    root_part = with_number(_content(scope, part, included, kinds), k)
+    scope_of_root, root = error_scope(root_part[0]), root_part[1]
+    # A turbine's functions belong to the engine's properties.
     for function in root.all("function"):
         if function.attributes.get("name", "") in FUNCTIONS and root.tag == "turbine_engine":
             function.attributes["name"] = name + function.attributes["name"]
         if function.attributes.get("type", "") not in ("", "pre", "post"):
             scope_of_root.refuse(function, "a function of an engine has type pre or post")
+    # Thruster: mounting in the aircraft, and its own file.
     thruster = node.find("thruster")
     if thruster is None:
         scope.refuse(node, "an engine has a <thruster>")
@@ -289,11 +323,11 @@ def _read_engine(
     thruster_part = _content(
         scope, (document, thruster), included, ("propeller", "direct", "nozzle")
     )
-    read = _plain(thruster_part[0])
-    acting = (
-        read_propeller(read, thruster_part, mount)
+    thruster_scope = error_scope(thruster_part[0])
+    thruster_model = (
+        read_propeller(thruster_scope, thruster_part, mount)
         if thruster_part[1].tag == "propeller"
-        else read_jet(read, thruster_part, mount)
+        else read_jet(thruster_scope, thruster_part, mount)
     )
     motor: Electric | Brushless | Piston | Turbine
     if root.tag == "piston_engine":
@@ -302,51 +336,55 @@ def _read_engine(
         motor = read_turbine(scope_of_root, root_part, name, index)
     else:
         motor = read_electric(scope_of_root, root_part, name, index)
-    if isinstance(motor, Brushless) and not isinstance(acting, Propeller):
+    if isinstance(motor, Brushless) and not isinstance(thruster_model, Propeller):
         scope.refuse(thruster, "a brushless motor turns a propeller")
-    if isinstance(motor, Turbine) and (not isinstance(acting, Jet) or acting.area_ft2 is not None):
+    if isinstance(motor, Turbine) and (
+        not isinstance(thruster_model, Jet) or thruster_model.area_ft2 is not None
+    ):
         scope.refuse(thruster, "a turbine has a <direct> thruster")
+    # Tanks are named by number.
     feeds = tuple(int(scope.number(feed)) for feed in node.all("feed"))
     if any(not 0 <= feed < tanks for feed in feeds):
         scope.refuse(
             node,
             f"an engine feeds from tanks 0 to {tanks - 1}; received {', '.join(map(str, feeds))}",
         )
-    return Engine(root_part, name, index, motor, acting, feeds)
+    return Engine(root_part, name, index, motor, thruster_model, feeds)
 
 
 def _content(scope: Scope, part: Part, included: Mapping[Node, Part], kinds: Sequence[str]) -> Part:
-    """What an engine or thruster is: the root of the file that is named, or the element inside."""
+    """Return the root of the file that an engine or thruster names, or the element inside."""
     document, node = part
     inside = [child for child in node.children if child.tag in kinds]
     if node in included:
-        found = included[node]
-        if inside or found[1].tag not in kinds:
-            kind = inside[0].tag if inside else found[1].tag
-            _plain(found[0]).refuse(
-                found[1], f"<{kind}> is not understood by the batch engine; {', '.join(kinds)} are"
+        content = included[node]
+        if inside or content[1].tag not in kinds:
+            kind = inside[0].tag if inside else content[1].tag
+            error_scope(content[0]).refuse(
+                content[1],
+                f"<{kind}> is not understood by the batch engine; {', '.join(kinds)} are",
             )
-        return found
+        return content
     if len(inside) != 1:
         scope.refuse(node, f"<{node.tag}> names a file or has one of {', '.join(kinds)}")
     return document, inside[0]
 
 
 def _magnetos(script: Document) -> float:
-    """The magnetos' switch that a script leaves: engines that are set running have both on."""
+    """Return the magneto switch after the script: set-running turns both on."""
     run = script.root.find("run")
-    found = 0.0
+    switch = 0.0
     for node in () if run is None else run.all("property"):
         name, text = canonical(node.text), node.attributes.get("value", "").strip()
         if name == "propulsion/set-running":
-            found = _BOTH_MAGNETOS
+            switch = _BOTH_MAGNETOS
         elif name == "propulsion/magneto_cmd" and text:
-            found = float(int(_plain(script).number(node, text)))
-    return found
+            switch = float(int(error_scope(script).number(node, text)))
+    return switch
 
 
 def _check_start(values: Values) -> None:
-    """Refuse what must not go on at the start: it is no value that could be handed over."""
+    """Refuse refuelling, dumping and starters that are on at the start."""
     for name in ("refuel", "fuel_dump", "starter_cmd"):
         if values.get(f"propulsion/{name}", 0.0) not in (0.0, -1.0):
             raise BadInputError(
@@ -355,10 +393,6 @@ def _check_start(values: Values) -> None:
 
 
 def _initialised(values: Values, name: str) -> float:
-    """A property behind JSBSim's initialising frames."""
-    later = values.get(INITIALISED + name)
-    return values[name] if later is None else later
-
-
-def _plain(document: Document) -> Scope:
-    return Scope(Builder(), document, lambda _: None)
+    """Return a property after JSBSim's initialising frames."""
+    initialised = values.get(INITIALISED + name)
+    return values[name] if initialised is None else initialised

@@ -1,9 +1,10 @@
-"""JSBSim's ``<function>`` trees as values of the intermediate form.
+"""Translate JSBSim's ``<function>`` trees and tables to values.
 
-Meanings were found by experiment with JSBSim 1.3.3 (tests/test_functions.py compares every operation). Where JSBSim ends the
-flight with an error (a condition that is neither 0 nor 1, a switch without such a case, the rest of a division by 0 in whole
-numbers) the value is NaN, and the flight is noted as beyond the engine, for ``min`` and others hide a NaN. What JSBSim drops
-without a word (an unknown operation or a ``<function>`` inside a sum) is refused with file and line.
+Meanings were determined by experiment with JSBSim 1.3.3; tests compare every operation. Where
+JSBSim ends the flight with an error (a condition that is neither 0 nor 1, a switch without such a
+case, an integer remainder by 0) the value is NaN and the flight is noted as beyond the engine,
+because ``min`` and others hide a NaN. What JSBSim silently drops (an unknown operation, or a
+``<function>`` inside a sum) is refused with file and line.
 """
 
 from __future__ import annotations
@@ -14,28 +15,25 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from uqharness.batch.form.ir import Value
-from uqharness.batch.form.maths import QUOTIENT_LIMIT, TRIGONOMETRIC_LIMIT, truncated, with_sign_of
+from uqharness.batch.form.maths import QUOTIENT_LIMIT, TRIGONOMETRIC_LIMIT, copysign, truncate
 from uqharness.batch.translate.frame import Scope
 from uqharness.xml import Node
 
-# JSBSim's functions that turn vectors and angles between body and wind axes. Angles are in
-# degrees.
-#
-# The wind axes follow from the body axes by alpha about y, beta about z and gamma about x. No
-# file that comes with JSBSim uses them.
+# Rotations between body and wind axes, angles in degrees. Wind axes follow from body axes by
+# alpha about y, beta about z and gamma about x.
 
 _Rows = tuple[tuple[Value, Value, Value], ...]
 
 
 def _turns(scope: Scope, angles: Sequence[Value]) -> list[tuple[Value, Value]]:
-    """Cosine and sine of each angle in degrees."""
+    """Return cosine and sine of each angle [deg]."""
     b = scope.builder
     radians = [a * (math.pi / 180.0) for a in angles]
     return [(b.op("cos", r), b.op("sin", r)) for r in radians]
 
 
 def _wind_from_body(scope: Scope, alpha: Value, beta: Value, gamma: Value) -> _Rows:
-    """Rows of the matrix that turns a vector of body axes into wind axes."""
+    """Return the rows of the matrix from body to wind axes."""
     (ca, sa), (cb, sb), (cg, sg) = _turns(scope, (alpha, beta, gamma))
     x = (ca * cb, sb, sa * cb)
     y, z = (-(ca * sb), cb, -(sa * sb)), (-sa, scope.builder.constant(0.0), ca)
@@ -45,11 +43,12 @@ def _wind_from_body(scope: Scope, alpha: Value, beta: Value, gamma: Value) -> _R
 def _mix(
     f: Value, a: tuple[Value, Value, Value], g: Value, b: tuple[Value, Value, Value]
 ) -> tuple[Value, Value, Value]:
+    """Return f a + g b."""
     return (f * a[0] + g * b[0], f * a[1] + g * b[1], f * a[2] + g * b[2])
 
 
 def _component(index: Value, vector: Sequence[Value]) -> Value:
-    """Component 1, 2 or 3, the index cut to an integer; NaN for another."""
+    """Return component 1, 2 or 3, the index truncated; NaN for other indices."""
     result = index.builder.constant(math.nan)
     for number in (3, 2, 1):
         inside = index.builder.op("and", index.ge(float(number)), index.lt(number + 1.0))
@@ -58,11 +57,13 @@ def _component(index: Value, vector: Sequence[Value]) -> Value:
 
 
 def _body_to_wind(scope: Scope, a: Sequence[Value]) -> Value:
+    """Return a component of a body vector in wind axes."""
     rows = _wind_from_body(scope, a[3], a[4], a[5])
     return _component(a[6], [r[0] * a[0] + r[1] * a[1] + r[2] * a[2] for r in rows])
 
 
 def _wind_to_body(scope: Scope, a: Sequence[Value]) -> Value:
+    """Return a component of a wind vector in body axes."""
     x, y, z = _wind_from_body(scope, a[3], a[4], a[5])
     return _component(a[6], [x[k] * a[0] + y[k] * a[1] + z[k] * a[2] for k in range(3)])
 
@@ -71,7 +72,9 @@ _Vector = tuple[Value, Value, Value]
 
 
 def _in_body(scope: Scope, a: Sequence[Value], y: Value, z: Value, x: Value) -> _Vector:
-    """A vector of wind axes without gamma (alpha a[0], beta a[1]), seen after the body has turned by phi, theta, psi (a[3:6])."""
+    """Transform a vector of wind axes without gamma (alpha a[0], beta a[1]) to a body rotated by
+    phi, theta, psi (a[3:6]).
+    """
     (ca, sa), (cb, sb), (cp, sp), (ct, st), (cy, sy) = _turns(scope, (a[0], a[1], a[3], a[4], a[5]))
     x, y = cb * x - sb * y, sb * x + cb * y
     x, z = ca * x - sa * z, sa * x + ca * z
@@ -81,22 +84,27 @@ def _in_body(scope: Scope, a: Sequence[Value], y: Value, z: Value, x: Value) -> 
 
 
 def _stream(scope: Scope, a: Sequence[Value]) -> _Vector:
+    """Return the direction of the airstream in the rotated body."""
     b = scope.builder
     return _in_body(scope, a, b.constant(0.0), b.constant(0.0), b.constant(1.0))
 
 
 def _alpha_local(scope: Scope, a: Sequence[Value]) -> Value:
+    """Return the angle of attack in the rotated body [deg]."""
     u, _, w = _stream(scope, a)
     return scope.builder.op("atan2", w, u) * (180.0 / math.pi)
 
 
 def _beta_local(scope: Scope, a: Sequence[Value]) -> Value:
+    """Return the sideslip in the rotated body [deg]."""
     _, v, _ = _stream(scope, a)
     return scope.builder.op("asin", v) * (180.0 / math.pi)
 
 
 def _gamma_local(scope: Scope, a: Sequence[Value]) -> Value:
-    """Here gamma turns the other way than in ``rotation_bf_to_wf``."""
+    """Return the roll about the airstream [deg], opposite in sign to gamma of
+    ``rotation_bf_to_wf``.
+    """
     ((cg, sg),) = _turns(scope, (a[2],))
     zero = scope.builder.constant(0.0)
     _, of_y, _ = _in_body(scope, a, cg, sg, zero)
@@ -111,35 +119,34 @@ ROTATIONS: Mapping[str, tuple[int, Callable[[Scope, Sequence[Value]], Value]]] =
     "rotation_bf_to_wf": (7, _body_to_wind),
     "rotation_wf_to_bf": (7, _wind_to_body),
 }
-"""Tag to the number of arguments and the value."""
+"""Tag -> number of arguments and function that makes the value."""
 
 
-# JSBSim's ``<table>`` in one, two and three dimensions as values of the intermediate form.
-#
-# Found by experiment with JSBSim 1.3.3 (tests/test_tables.py): a key beyond the breakpoints is
-# held at the last; an interval has its upper breakpoint and not its lower; in one dimension the
-# result is t * (y1 - y0) + y0, and from the last breakpoint on its value; in two dimensions
-# first the rows are weighed, (1 - t) * z0 + t * z1, then the columns by t * (z1 - z0) + z0, at
-# the end too; a grid of one column is taken as one dimension; of three dimensions the last is
-# taken as one dimension. A NaN key gives NaN, but for the column of a grid that has only one.
+# Tables in one, two and three dimensions. As experiments with JSBSim 1.3.3 show: keys are clamped
+# to the breakpoints; an interval includes its upper breakpoint only; in one dimension the result
+# is t * (y1 - y0) + y0, and exactly the last value from the last breakpoint on; in two dimensions
+# rows are weighted first, (1 - t) * z0 + t * z1, then columns by t * (z1 - z0) + z0; a grid with
+# one column counts as one dimension, and so does the third dimension. A NaN key gives NaN, except
+# for the column of a grid with one column.
 
 _AXES = ("row", "column", "table")
-_MANY = 24
-"""Intervals from which on numbers are looked up in memory: below, to choose among all of them costs less."""
+_MIN_LOOKUP = 24
+"""Number of intervals from which a lookup in memory is cheaper than selecting by comparisons."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Breakpoints, strictly increasing, and the interval in which a key lies."""
+    """Strictly increasing breakpoints, and a key."""
 
     points: tuple[float, ...]
     key: Value
 
     def pick(self, choices: Sequence[Value | float]) -> Value:
-        """Of one choice for each interval, that of the key's."""
+        """Return the choice of the key's interval, one choice per interval."""
         b = self.key.builder
         numbers = [c if isinstance(c, float) else c.constant for c in choices]
-        if len(numbers) >= _MANY and None not in numbers:
+        # Many constants are looked up in memory; few are selected by comparisons.
+        if len(numbers) >= _MIN_LOOKUP and None not in numbers:
             return b.op(
                 "lookup", b.table([float(x) for x in numbers if x is not None]), self.interval()
             )
@@ -149,21 +156,22 @@ class Axis:
         return result
 
     def interval(self) -> Value:
-        """The number of the key's interval, from 0: that of inner breakpoints that the key exceeds, 0 for a NaN key."""
+        """Return the index of the key's interval from 0; 0 for a NaN key."""
         b, inner = self.key.builder, self.points[1:-1]
-        if len(self.points) <= _MANY:
+        if len(self.points) <= _MIN_LOOKUP:
             return self.pick([float(k) for k in range(len(inner) + 1)])
+        # Binary search without branches, in a table padded to a power of two.
         step = 1 << (len(inner).bit_length() - 1)
         table = b.table([*inner, *[math.inf] * (2 * step - 1 - len(inner))])
         place: Value = b.constant(0.0)
         while step:
-            further = place + float(step)
-            place = self.key.gt(b.op("lookup", table, further - 1.0)).choose(further, place)
+            candidate = place + float(step)
+            place = self.key.gt(b.op("lookup", table, candidate - 1.0)).choose(candidate, place)
             step //= 2
         return place
 
     def weight(self) -> Value:
-        """Where in its interval the key lies: 0 to 1, held beyond the ends."""
+        """Return the position of the key in its interval, clamped to 0..1."""
         start = self.pick(self.points[:-1])
         span = self.pick([b - a for a, b in zip(self.points, self.points[1:], strict=False)])
         t = (self.key - start) / span
@@ -173,97 +181,111 @@ class Axis:
 
 @dataclass(frozen=True)
 class Grid:
-    """Numbers of a ``<tableData>``: breakpoints of rows, of columns (none in one dimension), and values, a row a breakpoint."""
+    """Numbers of a ``<tableData>``: breakpoints of rows and columns (none in one dimension), and
+    values by row.
+    """
 
     rows: tuple[float, ...]
     columns: tuple[float, ...]
     values: tuple[tuple[float, ...], ...]
 
 
-def table(scope: Scope, node: Node) -> Value:
-    """The value of a ``<table>`` inside a function. Raises BadInputError with file and line for what is not understood."""
+def table_value(scope: Scope, node: Node) -> Value:
+    """Return the value of a ``<table>`` inside a function.
+
+    Raises BadInputError with file and line for unknown elements.
+    """
     scope.only(node, ("name",))
     for child in node.children:
         if child.tag not in ("independentVar", "tableData", "description"):
             scope.refuse(
                 child,
-                f"<{child.tag}> in a <table> is not understood; allowed are independentVar and tableData",
+                f"<{child.tag}> in a <table> is not understood; allowed are independentVar and"
+                " tableData",
             )
+    # The number of keys is the number of dimensions.
     keys = _keys(scope, node)
     data = node.all("tableData")
     if "table" in keys:
-        return _three(scope, node, keys, data)
+        return _table_3d(scope, node, keys, data)
     if len(data) != 1:
         scope.refuse(
             node, f"a <table> of {len(keys)} dimensions has one <tableData>; received {len(data)}"
         )
     scope.only(data[0])
     grid = read_grid(scope, data[0], "column" in keys)
-    return interpolated(grid, keys["row"], keys.get("column"))
+    return interpolate(grid, keys["row"], keys.get("column"))
 
 
-def interpolated(grid: Grid, row: Value, column: Value | None) -> Value:
-    """The grid's value at the keys."""
+def interpolate(grid: Grid, row: Value, column: Value | None) -> Value:
+    """Interpolate a grid at the keys."""
     if column is None or len(grid.columns) == 1:
-        return _line(Axis(grid.rows, row), [line[0] for line in grid.values], True)
-    across = Axis(grid.columns, column)
-    along = Axis(grid.rows, row)
+        return _interpolate_line(Axis(grid.rows, row), [line[0] for line in grid.values], True)
+    column_axis = Axis(grid.columns, column)
+    row_axis = Axis(grid.rows, row)
     builder = row.builder
-    if len(grid.rows) > 1 and len(grid.rows) * len(grid.columns) >= _MANY:
-        return _between_corners(grid, along, across)
+    # Large grids are looked up in memory.
+    if len(grid.rows) > 1 and len(grid.rows) * len(grid.columns) >= _MIN_LOOKUP:
+        return _bilinear(grid, row_axis, column_axis)
     by_row: list[Value | float] = []
     for place in range(len(grid.columns)):
         heights = [line[place] for line in grid.values]
         if len(heights) == 1:
             by_row.append(builder.constant(heights[0]))
             continue
-        t = along.weight()
-        by_row.append((1.0 - t) * along.pick(heights[:-1]) + t * along.pick(heights[1:]))
-    return _line(across, by_row, False)
+        t = row_axis.weight()
+        by_row.append((1.0 - t) * row_axis.pick(heights[:-1]) + t * row_axis.pick(heights[1:]))
+    return _interpolate_line(column_axis, by_row, False)
 
 
-def _between_corners(grid: Grid, along: Axis, across: Axis) -> Value:
-    """The same by the four numbers around the keys, looked up."""
-    b, width = along.key.builder, len(grid.columns)
+def _bilinear(grid: Grid, row_axis: Axis, column_axis: Axis) -> Value:
+    """Interpolate a large grid from the four looked-up values around the keys."""
+    b, width = row_axis.key.builder, len(grid.columns)
     numbers = b.table([x for line in grid.values for x in line])
-    place = along.interval() * float(width) + across.interval()
-    t = along.weight()
-    left, right = (
+    # Index of the lower left corner in the flattened grid.
+    place = row_axis.interval() * float(width) + column_axis.interval()
+    t = row_axis.weight()
+    lower, upper = (
         (1.0 - t) * b.op("lookup", numbers, place + float(side))
         + t * b.op("lookup", numbers, place + float(width + side))
         for side in (0, 1)
     )
-    return across.weight() * (right - left) + left
+    return column_axis.weight() * (upper - lower) + lower
 
 
 def read_grid(scope: Scope, node: Node, columns: bool) -> Grid:
-    """The numbers of a ``<tableData>``: with ``columns`` its first line has the breakpoints of the columns."""
+    """Read a ``<tableData>``; with ``columns`` its first line has the breakpoints of the
+    columns.
+    """
     if node.children:
         scope.refuse(
             node.children[0],
-            f"<{node.children[0].tag}> in <tableData> is not understood; nested tables have attribute breakPoint",
+            f"<{node.children[0].tag}> in <tableData> is not understood; nested tables have"
+            " attribute breakPoint",
         )
     lines = [
         [scope.number(node, word) for word in line.split()]
         for line in node.text.splitlines()
         if line.strip()
     ]
+    # The first line of a two-dimensional table has the breakpoints of the columns.
     head = lines.pop(0) if columns and lines else []
     if not lines:
         scope.refuse(node, "<tableData> has no numbers; a line has a breakpoint and its values")
-    wanted = len(head) + 1 if columns else 2
+    count = len(head) + 1 if columns else 2
     for line in lines:
-        if len(line) != wanted:
+        if len(line) != count:
             scope.refuse(
-                node, f"every line of this <tableData> has {wanted} numbers; received {len(line)}"
+                node, f"every line of this <tableData> has {count} numbers; received {len(line)}"
             )
     rows = tuple(line[0] for line in lines)
-    _increasing(scope, node, rows, "rows")
-    _increasing(scope, node, tuple(head), "columns")
+    _check_increasing(scope, node, rows, "rows")
+    _check_increasing(scope, node, tuple(head), "columns")
     return Grid(rows, tuple(head), tuple(tuple(line[1:]) for line in lines))
 
 
-def _three(scope: Scope, node: Node, keys: dict[str, Value], data: list[Node]) -> Value:
+def _table_3d(scope: Scope, node: Node, keys: dict[str, Value], data: list[Node]) -> Value:
+    """Return the value of a three-dimensional table."""
     points: list[float] = []
     for part in data:
         scope.only(part, ("breakPoint",))
@@ -277,17 +299,18 @@ def _three(scope: Scope, node: Node, keys: dict[str, Value], data: list[Node]) -
             node,
             f"a <table> of three dimensions has two <tableData> or more; received {len(points)}",
         )
-    _increasing(scope, node, tuple(points), "tables")
+    # Interpolate each table, then between tables.
+    _check_increasing(scope, node, tuple(points), "tables")
     grids = [read_grid(scope, part, True) for part in data]
-    return _line(
+    return _interpolate_line(
         Axis(tuple(points), keys["table"]),
-        [interpolated(g, keys["row"], keys["column"]) for g in grids],
+        [interpolate(g, keys["row"], keys["column"]) for g in grids],
         True,
     )
 
 
 def _keys(scope: Scope, node: Node) -> dict[str, Value]:
-    """Axis to the value that is looked up on it."""
+    """Return axis -> value that is looked up on it."""
     variables = node.all("independentVar")
     keys: dict[str, Value] = {}
     for variable in variables:
@@ -299,19 +322,24 @@ def _keys(scope: Scope, node: Node) -> dict[str, Value]:
     if set(keys) != set(_AXES[: len(keys)]) or not keys:
         scope.refuse(
             node,
-            f"a <table> looks up row, then column, then table; received {', '.join(keys) or 'no independentVar'}",
+            "a <table> looks up row, then column, then table; received"
+            f" {', '.join(keys) or 'no independentVar'}",
         )
     return keys
 
 
-def _line(axis: Axis, heights: Sequence[Value | float], held: bool) -> Value:
-    """Interpolation on one axis: t * (y1 - y0) + y0; ``held``: exactly the last value from the last breakpoint on."""
+def _interpolate_line(axis: Axis, heights: Sequence[Value | float], is_clamped: bool) -> Value:
+    """Interpolate on one axis: t * (y1 - y0) + y0.
+
+    ``is_clamped``: exactly the last value from the last breakpoint on.
+    """
     builder = axis.key.builder
     values = [builder.value(y) for y in heights]
     if len(values) == 1:
         # One breakpoint: the value, but NaN for a NaN key.
         return axis.key.ne(axis.key).choose(math.nan, values[0])
     t = axis.weight()
+    # Constant differences are folded, so only one lookup remains.
     if all(v.constant is not None for v in values):
         low = axis.pick(values[:-1])
         step = axis.pick([b - a for a, b in itertools.pairwise(values)])
@@ -319,33 +347,39 @@ def _line(axis: Axis, heights: Sequence[Value | float], held: bool) -> Value:
         low, high = axis.pick(values[:-1]), axis.pick(values[1:])
         step = high - low
     between = t * step + low
-    return axis.key.ge(axis.points[-1]).choose(values[-1], between) if held else between
+    return axis.key.ge(axis.points[-1]).choose(values[-1], between) if is_clamped else between
 
 
-def _increasing(scope: Scope, node: Node, points: tuple[float, ...], what: str) -> None:
+def _check_increasing(scope: Scope, node: Node, points: tuple[float, ...], axis: str) -> None:
+    """Refuse breakpoints that do not increase."""
     for a, b in itertools.pairwise(points):
         if not b > a:
-            scope.refuse(node, f"breakpoints of {what} must increase; received {a!r} before {b!r}")
+            scope.refuse(node, f"breakpoints of {axis} must increase; received {a!r} before {b!r}")
 
 
 _DESCRIPTIONS = ("description", "documentation")
 _RANDOM = {"random": ("mean", "stddev"), "urandom": ("lower", "upper")}
-"""Attributes of the elements that draw, beside seed."""
+"""Attributes of random elements, besides seed."""
 _NEAR_ZERO = 1e-9
-"""JSBSim takes what is nearer to 0 for false, and other sizes up to 1 + 1e-9 for true."""
+"""JSBSim takes smaller sizes for false, and other sizes up to 1 + 1e-9 for true."""
 
 
 @dataclass(frozen=True)
-class _Rule:
-    """Least and most arguments (None: any number), and the value."""
+class Rule:
+    """Minimum and maximum number of arguments (None: any), and the function that makes the
+    value.
+    """
 
-    least: int
-    most: int | None
+    min_arguments: int
+    max_arguments: int | None
     make: Callable[[Scope, Sequence[Value]], Value]
 
 
 def function_value(scope: Scope, node: Node, attributes: Sequence[str] = ("name",)) -> Value:
-    """The value of a ``<function>``. ``attributes`` are those that the caller deals with; others are refused with file and line."""
+    """Return the value of a ``<function>``.
+
+    ``attributes`` are those that the caller handles; others are refused with file and line.
+    """
     scope.only(node, attributes)
     children = [child for child in node.children if child.tag not in _DESCRIPTIONS]
     if len(children) != 1:
@@ -357,7 +391,7 @@ def function_value(scope: Scope, node: Node, attributes: Sequence[str] = ("name"
 
 
 def argument(scope: Scope, node: Node) -> Value:
-    """The value of an operation, a property, a number or a table."""
+    """Return the value of an operation, a property, a number or a table."""
     if node.tag in ("property", "p"):
         scope.only(node)
         return scope.property_value(node)
@@ -367,19 +401,22 @@ def argument(scope: Scope, node: Node) -> Value:
             scope.refuse(node, f"<{node.tag}> must be a number; received <{node.children[0].tag}>")
         return scope.builder.constant(scope.number(node))
     if node.tag in ("table", "t"):
-        return table(scope, node)
+        return table_value(scope, node)
     if node.tag in _RANDOM:
-        return _drawn(scope, node)
+        return _random_value(scope, node)
     if node.tag == "function":
         scope.refuse(
             node,
-            "JSBSim 1.3.3 drops a <function> inside a function without a word; write its operation itself",
+            "JSBSim 1.3.3 drops a <function> inside a function without a word; write its operation"
+            " itself",
         )
+    # All other tags are operations with arguments.
     rule = RULES.get(node.tag)
     if rule is None:
         scope.refuse(
             node,
-            f"operation <{node.tag}> is unknown; allowed are {', '.join(RULES)}, property, value and table",
+            f"operation <{node.tag}> is unknown; allowed are {', '.join(RULES)}, property, value"
+            " and table",
         )
     scope.only(node, ("name",))
     if node.text.strip():
@@ -387,26 +424,35 @@ def argument(scope: Scope, node: Node) -> Value:
             node, f"<{node.tag}> has arguments, not text; received {node.text.strip()[:40]!r}"
         )
     children = [child for child in node.children if child.tag not in _DESCRIPTIONS]
-    if node.tag == "ifthen" and len(children) == rule.least:
-        return _chosen(scope, children)
+    # Branches of ifthen are read only if needed.
+    if node.tag == "ifthen" and len(children) == rule.min_arguments:
+        return _if_then_lazy(scope, children)
     values = _arguments(scope, node.tag, children)
-    if len(values) < rule.least or (rule.most is not None and len(values) > rule.most):
+    if len(values) < rule.min_arguments or (
+        rule.max_arguments is not None and len(values) > rule.max_arguments
+    ):
         allowed = (
-            f"{rule.least}"
-            if rule.most == rule.least
-            else f"{rule.least} to {rule.most or 'any number of'}"
+            f"{rule.min_arguments}"
+            if rule.max_arguments == rule.min_arguments
+            else f"{rule.min_arguments} to {rule.max_arguments or 'any number of'}"
         )
         scope.refuse(node, f"<{node.tag}> takes {allowed} arguments; received {len(values)}")
+    # A key, then pairs.
     if node.tag == "interpolate1d" and len(values) % 2 == 0:
         scope.refuse(
             node,
-            f"<interpolate1d> takes a key and pairs, an odd number of arguments; received {len(values)}",
+            "<interpolate1d> takes a key and pairs, an odd number of arguments; received"
+            f" {len(values)}",
         )
     return rule.make(scope, values)
 
 
-def _chosen(scope: Scope, children: Sequence[Node]) -> Value:
-    """``ifthen``: where the condition is known, what is not chosen is not read, as in JSBSim; its properties need not exist."""
+def _if_then_lazy(scope: Scope, children: Sequence[Node]) -> Value:
+    """Return the value of ``ifthen``.
+
+    With a constant condition the other branch is not read, as in JSBSim, so its properties need not
+    exist.
+    """
     condition = argument(scope, children[0])
     true, valid = truth(condition)
     if true.constant is not None and valid.constant:
@@ -419,7 +465,9 @@ def _chosen(scope: Scope, children: Sequence[Node]) -> Value:
 
 
 def _arguments(scope: Scope, tag: str, children: Sequence[Node]) -> list[Value]:
-    """Values of the arguments of an operation; of those that JSBSim leaves out, faults are not noted."""
+    """Return the values of an operation's arguments; faults of arguments that JSBSim skips are not
+    noted.
+    """
     b = scope.builder
     values: list[Value] = []
     reached = b.truth(True)
@@ -435,14 +483,16 @@ def _arguments(scope: Scope, tag: str, children: Sequence[Node]) -> list[Value]:
     return values
 
 
-def _drawn(scope: Scope, node: Node) -> Value:
-    """``random``: mean (0) + stddev (1) times a standard normal; ``urandom``: -1 to 1 moved to lower (-1) and upper (1)."""
+def _random_value(scope: Scope, node: Node) -> Value:
+    """Return ``random``: mean (0) + stddev (1) times a standard normal; or ``urandom``: uniform
+    from lower (-1) to upper (1).
+    """
     first, second = _RANDOM[node.tag]
     scope.only(node, ("seed", first, second))
     standard = scope.draw(node)
     if standard is None:
         scope.refuse(
-            node, f"<{node.tag}> draws from JSBSim's generator, and no stream stands for it here"
+            node, f"<{node.tag}> draws a random number for which the batch engine has no stream"
         )
     a, b = (
         scope.number(node, node.attributes[k]) if k in node.attributes else None
@@ -455,9 +505,10 @@ def _drawn(scope: Scope, node: Node) -> Value:
 
 
 def truth(value: Value) -> tuple[Value, Value]:
-    """Whether a condition is true, and whether it is one at all."""
+    """Return whether a condition is true, and whether it is valid (0 or 1)."""
     b = value.builder
     node = b.nodes[value.index]
+    # A comparison: its truth value is used directly.
     if node.operation == "select" and [b.nodes[i].value for i in node.arguments[1:]] == [1.0, 0.0]:
         return Value(b, node.arguments[0]), b.truth(True)
     size = b.op("abs", value)
@@ -465,31 +516,37 @@ def truth(value: Value) -> tuple[Value, Value]:
 
 
 def _number(condition: Value) -> Value:
+    """Return 1 or 0 for a truth value."""
     return condition.choose(1.0, 0.0)
 
 
 def _simple(operation: str) -> Callable[[Scope, Sequence[Value]], Value]:
+    """Return the rule of an operation that the intermediate form has."""
     return lambda scope, a: scope.builder.op(operation, *a)
 
 
 def _trigonometric(operation: str) -> Callable[[Scope, Sequence[Value]], Value]:
-    """Beyond the limit the engine has NaN, which ``min`` or a switch would hide, and JSBSim a number."""
+    """Return the rule of a trigonometric function; arguments beyond the limit, where the engine has
+    NaN, are noted.
+    """
 
     def make(scope: Scope, a: Sequence[Value]) -> Value:
+        """Make the value."""
         size = scope.builder.op("abs", a[0])
-        beyond = scope.builder.op("and", size.gt(TRIGONOMETRIC_LIMIT), size.lt(math.inf))
-        scope.note_beyond(beyond)
+        is_beyond = scope.builder.op("and", size.gt(TRIGONOMETRIC_LIMIT), size.lt(math.inf))
+        scope.note_beyond(is_beyond)
         return scope.builder.op(operation, a[0])
 
     return make
 
 
-def _compared(operation: str) -> Callable[[Scope, Sequence[Value]], Value]:
+def _comparison(operation: str) -> Callable[[Scope, Sequence[Value]], Value]:
+    """Return the rule of a comparison, with values 1 and 0."""
     return lambda scope, a: _number(scope.builder.op(operation, *a))
 
 
 def _sum(scope: Scope, a: Sequence[Value]) -> Value:
-    """From +0, so that no sum is -0; of one argument the argument itself."""
+    """Add arguments from +0, so that no sum is -0; a single argument is returned as it is."""
     if len(a) == 1:
         return a[0]
     result = scope.builder.constant(0.0)
@@ -499,6 +556,7 @@ def _sum(scope: Scope, a: Sequence[Value]) -> Value:
 
 
 def _product(_: Scope, a: Sequence[Value]) -> Value:
+    """Multiply all arguments."""
     result = a[0]
     for value in a[1:]:
         result = result * value
@@ -506,6 +564,7 @@ def _product(_: Scope, a: Sequence[Value]) -> Value:
 
 
 def _difference(_: Scope, a: Sequence[Value]) -> Value:
+    """Subtract all further arguments from the first."""
     result = a[0]
     for value in a[1:]:
         result = result - value
@@ -513,13 +572,17 @@ def _difference(_: Scope, a: Sequence[Value]) -> Value:
 
 
 def _average(scope: Scope, a: Sequence[Value]) -> Value:
+    """Return the mean of the arguments."""
     return a[0] if len(a) == 1 else _sum(scope, a) / float(len(a))
 
 
-def _extreme(operation: str, start: float) -> Callable[[Scope, Sequence[Value]], Value]:
-    """NaN arguments are passed over; of equal zeros the first counts."""
+def _minimum_or_maximum(operation: str, start: float) -> Callable[[Scope, Sequence[Value]], Value]:
+    """Return the rule of ``min`` or ``max``: NaN arguments are skipped; of equal zeros the first
+    counts.
+    """
 
     def make(scope: Scope, a: Sequence[Value]) -> Value:
+        """Make the value."""
         if len(a) == 1:
             return a[0]
         result: Value = scope.builder.constant(start)
@@ -531,26 +594,27 @@ def _extreme(operation: str, start: float) -> Callable[[Scope, Sequence[Value]],
 
 
 def _quotient(_: Scope, a: Sequence[Value]) -> Value:
-    """Infinite, and positive, where the divisor is 0."""
+    """Divide; +inf for a divisor of 0."""
     return a[1].eq(0.0).choose(math.inf, a[0] / a[1])
 
 
 def _square_root(scope: Scope, a: Sequence[Value]) -> Value:
-    """-infinity for a negative number and for NaN."""
+    """Take the root; -inf for a negative number and for NaN."""
     return a[0].ge(0.0).choose(scope.builder.op("sqrt", a[0]), -math.inf)
 
 
 def _logarithm(operation: str) -> Callable[[Scope, Sequence[Value]], Value]:
-    """-infinity for 0, a negative number and NaN."""
+    """Return the rule of a logarithm: -inf for 0, negative numbers and NaN."""
     return lambda scope, a: a[0].gt(0.0).choose(scope.builder.op(operation, a[0]), -math.inf)
 
 
 def _logarithm_of_two(scope: Scope, a: Sequence[Value]) -> Value:
-    """JSBSim takes the decimal logarithm times a constant, so log2 of 8 is not always 3."""
+    """Return the decimal logarithm times a constant, as JSBSim does; log2 of 8 is not always 3."""
     return a[0].gt(0.0).choose(scope.builder.op("log10", a[0]) * (1.0 / math.log10(2.0)), -math.inf)
 
 
 def _fmod(scope: Scope, a: Sequence[Value]) -> Value:
+    """Return the floating-point remainder; +inf for a divisor of 0."""
     b = scope.builder
     size, divisor = b.op("abs", a[0]), b.op("abs", a[1])
     quotient = size / divisor
@@ -560,71 +624,81 @@ def _fmod(scope: Scope, a: Sequence[Value]) -> Value:
 
 
 def _mod(scope: Scope, a: Sequence[Value]) -> Value:
-    """The rest in whole numbers of 32 bits, both arguments cut to integers; NaN where JSBSim's process ends or overflows."""
+    """Return the remainder in 32-bit integers, arguments truncated; NaN where JSBSim aborts or
+    overflows.
+    """
     b = scope.builder
-    first, second = truncated(a[0]), truncated(a[1])
+    first, second = truncate(a[0]), truncate(a[1])
     fits = b.op("and", b.op("abs", first).lt(2.0**31), b.op("abs", second).lt(2.0**31))
     scope.note_beyond(b.op("or", b.op("not", fits), second.eq(0.0)))
     return fits.choose(b.op("fmod", first, second) + 0.0, math.nan)
 
 
 def _fraction(_: Scope, a: Sequence[Value]) -> Value:
-    """With the sign of the argument; 0 of an infinity."""
-    whole = _integer(_, a)
+    """Return the fraction with the sign of the argument; 0 for infinities."""
+    integer = _integer(_, a)
     size = a[0].builder.op("abs", a[0])
-    return with_sign_of(size.eq(math.inf).choose(0.0, a[0].builder.op("abs", a[0] - whole)), a[0])
+    return copysign(size.eq(math.inf).choose(0.0, a[0].builder.op("abs", a[0] - integer)), a[0])
 
 
 def _integer(_: Scope, a: Sequence[Value]) -> Value:
-    """Cut towards 0, with the sign of the argument."""
+    """Truncate towards 0, with the sign of the argument."""
     b = a[0].builder
-    return with_sign_of(b.op("floor", b.op("abs", a[0])), a[0])
+    return copysign(b.op("floor", b.op("abs", a[0])), a[0])
 
 
 def _ceiling(scope: Scope, a: Sequence[Value]) -> Value:
+    """Round up."""
     return -scope.builder.op("floor", -a[0])
 
 
 def _round_multiple(scope: Scope, a: Sequence[Value]) -> Value:
-    """To the nearest multiple of the second argument, halves away from 0; of one argument to an integer."""
+    """Round to the nearest multiple of the second argument (default 1), halves away from 0."""
     b = scope.builder
     x = a[0] if len(a) == 1 else a[0] / a[1]
     size = b.op("abs", x)
-    whole = b.op("floor", size)
-    nearest = with_sign_of((size - whole).ge(0.5).choose(whole + 1.0, whole), x)
+    integer = b.op("floor", size)
+    nearest = copysign((size - integer).ge(0.5).choose(integer + 1.0, integer), x)
     return nearest if len(a) == 1 else nearest * a[1]
 
 
 def _junction(ends: bool) -> Callable[[Scope, Sequence[Value]], Value]:
-    """``and`` (ends at the first false) and ``or`` (ends at the first true): what stands behind is not looked at."""
+    """Return the rule of ``and`` (ends at the first false) or ``or`` (ends at the first true);
+    later arguments are not evaluated.
+    """
 
     def make(scope: Scope, a: Sequence[Value]) -> Value:
+        """Make the value."""
         b = scope.builder
-        open_, bad = b.truth(True), b.truth(False)
+        goes_on, is_invalid = b.truth(True), b.truth(False)
         for value in a:
             true, valid = truth(value)
-            bad = b.op("or", bad, b.op("and", open_, b.op("not", valid)))
-            open_ = b.op("and", open_, b.op("not", true) if ends else true)
-        scope.note_beyond(bad)
-        # Who ended the row first: a wrong condition closes it, whatever comes behind.
-        return bad.choose(math.nan, _number(b.op("not", open_) if ends else open_))
+            is_invalid = b.op("or", is_invalid, b.op("and", goes_on, b.op("not", valid)))
+            goes_on = b.op("and", goes_on, b.op("not", true) if ends else true)
+        scope.note_beyond(is_invalid)
+        # An invalid condition ends the evaluation, whatever follows.
+        return is_invalid.choose(math.nan, _number(b.op("not", goes_on) if ends else goes_on))
 
     return make
 
 
 def _not(scope: Scope, a: Sequence[Value]) -> Value:
+    """Negate a condition; NaN if it is invalid."""
     true, valid = truth(a[0])
     scope.note_beyond(scope.builder.op("not", valid))
     return valid.choose(_number(scope.builder.op("not", true)), math.nan)
 
 
 def _if_then(_: Scope, a: Sequence[Value]) -> Value:
+    """Choose between two values; NaN if the condition is invalid."""
     true, valid = truth(a[0])
     return valid.choose(true.choose(a[1], a[2]), math.nan)
 
 
 def _switch(scope: Scope, a: Sequence[Value]) -> Value:
-    """The case whose number is nearest to the first argument, halves up; NaN where there is none or the argument is negative."""
+    """Return the case whose number is nearest to the first argument, halves up; NaN if there is
+    none.
+    """
     place = scope.builder.op("floor", a[0] + 0.5)
     result = scope.undefined
     b = scope.builder
@@ -635,65 +709,69 @@ def _switch(scope: Scope, a: Sequence[Value]) -> Value:
 
 
 def _interpolate(scope: Scope, a: Sequence[Value]) -> Value:
-    """Between pairs, held at the ends, the pair found by halving as JSBSim does: breakpoints in any order give what it gives."""
+    """Interpolate between pairs, clamped at the ends.
+
+    The pair is found by bisection as in JSBSim, so unsorted breakpoints give JSBSim's result.
+    """
     key, xs, ys = a[0], a[1::2], a[2::2]
 
-    def within(low: int, high: int) -> Value:
+    def between(low: int, high: int) -> Value:
+        """Bisect the pairs from ``low`` to ``high``."""
         if high - low <= 1:
             return ys[low] + (ys[high] - ys[low]) * (key - xs[low]) / (xs[high] - xs[low])
         middle = low + (high - low) // 2
-        upper = key.gt(xs[middle]).choose(within(middle, high), ys[middle])
-        return key.lt(xs[middle]).choose(within(low, middle), upper)
+        upper = key.gt(xs[middle]).choose(between(middle, high), ys[middle])
+        return key.lt(xs[middle]).choose(between(low, middle), upper)
 
-    result = key.ge(xs[-1]).choose(ys[-1], within(0, len(xs) - 1))
+    result = key.ge(xs[-1]).choose(ys[-1], between(0, len(xs) - 1))
     return key.le(xs[0]).choose(ys[0], result)
 
 
-RULES: Mapping[str, _Rule] = {
-    "sum": _Rule(1, None, _sum),
-    "difference": _Rule(1, None, _difference),
-    "product": _Rule(1, None, _product),
-    "quotient": _Rule(2, 2, _quotient),
-    "avg": _Rule(1, None, _average),
-    "min": _Rule(1, None, _extreme("min", math.inf)),
-    "max": _Rule(1, None, _extreme("max", -math.inf)),
-    "pow": _Rule(2, 2, _simple("pow")),
-    "sqrt": _Rule(1, 1, _square_root),
-    "exp": _Rule(1, 1, _simple("exp")),
-    "ln": _Rule(1, 1, _logarithm("log")),
-    "log2": _Rule(1, 1, _logarithm_of_two),
-    "log10": _Rule(1, 1, _logarithm("log10")),
-    "sin": _Rule(1, 1, _trigonometric("sin")),
-    "cos": _Rule(1, 1, _trigonometric("cos")),
-    "tan": _Rule(1, 1, _trigonometric("tan")),
-    "asin": _Rule(1, 1, _simple("asin")),
-    "acos": _Rule(1, 1, _simple("acos")),
-    "atan": _Rule(1, 1, _simple("atan")),
-    "atan2": _Rule(2, 2, _simple("atan2")),
-    "toradians": _Rule(1, 1, lambda _, a: a[0] * math.pi / 180.0),
-    "todegrees": _Rule(1, 1, lambda _, a: a[0] * 180.0 / math.pi),
-    "abs": _Rule(1, 1, _simple("abs")),
-    "sign": _Rule(1, 1, lambda _, a: a[0].lt(0.0).choose(-1.0, 1.0)),
-    "floor": _Rule(1, 1, _simple("floor")),
-    "ceil": _Rule(1, 1, _ceiling),
-    "integer": _Rule(1, 1, _integer),
-    "fraction": _Rule(1, 1, _fraction),
-    "roundmultiple": _Rule(1, 2, _round_multiple),
-    "fmod": _Rule(2, 2, _fmod),
-    "mod": _Rule(2, 2, _mod),
-    "lt": _Rule(2, 2, _compared("lt")),
-    "le": _Rule(2, 2, _compared("le")),
-    "gt": _Rule(2, 2, _compared("gt")),
-    "ge": _Rule(2, 2, _compared("ge")),
-    "eq": _Rule(2, 2, _compared("eq")),
-    "nq": _Rule(2, 2, _compared("ne")),
-    "and": _Rule(2, None, _junction(False)),
-    "or": _Rule(2, None, _junction(True)),
-    "not": _Rule(1, 1, _not),
-    "ifthen": _Rule(3, 3, _if_then),
-    "switch": _Rule(2, None, _switch),
-    "interpolate1d": _Rule(5, None, _interpolate),
-    "pi": _Rule(0, 0, lambda scope, _: scope.builder.constant(math.pi)),
-    **{name: _Rule(count, count, make) for name, (count, make) in ROTATIONS.items()},
+RULES: Mapping[str, Rule] = {
+    "sum": Rule(1, None, _sum),
+    "difference": Rule(1, None, _difference),
+    "product": Rule(1, None, _product),
+    "quotient": Rule(2, 2, _quotient),
+    "avg": Rule(1, None, _average),
+    "min": Rule(1, None, _minimum_or_maximum("min", math.inf)),
+    "max": Rule(1, None, _minimum_or_maximum("max", -math.inf)),
+    "pow": Rule(2, 2, _simple("pow")),
+    "sqrt": Rule(1, 1, _square_root),
+    "exp": Rule(1, 1, _simple("exp")),
+    "ln": Rule(1, 1, _logarithm("log")),
+    "log2": Rule(1, 1, _logarithm_of_two),
+    "log10": Rule(1, 1, _logarithm("log10")),
+    "sin": Rule(1, 1, _trigonometric("sin")),
+    "cos": Rule(1, 1, _trigonometric("cos")),
+    "tan": Rule(1, 1, _trigonometric("tan")),
+    "asin": Rule(1, 1, _simple("asin")),
+    "acos": Rule(1, 1, _simple("acos")),
+    "atan": Rule(1, 1, _simple("atan")),
+    "atan2": Rule(2, 2, _simple("atan2")),
+    "toradians": Rule(1, 1, lambda _, a: a[0] * math.pi / 180.0),
+    "todegrees": Rule(1, 1, lambda _, a: a[0] * 180.0 / math.pi),
+    "abs": Rule(1, 1, _simple("abs")),
+    "sign": Rule(1, 1, lambda _, a: a[0].lt(0.0).choose(-1.0, 1.0)),
+    "floor": Rule(1, 1, _simple("floor")),
+    "ceil": Rule(1, 1, _ceiling),
+    "integer": Rule(1, 1, _integer),
+    "fraction": Rule(1, 1, _fraction),
+    "roundmultiple": Rule(1, 2, _round_multiple),
+    "fmod": Rule(2, 2, _fmod),
+    "mod": Rule(2, 2, _mod),
+    "lt": Rule(2, 2, _comparison("lt")),
+    "le": Rule(2, 2, _comparison("le")),
+    "gt": Rule(2, 2, _comparison("gt")),
+    "ge": Rule(2, 2, _comparison("ge")),
+    "eq": Rule(2, 2, _comparison("eq")),
+    "nq": Rule(2, 2, _comparison("ne")),
+    "and": Rule(2, None, _junction(False)),
+    "or": Rule(2, None, _junction(True)),
+    "not": Rule(1, 1, _not),
+    "ifthen": Rule(3, 3, _if_then),
+    "switch": Rule(2, None, _switch),
+    "interpolate1d": Rule(5, None, _interpolate),
+    "pi": Rule(0, 0, lambda scope, _: scope.builder.constant(math.pi)),
+    **{name: Rule(count, count, make) for name, (count, make) in ROTATIONS.items()},
 }
 """JSBSim's operations by tag."""

@@ -1,7 +1,8 @@
-"""``<piston_engine>`` of JSBSim 1.3.3 without supercharger: manifold pressure, flows of air and fuel, power, temperatures.
+"""Translate ``<piston_engine>`` (JSBSim 1.3.3) without supercharger: manifold pressure, flows of
+air and fuel, power, temperatures.
 
-Volumetric efficiency by Taylor, The Internal Combustion Engine, vol 1, eq 6-10; friction by Lumley, Engines, fig 4.4. The starter
-does not turn in flight.
+Volumetric efficiency: Taylor, The Internal Combustion Engine, vol 1, eq 6-10; friction: Lumley,
+Engines, fig 4.4. The starter does not turn in flight.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from uqharness.batch.translate.engine_files import (
     MANIFOLD_PA_PSF,
     Part,
     grid,
-    known,
-    looked_up,
+    lookup,
     number,
+    refuse_unknown,
 )
 from uqharness.batch.translate.frame import Frame, Scope
 from uqharness.batch.translate.functions import Grid
@@ -26,7 +27,7 @@ from uqharness.batch.translate.propeller import Jet, Propeller
 
 _R_AIR, _CALORIFIC, _CP_AIR, _CP_FUEL = 287.3, 47.3e6, 1005.0, 1700.0
 _STANDARD_PA, _HP_FTLBPS = 101320.73, 550.0
-_LEAST_INDICATED_HP = 0.125
+_MIN_INDICATED_HP = 0.125
 _MANIFOLD_GAMMA = 1.3
 _TAGS = (
     "minmp",
@@ -64,7 +65,7 @@ _TAGS = (
     "table",
     "injected",
 )
-"""JSBSim's piston engines do not know of injected, and nothing is done with bore."""
+"""Allowed elements; JSBSim ignores injected and bore."""
 _COMBUSTION = Grid(
     (0.0, 0.9, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.4, 1.5, 1.6, 2.0),
     (),
@@ -113,8 +114,8 @@ _MIXTURE = Grid(
 
 
 @dataclass(frozen=True)
-class Numbers:
-    """What an engine file says, with JSBSim's defaults."""
+class PistonData:
+    """Numbers of an engine file, with JSBSim's defaults; units are in the names."""
 
     displacement_in3: float
     idle_rpm: float
@@ -136,22 +137,22 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Piston:
-    """``magnetos`` 0 to 3: off, left, right, both."""
+    """A piston engine; ``magnetos`` 0 to 3: off, left, right, both."""
 
     name: str
     index: str
-    numbers: Numbers
+    numbers: PistonData
     combustion: Grid
     mixture: Grid
     magnetos: float
 
     @property
     def key(self) -> str:
-        """Begin of the names of its memory."""
+        """Prefix of the names of its memory."""
         return f"engine{self.index}"
 
     def trace(self, frame: Frame, thruster: Propeller | Jet) -> Value:
-        """What the thruster gets [ft lbf/s]."""
+        """Return the shaft power [ft lbf/s]."""
         b, n, name = frame.builder, self.numbers, self.name
         rpm = thruster.engine_rpm(frame) if isinstance(thruster, Propeller) else b.constant(0.0)
         outside = frame.get("atmosphere/P-psf") * MANIFOLD_PA_PSF
@@ -160,26 +161,29 @@ class Piston:
         ) + outside
         ambient_k = frame.get("atmosphere/T-R") / 1.8
         piston_fps = rpm * n.stroke_in / 360.0
+        # Manifold pressure and air flow.
         running = self._ignition(frame, rpm)
         manifold = self._manifold(frame, ram, piston_fps)
         efficiency = frame.get(f"{name}volumetric-efficiency")
         pumping = (manifold - outside) * efficiency
         air = self._air(manifold, outside, ambient_k, rpm) * efficiency
         starved = frame.memory(f"{self.key}/starved").ne(0.0)
+        # Fuel by the mixture lever; 14.7 is the stoichiometric ratio.
         mixture = 1.3 * frame.get(f"fcs/mixture-pos-norm{self.index}")
         rich = starved.choose(0.0, mixture * 101325.0 / outside)
         fuel = starved.choose(0.0, air * rich / 14.7)
         lbs_per_s = fuel * 2.2046
         frame.store(f"{name}fuel-flow-rate-pps", lbs_per_s)
+        # Indicated power less friction and pumping.
         static = frame.get(f"{name}friction-hp")
         spark = 1.0 if self.magnetos == 3.0 else n.spark_drop
-        mixed = looked_up(self.mixture, fuel / air)
+        mixed = lookup(self.mixture, fuel / air)
         burning = lbs_per_s * 3600.0 / frame.get(f"{name}bsfc-lbs_hphr") * mixed * spark - static
         indicated = running.choose(burning, -static)
         friction = running.choose(-n.fmep_dynamic * piston_fps * FT_M - n.fmep_static, 0.0)
         volume = n.displacement_in3 * _IN3_M3
         hp = indicated + (pumping + friction) * volume * rpm / (n.cycles * 22371.0)
-        running = b.op("and", running, b.op("not", indicated.lt(_LEAST_INDICATED_HP)))
+        running = b.op("and", running, b.op("not", indicated.lt(_MIN_INDICATED_HP)))
         frame.store(f"{name}set-running", running.choose(1.0, 0.0))
         frame.store(f"{name}power-hp", hp)
         frame.store(f"{name}AFR", fuel.gt(0.0).choose(air / fuel, math.inf))
@@ -188,40 +192,45 @@ class Piston:
         return b.op("and", rpm.le(0.1), power.lt(0.0)).choose(0.0, power)
 
     def _ignition(self, frame: Frame, rpm: Value) -> Value:
-        """Whether it runs: it needs a spark, fuel and speed, and starts again when the air turns the propeller."""
+        """Return whether the engine runs: it needs a spark, fuel and speed, and restarts when the
+        air turns the propeller.
+        """
         b = frame.builder
         burns = b.op(
             "and",
             frame.get(f"{self.name}fuel-flow-rate-pps").gt(0.0),
             b.truth(self.magnetos != 0.0),
         )
-        least = self.numbers.idle_rpm * 0.8
-        stays = b.op("and", burns, b.op("not", rpm.lt(least)))
-        starts = b.op("and", burns, rpm.gt(least))
+        minimum_rpm = self.numbers.idle_rpm * 0.8
+        stays = b.op("and", burns, b.op("not", rpm.lt(minimum_rpm)))
+        starts = b.op("and", burns, rpm.gt(minimum_rpm))
         ran = frame.get(f"{self.name}set-running").ne(0.0)
         return b.op("or", b.op("and", ran, stays), b.op("and", b.op("not", ran), starts))
 
     def _manifold(self, frame: Frame, ram: Value, piston_fps: Value) -> Value:
-        """Manifold pressure [Pa]: the ram pressure over impedances of intake, throttle and engine, with a lag."""
+        """Return the manifold pressure [Pa]: ram pressure across the impedances of intake, throttle
+        and engine, with a lag.
+        """
         n = self.numbers
         closed = 1.0 - frame.get(f"fcs/throttle-pos-norm{self.index}")
         throttle = closed * closed * n.throttle_impedance
         engine = piston_fps.gt(0.0).choose(n.peak_piston_fps / piston_fps, 999999.0)
+        # Pressures divide as impedances in series.
         share = engine / (engine + frame.get(f"{self.name}air-intake-impedance-factor") + throttle)
         before, step = frame.get(f"{self.name}map-pa"), frame.step
-        apart = before - ram * share
-        apart = (
+        difference = before - ram * share
+        difference = (
             frame.builder.constant(n.lag_s)
             .gt(step)
-            .choose(apart * (step / n.lag_s if n.lag_s else step), apart)
+            .choose(difference * (step / n.lag_s if n.lag_s else step), difference)
         )
-        manifold = before - apart
+        manifold = before - difference
         frame.store(f"{self.name}map-pa", manifold)
         frame.store(f"{self.name}map-inhg", manifold / MANIFOLD_PA_INHG)
         return manifold
 
     def _air(self, manifold: Value, outside: Value, ambient_k: Value, rpm: Value) -> Value:
-        """Air [kg/s] at a volumetric efficiency of 1."""
+        """Return the air flow [kg/s] at a volumetric efficiency of 1."""
         c, g = self.numbers.compression, _MANIFOLD_GAMMA
         ratio = manifold.lt(1.0).choose(c, outside / manifold)
         ratio = ratio.gt(c).choose(c, ratio)
@@ -232,18 +241,22 @@ class Piston:
     def _temperatures(
         self, frame: Frame, burning: tuple[Value, ...], state: tuple[Value, ...]
     ) -> None:
-        """Exhaust, cylinder head and oil; nothing but their properties depends on them."""
+        """Add temperatures of exhaust, cylinder head and oil; only their properties depend on
+        them.
+        """
         b, n, name, step = frame.builder, self.numbers, self.name, frame.step
         running, air, fuel, rich = burning
         rpm, outside, ambient_k = state
         hot = b.op("and", running, air.gt(0.0))
-        share = hot.choose(looked_up(self.combustion, rich), 0.0)
+        # Exhaust: 30 % of the heat of combustion goes into the gas.
+        share = hot.choose(lookup(self.combustion, rich), 0.0)
         exhaust = _kelvin(frame.get(f"{name}egt-degF"))
         burnt = ambient_k + fuel * _CALORIFIC * share * 0.30 / (_CP_AIR * air + _CP_FUEL * fuel)
         frame.store(
             f"{name}egt-degF",
             _fahrenheit(hot.choose(burnt, exhaust + (ambient_k - exhaust) / 100.0 * step)),
         )
+        # Cylinder head: 33 % of the heat, less cooling by airflow, rpm and natural convection.
         head = _kelvin(frame.get(f"{name}cht-degF"))
         above, area = head - ambient_k, n.displacement_in3 / 360.0
         wind = (
@@ -258,6 +271,7 @@ class Piston:
         )
         head = head + heat / (800.0 * (n.head_mass_kg * n.cylinders)) * step
         frame.store(f"{name}cht-degF", _fahrenheit(head))
+        # Oil: pressure by speed up to the relief valve, temperature towards the head's.
         relief, design_k, viscosity, full_rpm = n.oil
         pressure, oil = (
             frame.get(f"{name}oil-pressure-psi"),
@@ -273,7 +287,7 @@ class Piston:
         )
 
     def fuel_rate(self, frame: Frame) -> Value:
-        """What it takes from its tanks [lbs/s]."""
+        """Return the fuel taken from the tanks [lbs/s]."""
         return frame.get(f"{self.name}fuel-flow-rate-pps")
 
 
@@ -281,57 +295,64 @@ _IN3_M3 = (1.0 / 12.0) ** 3 * FT_M**3
 
 
 def _kelvin(fahrenheit: Value) -> Value:
+    """Convert deg F to K with JSBSim's constants."""
     return (fahrenheit + 459.4) / 1.8
 
 
 def _fahrenheit(kelvin: Value) -> Value:
+    """Convert K to deg F with JSBSim's constants."""
     return 1.8 * kelvin - 459.4
 
 
 def read_piston(scope: Scope, part: Part, name: str, index: str, magnetos: float) -> Piston:
-    """A ``<piston_engine>``. Raises BadInputError with file and line."""
+    """Read a ``<piston_engine>``; raises BadInputError with file and line."""
     node = part[1]
     boost = node.find("numboostspeeds")
     if boost is not None and scope.number(boost) != 0.0:
         scope.refuse(
             boost, "a supercharged engine (numboostspeeds) is not understood by the batch engine"
         )
-    known(scope, node, _TAGS)
+    refuse_unknown(scope, node, _TAGS)
     tables = {"COMBUSTION": _COMBUSTION, "MIXTURE": _MIXTURE}
+    # The file may replace both tables.
     for table in node.all("table"):
         title = table.attributes.get("name", "")
         if title not in tables:
             scope.refuse(
                 table,
-                f"a table '{title}' of a piston engine is not understood; COMBUSTION and MIXTURE are",
+                f"a table '{title}' of a piston engine is not understood; COMBUSTION and"
+                " MIXTURE are",
             )
         tables[title] = grid(scope, table)
         if tables[title].columns:
             scope.refuse(table, f"table {title} has one dimension")
 
     def get(tag: str, default: float, unit: str = "") -> float:
+        """Return a number of the file, or JSBSim's default."""
         return number(scope, node, tag, default, unit)
 
-    idle, most, stroke = get("idlerpm", 600.0), get("maxrpm", 2800.0), get("stroke", 4.375, "IN")
+    idle, max_rpm, stroke = get("idlerpm", 600.0), get("maxrpm", 2800.0), get("stroke", 4.375, "IN")
     peak = get("peak-piston-speed", 100.0)
-    least_pa = get("minmp", 6.5, "INHG") * MANIFOLD_PA_INHG
-    most_pa = min(get("maxmp", 28.5, "INHG"), 29.9) * MANIFOLD_PA_INHG
+    min_pa = get("minmp", 6.5, "INHG") * MANIFOLD_PA_INHG
+    max_pa = min(get("maxmp", 28.5, "INHG"), 29.9) * MANIFOLD_PA_INHG
+    # Without a number the impedance follows from the rated manifold pressure.
     airbox = get("air-intake-impedance-factor", -999.0)
     if airbox < 0.0:
-        rated = peak / (most * stroke / 360.0)
-        airbox = _STANDARD_PA * rated / most_pa - rated
-    throttle = peak / (idle * stroke / 360.0) * (_STANDARD_PA / least_pa - 1.0) - airbox
+        rated = peak / (max_rpm * stroke / 360.0)
+        airbox = _STANDARD_PA * rated / max_pa - rated
+    # Impedance of the closed throttle from the idle manifold pressure.
+    throttle = peak / (idle * stroke / 360.0) * (_STANDARD_PA / min_pa - 1.0) - airbox
     oil = (
         get("oil-pressure-relief-valve-psi", 60.0, "PSI"),
         get("design-oil-temp-degK", 358.0),
         get("oil-viscosity-index", 0.25),
-        get("oil-pressure-rpm-max", most * 0.75),
+        get("oil-pressure-rpm-max", max_rpm * 0.75),
     )
     drop = get("sparkfaildrop", 0.0)
-    numbers = Numbers(
+    numbers = PistonData(
         get("displacement", 360.0, "IN3"),
         idle,
-        most,
+        max_rpm,
         get("maxhp", 200.0, "HP"),
         get("cycles", 4.0),
         stroke,

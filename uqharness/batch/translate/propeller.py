@@ -1,7 +1,9 @@
-"""``<propeller>``: thrust and power by the advance ratio, its speed by the torque that is left over (JSBSim 1.3.3).
+"""Translate thrusters: ``<propeller>``, ``<direct>`` and ``<nozzle>`` (JSBSim 1.3.3).
 
-Tables give CT and CP over J = V/(nD), or over J and the blade angle; thrust = CT rho n2 D4, power = CP rho n3 D5 (McCormick,
-Aerodynamics, Aeronautics, and Flight Mechanics). The speed of the frame before makes the thrust of this one.
+Propeller tables give CT and CP over J = V/(nD), or over J and the blade angle; thrust = CT rho n2
+D4, power = CP rho n3 D5 (McCormick, Aerodynamics, Aeronautics, and Flight Mechanics). The shaft
+speed of the frame before determines the thrust of this one; the excess torque then accelerates the
+shaft.
 """
 
 from __future__ import annotations
@@ -13,37 +15,43 @@ from dataclasses import dataclass
 from uqharness.batch.form.ir import Value
 from uqharness.batch.models.auxiliary import arm
 from uqharness.batch.models.motion import slots
-from uqharness.batch.models.vectors import Matrix, Vector, applied, cross, plus, transposed
+from uqharness.batch.models.vectors import Matrix, Vector, cross, matvec, plus, transpose
 from uqharness.batch.translate.engine_files import (
     Part,
-    base,
     grid,
-    known,
-    looked_up,
-    needed,
+    lookup,
     number,
+    property_base,
+    refuse_unknown,
+    required_number,
     triplet,
 )
 from uqharness.batch.translate.frame import Frame, Scope
 from uqharness.batch.translate.functions import Grid
 
-# Where a thruster stands and points, and what it does to the aircraft; ``<direct>`` thrusters
-# and ``<nozzle>`` besides.
-#
-# A thruster's axes are turned from body axes by roll, pitch and yaw of its ``<orient>``; pitch
-# and yaw are properties, which thrust vectoring sets. ``<pointing>`` gives the direction of
-# thrust itself.
+# Mounting. A thruster's axes are rotated from body axes by roll, pitch and yaw of its
+# ``<orient>``; pitch and yaw are properties, which thrust vectoring sets. ``<pointing>`` is the
+# direction of thrust itself.
 
 _TAGS = ("location", "orient", "pointing", "sense", "p_factor", "propeller", "direct", "nozzle")
 
 
 @dataclass(frozen=True)
 class Mount:
-    """A ``<thruster>`` element: how it is put into the aircraft.
+    """A ``<thruster>`` element.
 
-    name      of the engine's properties: propulsion/engine[k]/
-    roll_rad  the first of its angles; None: ``pointing`` is the direction of thrust in body axes
-    sense     1: turns clockwise seen from behind, -1: the other way
+    Attributes
+    ----------
+    name : str
+        Prefix of the engine's properties: propulsion/engine[k]/.
+    roll_rad : float or None
+        First angle of its orientation; None: ``pointing`` is the direction of thrust.
+    pointing : (float, float, float)
+        Direction of thrust in body axes.
+    sense : float
+        1: clockwise seen from behind; -1: counterclockwise.
+    p_factor : float
+        P-factor.
     """
 
     name: str
@@ -53,7 +61,8 @@ class Mount:
     p_factor: float
 
     def to_body(self, frame: Frame) -> Matrix:
-        """From the thruster's axes to body axes."""
+        """Return the matrix from the thruster's axes to body axes."""
+        # Only the first column matters: the direction of thrust.
         if self.roll_rad is None:
             x, y, z = self.pointing
             return ((x, 0.0, 0.0), (y, 0.0, 0.0), (z, 0.0, 0.0))
@@ -68,15 +77,18 @@ class Mount:
         )
 
     def act(
-        self, frame: Frame, to_body: Matrix, thrust: Value, own: Vector
+        self, frame: Frame, to_body: Matrix, thrust: Value, thruster_moment: Vector
     ) -> tuple[Vector, Vector]:
-        """Force [lbf] and moment about the CG [lbf ft] in body axes; ``own`` is what the thruster turns the aircraft with."""
-        force = applied(to_body, (thrust, 0.0, 0.0))
+        """Return force [lbf] and moment about the CG [lbf ft] in body axes; ``thruster_moment`` is
+        the thruster's own.
+        """
+        force = matvec(to_body, (thrust, 0.0, 0.0))
         at = tuple(frame.get(f"{self.name}{axis}-position") for axis in "xyz")
-        return force, plus(own, cross(arm(frame, (at[0], at[1], at[2])), force))
+        return force, plus(thruster_moment, cross(arm(frame, (at[0], at[1], at[2])), force))
 
 
 def _cosine_sine(angle: Value) -> tuple[Value, Value]:
+    """Return cosine and sine of an angle, constants for 0."""
     b = angle.builder
     if angle.constant == 0.0:
         return b.constant(1.0), b.constant(0.0)
@@ -84,9 +96,9 @@ def _cosine_sine(angle: Value) -> tuple[Value, Value]:
 
 
 def read_mount(scope: Scope, node: Part, index: int) -> Mount:
-    """A ``<thruster>``. Raises BadInputError with file and line."""
+    """Read a ``<thruster>``; raises BadInputError with file and line."""
     thruster = node[1]
-    known(scope, thruster, _TAGS, ("file", "name"))
+    refuse_unknown(scope, thruster, _TAGS, ("file", "name"))
     pointing, orient = thruster.find("pointing"), thruster.find("orient")
     roll: float | None = None
     if pointing is None:
@@ -95,39 +107,42 @@ def read_mount(scope: Scope, node: Part, index: int) -> Mount:
         (1.0, 0.0, 0.0) if pointing is None else triplet(scope, pointing, ("x", "y", "z"), "")
     )
     sense = 1.0 if number(scope, thruster, "sense", 1.0) >= 0.0 else -1.0
-    return Mount(base(index), roll, direction, sense, number(scope, thruster, "p_factor", 0.0))
+    return Mount(
+        property_base(index), roll, direction, sense, number(scope, thruster, "p_factor", 0.0)
+    )
 
 
 @dataclass(frozen=True)
 class Jet:
-    """A ``<direct>`` thruster, or a ``<nozzle>`` with its exit area: the engine's thrust goes out along its axis."""
+    """A ``<direct>`` thruster, or a ``<nozzle>`` with its exit area: thrust acts along its axis."""
 
     mount: Mount
     area_ft2: float | None
 
     def trace(self, frame: Frame, thrust: Value) -> tuple[Vector, Vector]:
-        """Force and moment of an engine's thrust [lbf]."""
+        """Return force and moment of an engine's thrust [lbf]."""
         b, name = frame.builder, self.mount.name
-        along = thrust
+        axial_thrust = thrust
         if self.area_ft2 is None:
             if self.mount.roll_rad is not None:
                 cosine, _ = _cosine_sine(frame.get(f"{name}reverser-angle-rad"))
-                along = cosine * thrust
+                axial_thrust = cosine * thrust
         else:
-            less = thrust - frame.get("atmosphere/P-psf") * self.area_ft2
-            along = b.op("max", less, 0.0)
-        frame.store(f"{name}thrust-lbs", along)
+            # A nozzle loses the ambient pressure over its exit area.
+            net = thrust - frame.get("atmosphere/P-psf") * self.area_ft2
+            axial_thrust = b.op("max", net, 0.0)
+        frame.store(f"{name}thrust-lbs", axial_thrust)
         zero = b.constant(0.0)
-        return self.mount.act(frame, self.mount.to_body(frame), along, (zero, zero, zero))
+        return self.mount.act(frame, self.mount.to_body(frame), axial_thrust, (zero, zero, zero))
 
 
 def read_jet(scope: Scope, node: Part, mount: Mount) -> Jet:
-    """A ``<direct>`` or ``<nozzle>``."""
+    """Read a ``<direct>`` or ``<nozzle>``."""
     if node[1].tag == "direct":
-        known(scope, node[1], ())
+        refuse_unknown(scope, node[1], ())
         return Jet(mount, None)
-    known(scope, node[1], ("area",))
-    return Jet(mount, needed(scope, node[1], "area", "FT2"))
+    refuse_unknown(scope, node[1], ("area",))
+    return Jet(mount, required_number(scope, node[1], "area", "FT2"))
 
 
 _TABLES = ("C_THRUST", "C_POWER", "CT_MACH", "CP_MACH", "CT_RPM_FACTOR", "CP_RPM_FACTOR")
@@ -148,16 +163,18 @@ _PROPELLER_TAGS = (
     "sense",
     "reversepitch",
 )
-"""JSBSim reads p_factor and sense from <thruster>; what stands here of them it ignores, and reversepitch without a turboprop."""
-_LEAST_RPS = 0.01
+"""Allowed elements. JSBSim reads p_factor and sense from <thruster> and ignores them here, and
+reversepitch without a turboprop.
+"""
+_MIN_RPS = 0.01
 _PITCH_FROM_RPM = 200.0
-_LEAST_P_FACTOR = 1e-4
-_LEAST_ACROSS_FPS = 1e-4
+_MIN_P_FACTOR = 1e-4
+_MIN_CROSSFLOW_FPS = 1e-4
 
 
 @dataclass(frozen=True)
 class Propeller:
-    """A propeller on its mount. Lengths in ft, ixx in slug ft2, pitch in degrees."""
+    """A propeller on its mount: lengths in ft, ixx in slug ft2, pitch in degrees."""
 
     mount: Mount
     ixx: float
@@ -175,45 +192,51 @@ class Propeller:
         return self.pitch[0] != self.pitch[1]
 
     def engine_rpm(self, frame: Frame) -> Value:
-        """The speed of the engine's shaft."""
+        """Return the speed of the engine's shaft [rpm]."""
         return frame.get(f"{self.mount.name}propeller-rpm") * self.gear
 
     def trace(self, frame: Frame, power: Value) -> tuple[Vector, Vector]:
-        """Force and moment while the engine gives so much power [ft lbf/s]."""
+        """Return force and moment at the engine's power [ft lbf/s]."""
         b, name = frame.builder, self.mount.name
         rpm, density = frame.get(f"{name}propeller-rpm"), frame.get("atmosphere/rho-slugs_ft3")
         to_body = self.mount.to_body(frame)
         air = self._air(frame)
-        local = applied(transposed(to_body), air)
+        # Airflow at the disk, advance ratio and helical tip Mach number.
+        local = matvec(transpose(to_body), air)
         speed = b.value(local[0])
         rps = rpm / 60.0
         tip = rps * self.diameter * math.pi
         mach = b.op("sqrt", tip * tip + speed * speed) / frame.get("atmosphere/a-fps")
-        ratio = rps.gt(_LEAST_RPS).choose(speed / (self.diameter * rps), speed / self.diameter)
+        ratio = rps.gt(_MIN_RPS).choose(speed / (self.diameter * rps), speed / self.diameter)
         pitch = self._pitch(frame, rpm)
         needed_power = self._power(ratio, pitch, mach, rpm, density)
-        left = power - needed_power
-        ct = looked_up(self.tables["C_THRUST"], ratio, pitch) * self.factors[0]
+        excess_power = power - needed_power
+        # Thrust by the tables, with corrections for Mach number and speed.
+        ct = lookup(self.tables["C_THRUST"], ratio, pitch) * self.factors[0]
         if "CT_MACH" in self.tables:
-            ct = ct * looked_up(self.tables["CT_MACH"], mach)
+            ct = ct * lookup(self.tables["CT_MACH"], mach)
         if "CT_RPM_FACTOR" in self.tables:
-            ct = ct * looked_up(self.tables["CT_RPM_FACTOR"], rpm)
+            ct = ct * lookup(self.tables["CT_RPM_FACTOR"], rpm)
         thrust = ct * rps * rps * self.diameter**4 * density
         induced = self._induced(speed, thrust, density)
         sense = frame.get(f"{name}propeller-sense")
         self._shift(frame, (speed, b.value(local[1]), b.value(local[2])), induced, sense)
         omega = rps * 2.0 * math.pi
+        # Reaction and gyroscopic moment.
         torque = -sense * power / b.op("max", omega, 0.01)
         spin = self.ixx * omega * sense * self.gyroscopic_sense
-        excess = omega.gt(_LEAST_RPS).choose(left / omega, left)
-        faster = (rps + excess / self.ixx / (2.0 * math.pi) * frame.step) * 60.0
+        # Excess power accelerates the shaft.
+        excess = omega.gt(_MIN_RPS).choose(excess_power / omega, excess_power)
+        new_rpm = (rps + excess / self.ixx / (2.0 * math.pi) * frame.step) * 60.0
         zero = b.constant(0.0)
-        rates: Vector = tuple(frame.memory(slot) for slot in slots("rates"))  # type: ignore[assignment]
-        own = plus(
-            cross(rates, applied(to_body, (spin, zero, zero))),
-            applied(to_body, (torque, zero, zero)),
+        rates: Vector = tuple(  # type: ignore[assignment]
+            frame.memory(slot) for slot in slots("rates")
         )
-        frame.store(f"{name}propeller-rpm", faster.lt(0.0).choose(0.0, faster))
+        thruster_moment = plus(
+            cross(rates, matvec(to_body, (spin, zero, zero))),
+            matvec(to_body, (torque, zero, zero)),
+        )
+        frame.store(f"{name}propeller-rpm", new_rpm.lt(0.0).choose(0.0, new_rpm))
         frame.store(f"{name}engine-rpm", frame.get(f"{name}propeller-rpm") * self.gear)
         for key, value in (
             ("advance-ratio", ratio),
@@ -225,29 +248,37 @@ class Propeller:
             ("propeller-torque-ftlb", torque),
         ):
             frame.store(f"{name}{key}", value)
-        return self.mount.act(frame, to_body, thrust, own)
+        return self.mount.act(frame, to_body, thrust, thruster_moment)
 
     def _air(self, frame: Frame) -> Vector:
-        """What blows at the propeller (Stevens and Lewis, 3rd ed., eq 8.2-1), body axes."""
+        """Return the airflow at the propeller in body axes (Stevens and Lewis, 3rd ed., eq
+        8.2-1).
+        """
         name = self.mount.name
         at = tuple(frame.get(f"{name}{axis}-reference-position") for axis in "xyz")
-        body: Vector = tuple(frame.get(f"velocities/{a}-aero-fps") for a in "uvw")  # type: ignore[assignment]
-        turning: Vector = tuple(frame.get(f"velocities/{a}-aero-rad_sec") for a in "pqr")  # type: ignore[assignment]
+        body: Vector = tuple(  # type: ignore[assignment]
+            frame.get(f"velocities/{a}-aero-fps") for a in "uvw"
+        )
+        turning: Vector = tuple(  # type: ignore[assignment]
+            frame.get(f"velocities/{a}-aero-rad_sec") for a in "pqr"
+        )
         return plus(body, cross(turning, arm(frame, (at[0], at[1], at[2]))))
 
     def _pitch(self, frame: Frame, rpm: Value) -> Value:
-        """Blade angle of this frame: the governor's, or where something else has put it."""
+        """Return the blade angle of this frame: the governor's, or the property's."""
         b, name = frame.builder, self.mount.name
         before = frame.get(f"{name}blade-angle")
         if not self.variable:
             return before
         low, high = self.pitch
         index = name.removeprefix("propulsion/engine").removesuffix("/")
-        wanted = self.rpm[0] + (self.rpm[1] - self.rpm[0]) * frame.get(
+        target_rpm = self.rpm[0] + (self.rpm[1] - self.rpm[0]) * frame.get(
             f"fcs/advance-pos-norm{index}"
         )
-        turned = rpm.gt(_PITCH_FROM_RPM).choose(before - (wanted - rpm) * frame.step, before)
+        # The governor moves the blades by the error in speed.
+        turned = rpm.gt(_PITCH_FROM_RPM).choose(before - (target_rpm - rpm) * frame.step, before)
         governed = turned.lt(low).choose(low, turned.gt(high).choose(high, turned))
+        # Feathering moves 1/300 of the remaining angle in each frame.
         feathering = before + (high - before) / 300.0
         feathered = frame.get(f"fcs/feather-pos-norm{index}").ne(0.0)
         governs = frame.get(f"{name}constant-speed-mode").ne(0.0)
@@ -256,18 +287,20 @@ class Propeller:
         return b.value(pitch)
 
     def _power(self, ratio: Value, pitch: Value, mach: Value, rpm: Value, density: Value) -> Value:
-        """What the propeller takes [ft lbf/s]."""
-        cp = looked_up(self.tables["C_POWER"], ratio, pitch) * self.factors[1]
+        """Return the power that the propeller absorbs [ft lbf/s]."""
+        cp = lookup(self.tables["C_POWER"], ratio, pitch) * self.factors[1]
         if "CP_MACH" in self.tables:
-            cp = cp * looked_up(self.tables["CP_MACH"], mach)
+            cp = cp * lookup(self.tables["CP_MACH"], mach)
         if "CP_RPM_FACTOR" in self.tables:
-            cp = cp * looked_up(self.tables["CP_RPM_FACTOR"], rpm)
+            cp = cp * lookup(self.tables["CP_RPM_FACTOR"], rpm)
         rps = rpm / 60.0
-        turning = rps.lt(_LEAST_RPS).choose(_LEAST_RPS, rps)
+        turning = rps.lt(_MIN_RPS).choose(_MIN_RPS, rps)
         return cp * turning * turning * turning * (self.diameter**4 * self.diameter) * density
 
     def _induced(self, speed: Value, thrust: Value, density: Value) -> Value:
-        """Induced velocity at the disk [ft/s] by momentum theory (McCormick, eq 6.15)."""
+        """Return the induced velocity at the disk [ft/s] by momentum theory (McCormick, eq
+        6.15).
+        """
         b = speed.builder
         area = 0.25 * self.diameter * self.diameter * math.pi
         square = speed * b.op("abs", speed) + 2.0 * thrust / (density * area)
@@ -277,12 +310,12 @@ class Propeller:
     def _shift(
         self, frame: Frame, local: tuple[Value, Value, Value], induced: Value, sense: Value
     ) -> None:
-        """The P-factor: thrust acts beside the axis when air comes from the side."""
-        if not self.mount.p_factor > _LEAST_P_FACTOR:
+        """Add the P-factor: in a crosswind thrust acts off the axis."""
+        if not self.mount.p_factor > _MIN_P_FACTOR:
             return
         b, name = frame.builder, self.mount.name
         across = b.op("sqrt", local[1] * local[1] + local[2] * local[2])
-        sideways = across.gt(_LEAST_ACROSS_FPS)
+        sideways = across.gt(_MIN_CROSSFLOW_FPS)
         factor = sense * self.mount.p_factor * b.op("atan2", across, local[0] + induced) / across
         for axis, flow in (("y", local[2]), ("z", local[1])):
             moved = frame.get(f"{name}{axis}-reference-position") + factor * flow
@@ -293,9 +326,9 @@ class Propeller:
 
 
 def read_propeller(scope: Scope, part: Part, mount: Mount) -> Propeller:
-    """A ``<propeller>``. Raises BadInputError with file and line."""
+    """Read a ``<propeller>``; raises BadInputError with file and line."""
     node = part[1]
-    known(scope, node, _PROPELLER_TAGS, ("name", "version"))
+    refuse_unknown(scope, node, _PROPELLER_TAGS, ("name", "version"))
     tables: dict[str, Grid] = {}
     for table in node.all("table"):
         name = table.attributes.get("name", "")
@@ -305,6 +338,7 @@ def read_propeller(scope: Scope, part: Part, mount: Mount) -> Propeller:
                 f"a table '{name}' of a propeller is not understood; {', '.join(_TABLES)} are",
             )
         tables[name] = grid(scope, table)
+    # A variable pitch needs tables over the blade angle.
     pitch = (number(scope, node, "minpitch", 0.0), number(scope, node, "maxpitch", 0.0))
     for name in ("C_THRUST", "C_POWER"):
         if name not in tables:
@@ -321,8 +355,8 @@ def read_propeller(scope: Scope, part: Part, mount: Mount) -> Propeller:
     version = node.attributes.get("version", "").strip()
     return Propeller(
         mount,
-        max(needed(scope, node, "ixx", "SLUG*FT2"), 1e-6),
-        max(needed(scope, node, "diameter", "FT"), 0.001),
+        max(required_number(scope, node, "ixx", "SLUG*FT2"), 1e-6),
+        max(required_number(scope, node, "diameter", "FT"), 0.001),
         max(number(scope, node, "gearratio", 1.0), 0.001),
         pitch,
         (number(scope, node, "minrpm", 0.0), number(scope, node, "maxrpm", 0.0)),

@@ -1,10 +1,12 @@
-"""A run script's events: conditions that are looked at before each frame, and what they set.
+"""Translate a run script's events.
 
-Found by experiment with JSBSim 1.3.3: events are looked at in the order of the script once the clock has gone on, before anything
-else of the frame, and not while JSBSim initialises. All new values of an event are computed before the first is set. An event is
-triggered once, a ``persistent`` or ``continuous`` one again whenever its condition has been false. It acts ``delay`` seconds later
-if it is still triggered: at once, along a ramp of ``tc`` seconds, or on an exponential that never ends. While it stays triggered, a
-continuous event sets its values in every frame and computes functions anew. FG_BOOL sets the number as it stands.
+As experiments with JSBSim 1.3.3 show: events are evaluated in the order of the script after the
+clock has advanced, before anything else of the frame, and not while JSBSim initialises. All new
+values of an event are computed before the first is set. An event triggers once; a ``persistent`` or
+``continuous`` one triggers again whenever its condition has been false. It acts ``delay`` seconds
+later if it is still triggered: at once, along a ramp of ``tc`` seconds, or on an exponential that
+never ends. While it stays triggered, a continuous event sets its values in every frame and
+evaluates functions anew. FG_BOOL sets the number as it is.
 """
 
 from __future__ import annotations
@@ -30,28 +32,32 @@ COMPARISONS |= {"==": "eq", "!=": "ne", ">": "gt", ">=": "ge", "<": "lt", "<=": 
 
 
 def condition(scope: Scope, node: Node) -> Value:
-    """Whether a ``<test>`` or ``<condition>`` holds: its lines and the elements of the same name in it, all of them or, with
-    ``logic="OR"``, one. All are looked at. The caller deals with the attributes of ``node``, but for ``logic``.
+    """Return whether a ``<test>`` or ``<condition>`` holds.
 
-    Raises BadInputError with file and line for what JSBSim leaves out or is not understood.
+    Its lines and nested elements of the same name are joined by AND or, with ``logic="OR"``, by OR;
+    all are evaluated. The caller handles the attributes of ``node`` except ``logic``. Raises
+    BadInputError with file and line for what JSBSim drops or the engine does not support.
     """
     b = scope.builder
     logic = node.attributes.get("logic", "AND") or "AND"
     if logic not in ("AND", "OR"):
         scope.refuse(node, f"logic='{logic}' of <{node.tag}>: allowed are AND and OR")
+    # Lines and nested elements are joined by the same operator.
     parts = [_comparison(scope, node, line) for line in node.text.split("\n") if line.strip()]
     for child in node.children:
         if child.tag != node.tag:
             scope.refuse(
                 child,
-                f"<{child.tag}> in <{node.tag}> is not understood; allowed are lines and <{node.tag}>",
+                f"<{child.tag}> in <{node.tag}> is not understood; allowed are lines and"
+                f" <{node.tag}>",
             )
         scope.only(child, ("logic",))
         parts.append(condition(scope, child))
     if not parts:
         scope.refuse(
             node,
-            f"<{node.tag}> has no comparison; a line is a property, a comparison, and a property or number",
+            f"<{node.tag}> has no comparison; a line is a property, a comparison, and a property or"
+            " number",
         )
     result = parts[0]
     for part in parts[1:]:
@@ -60,17 +66,18 @@ def condition(scope: Scope, node: Node) -> Value:
 
 
 def _comparison(scope: Scope, node: Node, line: str) -> Value:
-    """JSBSim divides at blanks alone: a tab does not."""
+    """Return the truth of one line. JSBSim splits at blanks only, not at tabs."""
     words = [word.strip() for word in line.strip().split(" ") if word.strip()]
     if (
         len(words) != 3
         or words[1] not in COMPARISONS
         or any(len(word.split()) != 1 for word in words)
     ):
-        known = ", ".join(COMPARISONS)
+        allowed = ", ".join(COMPARISONS)
         scope.refuse(
             node,
-            f"a comparison is 'property sign value', blanks between, sign one of {known}; received {line.strip()!r}",
+            f"a comparison is 'property sign value', blanks between, sign one of {allowed};"
+            f" received {line.strip()!r}",
         )
     return scope.builder.op(
         COMPARISONS[words[1]], scope.named_property(node, words[0]), scope.parameter(node, words[2])
@@ -84,7 +91,9 @@ _TRUTHS = ("true", "false", "")
 
 
 def trace_events(frame: Frame, document: Document) -> None:
-    """Every event as sections: whether it acts in this frame, in which lanes; and what it sets there."""
+    """Trace every event: a section that finds the lanes in which it acts in this frame, and
+    sections that act there.
+    """
     run = document.root.find("run")
     if run is None or frame.initialising:
         return
@@ -93,8 +102,11 @@ def trace_events(frame: Frame, document: Document) -> None:
 
 
 @dataclass(frozen=True)
-class _Set:
-    """A ``<set>``: what it sets, by which number or function, and how. ``tc_s`` is the time of a ramp or exponential."""
+class SetAction:
+    """A ``<set>``: property, number or function, and kind of action.
+
+    ``tc_s`` is the time constant of a ramp or exponential.
+    """
 
     node: Node
     name: str
@@ -106,7 +118,7 @@ class _Set:
 
 @dataclass(frozen=True)
 class _Event:
-    """An event in the frame that is traced. ``key`` begins the names of its memory."""
+    """An event in the frame that is traced; ``key`` is the prefix of its memory."""
 
     frame: Frame
     document: Document
@@ -114,40 +126,44 @@ class _Event:
     key: str
 
     def trace(self) -> None:
-        """Its sections."""
+        """Add the sections of the event."""
         scope = self.frame.scope(self.document)
         scope.only(self.node, ("name", "persistent", "continuous"))
+        # Refuse what JSBSim would treat differently.
         for child in self.node.children:
             if child.tag not in _PARTS:
                 scope.refuse(
                     child,
-                    f"<{child.tag}> of an event is not understood; condition, set, delay and notify are",
+                    f"<{child.tag}> of an event is not understood; condition, set, delay and"
+                    " notify are",
                 )
         for word in ("persistent", "continuous"):
             if self.node.attributes.get(word, "") not in _TRUTHS:
                 scope.refuse(
                     self.node,
-                    f"{word}='{self.node.attributes[word]}' of an event: allowed are true and false",
+                    f"{word}='{self.node.attributes[word]}' of an event: allowed are true and"
+                    " false",
                 )
         continuous = self.node.attributes.get("continuous") == "true"
-        again = continuous or self.node.attributes.get("persistent") == "true"
+        repeats = continuous or self.node.attributes.get("persistent") == "true"
         delays = self.node.all("delay")
         if len(delays) > 1:
             scope.refuse(delays[1], "an event has at most one <delay>")
         sets = [self._set(scope, item) for item in self.node.all("set")]
         delay_s = scope.number(delays[0]) if delays else 0.0
         with self.frame.section(f"{self.key}: whether"):
-            starts = self._triggered(again)
+            starts = self._triggered(repeats)
             self.frame.remember(f"{self.key}/starts", starts.choose(1.0, 0.0))
-        if not delays and not again and all(item.action == "step" for item in sets):
+        # A single immediate step needs no memory of its progress.
+        if not delays and not repeats and all(item.action == "step" for item in sets):
             with self.frame.section(self.key, When(mask=f"#{self.key}/starts")):
                 for item, (_, value) in zip(sets, self._new_values(sets), strict=True):
                     self.frame.write(item.name, value)
             return
         self._gradual(sets, delay_s, continuous)
 
-    def _triggered(self, again: bool) -> Value:
-        """Whether it is triggered in this frame."""
+    def _triggered(self, repeats: bool) -> Value:
+        """Return whether the event triggers in this frame."""
         frame, b = self.frame, self.frame.builder
         scope = frame.scope(self.document)
         conditions = self.node.all("condition")
@@ -155,12 +171,14 @@ class _Event:
             scope.refuse(self.node, f"an event has one <condition>; received {len(conditions)}")
         true = condition(scope, conditions[0])
         before = frame.memory(f"{self.key}/triggered").ne(0.0)
-        now = true if again else b.op("or", true, before)
-        frame.remember(f"{self.key}/triggered", now.choose(1.0, 0.0))
+        triggered = true if repeats else b.op("or", true, before)
+        frame.remember(f"{self.key}/triggered", triggered.choose(1.0, 0.0))
         return b.op("and", true, b.op("not", before))
 
-    def _gradual(self, sets: Sequence[_Set], delay_s: float, continuous: bool) -> None:
+    def _gradual(self, sets: Sequence[SetAction], delay_s: float, continuous: bool) -> None:
+        """Add the sections of an event that acts later, gradually or repeatedly."""
         frame, key = self.frame, self.key
+        # When it triggers: remember old and new values, and the time of action.
         with frame.section(f"{key}: begin", When(mask=f"#{key}/starts")):
             for number, (old, new) in enumerate(self._new_values(sets)):
                 for name, value in (("from", old), ("to", new), ("moves", 1.0)):
@@ -168,22 +186,25 @@ class _Event:
             frame.remember(f"{key}/at", frame.get(TIME) + delay_s)
         with frame.section(f"{key}: whether it acts"):
             b = frame.builder
-            acts = b.op(
+            is_acting = b.op(
                 "and",
                 frame.memory(f"{key}/triggered").ne(0.0),
                 frame.get(TIME).ge(frame.memory(f"{key}/at")),
             )
             for number in range(len(sets)):
-                moves = b.op("and", acts, frame.memory(f"{key}/{number}/moves").ne(0.0))
+                moves = b.op("and", is_acting, frame.memory(f"{key}/{number}/moves").ne(0.0))
                 frame.remember(f"{key}/{number}/acts", moves.choose(1.0, 0.0))
+        # Each action ends at its own time.
         for number, item in enumerate(sets):
             with frame.section(f"{key}: set {number}", When(mask=f"#{key}/{number}/acts")):
                 self._act(item, f"{key}/{number}", continuous)
 
-    def _act(self, item: _Set, key: str, continuous: bool) -> None:
+    def _act(self, item: SetAction, key: str, continuous: bool) -> None:
+        """Write the value of one action in this frame."""
         frame, b = self.frame, self.frame.builder
         old, new = frame.memory(f"{key}/from"), frame.memory(f"{key}/to")
         since = frame.get(TIME) - frame.memory(f"{self.key}/at")
+        # Step, ramp or exponential
         if item.action == "step":
             if continuous and item.function is not None:
                 new = function_value(frame.scope(self.document), item.function)
@@ -200,18 +221,21 @@ class _Event:
         if not continuous:
             frame.remember(f"{key}/moves", over.choose(0.0, frame.memory(f"{key}/moves")))
 
-    def _set(self, scope: Scope, node: Node) -> _Set:
+    def _set(self, scope: Scope, node: Node) -> SetAction:
+        """Read a ``<set>``; refuse what the engine does not support."""
         scope.only(node, ("name", "value", "type", "action", "tc"))
         name = canonical(node.attributes.get("name", ""))
         if not writable(name):
             scope.refuse(
                 node,
-                f"property {name} cannot be set by an event: JSBSim does more with it than keep its value",
+                f"property {name} cannot be set by an event: JSBSim does more with it than keep its"
+                " value",
             )
         if self.frame.read(name) is None or (
-            self.frame.written is None and name not in self.frame.values
+            self.frame.written_properties is None and name not in self.frame.values
         ):
             scope.refuse(node, f"property {name} is not computed by the batch engine")
+        # JSBSim accepts the kinds with and without FG_.
         words = [
             node.attributes.get(word, "").strip().lower().removeprefix("fg_")
             for word in ("type", "action")
@@ -219,8 +243,10 @@ class _Event:
         if words[0] not in _TYPES or words[1] not in _ACTIONS:
             scope.refuse(
                 node,
-                "a <set> has type FG_VALUE, FG_DELTA or FG_BOOL and action FG_STEP, FG_RAMP or FG_EXP",
+                "a <set> has type FG_VALUE, FG_DELTA or FG_BOOL and action FG_STEP, FG_RAMP or"
+                " FG_EXP",
             )
+        # Either a number or one function.
         functions = node.all("function")
         if (
             bool(node.attributes.get("value", "")) == bool(functions)
@@ -229,7 +255,7 @@ class _Event:
         ):
             scope.refuse(node, "a <set> has either a value or a function")
         tc_s = scope.number(node, node.attributes["tc"]) if node.attributes.get("tc", "") else 1.0
-        return _Set(
+        return SetAction(
             node,
             name,
             _TYPES[words[0]] == "delta",
@@ -238,8 +264,8 @@ class _Event:
             functions[0] if functions else None,
         )
 
-    def _new_values(self, sets: Sequence[_Set]) -> list[tuple[Value, Value]]:
-        """Of each property the value that it has and the one that it is to have."""
+    def _new_values(self, sets: Sequence[SetAction]) -> list[tuple[Value, Value]]:
+        """Return for each action the present and the new value of its property."""
         scope = self.frame.scope(self.document)
         out = []
         for item in sets:

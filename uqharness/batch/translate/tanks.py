@@ -1,8 +1,9 @@
-"""Fuel tanks: what engines take from them, and what they weigh where.
+"""Translate fuel tanks, and the mass, centre of gravity and inertia that they change.
 
-Found by experiment with JSBSim 1.3.3: an engine feeds from those of its tanks that have fuel and the lowest priority number, in
-equal parts; a tank gives nothing below its unusable volume; with priority 0 it is not selected. Fuel lies between the drain
-location and the tank's location as the tank is filled, with the inertia of a solid sphere of the tank's radius.
+As experiments with JSBSim 1.3.3 show: an engine feeds in equal parts from those of its tanks that
+have fuel and the lowest priority number; a tank gives nothing below its unusable volume and is
+deselected by priority 0. The fuel's centre moves from the drain location to the tank's location as
+the tank is filled, with the inertia of a solid sphere of the tank's radius.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ import numpy as np
 from sysid.units import SLUG_LB
 from uqharness.batch.form.ir import Value
 from uqharness.batch.models.vectors import Vector
-from uqharness.batch.translate.engine_files import Part, known, number, triplet
+from uqharness.batch.translate.engine_files import Part, number, refuse_unknown, triplet
 from uqharness.batch.translate.frame import Frame, Scope
 
-_LEAST_CAPACITY = 1e-5
+_MIN_CAPACITY = 1e-5
 _TAGS = (
     "location",
     "drain_location",
@@ -39,10 +40,16 @@ _TAGS = (
 class Tank:
     """A ``<tank type="FUEL">``.
 
-    name         of its properties: propulsion/tank[k]/
-    drain_in     where the last fuel lies, structural frame
-    capacity_lbs what it holds
-    inertia_ft2  of its contents about their own centre, per slug
+    Attributes
+    ----------
+    name : str
+        Prefix of its properties: propulsion/tank[k]/.
+    drain_in : (float, float, float) or None
+        Centre of the last fuel, structural frame [in].
+    capacity_lbs : float
+        Capacity.
+    inertia_ft2 : float
+        Inertia of the contents about their centre, per slug.
     """
 
     name: str
@@ -51,11 +58,11 @@ class Tank:
     inertia_ft2: float
 
     def contents(self, frame: Frame) -> Value:
-        """What is in it [lbs]."""
+        """Return the contents [lbs]."""
         return frame.get(f"{self.name}contents-lbs")
 
     def place(self, frame: Frame) -> tuple[Value, Value, Value]:
-        """Where its contents lie [in], structural frame."""
+        """Return the centre of the contents [in], structural frame."""
         full = (
             frame.get(f"{self.name}x-position"),
             frame.get(f"{self.name}y-position"),
@@ -65,71 +72,64 @@ class Tank:
             return full
         filled = self.contents(frame) / self.capacity_lbs
         x, y, z = (
-            empty + filled * (there - empty)
-            for empty, there in zip(self.drain_in, full, strict=True)
+            empty + filled * (at_full - empty)
+            for empty, at_full in zip(self.drain_in, full, strict=True)
         )
         return (x, y, z)
 
-    def gives(self, frame: Frame) -> Value:
-        """Whether an engine may feed from it."""
+    def can_feed(self, frame: Frame) -> Value:
+        """Return whether an engine may feed from it."""
         selected = frame.get(f"{self.name}priority").gt(0.0)
         return frame.builder.op("and", self.contents(frame).gt(self.unusable(frame)), selected)
 
     def unusable(self, frame: Frame) -> Value:
-        """What no engine gets [lbs]."""
+        """Return the unusable contents [lbs]."""
         return frame.get(f"{self.name}unusable-volume-gal") * frame.get(
             f"{self.name}density-lbs_per_gal"
         )
 
     def drain(self, frame: Frame, used: Value, where: Value) -> None:
-        """Take out so many lbs ``where`` that is true."""
-        before, least = self.contents(frame), self.unusable(frame)
-        left = before - used
-        empty = before.gt(least).choose(least, before)
-        self.put(frame, where.choose(left.ge(least).choose(left, empty), before))
+        """Remove ``used`` lbs where ``where`` is true."""
+        before, unusable = self.contents(frame), self.unusable(frame)
+        remaining = before - used
+        empty = before.gt(unusable).choose(unusable, before)
+        self.store_contents(
+            frame, where.choose(remaining.ge(unusable).choose(remaining, empty), before)
+        )
 
-    def put(self, frame: Frame, contents: Value) -> None:
-        """So many lbs are in it."""
+    def store_contents(self, frame: Frame, contents: Value) -> None:
+        """Set the contents [lbs]."""
         frame.store(f"{self.name}contents-lbs", contents)
 
 
 def read_tank(scope: Scope, part: Part, index: int) -> Tank:
-    """A ``<tank>``. Raises BadInputError with file and line."""
+    """Read a ``<tank>``; raises BadInputError with file and line."""
     node = part[1]
-    known(scope, node, _TAGS, ("type", "name", "number"))
+    refuse_unknown(scope, node, _TAGS, ("type", "name", "number"))
     if node.attributes.get("type", "") != "FUEL":
         scope.refuse(
             node,
-            f"a tank of type '{node.attributes.get('type', '')}' is not understood by the batch engine; FUEL is",
+            f"a tank of type '{node.attributes.get('type', '')}' is not understood by the batch"
+            " engine; FUEL is",
         )
     drain = node.find("drain_location")
     radius = number(scope, node, "radius", 0.0, "IN")
-    capacity = number(scope, node, "capacity", _LEAST_CAPACITY, "LBS")
+    capacity = number(scope, node, "capacity", _MIN_CAPACITY, "LBS")
     name = f"propulsion/tank[{index}]/" if index else "propulsion/tank/"
     return Tank(
         name,
         None if drain is None else triplet(scope, drain, ("x", "y", "z"), "IN"),
-        capacity or _LEAST_CAPACITY,
+        capacity or _MIN_CAPACITY,
         number(scope, node, "inertia_factor", 1.0) * 0.4 * radius * radius / 144.0,
     )
 
 
 def set_contents(tank: Tank) -> Callable[[Frame, Value], None]:
-    """What setting contents-lbs does: no more than the tank holds."""
+    """Return the hook of contents-lbs: at most the capacity."""
 
     def write(frame: Frame, value: Value) -> None:
-        tank.put(frame, value.gt(tank.capacity_lbs).choose(tank.capacity_lbs, value))
-
-    return write
-
-
-def set_whole(name: str) -> Callable[[Frame, Value], None]:
-    """What setting a whole number does: the fraction is cut."""
-
-    def write(frame: Frame, value: Value) -> None:
-        b = frame.builder
-        size = b.op("floor", b.op("abs", value))
-        frame.store(name, value.lt(0.0).choose(-size, size))
+        """Store the clipped contents."""
+        tank.store_contents(frame, value.gt(tank.capacity_lbs).choose(tank.capacity_lbs, value))
 
     return write
 
@@ -137,47 +137,52 @@ def set_whole(name: str) -> Callable[[Frame, Value], None]:
 def feeding(
     frame: Frame, tanks: Sequence[Tank], feeds: Sequence[int]
 ) -> tuple[list[Value], Value, Value]:
-    """For each tank of an engine whether it feeds now, how many do, and whether none does."""
+    """Return for each tank of an engine whether it feeds now, how many do, and whether none
+    does.
+    """
     b = frame.builder
-    most = float(len(tanks))
-    given = [tanks[k].gives(frame) for k in feeds]
+    n_tanks = float(len(tanks))
+    can_feed = [tanks[k].can_feed(frame) for k in feeds]
     priorities = [frame.get(f"{tanks[k].name}priority") for k in feeds]
-    first: Value = b.constant(most + 1.0)
-    for gives, priority in zip(given, priorities, strict=True):
-        first = b.op("and", gives, priority.lt(first)).choose(priority, first)
-    now = [
-        b.op("and", gives, priority.eq(first))
-        for gives, priority in zip(given, priorities, strict=True)
+    # Lowest priority number among the tanks that can feed.
+    lowest_priority: Value = b.constant(n_tanks + 1.0)
+    for gives, priority in zip(can_feed, priorities, strict=True):
+        lowest_priority = b.op("and", gives, priority.lt(lowest_priority)).choose(
+            priority, lowest_priority
+        )
+    feeding_now = [
+        b.op("and", gives, priority.eq(lowest_priority))
+        for gives, priority in zip(can_feed, priorities, strict=True)
     ]
     count: Value = b.constant(0.0)
-    for feeds_now in now:
-        count = count + feeds_now.choose(1.0, 0.0)
-    return now, count, first.gt(most)
+    for feeds_this in feeding_now:
+        count = count + feeds_this.choose(1.0, 0.0)
+    return feeding_now, count, lowest_priority.gt(n_tanks)
 
 
 def trace_tanks(frame: Frame, tanks: Sequence[Tank]) -> None:
-    """What flows in or out by itself, and the sum of the fuel, behind all engines."""
+    """Add flows from outside and the total fuel, after all engines."""
     total: Value = frame.builder.constant(0.0)
     for tank in tanks:
+        # External flows fill or drain a tank.
         flow = frame.get(f"{tank.name}external-flow-rate-pps")
         if flow.constant != 0.0:
             out = flow.lt(0.0)
             amount = flow * frame.step
             tank.drain(frame, -amount, out)
             more = tank.contents(frame) + out.choose(0.0, amount)
-            tank.put(frame, more.gt(tank.capacity_lbs).choose(tank.capacity_lbs, more))
+            tank.store_contents(frame, more.gt(tank.capacity_lbs).choose(tank.capacity_lbs, more))
         total = total + tank.contents(frame)
         frame.store(f"{tank.name}pct-full", 100.0 * tank.contents(frame) / tank.capacity_lbs)
     if tanks:
         frame.store("propulsion/total-fuel-lbs", total)
 
 
-# Mass, centre of gravity and inertia of an aircraft with tanks, in every frame.
-#
-# All that is not fuel is one rigid body: its weight, place and inertia follow from those of the
-# loaded aircraft, which JSBSim tells, and the contents of its tanks then. Found by experiment
-# with JSBSim 1.3.3: the inertia of tanks is taken about the centre of gravity of the frame
-# before, in the first frame about the origin of the structural frame.
+# Mass, centre of gravity and inertia with tanks. All but the fuel is one rigid body, computed
+# from the mass properties that JSBSim reports for the loaded aircraft and the contents of its
+# tanks then. As experiments with JSBSim 1.3.3 show, the inertia of tanks is taken about the
+# centre of gravity of the frame before, in the first frame about the origin of the structural
+# frame.
 
 _AXES = ("x", "y", "z")
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -187,19 +192,20 @@ MASS = (
     *(f"inertia/cg-{axis}-in" for axis in _AXES),
     *(f"inertia/{name}-slugs_ft2" for name in _INERTIA),
 )
-"""What is written in each frame."""
+"""Properties that are written in each frame."""
 DRY = ("#dry/weight", *(f"#dry/{axis}" for axis in _AXES), *(f"#dry/{name}" for name in _INERTIA))
-"""Slots of the aircraft without fuel: weight [lbs], place [in], inertia about that place [slug ft2]."""
+"""Slots of the aircraft without fuel: weight [lbs], centre [in], inertia about it [slug ft2]."""
 
 
 def dry_aircraft(tanks: Sequence[Tank], value: Callable[[str], float]) -> dict[str, float]:
-    """DRY from the properties of an aircraft that JSBSim has initialised."""
+    """Compute DRY from the properties of an initialised aircraft."""
     weight, centre = (
         value("inertia/weight-lbs"),
         np.array([value(f"inertia/cg-{axis}-in") for axis in _AXES]),
     )
     inertia = np.array([value(f"inertia/{name}-slugs_ft2") for name in _INERTIA])
     dry, moment = weight, weight * centre
+    # Subtract the contents of each tank.
     for tank in tanks:
         contents = value(f"{tank.name}contents-lbs")
         place = np.array([value(f"{tank.name}{axis}-position") for axis in _AXES])
@@ -210,28 +216,31 @@ def dry_aircraft(tanks: Sequence[Tank], value: Callable[[str], float]) -> dict[s
         inertia -= np.array(_steiner(contents / SLUG_LB, tuple(centre - place))) + np.array(
             [contents / SLUG_LB * tank.inertia_ft2] * 3 + [0.0] * 3
         )
+    # Centre without fuel, and inertia about it.
     at = moment / dry
     inertia -= np.array(_steiner(dry / SLUG_LB, tuple(centre - at)))
     return dict(zip(DRY, (dry, *at, *inertia), strict=True))
 
 
-def _steiner(mass: Value | float, apart_in: Vector) -> list[Value | float]:
-    """Inertia of a point mass [slug] as properties give it [slug ft2]: ixy and iyz with another sign than in the matrix.
+def _steiner(mass: Value | float, offset_in: Vector) -> list[Value | float]:
+    """Return the inertia [slug ft2] of a point mass [slug] in JSBSim's signs: ixy and iyz opposite
+    to the matrix.
 
-    Its place in the structural frame is the centre minus ``apart_in``.
+    The mass is at the centre minus ``offset_in`` [in], structural frame.
     """
     x, y, z = (
-        apart_in[0] * (1.0 / 12.0),
-        -1.0 * apart_in[1] * (1.0 / 12.0),
-        apart_in[2] * (1.0 / 12.0),
+        offset_in[0] * (1.0 / 12.0),
+        -1.0 * offset_in[1] * (1.0 / 12.0),
+        offset_in[2] * (1.0 / 12.0),
     )
     xx, yy, zz = mass * x * x, mass * y * y, mass * z * z
     return [yy + zz, xx + zz, xx + yy, mass * x * y, -1.0 * (mass * x * z), mass * y * z]
 
 
 def trace_mass(frame: Frame, tanks: Sequence[Tank], first: bool) -> None:
-    """Write MASS. ``first``: it is the first frame of all."""
+    """Write MASS; ``first``: in the first frame of all."""
     b = frame.builder
+    # Inertia of tanks is taken about the CG of the frame before.
     before: Vector = (0.0, 0.0, 0.0)
     if not first:
         before = (
@@ -245,21 +254,23 @@ def trace_mass(frame: Frame, tanks: Sequence[Tank], first: bool) -> None:
     moment: list[Value] = [weight * place for place in at]
     dry_mass = weight * (1.0 / SLUG_LB)
     total = weight
+    # Add mass, moment and inertia of each tank's contents.
     for tank in tanks:
         contents, place = tank.contents(frame), tank.place(frame)
         total = total + contents
         moment = [m + contents * p for m, p in zip(moment, place, strict=True)]
         mass = contents * (1.0 / SLUG_LB)
-        own = mass * tank.inertia_ft2
-        apart: Vector = (before[0] - place[0], before[1] - place[1], before[2] - place[2])
-        added = _steiner(mass, apart)
+        central_inertia = mass * tank.inertia_ft2
+        offset_in: Vector = (before[0] - place[0], before[1] - place[1], before[2] - place[2])
+        added = _steiner(mass, offset_in)
         inertia = [
-            i + a + own if k < 3 else i + a
+            i + a + central_inertia if k < 3 else i + a
             for k, (i, a) in enumerate(zip(inertia, added, strict=True))
         ]
     centre = [m / total for m in moment]
-    moved = _steiner(dry_mass, (centre[0] - at[0], centre[1] - at[1], centre[2] - at[2]))
-    inertia = [i + m for i, m in zip(inertia, moved, strict=True)]
+    # Parallel-axis term of the rest of the aircraft.
+    shift = _steiner(dry_mass, (centre[0] - at[0], centre[1] - at[1], centre[2] - at[2]))
+    inertia = [i + m for i, m in zip(inertia, shift, strict=True)]
     frame.store("inertia/weight-lbs", total)
     frame.store("inertia/mass-slugs", total * (1.0 / SLUG_LB))
     for axis, value in zip(_AXES, centre, strict=True):

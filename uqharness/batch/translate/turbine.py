@@ -1,7 +1,8 @@
-"""``<turbine_engine>`` of JSBSim 1.3.3: spools that follow the throttle, thrust by their speed, fuel by thrust.
+"""Translate ``<turbine_engine>`` (JSBSim 1.3.3): spools follow the throttle, thrust follows their
+speed, fuel flow follows thrust.
 
-While time stands still JSBSim computes the thrust of the steady state at the throttle; in the first frame after that the spools
-are put there. The starter does not turn, water is not injected.
+While time stands still JSBSim computes the steady thrust at the throttle; in the first frame after
+that the spools are set to it. The starter does not turn, and water is not injected.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 
 from uqharness.batch.form.ir import Builder, Value, evaluate
 from uqharness.batch.form.maths import lower
-from uqharness.batch.translate.engine_files import Part, known, number
+from uqharness.batch.translate.engine_files import Part, number, refuse_unknown
 from uqharness.batch.translate.frame import INITIALISED, Frame, Scope, is_number
 from uqharness.batch.translate.functions import function_value
 from uqharness.batch.translate.propeller import Jet, Propeller
@@ -26,7 +27,7 @@ FUNCTIONS = (
     "N2SpoolUp",
     "N2SpoolDown",
 )
-"""Names of functions to which JSBSim gives those of the engine's properties."""
+"""Names of functions that JSBSim makes properties of the engine."""
 _TAGS = (
     "milthrust",
     "maxthrust",
@@ -62,11 +63,11 @@ _LIT_THROTTLE, _LIT_N2 = 0.99, 97.0
 
 
 @dataclass(frozen=True)
-class Numbers:
-    """What an engine file says, with JSBSim's defaults. Speeds in percent, thrust in lbf."""
+class TurbineData:
+    """Numbers of an engine file, with JSBSim's defaults: speeds in percent, thrust in lbf."""
 
     mil: float
-    most: float
+    max_thrust: float
     bypass: float
     idle: tuple[float, float]
     full: tuple[float, float]
@@ -78,7 +79,9 @@ class Numbers:
 
     @property
     def idle_pph(self) -> float:
-        """Fuel flow at idle [lbs/h]: an estimate of JSBSim's, by a power that has the same bits on every machine."""
+        """Fuel flow at idle [lbs/h]: JSBSim's estimate, by a power that is bit-identical on every
+        machine.
+        """
         b = Builder()
         power = lower(b.finish({"x": b.op("pow", self.mil, 0.2)}, {}))
         return float(evaluate(power, {})[0]["x"][0]) * 107.0
@@ -86,91 +89,106 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Turbine:
-    """A turbine. ``names`` are those of FUNCTIONS that its file has."""
+    """A turbine; ``names`` are those of FUNCTIONS that its file has."""
 
     name: str
     index: str
     scope_part: Part
-    numbers: Numbers
+    numbers: TurbineData
     names: frozenset[str]
 
     @property
     def key(self) -> str:
-        """Begin of the names of its memory."""
+        """Prefix of the names of its memory."""
         return f"engine{self.index}"
 
     def trace(self, frame: Frame, thruster: Propeller | Jet) -> Value:
-        """Its thrust [lbf]."""
+        """Return the thrust [lbf]."""
         b = frame.builder
         lever = frame.get(f"fcs/throttle-pos-norm{self.index}")
+        # A lever beyond 1 is the afterburner.
         after = lever.gt(1.0).choose(lever - 1.0, 0.0)
         throttle = lever.gt(1.0).choose(lever - after, lever)
         starved = frame.memory(f"{self.key}/starved").ne(0.0)
+        # The spools are set in the first frame of the flight.
         if frame.initialising:
             frame.remember(
                 f"{self.key}/phase", starved.choose(_OFF, _TRIM), self._first_phase(frame)
             )
             running = frame.get(f"{self.name}set-running")
             frame.store(f"{self.name}set-running", starved.choose(0.0, running))
-            return starved.choose(0.0, self._trimmed(frame, throttle, after))
-        return self._moving(frame, throttle, after, starved, b.value(frame.get("aero/qbar-psf")))
+            return starved.choose(0.0, self._steady_thrust(frame, throttle, after))
+        return self._dynamic_thrust(
+            frame, throttle, after, starved, b.value(frame.get("aero/qbar-psf"))
+        )
 
     def _first_phase(self, frame: Frame) -> float:
+        """Return the phase before the first frame."""
         return _RUN if frame.values.get(f"{self.name}set-running") else _OFF
 
     def _cutoff(self, frame: Frame) -> Value:
+        """Return the fuel cutoff."""
         return frame.memory(
             f"{self.key}/cutoff", 0.0 if frame.values.get(f"{self.name}set-running") else 1.0
         )
 
     def _thrusts(self, frame: Frame) -> tuple[Value, Value]:
-        """Idle thrust, and what full speed adds."""
+        """Return idle thrust, and what full speed adds."""
         idle = self.numbers.mil * frame.get(f"{self.name}IdleThrust")
         return idle, (self.numbers.mil - idle) * frame.get(f"{self.name}MilThrust")
 
-    def _trimmed(self, frame: Frame, throttle: Value, after: Value) -> Value:
-        """Thrust of the steady state."""
+    def _steady_thrust(self, frame: Frame, throttle: Value, after: Value) -> Value:
+        """Return the thrust of the steady state."""
         n = self.numbers
         idle, more = self._thrusts(frame)
         span = n.full[1] - n.idle[1]
         n2 = n.idle[1] + throttle * span
+        # Thrust grows with the square of the relative N2.
         norm = (n2 - n.idle[1]) / span
         thrust = (idle + more * norm * norm) * (1.0 - frame.get(f"{self.name}bleed-factor"))
         if n.method == 1:
             burning = frame.builder.op("and", throttle.gt(_LIT_THROTTLE), n2.gt(_LIT_N2))
             frame.remember(f"{self.key}/augmented", burning.choose(1.0, 0.0))
             if n.augmented:
-                thrust = burning.choose(n.most * self._augmented(frame), thrust)
+                thrust = burning.choose(n.max_thrust * self._augmented(frame), thrust)
         if n.method == 2:
             thrust = after.gt(0.0).choose(
-                thrust + (n.most * self._augmented(frame) - thrust) * _capped(after), thrust
+                thrust + (n.max_thrust * self._augmented(frame) - thrust) * _at_most_one(after),
+                thrust,
             )
         return thrust
 
     def _augmented(self, frame: Frame) -> Value:
+        """Return the factor of augmented thrust."""
         return frame.get(f"{self.name}AugThrust")
 
-    def _moving(
+    def _dynamic_thrust(
         self, frame: Frame, throttle: Value, after: Value, starved: Value, qbar: Value
     ) -> Value:
-        """Thrust in a frame in which time goes on: of an engine that is off, runs, or starts again in the wind."""
+        """Return the thrust in a frame in which time advances: off, running, or restarting in the
+        wind.
+        """
         b, n, name, key = frame.builder, self.numbers, self.name, self.key
         phase = frame.memory(f"{key}/phase", self._first_phase(frame))
         running, cutoff = frame.get(f"{name}set-running").ne(0.0), self._cutoff(frame).ne(0.0)
         n1, n2 = frame.get(f"{name}n1"), frame.get(f"{name}n2")
-        trimmed = phase.eq(_TRIM)
-        goes = b.op("and", trimmed, b.op("and", running, b.op("not", starved)))
-        phase = trimmed.choose(goes.choose(_RUN, _OFF), phase)
-        cutoff = b.op("and", b.op("not", goes), b.op("or", cutoff, trimmed))
-        n1 = goes.choose(n.idle[0] + throttle * (n.full[0] - n.idle[0]), n1)
-        n2 = goes.choose(n.idle[1] + throttle * (n.full[1] - n.idle[1]), n2)
-        windy = b.op("and", qbar.gt(_LEAST_QBAR_PSF), b.op("not", b.op("or", running, cutoff)))
-        phase = b.op("and", windy, n2.gt(_LEAST_N2)).choose(_START, phase)
+        is_trimmed = phase.eq(_TRIM)
+        # From the steady state of the initialising frames the spools start at the throttle's speed.
+        starts_running = b.op("and", is_trimmed, b.op("and", running, b.op("not", starved)))
+        phase = is_trimmed.choose(starts_running.choose(_RUN, _OFF), phase)
+        cutoff = b.op("and", b.op("not", starts_running), b.op("or", cutoff, is_trimmed))
+        n1 = starts_running.choose(n.idle[0] + throttle * (n.full[0] - n.idle[0]), n1)
+        n2 = starts_running.choose(n.idle[1] + throttle * (n.full[1] - n.idle[1]), n2)
+        # An engine that is off restarts in the wind if fuel is not cut off.
+        windmills = b.op("and", qbar.gt(_LEAST_QBAR_PSF), b.op("not", b.op("or", running, cutoff)))
+        phase = b.op("and", windmills, n2.gt(_LEAST_N2)).choose(_START, phase)
+        # No fuel: off, whatever the phase.
         phase = b.op("or", cutoff, starved).choose(_OFF, phase)
         runs, starts = phase.eq(_RUN), phase.eq(_START)
         off = self._off(frame, n1, n2, qbar)
         run, thrust = self._run(frame, (n1, n2), throttle, after)
-        start, ready, aborted = self._started(frame, n1, n2, qbar)
+        start, ready, aborted = self._windmill_start(frame, n1, n2, qbar)
+        # All three phases are computed; each lane selects its own.
         chosen = [
             runs.choose(r, starts.choose(s, o)) for r, s, o in zip(run, start, off, strict=True)
         ]
@@ -188,7 +206,7 @@ class Turbine:
         return runs.choose(thrust, 0.0)
 
     def _memory(self, frame: Frame) -> tuple[Value, Value, Value]:
-        """Fuel flow, N2 of its range, afterburner: of the frame before."""
+        """Return fuel flow, relative N2 and afterburner of the frame before."""
         key = self.key
         pph, norm = (
             frame.memory(f"{key}/pph", self._first_pph(frame)),
@@ -197,6 +215,7 @@ class Turbine:
         return pph, norm, frame.memory(f"{key}/augmented")
 
     def _first_norm(self, frame: Frame) -> float:
+        """Return the relative N2 before the first frame."""
         n2 = frame.values.get(f"{self.name}n2") or 0.0
         n = self.numbers
         return (
@@ -206,35 +225,42 @@ class Turbine:
         )
 
     def _first_pph(self, frame: Frame) -> float:
-        """Fuel flow [lbs/h] of an engine that a script has set running: JSBSim tells it behind its initialising frames."""
+        """Return the initial fuel flow [lbs/h] of an engine that a script starts, as JSBSim reports
+        it after initialising.
+        """
         return (frame.values.get(f"{INITIALISED}{self.name}fuel-flow-rate-pps") or 0.0) * 3600.0
 
     def _off(self, frame: Frame, n1: Value, n2: Value, qbar: Value) -> list[Value]:
-        """N1, N2, fuel flow [lbs/h], N2 of its range, afterburner."""
+        """Return N1, N2, fuel flow [lbs/h], relative N2 and afterburner of an engine that is
+        off.
+        """
         pph, norm, _ = self._memory(frame)
         step, (down1, down2) = frame.step, self.numbers.spin_down
-        still = frame.builder.constant(0.0)
+        zero = frame.builder.constant(0.0)
+        # The wind keeps the spools turning.
         if self.numbers.windmills:
-            slow1 = _sought(n1, qbar / 10.0, n1 / 2.0 + 0.1, n1 / down1, step)
-            slow2 = _sought(n2, qbar / 15.0, n2 / 2.0 + 0.1, n2 / down2, step)
+            slow1 = _approach(n1, qbar / 10.0, n1 / 2.0 + 0.1, n1 / down1, step)
+            slow2 = _approach(n2, qbar / 15.0, n2 / 2.0 + 0.1, n2 / down2, step)
         else:
-            slow1 = _sought(n1, still, n1 / 2.0, n1 / down1, step)
-            slow2 = _sought(n2, still, n2 / 2.0, n2 / down2, step)
-        return [slow1, slow2, _sought(pph, still, 1000.0, 10000.0, step), norm, still]
+            slow1 = _approach(n1, zero, n1 / 2.0, n1 / down1, step)
+            slow2 = _approach(n2, zero, n2 / 2.0, n2 / down2, step)
+        return [slow1, slow2, _approach(pph, zero, 1000.0, 10000.0, step), norm, zero]
 
-    def _started(
+    def _windmill_start(
         self, frame: Frame, n1: Value, n2: Value, qbar: Value
     ) -> tuple[list[Value], Value, Value]:
-        """The same of an engine that starts, whether it runs now, and whether it gives up."""
+        """Return the same for an engine that starts, whether it runs now, and whether it gives
+        up.
+        """
         b, n, step = frame.builder, self.numbers, frame.step
         pph, norm, augmented = self._memory(frame)
         turns = n2.gt(_LEAST_N2)
         spins = b.op("and", turns, n2.lt(n.idle[1]))
         new2 = spins.choose(
-            _sought(n2, b.constant(n.idle[1]), n.start_rates[1], n2 / 2.0, step), n2
+            _approach(n2, b.constant(n.idle[1]), n.start_rates[1], n2 / 2.0, step), n2
         )
         new1 = spins.choose(
-            _sought(n1, b.constant(n.idle[0]), n.start_rates[0], n1 / 2.0, step), n1
+            _approach(n1, b.constant(n.idle[0]), n.start_rates[0], n1 / 2.0, step), n1
         )
         new_pph = spins.choose(self.numbers.idle_pph * new2 / n.idle[1], pph)
         aborted = b.op("or", b.op("not", turns), b.op("and", spins, qbar.lt(_LEAST_QBAR_PSF)))
@@ -247,45 +273,50 @@ class Turbine:
     def _run(
         self, frame: Frame, spools: tuple[Value, Value], throttle: Value, after: Value
     ) -> tuple[list[Value], Value]:
-        """The same of an engine that runs, and its thrust."""
+        """Return the same for an engine that runs, and its thrust."""
         b, n, step = frame.builder, self.numbers, frame.step
         idle, more = self._thrusts(frame)
         pph, norm_before, before = self._memory(frame)
         moved: list[Value] = []
+        # Spool up and down at different rates.
         for k in (0, 1):
             goal = n.idle[k] + throttle * (n.full[k] - n.idle[k])
             up = self._spool(frame, f"N{k + 1}SpoolUp", norm_before, 1.0)
             down = self._spool(frame, f"N{k + 1}SpoolDown", norm_before, (2.4, 3.0)[k])
-            moved.append(_sought(spools[k], goal, up, down, step))
+            moved.append(_approach(spools[k], goal, up, down, step))
         norm = (moved[1] - n.idle[1]) / (n.full[1] - n.idle[1])
         thrust = idle + more * norm * norm
+        # Without afterburner the flow follows the dry thrust.
         dry = before.eq(0.0)
-        wanted = _sought(
+        target_pph = _approach(
             pph, thrust * self._consumption(frame, "tsfc", norm), 1000.0, 10000.0, step
         )
-        least = n.idle_pph
-        pph = dry.choose(wanted.lt(least).choose(least, wanted), pph)
+        idle_pph = n.idle_pph
+        pph = dry.choose(target_pph.lt(idle_pph).choose(idle_pph, target_pph), pph)
         thrust = dry.choose(thrust * (1.0 - frame.get(f"{self.name}bleed-factor")), thrust)
         burning = before
+        # Afterburner that lights at full throttle
         if n.method == 1:
             lit = b.op("and", throttle.gt(_LIT_THROTTLE), moved[1].gt(_LIT_N2))
             burning = lit.choose(1.0, 0.0)
             if n.augmented:
-                thrust = lit.choose(self._augmented(frame) * n.most, thrust)
+                thrust = lit.choose(self._augmented(frame) * n.max_thrust, thrust)
                 pph = lit.choose(
-                    _sought(
+                    _approach(
                         pph, thrust * self._consumption(frame, "atsfc", norm), 5000.0, 10000.0, step
                     ),
                     pph,
                 )
+        # Afterburner in proportion to the lever beyond 1
         if n.method == 2:
             lit = after.gt(0.0)
             burning = lit.choose(1.0, 0.0)
             thrust = lit.choose(
-                thrust + (n.most * self._augmented(frame) - thrust) * _capped(after), thrust
+                thrust + (n.max_thrust * self._augmented(frame) - thrust) * _at_most_one(after),
+                thrust,
             )
             pph = lit.choose(
-                _sought(
+                _approach(
                     pph, thrust * self._consumption(frame, "atsfc", norm), 5000.0, 10000.0, step
                 ),
                 pph,
@@ -293,7 +324,7 @@ class Turbine:
         return [moved[0], moved[1], pph, norm, burning], thrust
 
     def _spool(self, frame: Frame, name: str, norm: Value, factor: float) -> Value:
-        """How fast a spool may turn [%/s]."""
+        """Return the acceleration limit of a spool [%/s]."""
         if name in self.names:
             return frame.get(f"{self.name}{name}")
         short = norm + 0.1
@@ -309,38 +340,39 @@ class Turbine:
         )
 
     def _consumption(self, frame: Frame, tag: str, norm: Value) -> Value:
-        """Fuel [lbs/h] per lbf of thrust."""
+        """Return the fuel flow [lbs/h] per lbf of thrust."""
         b = frame.builder
         document, node = self.scope_part
         element = node.find(tag)
         if element is None or is_number(element.text):
-            given = (
+            specific = (
                 {"tsfc": 0.8, "atsfc": 1.7}[tag]
                 if element is None
                 else frame.scope(document).number(element)
             )
             if tag == "atsfc":
-                return b.constant(given)
+                return b.constant(specific)
             return (
-                given
+                specific
                 * b.op("sqrt", frame.get("atmosphere/T-R") / 389.7)
                 * (0.84 + (1.0 - norm) * (1.0 - norm))
             )
         return function_value(frame.scope(document), element)
 
     def fuel_rate(self, frame: Frame) -> Value:
-        """What it takes from its tanks [lbs/s]."""
+        """Return the fuel taken from the tanks [lbs/s]."""
         return frame.memory(f"{self.key}/pph", self._first_pph(frame)) / 3600.0
 
 
-def _capped(after: Value) -> Value:
+def _at_most_one(after: Value) -> Value:
+    """Limit the afterburner to 1."""
     return after.lt(1.0).choose(after, 1.0)
 
 
-def _sought(
+def _approach(
     value: Value, goal: Value, up: Value | float, down: Value | float, step: Value
 ) -> Value:
-    """On the way to a goal at these rates, not beyond it."""
+    """Move a value towards a goal at these rates, not beyond it."""
     less, more = value - step * down, value + step * up
     falling = less.lt(goal).choose(goal, less)
     rising = more.gt(goal).choose(goal, more)
@@ -348,26 +380,28 @@ def _sought(
 
 
 def read_turbine(scope: Scope, part: Part, name: str, index: str) -> Turbine:
-    """A ``<turbine_engine>``. Raises BadInputError with file and line."""
+    """Read a ``<turbine_engine>``; raises BadInputError with file and line."""
     node = part[1]
-    known(scope, node, _TAGS)
+    refuse_unknown(scope, node, _TAGS)
 
     def get(tag: str, default: float, unit: str = "") -> float:
+        """Return a number of the file, or JSBSim's default."""
         return number(scope, node, tag, default, unit)
 
-    names = frozenset(_own(child).rpartition("/")[2] for child in node.all("function"))
+    names = frozenset(_function_title(child).rpartition("/")[2] for child in node.all("function"))
     augmented, method = int(get("augmented", 0.0)) == 1, int(get("augmethod", 0.0))
-    for wanted in (
+    # Functions that the thrust needs.
+    for function_name in (
         "IdleThrust",
         "MilThrust",
         *(("AugThrust",) if method == 2 or (augmented and method == 1) else ()),
     ):
-        if wanted not in names:
-            scope.refuse(node, f"a turbine has a function {wanted}")
+        if function_name not in names:
+            scope.refuse(node, f"a turbine has a function {function_name}")
     if method not in (0, 1, 2):
         scope.refuse(node, f"augmethod {method} is not understood by the batch engine")
     windmill = node.find("disable-windmill")
-    numbers = Numbers(
+    numbers = TurbineData(
         get("milthrust", 10000.0, "LBS"),
         get("maxthrust", 10000.0, "LBS"),
         get("bypassratio", 0.0),
@@ -382,5 +416,6 @@ def read_turbine(scope: Scope, part: Part, name: str, index: str) -> Turbine:
     return Turbine(name, index, part, numbers, names)
 
 
-def _own(function: Node) -> str:
+def _function_title(function: Node) -> str:
+    """Return a function's name."""
     return function.attributes.get("name", "").strip()

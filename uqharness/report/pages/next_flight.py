@@ -19,7 +19,13 @@ from sysid.model_form import CoefficientBounds, MissingTerm, Outside, parameter_
 from sysid.units import percent
 from uqharness.campaign import Winner
 from uqharness.files import finite
-from uqharness.next_flight import SENSORS, WORTH, NextFlight, Occupancy, Prospect
+from uqharness.next_flight import (
+    MAX_SENSOR_SCATTER_RATIO,
+    MIN_NARROWING,
+    NextFlight,
+    Occupancy,
+    Prospect,
+)
 from uqharness.replay import axis_label, shown_channel
 from uqharness.report.parts import (
     Figure,
@@ -71,7 +77,7 @@ def next_flight_page(
     fly = (
         f"uqharness fly {name} --script next-flight.xml --out FILE flies it in simulation;"
         " test-points.csv is the same for an operator. Gain: share of the mean width that a point"
-        f" takes, given those chosen before it. {len(plan.refused)} of {plan.tried} test points"
+        f" takes, given those chosen before it. {len(plan.refused)} of {plan.n_points} test points"
         " were refused."
     )
     sections = (
@@ -316,9 +322,9 @@ def words(
         )
     ]
     out.append(
-        f"In the mission's flight states its interval is {p.now.total:.3g} wide on average."
+        f"In the mission's flight states its interval is {p.current.total:.3g} wide on average."
         f" {_percent(plan.extrapolated)} of the mission lies outside the data. The polynomial's"
-        f" uncertainty alone gives {p.now.parameter:.3g}, the scatter about it the rest."
+        f" uncertainty alone gives {p.current.parameter:.3g}, the scatter about it the rest."
     )
     # What the planned flight brings, against repetition and unlimited data.
     flight = (
@@ -327,11 +333,12 @@ def words(
     )
     flight += (
         f"{_percent(p.parameter_narrowing)}); as long a repetition of what was flown before, by"
-        f" {_percent(1.0 - p.naive.total / p.now.total)}"
-        f" ({_percent(1.0 - p.naive.parameter / p.now.parameter)}); unlimited data of the same"
+        f" {_percent(1.0 - p.repeated.total / p.current.total)}"
+        f" ("
+        f"{_percent(1.0 - p.repeated.parameter / p.current.parameter)}); unlimited data of the same"
         f" kind, by {_percent(p.at_most)}."
     )
-    redone_narrowing = 1.0 - p.redone.total / p.now.total
+    redone_narrowing = 1.0 - p.refitted.total / p.current.total
     # New bounds also reflect a different scatter; say so if it matters.
     if abs(redone_narrowing - p.narrowing) > 0.01:
         flight += (
@@ -347,7 +354,7 @@ def words(
     further_prospects = [
         f"{name} {_percent(o.narrowing)}"
         for name, o in plan.prospects.items()
-        if name != c and o.narrowing >= WORTH
+        if name != c and o.narrowing >= MIN_NARROWING
     ]
     if further_prospects:
         out.append(f"The same flight narrows {', '.join(further_prospects)}.")
@@ -380,9 +387,9 @@ def _first_points(plan: NextFlight) -> list[str]:
 
 def _reason_not_to_fly(plan: NextFlight, p: Prospect) -> str:
     """Return why the flight is not worth flying."""
-    if p.at_most >= WORTH:
+    if p.at_most >= MIN_NARROWING:
         return (
-            f"Not worth flying for {plan.coefficient} alone ({_percent(WORTH)} is asked for): more"
+            f"Not worth flying for {plan.coefficient} alone ({_percent(MIN_NARROWING)} is asked for): more"
             f" minutes would bring up to {_percent(p.at_most)}."
         )
     text = (
@@ -393,7 +400,7 @@ def _reason_not_to_fly(plan: NextFlight, p: Prospect) -> str:
     ratio = plan.scatter / plan.simulated_scatter
     if not math.isfinite(ratio):
         return text + "A longer flight (--minutes) would show whether that is noise or model form."
-    if ratio > SENSORS:
+    if ratio > MAX_SENSOR_SCATTER_RATIO:
         return (
             text + f"It is {ratio:.1f} times what the model's own sensors and air give"
             f" ({plan.simulated_scatter:.2g}): a term is missing, or the air was rougher than"
@@ -520,7 +527,7 @@ def document(
         ),
         "flight_s": plan.end_s,
         "points": [point_row(plan, k, units) for k in range(len(plan.plan))],
-        "tried": plan.tried,
+        "tried": plan.n_points,
         "refused": [{"point": r.point.name, "reason": r.reason} for r in plan.refused],
         "warnings": list(warnings),
     }
@@ -529,17 +536,17 @@ def document(
 def prospect_row(p: Prospect) -> dict[str, Any]:
     """Return widths and narrowings of one coefficient."""
     return {
-        "width": p.now.total,
-        "width_after": p.then.total,
+        "width": p.current.total,
+        "width_after": p.planned.total,
         "narrowing": p.narrowing,
         "narrowing_at_most": p.at_most,
-        "narrowing_same_manoeuvres": 1.0 - p.naive.total / p.now.total,
-        "width_redone": p.redone.total,
-        "narrowing_redone": 1.0 - p.redone.total / p.now.total,
-        "parameter_width": p.now.parameter,
-        "parameter_width_after": p.then.parameter,
+        "narrowing_same_manoeuvres": 1.0 - p.repeated.total / p.current.total,
+        "width_redone": p.refitted.total,
+        "narrowing_redone": 1.0 - p.refitted.total / p.current.total,
+        "parameter_width": p.current.parameter,
+        "parameter_width_after": p.planned.parameter,
         "parameter_narrowing": p.parameter_narrowing,
-        "parameter_narrowing_same_manoeuvres": 1.0 - p.naive.parameter / p.now.parameter,
+        "parameter_narrowing_same_manoeuvres": 1.0 - p.repeated.parameter / p.current.parameter,
     }
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from uqharness.batch.form.interpret import run_program
 from uqharness.batch.form.ir import Builder
-from uqharness.batch.form.maths import COSINE, SINE, without_angles
-from uqharness.batch.form.passes import optimised
-from uqharness.batch.form.program import Program, Section, Stream, When, begun, slot
+from uqharness.batch.form.maths import COSINE, SINE, reuse_sines
+from uqharness.batch.form.passes import optimise
+from uqharness.batch.form.program import Program, Section, Stream, When, initial_state, slot
 
 ANGLES = np.linspace(-3.0, 3.0, 16)
 
@@ -47,20 +47,20 @@ def _program(*sections: Section, streams: tuple[Stream, ...] = ()) -> Program:
 
 
 def _flown(program: Program) -> np.ndarray:
-    state = begun(program, len(ANGLES), {"angle": ANGLES})
+    state = initial_state(program, len(ANGLES), {"angle": ANGLES})
     run_program(program, state, 1, 4)
     return np.array([slot(program, state, name, len(ANGLES)) for name in program.records])
 
 
 def test_they_are_what_stands_beside_the_angle() -> None:
     program = _program(_publishing(), _reading(2))
-    short = without_angles(program)
+    short = reuse_sines(program)
     assert set(short.sections[1].function.counts()) == {"load", "neg", "tan"}
     assert (_flown(short) == _flown(program)).all()
-    assert (_flown(optimised(short)) == _flown(program)).all()
+    assert (_flown(optimise(short)) == _flown(program)).all()
     # What stands there is taken: were it wrong, that would show.
     other = _program(_publishing(1.0 + 1e-12), _reading(2))
-    assert (_flown(without_angles(other))[:4] != _flown(program)[:4]).mean() > 0.5
+    assert (_flown(reuse_sines(other))[:4] != _flown(program)[:4]).mean() > 0.5
 
 
 @pytest.mark.parametrize("kind", ["nothing beside", "another writer", "fed"])
@@ -78,7 +78,7 @@ def test_an_angle_without_them_stays(kind: str) -> None:
     }[kind]
     program = _program(*sections, streams=(Stream("angles", ("angle",)),) if kind == "fed" else ())
     assert (
-        without_angles(program).sections[-1].function.counts()
+        reuse_sines(program).sections[-1].function.counts()
         == program.sections[-1].function.counts()
     )
 
@@ -89,4 +89,4 @@ def test_a_program_without_such_slots_is_left_alone() -> None:
         program,
         slots={name: value for name, value in program.slots.items() if not name.startswith("#")},
     )
-    assert without_angles(program) is program
+    assert reuse_sines(program) is program

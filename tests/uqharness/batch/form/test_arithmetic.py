@@ -24,7 +24,7 @@ def _made(
     return evaluate(b.finish(make(b.input("x"), b.input("y"))), {"x": x, "y": y})[0]
 
 
-def _two(two: a.Two) -> dict[str, Value]:
+def _two(two: a.DoubleDouble) -> dict[str, Value]:
     return {"high": two.high, "low": two.low}
 
 
@@ -53,7 +53,7 @@ def _error(made: dict[str, np.ndarray], exact: list[Fraction]) -> float:
     ],
 )
 def test_two_doubles_are_that_exact(
-    make: Callable[[Value, Value], a.Two],
+    make: Callable[[Value, Value], a.DoubleDouble],
     exact: Callable[[Fraction, Fraction], Fraction],
     bound: float,
 ) -> None:
@@ -68,12 +68,12 @@ def test_signs_and_whole_numbers() -> None:
     special = np.array([0.0, -0.0, 1.5, -1.5, 2.5, -2.5, 1e15, -1e15])
     made = _made(
         lambda x, y: {
-            "signed": a.with_sign_of(x.builder.op("abs", y), x),
-            "flipped": a.flipped(y, a.sign_bit(x)),
-            "cut": a.truncated(x),
-            "near": a.rounded(x),
-            "third": a.bit_set(a.low_integer(a.truncated(x)), 1).choose(1.0, 0.0),
-            "power": a.power_of_two(a.low_integer(a.rounded(y))),
+            "signed": a.copysign(x.builder.op("abs", y), x),
+            "flipped": a.flip_sign(y, a.sign_bit(x)),
+            "cut": a.truncate(x),
+            "near": a.round_to_even(x),
+            "third": a.bit_set(a.to_integer(a.truncate(x)), 1).choose(1.0, 0.0),
+            "power": a.power_of_two(a.to_integer(a.round_to_even(y))),
         },
         special,
         np.arange(-4.0, 4.0),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_against import same_bits
-from uqharness.batch.form.ir import Builder, evaluate, rebuilt
+from uqharness.batch.form.ir import Builder, evaluate, rewrite
 
 
 def test_a_value_is_made_once() -> None:
@@ -74,7 +74,7 @@ def test_a_rebuilt_function_is_the_same() -> None:
     b.store("s", x.lt(0.0).choose(-x, b.load("t")))
     function = b.finish({"r": b.op("sin", x)})
     assert (
-        rebuilt(
+        rewrite(
             function,
             ("sin", "lt", "neg", "select"),
             lambda builder, node, a: builder.op(node.operation, *a),
@@ -100,7 +100,7 @@ def test_tables_are_told_apart_and_folded() -> None:
     assert b.op("lookup", b.table([3.0, 4.0]), b.constant(1.5)).constant == 4.0
     function = b.finish({"r": b.op("lookup", b.table([3.0, 4.0]), b.input("x"))})
     assert (
-        rebuilt(function, ("lookup",), lambda builder, node, a: builder.op(node.operation, *a))
+        rewrite(function, ("lookup",), lambda builder, node, a: builder.op(node.operation, *a))
         == function
     )
     with pytest.raises(ValueError, match="a number at least"):

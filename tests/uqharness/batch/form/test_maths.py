@@ -19,7 +19,7 @@ from tests.helpers.batch_digest import digest, function, points
 from tests.helpers.few import few
 from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, evaluate
 from uqharness.batch.form.maths import lower
-from uqharness.batch.machine.llvm import compiled, targets
+from uqharness.batch.machine.llvm import compile_function, targets
 
 COUNT = int(os.environ.get("BATCH_POINTS", "20000"))
 INF, NAN = math.inf, math.nan
@@ -140,7 +140,7 @@ def test_every_width_has_the_bits_of_numpy(operation: str) -> None:
     inputs = dict(zip("xy", points, strict=False))
     reference = evaluate(function, inputs)[0]["r"]
     for name, target in targets().items():
-        kernel = compiled(function, target)
+        kernel = compile_function(function, target)
         assert "vfm" not in kernel.assembly, name
         assert same_bits(kernel(inputs)[0]["r"], reference).all(), name
 
@@ -167,7 +167,7 @@ DIGEST = "5195305f7f94ecf2b7df077e4bd23eb2fe19e7e812f4000a10d87d455a51eabc"
 def test_the_digest_is_that_of_another_machine() -> None:
     assert digest(evaluate(function(), points())[0]) == DIGEST
     for name, target in targets().items():
-        assert digest(compiled(function(), target)(points())[0]) == DIGEST, name
+        assert digest(compile_function(function(), target)(points())[0]) == DIGEST, name
 
 
 def test_numpys_processor_features_do_not_matter() -> None:

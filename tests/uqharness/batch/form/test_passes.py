@@ -12,24 +12,31 @@ from tests.helpers.batch_against import same_bits
 from tests.helpers.batch_programs import feeds, mixed
 from uqharness.batch.form.interpret import run_program
 from uqharness.batch.form.ir import Builder
-from uqharness.batch.form.passes import alive, hoisted, joined, lowered, optimised, trimmed
-from uqharness.batch.form.program import Program, Section, Stream, When, begun, slot
+from uqharness.batch.form.passes import (
+    eliminate_dead_stores,
+    fuse_sections,
+    hoist_invariants,
+    lower_program,
+    optimise,
+    prune_slots,
+)
+from uqharness.batch.form.program import Program, Section, Stream, When, initial_state, slot
 
 LANES, FRAMES = 11, 40
 PASSES = {
-    "joined": joined,
-    "alive": alive,
-    "hoisted": hoisted,
-    "trimmed": trimmed,
-    "optimised": optimised,
-    "lowered": lowered,
+    "fuse_sections": fuse_sections,
+    "eliminate_dead_stores": eliminate_dead_stores,
+    "hoist_invariants": hoist_invariants,
+    "prune_slots": prune_slots,
+    "optimise": optimise,
+    "lower_program": lower_program,
 }
 
 
 def _flown(program: Program, pieces: tuple[int, ...] = (FRAMES,)) -> np.ndarray:
     rng = np.random.default_rng(4)
     own = {name: rng.normal(size=LANES) for name in ("s0", "s1", "s2", "constant a", "s20")}
-    state = begun(
+    state = initial_state(
         program, LANES, {name: value for name, value in own.items() if name in program.slots}
     )
     out, frame = [], 1
@@ -43,13 +50,15 @@ def _flown(program: Program, pieces: tuple[int, ...] = (FRAMES,)) -> np.ndarray:
 def _mixed(seed: int) -> tuple[Program, np.ndarray]:
     """A program, lowered, and what it records before."""
     program = mixed(seed, sections=9)
-    return lowered(program), _flown(program)
+    return lower_program(program), _flown(program)
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        name if name in ("optimised", "lowered") else pytest.param(name, marks=pytest.mark.slow)
+        name
+        if name in ("optimise", "lower_program")
+        else pytest.param(name, marks=pytest.mark.slow)
         for name in PASSES
     ],
 )
@@ -92,13 +101,20 @@ def test_stores_that_nobody_needs_go() -> None:
     names = ("a", "b", "x", "y", "own", "over", "unused", "record")
     program = Program(sections, dict.fromkeys(names, 1.0), (), ("record",))
     # The last store of "over" is written over before anybody reads it.
-    assert _stored(alive(program)) == [["a"], ["b", "over"], ["record"]]
-    assert _stored(alive(program, ["own", "over"])) == [
+    assert _stored(eliminate_dead_stores(program)) == [["a"], ["b", "over"], ["record"]]
+    assert _stored(eliminate_dead_stores(program, ["own", "over"])) == [
         ["a"],
         ["b", "over", "own"],
         ["over", "record"],
     ]
-    assert set(trimmed(alive(program)).slots) == {"a", "b", "x", "y", "over", "record"}
+    assert set(prune_slots(eliminate_dead_stores(program)).slots) == {
+        "a",
+        "b",
+        "x",
+        "y",
+        "over",
+        "record",
+    }
 
 
 def test_masks_counters_and_other_frames_keep_their_stores() -> None:
@@ -114,22 +130,26 @@ def test_masks_counters_and_other_frames_keep_their_stores() -> None:
     program = Program(
         sections, dict.fromkeys(names, 1.0), (Stream("s", ("n",), counter="count"),), ("record",)
     )
-    assert _stored(alive(program)) == [["late", "record"], ["count", "later", "mask"], ["late"]]
+    assert _stored(eliminate_dead_stores(program)) == [
+        ["late", "record"],
+        ["count", "later", "mask"],
+        ["late"],
+    ]
 
 
 def test_a_section_behind_another_that_turns_its_mask_is_not_joined() -> None:
     when = When(mask="m")
     slots = {"m": 1.0, "x": 1.0, "y": 2.0, "r": 0.0}
     turning = (_section({"m": ("x", "x")}, when), _section({"r": ("x", "y")}, when))
-    assert len(joined(Program(turning, slots)).sections) == 2
+    assert len(fuse_sections(Program(turning, slots)).sections) == 2
     still = (
         _section({"x": ("x", "x")}, when),
         _section({"r": ("x", "y")}, when),
         _section({"y": ("r", "x")}, When(every=2)),
     )
-    program = joined(Program(still, slots))
+    program = fuse_sections(Program(still, slots))
     assert [section.when for section in program.sections] == [when, When(every=2)]
-    state = begun(program, 1)
+    state = initial_state(program, 1)
     run_program(program, state, 1, 1)
     assert [slot(program, state, name, 1)[0] for name in ("x", "r", "y")] == [2.0, 4.0, 2.0]
 
@@ -141,26 +161,24 @@ def test_what_never_changes_is_done_once() -> None:
     chosen = b.op("and", fixed.lt(2.0), fixed.gt(-2.0)).choose(expensive, -expensive)
     b.store("x", x * chosen + fixed + (fixed * 2.0))
     program = Program((Section("s", b.finish({})),), {"fixed": 0.3, "x": 1.0}, (), ("x",))
-    changed = optimised(program)
+    changed = optimise(program)
     assert changed.prelude is not None
     assert changed.sections[0].function.counts() == {"load": 3, "mul": 2, "add": 2, "const": 1}
     assert changed.prelude.counts()["div"] >= 1
     a, b_ = (
-        begun(program, 3, {"fixed": np.array([0.1, 5.0, -1.0])}),
-        begun(changed, 3, {"fixed": np.array([0.1, 5.0, -1.0])}),
+        initial_state(program, 3, {"fixed": np.array([0.1, 5.0, -1.0])}),
+        initial_state(changed, 3, {"fixed": np.array([0.1, 5.0, -1.0])}),
     )
     assert same_bits(run_program(program, a, 1, 5), run_program(changed, b_, 1, 5)).all()
     with pytest.raises(ValueError, match="has a prelude"):
-        hoisted(changed)
+        hoist_invariants(changed)
 
 
 def test_a_slot_changed_between_calls_counts() -> None:
     b = Builder()
     b.store("x", b.op("exp", b.load("level")) + b.load("x"))
-    program = optimised(
-        Program((Section("s", b.finish({})),), {"level": 0.0, "x": 0.0}, (), ("x",))
-    )
-    state = begun(program, 1)
+    program = optimise(Program((Section("s", b.finish({})),), {"level": 0.0, "x": 0.0}, (), ("x",)))
+    state = initial_state(program, 1)
     run_program(program, state, 1, 2)
     state[:, list(program.slots).index("level"), :] = 1.0
     run_program(program, state, 3, 1)

@@ -6,8 +6,8 @@ import numpy as np
 
 from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.ir import Builder
-from uqharness.batch.form.passes import settled
-from uqharness.batch.form.program import Program, Section, Stream, When, begun
+from uqharness.batch.form.passes import propagate_constants
+from uqharness.batch.form.program import Program, Section, Stream, When, initial_state
 
 
 def section(name: str, when: When, **stores: object) -> Section:
@@ -40,7 +40,7 @@ def program(switch_written: float) -> Program:
 
 def flown(made: Program) -> np.ndarray:
     """Records of four frames in two lanes."""
-    state = begun(made, 2, {"lane": np.array([3.0, 5.0])} if "lane" in made.slots else {})
+    state = initial_state(made, 2, {"lane": np.array([3.0, 5.0])} if "lane" in made.slots else {})
     rows = np.arange(1.0, 5.0)[:, None]
     return Interpreter(made).fly(state, 1, 4, {"air": (rows, 0, np.zeros(2, dtype=np.int64))})[
         :, :2
@@ -48,29 +48,29 @@ def flown(made: Program) -> np.ndarray:
 
 
 def test_a_switch_that_stays_off_takes_its_section_along():
-    made = settled((), program(0.0), ("lane",))
+    made = propagate_constants((), program(0.0), ("lane",))
     assert "masked" not in [s.name for s in made.sections]
     np.testing.assert_array_equal(flown(made), flown(program(0.0)))
     np.testing.assert_array_equal(flown(made)[0, 0], [1.0, 2.0, 3.0, 4.0])
 
 
 def test_a_switch_that_goes_on_keeps_it():
-    made = settled((), program(1.0), ("lane",))
+    made = propagate_constants((), program(1.0), ("lane",))
     assert "masked" in [s.name for s in made.sections]
     np.testing.assert_array_equal(flown(made), flown(program(1.0)))
     np.testing.assert_array_equal(flown(made)[0, 0], [2.0, 5.0, 9.0, 14.0])
 
 
 def test_lanes_and_streams_are_not_folded():
-    made = settled((), program(0.0), ("lane",))
+    made = propagate_constants((), program(0.0), ("lane",))
     np.testing.assert_array_equal(flown(made)[1], [[3.0, 6.0, 9.0, 12.0], [5.0, 10.0, 15.0, 20.0]])
-    wrong = settled((), program(0.0), ())
+    wrong = propagate_constants((), program(0.0), ())
     assert not np.array_equal(flown(wrong)[1], flown(made)[1])
 
 
 def test_what_an_initialising_frame_leaves_is_the_begin():
     first = Program((section("first", When(), gain=lambda b: b.constant(4.0)),), {"gain": 1.0})
-    made = settled((first,), program(0.0), ("lane",))
+    made = propagate_constants((first,), program(0.0), ("lane",))
     count = next(s for s in made.sections if s.name == "count")
     assert 4.0 in [node.value for node in count.function.nodes]
 
@@ -79,6 +79,6 @@ def test_an_initialising_frame_that_differs_between_lanes_is_not_folded():
     first = Program(
         (section("first", When(), gain=lambda b: b.load("lane") * 1.0),), {"gain": 1.0, "lane": 3.0}
     )
-    made = settled((first,), program(0.0), ("lane",))
+    made = propagate_constants((first,), program(0.0), ("lane",))
     count = next(s for s in made.sections if s.name == "count")
     assert "gain" in [node.name for node in count.function.nodes]

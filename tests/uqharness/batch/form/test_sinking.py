@@ -11,8 +11,15 @@ from tests.helpers.batch_against import same_bits
 from tests.helpers.batch_programs import feeds, mixed
 from uqharness.batch.form.interpret import run_program
 from uqharness.batch.form.ir import Builder
-from uqharness.batch.form.passes import PASSED, alive, joined, lowered, optimised, sunk
-from uqharness.batch.form.program import Program, Section, When, begun, slot
+from uqharness.batch.form.passes import (
+    PASSED,
+    eliminate_dead_stores,
+    fuse_sections,
+    lower_program,
+    optimise,
+    sink,
+)
+from uqharness.batch.form.program import Program, Section, When, initial_state, slot
 
 LANES, FRAMES = 11, 40
 
@@ -23,7 +30,7 @@ def _flown(program: Program, stride: int, pieces: tuple[int, ...] = (FRAMES,)) -
         for name in ("s0", "s1", "s20")
         if name in program.slots
     }
-    state = begun(program, LANES, own)
+    state = initial_state(program, LANES, own)
     out, frame = [], 1
     for frames in pieces:
         out.append(
@@ -47,9 +54,9 @@ def _flown(program: Program, stride: int, pieces: tuple[int, ...] = (FRAMES,)) -
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3, 4, 5))]
 )
 def test_records_keep_their_bits(seed: int, stride: int) -> None:
-    program = alive(joined(lowered(mixed(seed, sections=4 + seed))))
+    program = eliminate_dead_stores(fuse_sections(lower_program(mixed(seed, sections=4 + seed))))
     wanted = _flown(program, stride)
-    for changed in (sunk(program, (), stride), optimised(program, (), stride)):
+    for changed in (sink(program, (), stride), optimise(program, (), stride)):
         assert same_bits(_flown(changed, stride), wanted).all()
         assert same_bits(_flown(changed, stride, (1, 6, 3, 30)), wanted).all()
 
@@ -79,7 +86,7 @@ def _two(readers: tuple[int, ...] = (2,), kept: bool = False) -> Program:
 
 
 def test_it_moves_behind_where_it_was() -> None:
-    changed = sunk(_two((4, 6)))
+    changed = sink(_two((4, 6)))
     assert [s.when.every for s in changed.sections] == [1, 2, 4, 6]
     assert len(changed.sections[0].function.nodes) < 10
     assert any(name.startswith(PASSED) for name in changed.slots)
@@ -94,7 +101,7 @@ def test_records_are_looked_at_too(
     readers: tuple[int, ...], kept: bool, stride: int, every: int
 ) -> None:
     program = _two(readers, kept)
-    changed = sunk(program, (), stride)
+    changed = sink(program, (), stride)
     assert [s.when.every for s in changed.sections] == ([1] if every == 1 else [1, every]) + list(
         readers
     )
@@ -103,7 +110,7 @@ def test_records_are_looked_at_too(
 
 def test_what_is_kept_masks_or_is_read_before_stays() -> None:
     program = _two()
-    assert sunk(program, ("sum",)) == program
+    assert sink(program, ("sum",)) == program
     masked = replace(
         program,
         sections=(
@@ -111,23 +118,23 @@ def test_what_is_kept_masks_or_is_read_before_stays() -> None:
             Section("m", program.sections[1].function, When(every=2, mask="sum")),
         ),
     )
-    assert sunk(masked) == masked
+    assert sink(masked) == masked
     backwards = replace(program, sections=program.sections[::-1])
-    assert sunk(backwards) == backwards
+    assert sink(backwards) == backwards
     # A section that runs in one frame may look at any time.
     once = replace(
         program,
         sections=(*program.sections, Section("once", program.sections[1].function, When(at=5))),
     )
-    assert sunk(once) == once
+    assert sink(once) == once
 
 
 def test_records_between_are_old() -> None:
     """The negative control: a record in a frame that the stride does not divide shows what has moved."""
     program = _two((), True)
-    state = begun(program, 1)
-    changed = sunk(program, (), 10)
-    there = begun(changed, 1)
+    state = initial_state(program, 1)
+    changed = sink(program, (), 10)
+    there = initial_state(changed, 1)
     run_program(program, state, 1, 15)
     run_program(changed, there, 1, 15)
     assert slot(program, state, "sum", 1) != slot(changed, there, "sum", 1)

@@ -10,7 +10,7 @@ import pytest
 from uqharness.batch.form.interpret import run_program
 from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, evaluate
 from uqharness.batch.form.maths import lower
-from uqharness.batch.form.program import Feed, Program, Section, Stream, When, begun
+from uqharness.batch.form.program import Feed, Program, Section, Stream, When, initial_state
 from uqharness.batch.form.tangent import rate_name, tangent, tangent_program
 
 UNARY = [
@@ -155,8 +155,8 @@ def test_a_flights_derivatives_are_those_of_central_differences() -> None:
         "air": Feed(np.random.default_rng(1).normal(size=(80, 1)), 0, np.zeros(4, dtype=np.int64))
     }
     start = {"angle": np.array([0.5, 0.1, -0.7, 1.2])}
-    made = run_program(changed, begun(changed, 4, start), 1, 80, air)[:, :4]
-    plain = run_program(program, begun(program, 4, start), 1, 80, air)[:, :4]
+    made = run_program(changed, initial_state(changed, 4, start), 1, 80, air)[:, :4]
+    plain = run_program(program, initial_state(program, 4, start), 1, 80, air)[:, :4]
     assert np.array_equal(made[:2], plain)
     for k, (direction, begins) in enumerate(directions.items()):
         assert changed.records[2 + 2 * k] == rate_name("angle", direction)
@@ -164,7 +164,7 @@ def test_a_flights_derivatives_are_those_of_central_differences() -> None:
         ends = []
         for h in (1e-6, -1e-6):
             values = {**start, name: start.get(name, np.full(4, program.slots[name])) + h}
-            ends.append(run_program(program, begun(program, 4, values), 1, 80, air)[0, :4])
+            ends.append(run_program(program, initial_state(program, 4, values), 1, 80, air)[0, :4])
         np.testing.assert_allclose(
             made[2 + 2 * k], (ends[0] - ends[1]) / 2e-6, rtol=1e-6, atol=1e-7
         )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import EXPENSIVE, TRANSIENT, WALK, spec, with_bounds
-from uqharness.batch.lanes.course import Branch, Course, ready
+from uqharness.batch.lanes.course import Branch, Course, compiled_mission
 
 ACTIVE = {"uq/active": 1.0}
 
@@ -47,14 +47,14 @@ def own_turbulence():
 
 
 def flown(specs):
-    made = ready(specs[0])
-    whole = Course.begun(made, specs)
+    made = compiled_mission(specs[0])
+    whole = Course.start(made, specs)
     whole.fly()
     return made, specs, whole.recorded()
 
 
 def begun(made, specs, frame):
-    course = Course.begun(made, specs)
+    course = Course.start(made, specs)
     course.fly(frame)
     return course
 
@@ -75,21 +75,21 @@ def same(one, other):
 def test_a_flight_that_was_held_goes_on_with_the_same_bytes(which, request):
     made, specs, whole = request.getfixturevalue(which)
     for frames in ((10,), (790, 1270), (1600,)):
-        course = Course.begun(made, specs)
+        course = Course.start(made, specs)
         for frame in frames:
             course.fly(frame)
             # In another order, and one of them twice: lanes do not know of each other.
-            first, second = course.held()
+            first, second = course.snapshots()
             course = Course(made, [second, first, second])
             course.fly(frame)
-            course = Course(made, [course.held()[1], course.held()[2]])
+            course = Course(made, [course.snapshots()[1], course.snapshots()[2]])
         course.fly()
         assert all(same(*pair) for pair in zip(course.recorded(), whole, strict=True)), frames
 
 
 def test_one_number_that_is_not_restored_is_seen(moving):
     made, specs, whole = moving
-    held = begun(made, specs[:1], 800).held()[0]
+    held = begun(made, specs[:1], 800).snapshots()[0]
     slots = list(made.lanes.program.slots)
     histories = [name for name in slots if name.endswith(("/rate1", "/rate2"))]
     filters = [name for name in slots if name.startswith("#fcs/") or "actuator" in name]
@@ -110,7 +110,7 @@ def test_one_number_that_is_not_restored_is_seen(moving):
 
 def test_streams_at_another_place_are_seen(moving):
     made, specs, whole = moving
-    held = begun(made, specs[:1], 800).held()[0]
+    held = begun(made, specs[:1], 800).snapshots()[0]
     for other in (
         replace(held, spec=replace(held.spec, seed_noise=99)),
         replace(held, spec=replace(held.spec, seed_turbulence=99)),
@@ -126,7 +126,7 @@ def test_streams_at_another_place_are_seen(moving):
 @pytest.mark.parametrize("which", ["moving", "own_turbulence"])
 def test_a_branch_differs_behind_its_split_alone(which, request):
     made, specs, whole = request.getfixturevalue(which)
-    held = begun(made, specs[:1], 1200).held()[0]
+    held = begun(made, specs[:1], 1200).snapshots()[0]
     branches = [held.branched(made, 7, 3, 1, number) for number in (0, 1)]
     course = Course(made, [held, *branches, branches[0]])
     course.fly()
@@ -141,10 +141,10 @@ def test_a_branch_differs_behind_its_split_alone(which, request):
     # A branch of a branch, and held once more in between.
     deeper = Course(made, branches[:1])
     deeper.fly(1600)
-    deepest = deeper.held()[0].branched(made, 7, 3, 2, 0)
-    course = Course(made, [deeper.held()[0], deepest])
+    deepest = deeper.snapshots()[0].branched(made, 7, 3, 2, 0)
+    course = Course(made, [deeper.snapshots()[0], deepest])
     course.fly(2000)
-    course = Course(made, course.held())
+    course = Course(made, course.snapshots())
     course.fly()
     straight, parted = course.recorded()
     assert same(straight, one)
@@ -154,14 +154,14 @@ def test_a_branch_differs_behind_its_split_alone(which, request):
 
 def test_a_branch_leaves_levels_of_the_epistemic_sample_alone(moving):
     made, specs, _ = moving
-    held = begun(made, specs[:1], 800).held()[0]
+    held = begun(made, specs[:1], 800).snapshots()[0]
     course = Course(made, [held, held.branched(made, 7, 3, 1, 0)])
     course.fly(1600)
     name = "uq/CZ/level"
     assert name in made.lanes.program.slots
-    one, other = course.watched(name)
+    one, other = course.slot_values(name)
     assert one == other
-    moved = course.watched("uq/CZ/transient-level")
+    moved = course.slot_values("uq/CZ/transient-level")
     assert moved[0] != moved[1]
 
 
@@ -169,7 +169,7 @@ def test_flights_that_have_ended_stay_as_they_are():
     one = spec(duration_s=60.0, properties={"ap/altitude-cmd-m": -50.0})
     made, specs, whole = flown([one, replace(one, properties={"ap/altitude-cmd-m": 100.0})])
     assert [r.status for r in whole] == ["ground-contact", "ok"]
-    down, up = begun(made, specs, 5900).held()
+    down, up = begun(made, specs, 5900).snapshots()
     assert (down.flying, up.flying) == (False, True)
     course = Course(made, [up, down])
     course.fly()
@@ -181,9 +181,9 @@ def test_flights_that_have_ended_stay_as_they_are():
 def test_calls_that_make_no_sense(moving):
     made, specs, _ = moving
     course = begun(made, specs, 100)
-    early = begun(made, specs[:1], 50).held()
+    early = begun(made, specs[:1], 50).snapshots()
     with pytest.raises(ValueError, match="the same frame"):
-        Course(made, [*course.held(), *early])
+        Course(made, [*course.snapshots(), *early])
     for frame in (90, 105, course.last + 10):
         with pytest.raises(ValueError, match="a frame from 100"):
             course.fly(frame)
@@ -211,9 +211,9 @@ def followed(made, specs):
             [*range(count), 0, count - 1],
             [*[None] * count, Branch(7, 3, 1, number), Branch(7, 4, 2, number)],
         )
-    course.taken()
+    course.take_rows()
     course.fly(course.last)
-    return course, course.splits, course.taken()
+    return course, course.splits, course.take_rows()
 
 
 def restored(made, spec, splits):
@@ -224,7 +224,7 @@ def restored(made, spec, splits):
         course = Course(
             made,
             [
-                course.held()[0].branched(
+                course.snapshots()[0].branched(
                     made, split.root, split.aleatory_id, split.level, split.branch
                 )
             ],
@@ -246,7 +246,7 @@ def test_branches_that_are_followed_have_the_bytes_of_branches_that_are_held(
     assert max(map(len, splits)) == len(STEPS)
     for lane in (2, 3, len(rows) - 2, len(rows) - 1):
         origin = specs[1 if splits[lane][0].aleatory_id == 4 else 0]
-        known = restored(made, origin, splits[lane]).held()[0].records
+        known = restored(made, origin, splits[lane]).snapshots()[0].records
         assert known[:, -rows[lane].shape[1] :].tobytes() == rows[lane].tobytes(), (which, lane)
     assert rows[2].tobytes() != rows[0].tobytes()
 

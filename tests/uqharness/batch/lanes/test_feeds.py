@@ -6,21 +6,25 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import WALK, spec
-from uqharness.batch.form.program import begun
-from uqharness.batch.lanes.course import Feeder, airs_of, begin, ready
+from uqharness.batch.form.program import initial_state
+from uqharness.batch.lanes.course import Feeder, airs_of, compiled_mission, initialise_lanes
 from uqharness.batch.lanes.streams import GUSTS, LEVELS
 from uqharness.batch.models.winds import COUNTER, NORMALS
 
 
 def made(specs, frames=400):
-    lanes = ready(specs[0]).lanes
-    started = begin(lanes, specs)
-    state = begun(
+    lanes = compiled_mission(specs[0]).lanes
+    started = initialise_lanes(lanes, specs)
+    state = initial_state(
         lanes.program,
         len(specs),
         {n: v for n, v in started.values.items() if n in lanes.program.slots},
     )
-    return lanes, Feeder(lanes, specs, airs_of(lanes, specs, started.values), started.noise), state
+    return (
+        lanes,
+        Feeder(lanes, specs, airs_of(lanes, specs, started.values), initial_noise=started.noise),
+        state,
+    )
 
 
 def specs(seeds=(1, 2, 1), **changes):

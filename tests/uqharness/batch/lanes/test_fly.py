@@ -345,7 +345,7 @@ def test_one_program_flies_all_conditions(tmp_path, air, source):
     ]
     lanes.forget()
     together = fly_many(given)
-    assert len(lanes._ready) == 1
+    assert len(lanes._cache) == 1
     alone = []
     for one in given:
         lanes.forget()
@@ -378,9 +378,9 @@ def _by_target(monkeypatch, names, source):
     found = []
     for name in names:
         monkeypatch.setenv(VECTORS, name)
-        lanes._ready.clear()
+        lanes._cache.clear()
         found.append([_as_bytes(each) for each in fly_many(given)])
-    lanes._ready.clear()
+    lanes._cache.clear()
     return found
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.helpers.batch_flights import START, aircraft, craft
 from tests.helpers.batch_whole import copied, spec
-from uqharness.batch.lanes.course import begin, fly_many, ready
+from uqharness.batch.lanes.course import compiled_mission, fly_many, initialise_lanes
 from uqharness.batch.lanes.mission import constant_properties, initial_values, load_start
 from uqharness.batch.models.motion import CONDITIONS
 from uqharness.errors import BadInputError
@@ -56,7 +56,7 @@ def test_a_start_is_jsbsims():
         wind_mps=3.0,
         duration_s=5.0,
     )
-    made = ready(given).lanes
+    made = compiled_mission(given).lanes
     loaded = load_start(made, given)
     assert set(loaded.conditions) == set(CONDITIONS)
     assert loaded.conditions["ic/psi-true-rad"] == pytest.approx(np.radians(40.0))
@@ -69,29 +69,29 @@ def test_begin_gives_each_lane_its_own():
         spec(properties={"ic/h-agl-ft": h, "uq/CZ/level": h / 1000.0}, duration_s=5.0)
         for h in (300.0, 400.0, 500.0)
     ]
-    made = ready(many[0]).lanes
-    together = begin(made, many)
+    made = compiled_mission(many[0]).lanes
+    together = initialise_lanes(made, many)
     assert together.values["position/h-agl-ft"][:3] == pytest.approx(
         [300.0, 400.0, 500.0], abs=1e-6
     )
     assert list(together.values["uq/CZ/level"][:3]) == [0.3, 0.4, 0.5]
-    alone = begin(made, many[1:2])
+    alone = initialise_lanes(made, many[1:2])
     assert all(together.values[name][1] == alone.values[name][0] for name in alone.values)
 
 
 def test_what_the_model_computes_cannot_be_set():
     """JSBSim's engine says the same of a property that initialising overwrites."""
-    with pytest.raises(
-        BadInputError, match="uq/CZ/delta was set to 1 and stands at 0 after initialising"
-    ):
+    with pytest.raises(BadInputError, match="uq/CZ/delta was set to 1 and is 0 after initialising"):
         fly_many([spec(properties={"uq/CZ/delta": 1.0}, duration_s=2.0)])
 
 
 def test_a_mission_is_translated_once_for_flights_that_are_alike():
     one, other = spec(seed_noise=1, duration_s=5.0), spec(seed_noise=2, duration_s=9.0)
-    assert ready(one) is ready(other)
-    assert ready(one) is not ready(spec(sensor_noise=True, duration_s=5.0))
-    assert ready(one) is not ready(spec(properties={"uq/active": 1.0}, duration_s=5.0))
+    assert compiled_mission(one) is compiled_mission(other)
+    assert compiled_mission(one) is not compiled_mission(spec(sensor_noise=True, duration_s=5.0))
+    assert compiled_mission(one) is not compiled_mission(
+        spec(properties={"uq/active": 1.0}, duration_s=5.0)
+    )
 
 
 def test_an_aircraft_that_was_edited_is_translated_anew(tmp_path):
@@ -128,7 +128,7 @@ def test_a_start_with_the_control_system_at_rest_is_left_to_jsbsim(tmp_path):
     with pytest.raises(
         BadInputError, match="bring the control system to rest before the flight begins"
     ):
-        ready(given)
+        compiled_mission(given)
 
     def moved():
         """Greatest way [rad] of the elevator from one row of JSBSim's flight to the next."""

@@ -88,10 +88,10 @@ def test_lanes_of_other_lengths_share_calls_and_rows_are_those_of_each_alone(mon
     lengths = [FRAMES, 8, 47, 46, 24, 45, 46, 16, 45, 30]
     lanes = [lane(frames, -13.8 - 0.1 * k) for k, frames in enumerate(lengths)]
     calls = []
-    made = module._flown
+    made = module._fly_part
     monkeypatch.setattr(
         module,
-        "_flown",
+        "_fly_part",
         lambda replay, jobs, values: (calls.append(len(jobs)), made(replay, jobs, values))[1],
     )
     together = flown(1, *lanes)

@@ -150,7 +150,7 @@ def test_gusts_that_branch_where_they_stand_are_those_with_the_split_from_the_st
     parameters = dryden_parameters(*AIR)
     for frame in (300, 8192, 9000):
         own = HostGusts(parameters, 0.01, 5)
-        own.branch_from_now_on()
+        own.keep_branching_state()
         own.rows(frame)
         first = Split(frame, 1, 2, 3, 4)
         branch = own.branched(first)
@@ -165,7 +165,7 @@ def test_gusts_that_branch_where_they_stand_are_those_with_the_split_from_the_st
             again.rows(9000).array, gusts_with((first, second), frame + 9700)[frame + 700 :]
         )
         np.testing.assert_array_equal(own.rows(500).array, gusts_with((), frame + 500)[frame:])
-    with pytest.raises(ValueError, match="stand at row"):
+    with pytest.raises(ValueError, match="are at row"):
         own.branched(Split(3, 1, 2, 3, 4))
     forgetful = HostGusts(parameters, 0.01, 5)
     forgetful.rows(300)

@@ -12,16 +12,16 @@ from tests.helpers.batch_programs import feeds, mixed
 from tests.helpers.few import few
 from uqharness.batch.form.interpret import run_program
 from uqharness.batch.form.ir import Builder
-from uqharness.batch.form.passes import optimised
+from uqharness.batch.form.passes import optimise
 from uqharness.batch.form.program import (
     BLOCK,
     Feed,
     Program,
     Section,
     Stream,
-    begun,
-    carried,
-    chosen,
+    initial_state,
+    remap_state,
+    select_lanes,
 )
 from uqharness.batch.machine.flight import FlightKernel, compile_program
 from uqharness.batch.machine.llvm import targets
@@ -32,7 +32,7 @@ LANES, FRAMES = 21, 60
 def _start(program: Program, lanes: int = LANES) -> np.ndarray:
     rng = np.random.default_rng(9)
     own = {name: rng.normal(size=lanes) for name in ("s0", "s1", "s2", "s3", "constant a")}
-    return begun(program, lanes, own)
+    return initial_state(program, lanes, own)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_lanes_do_not_depend_on_their_place(name: str, kernels: dict[str, Flight
     program, given = mixed(), feeds(FRAMES, LANES)
     start = _start(program)
     order = np.random.default_rng(1).permutation(LANES)[:13]
-    picked = chosen(start, order)
+    picked = select_lanes(start, order)
     records = kernels[name].fly(start, 1, FRAMES, given)
     moved = {key: feed._replace(offsets=feed.offsets[order]) for key, feed in given.items()}
     assert same_bits(
@@ -112,14 +112,14 @@ def test_a_row_beyond_a_lanes_own_is_nan_and_never_read(kernels: dict[str, Fligh
     )
     paces = np.array([1.0, -1.0, np.nan, 1e300, 0.5])
     feed = Feed(np.arange(10.0).reshape(-1, 1), 1, np.array([0, 3, 3, 3, 6]), 3)
-    wanted = run_program(program, begun(program, 5, {"pace": paces}), 1, 6, {"x": feed})
+    wanted = run_program(program, initial_state(program, 5, {"pace": paces}), 1, 6, {"x": feed})
     assert wanted[0, :5].tolist()[0][1:4] == [0.0, 1.0, 2.0]
     assert np.isnan(wanted[0, 0, [0, 4, 5]]).all()
     assert np.isnan(wanted[0, 1:4]).all()
     assert wanted[0, 4, 2:].tolist() == [6.0, 6.0, 7.0, 7.0]
     for target in targets().values():
         got = compile_program(program, target).fly(
-            begun(program, 5, {"pace": paces}), 1, 6, {"x": feed}
+            initial_state(program, 5, {"pace": paces}), 1, 6, {"x": feed}
         )
         assert same_bits(got, wanted).all()
 
@@ -147,7 +147,7 @@ def test_calls_that_do_not_fit_are_refused(kernels: dict[str, FlightKernel]) -> 
     with pytest.raises(ValueError, match="count from 1"):
         kernel.fly(state, 0, 4, given)
     with pytest.raises(ValueError, match="no slot nonsense"):
-        begun(program, 3, {"nonsense": 1.0})
+        initial_state(program, 3, {"nonsense": 1.0})
 
 
 def test_threads_fly_side_by_side(kernels: dict[str, FlightKernel]) -> None:
@@ -170,9 +170,9 @@ def test_threads_fly_side_by_side(kernels: dict[str, FlightKernel]) -> None:
 @pytest.mark.parametrize("name", targets())
 def test_a_program_after_all_passes_has_the_same_bits(name: str) -> None:
     program = mixed(2, sections=9)
-    changed = optimised(program)
+    changed = optimise(program)
     assert changed.prelude is not None
     wanted = run_program(program, _start(program), 1, FRAMES, feeds(FRAMES, LANES), 3)
-    start = carried(_start(program), program, changed)
+    start = remap_state(_start(program), program, changed)
     got = compile_program(changed, targets()[name]).fly(start, 1, FRAMES, feeds(FRAMES, LANES), 3)
     assert same_bits(got, wanted).all()

@@ -8,8 +8,8 @@ import pytest
 from tests.helpers.batch_against import same_bits
 from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, Function, evaluate
 from uqharness.batch.form.maths import lower
-from uqharness.batch.form.program import BLOCK, blocked, unblocked
-from uqharness.batch.machine.llvm import Target, compiled, printed, targets
+from uqharness.batch.form.program import BLOCK, from_blocks, to_blocks
+from uqharness.batch.machine.llvm import Target, compile_function, print_function, targets
 
 
 def _function() -> Function:
@@ -26,7 +26,7 @@ def test_any_number_of_lanes(lanes: int, name: str) -> None:
     rng = np.random.default_rng(1)
     inputs = {"x": rng.normal(size=lanes)}
     state = {s: rng.normal(size=lanes) for s in ("s", "untouched")}
-    outputs, after = compiled(_function(), targets()[name])(inputs, state)
+    outputs, after = compile_function(_function(), targets()[name])(inputs, state)
     wanted, wanted_after = evaluate(_function(), inputs, state)
     assert all(same_bits(outputs[k], wanted[k]).all() for k in wanted)
     assert all(
@@ -39,7 +39,7 @@ def test_a_nan_lane_harms_no_other() -> None:
     harmed = x.copy()
     harmed[[3, 17]] = np.nan
     for target in targets().values():
-        kernel = compiled(_function(), target)
+        kernel = compile_function(_function(), target)
         sound, _ = kernel({"x": x}, {"s": x})
         other, _ = kernel({"x": harmed}, {"s": x})
         assert np.flatnonzero(~same_bits(sound["r"], other["r"])).tolist() == [3, 17]
@@ -49,7 +49,7 @@ def test_products_and_sums_are_not_fused() -> None:
     b = Builder()
     function = b.finish({"r": b.input("x") * b.input("y") + b.input("z")})
     for name, target in targets().items():
-        kernel = compiled(function, target)
+        kernel = compile_function(function, target)
         assert "vfm" not in kernel.assembly
         e = 2.0**-30
         made, _ = kernel({"x": np.array([1 + e]), "y": np.array([1 - e]), "z": np.array([-1.0])})
@@ -59,23 +59,23 @@ def test_products_and_sums_are_not_fused() -> None:
 def test_the_widest_registers_are_used() -> None:
     register = {"scalar": "xmm", "sse2": "xmm", "avx2": "ymm", "avx512": "zmm"}
     for name, target in targets().items():
-        assert register[name] in compiled(_function(), target).assembly
+        assert register[name] in compile_function(_function(), target).assembly
 
 
 def test_blocks_and_back() -> None:
     rows = [np.arange(11.0), np.array([7.0])]
-    array = blocked(rows, 11)
+    array = to_blocks(rows, 11)
     assert array.shape == (2, 2, BLOCK)
-    assert unblocked(array, 11)[0].tolist() == rows[0].tolist()
-    assert unblocked(array, 11)[1].tolist() == [7.0] * 11
+    assert from_blocks(array, 11)[0].tolist() == rows[0].tolist()
+    assert from_blocks(array, 11)[1].tolist() == [7.0] * 11
 
 
 def test_what_cannot_be_compiled_is_refused() -> None:
     b = Builder()
     with pytest.raises(ValueError, match="only after"):
-        printed(b.finish({"r": b.op("sin", b.input("x"))}), Target("x86-64", "", 4))
+        print_function(b.finish({"r": b.op("sin", b.input("x"))}), Target("x86-64", "", 4))
     with pytest.raises(ValueError, match="divides 8"):
-        printed(b.finish({"r": b.input("x")}), Target("x86-64", "", 3))
+        print_function(b.finish({"r": b.input("x")}), Target("x86-64", "", 3))
 
 
 def test_nothing_outside_is_called() -> None:
@@ -85,7 +85,7 @@ def test_nothing_outside_is_called() -> None:
     made = {name: b.op(name, *(x, y)[:count]) for name, count in TRANSCENDENTAL.items()}
     made |= {"floor": b.op("floor", x), "sqrt": b.op("sqrt", x)}
     for name, target in targets().items():
-        assert "call" not in compiled(lower(b.finish(made)), target).assembly, name
+        assert "call" not in compile_function(lower(b.finish(made)), target).assembly, name
 
 
 def test_floor_is_exact_on_every_processor() -> None:
@@ -113,7 +113,9 @@ def test_floor_is_exact_on_every_processor() -> None:
     )
     x = np.concatenate([x, np.random.default_rng(1).normal(size=1000) * 100])
     for name, target in targets().items():
-        assert same_bits(compiled(function, target)({"x": x})[0]["r"], np.floor(x)).all(), name
+        assert same_bits(compile_function(function, target)({"x": x})[0]["r"], np.floor(x)).all(), (
+            name
+        )
 
 
 @pytest.mark.parametrize("count", [1, 2, 37])
@@ -134,6 +136,6 @@ def test_tables_are_held_at_their_ends(count: int) -> None:
     wanted = numbers[np.clip(np.nan_to_num(x, nan=0.0), 0, count - 1).astype(int)]
     assert same_bits(evaluate(function, {"x": x})[0]["r"], wanted).all()
     for name, target in targets().items():
-        made, _ = compiled(function, target)({"x": x})
+        made, _ = compile_function(function, target)({"x": x})
         assert same_bits(made["r"], wanted).all(), name
         assert same_bits(made["other"], evaluate(function, {"x": x})[0]["other"]).all(), name

@@ -94,7 +94,7 @@ def test_at_rest_incidence_is_nought():
 def test_the_span_and_the_limit_of_speed_are_noticed(monkeypatch):
     changed = aircraft(BODY, METRICS.replace(">10</wingspan>", ">10.00001</wingspan>"))
     assert worst(compared(aircraft(BODY), RECORDS, DRIVEN, 5, changed=changed)) > 1e-8
-    monkeypatch.setattr(auxiliary, "_LEAST_SPEED", 1e6)
+    monkeypatch.setattr(auxiliary, "_MIN_SPEED", 1e6)
     assert worst(compared(aircraft(BODY), RECORDS, DRIVEN, 5)) > 1e-3
 
 

@@ -12,9 +12,9 @@ import pytest
 from tests.helpers import batch_flights
 from tests.helpers.batch_flights import aircraft, craft, started, translated
 from tests.helpers.batch_whole import SECOND_ORDER
-from uqharness.batch.form.program import begun
+from uqharness.batch.form.program import initial_state
 from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.llvm import chosen_target
+from uqharness.batch.machine.llvm import choose_target
 from uqharness.batch.models import motion
 from uqharness.batch.models.motion import CONDITIONS
 
@@ -143,8 +143,8 @@ def flown(monkeypatch, case):
         fdm = made.open()
         flight = translated(made, RECORDS)
         values = started(flight, {name: float(fdm[name]) for name in CONDITIONS})
-    flyer = compile_program(flight.frame, chosen_target())
-    state = begun(
+    flyer = compile_program(flight.frame, choose_target())
+    state = initial_state(
         flyer.program,
         1,
         {name: value for name, value in values.items() if name in flyer.program.slots},

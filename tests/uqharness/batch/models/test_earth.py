@@ -130,7 +130,7 @@ def test_local_axes_are_orthogonal_and_point_down():
 def test_turned_undoes_the_earths_rotation():
     b = Builder()
     angle = b.input("angle")
-    out = motion.turned(b.op("sin", angle), b.op("cos", angle), (b.input("x"), 0.0, 2.0))
+    out = motion.earth_fixed(b.op("sin", angle), b.op("cos", angle), (b.input("x"), 0.0, 2.0))
     found, _ = evaluate(
         lower(b.finish({str(k): b.value(value) for k, value in enumerate(out)})),
         {"angle": np.array([0.3]), "x": np.array([5.0])},

@@ -10,8 +10,8 @@ from tests.helpers.few import few
 from uqharness.batch.lanes.mission import constant_properties, initial_values
 from uqharness.batch.models.auxiliary import POINT, TOUCHED
 from uqharness.batch.models.motion import CONDITIONS
+from uqharness.batch.translate.flight import TraceRequest, trace_flight
 from uqharness.batch.translate.frame import Values
-from uqharness.batch.translate.whole import Asked, trace_flight
 from uqharness.flight.fly import contact_points
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft
@@ -51,7 +51,7 @@ def contact(start, steps=120):
         points = contact_points(fdm, find_aircraft(made.root / "aircraft" / "point"))
         conditions = {name: float(fdm[name]) for name in CONDITIONS}
         values = Values(initial_values(made.open), constant_properties(sources))
-        flight = trace_flight(sources, DT_S, values, Asked((), [], [TOUCHED, POINT], points))
+        flight = trace_flight(sources, DT_S, values, TraceRequest((), [], [TOUCHED, POINT], points))
         engine.run_ic(fdm)
         there = fdm.get_property_manager().hasNode
         units = [[f"gear/unit[{k}]/WOW", f"contact/unit[{k}]/WOW"] for k in range(len(POINTS))]

@@ -54,9 +54,9 @@ def test_sums_and_products():
 
 
 def test_matrices():
-    assert computed(vectors.applied, M, A) == pytest.approx(M @ A)
-    assert computed(vectors.transposed, M) == pytest.approx(M.T)
-    assert computed(vectors.product, M, N) == pytest.approx(M @ N)
+    assert computed(vectors.matvec, M, A) == pytest.approx(M @ A)
+    assert computed(vectors.transpose, M) == pytest.approx(M.T)
+    assert computed(vectors.matmul, M, N) == pytest.approx(M @ N)
     assert computed(vectors.inverse, M) == pytest.approx(np.linalg.inv(M))
 
 

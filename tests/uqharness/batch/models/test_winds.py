@@ -26,7 +26,7 @@ TYPE, SEVERITY = "atmosphere/turb-type", "atmosphere/turbulence/milspec/severity
 W20 = "atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"
 WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in winds.AXES)
 RECORDS = (
-    *winds.OUT,
+    *winds.OUTPUTS,
     *(f"atmosphere/total-wind-{axis}-fps" for axis in winds.AXES),
     "atmosphere/psiw-rad",
     "velocities/vt-fps",
@@ -126,7 +126,7 @@ def test_terms_a_little_off_are_noticed(monkeypatch):
         )
         assert worst(differences(5000.0)) > 1e-9
     with monkeypatch.context() as patch:
-        patch.setattr(winds, "_total", _without_gusts(winds._total))
+        patch.setattr(winds, "_total_wind", _without_gusts(winds._total_wind))
         assert worst(differences()) > 1e-2
 
 
@@ -187,7 +187,7 @@ def test_azimuth_and_size_may_be_written(psi):
 def test_gusts_in_heading_axes_for_aircraft_without_air():
     """Heading of the frame before; metres to feet."""
     from uqharness.batch.form.interpret import run_program
-    from uqharness.batch.form.program import begun, slot
+    from uqharness.batch.form.program import initial_state, slot
     from uqharness.batch.translate.frame import Frame
 
     names = [
@@ -199,7 +199,7 @@ def test_gusts_in_heading_axes_for_aircraft_without_air():
     with frame.section("gusts"):
         winds.turn_gusts(frame)
     program = frame.program([])
-    state = begun(
+    state = initial_state(
         program,
         1,
         {

@@ -202,7 +202,7 @@ def test_the_reference_point_may_be_written():
         (axes("X") + axes(("LIFT",)), "do not belong to one system"),
         (axes("X", "WIND") + axes("Z", "BODY"), "different frames"),
         (axes(("ROLL",), "WIND") + axes(("PITCH",)), "moments have one frame"),
-        (axes("X") + axes("X").replace("f/X", "f/Y"), "stands here twice"),
+        (axes("X") + axes("X").replace("f/X", "f/Y"), "occurs twice"),
         (
             "<aero_ref_pt_shift_x><function name='s'><v>1</v></function></aero_ref_pt_shift_x>",
             "<aero_ref_pt_shift_x>",

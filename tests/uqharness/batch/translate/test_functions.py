@@ -19,7 +19,7 @@ from tests.helpers.batch_against import (
     ulps,
 )
 from uqharness.batch.form.ir import Builder, evaluate
-from uqharness.batch.machine.llvm import compiled, targets
+from uqharness.batch.machine.llvm import compile_function, targets
 from uqharness.batch.translate.frame import Scope
 from uqharness.batch.translate.functions import RULES, function_value
 from uqharness.errors import BadInputError
@@ -118,7 +118,7 @@ def test_random_trees_have_jsbsims_bits_in_compiled_code() -> None:
     )
     function = translated(functions, inputs)
     for target in targets().values():
-        made, _ = compiled(function, target)(inputs)
+        made, _ = compile_function(function, target)(inputs)
         assert all(same_bits(made[n], ours[n]).all() for n in functions), target
 
 
@@ -162,7 +162,7 @@ def test_what_ends_jsbsims_flight_is_nan() -> None:
         "mod": "<mod><v>5</v><p>i/a</p></mod>",
     }
     function = translated(functions, inputs)
-    made, _ = compiled(function, targets()["sse2"])(inputs)
+    made, _ = compile_function(function, targets()["sse2"])(inputs)
     nan = np.nan
     wanted = {
         "not": [1, 0, nan, 0, nan, 0, nan],

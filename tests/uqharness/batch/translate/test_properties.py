@@ -5,7 +5,13 @@ from __future__ import annotations
 import pytest
 
 from tests.helpers import batch_oracle as oracle
-from uqharness.batch.translate.frame import REQUIRED, fixed, own, settable, writable
+from uqharness.batch.translate.frame import (
+    REQUIRED,
+    keeps_value,
+    made_by_jsbsim,
+    settable,
+    writable,
+)
 from uqharness.simulator import engine
 
 # Levers and surfaces, which any aircraft's XML moves.
@@ -33,12 +39,12 @@ def test_every_property_of_a_bare_aircraft_is_known():
         if not name.startswith(FREE) or name.startswith("fcs/mag-")
     ]
     assert len(names) > 250
-    assert [name for name in names if not own(name)] == []
+    assert [name for name in names if not made_by_jsbsim(name)] == []
 
 
 def test_properties_of_authors_are_not_jsbsims():
     assert not any(
-        own(name)
+        made_by_jsbsim(name)
         for name in (
             "ap/engaged",
             "aero/Cm_q",
@@ -55,7 +61,7 @@ def test_writable_ones_take_a_value_in_jsbsim():
     names = [
         name
         for name in engine.catalog(fdm)
-        if own(name) and writable(name) and name != "atmosphere/psiw-rad"
+        if made_by_jsbsim(name) and writable(name) and name != "atmosphere/psiw-rad"
     ]
     assert {"atmosphere/delta-T", "atmosphere/wind-north-fps", "metrics/aero-rp-x-in"} <= set(names)
     fdm["atmosphere/wind-north-fps"] = 5.0
@@ -92,10 +98,10 @@ def test_what_does_more_than_keep_a_value_is_not_writable(name):
 def test_fixed_ones_stand_still_in_flight():
     fdm = oracle.loaded(oracle.model(""), 0.01)
     engine.run_ic(fdm)
-    before = {name: fdm[name] for name in engine.catalog(fdm) if fixed(name)}
+    before = {name: fdm[name] for name in engine.catalog(fdm) if keeps_value(name)}
     for _ in range(50):
         fdm.run()
     moved = [name for name, value in before.items() if fdm[name] != value]
     assert moved == []
-    assert not fixed("position/h-sl-ft")
-    assert not fixed("velocities/vc-kts")
+    assert not keeps_value("position/h-sl-ft")
+    assert not keeps_value("velocities/vc-kts")

@@ -88,7 +88,7 @@ def test_the_page_says_what_the_plan_says():
         variance=np.full(3, np.nan),
     )
     plan = [SimpleNamespace(start_s=18.0, point=point, gain=0.026)]
-    found = SimpleNamespace(coefficient="CY", refused=[1, 2], tried=9, where=[where], plan=plan)
+    found = SimpleNamespace(coefficient="CY", refused=[1, 2], n_points=9, where=[where], plan=plan)
     document = {
         "aircraft": {"name": "plane"},
         "words": ["Fly it.", "It helps."],

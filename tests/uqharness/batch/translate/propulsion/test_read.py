@@ -7,7 +7,14 @@ from pathlib import Path
 import pytest
 
 from uqharness.batch.form.ir import Builder
-from uqharness.batch.translate.engine_files import grid, known, needed, number, numbered, triplet
+from uqharness.batch.translate.engine_files import (
+    grid,
+    number,
+    refuse_unknown,
+    required_number,
+    triplet,
+    with_number,
+)
 from uqharness.batch.translate.frame import Scope
 from uqharness.errors import BadInputError
 from uqharness.xml.document import Node, parse_document
@@ -30,7 +37,7 @@ def test_numbers_bear_units_or_have_defaults() -> None:
         with pytest.raises(BadInputError, match=said):
             number(scope, node, "a", 1.0, "LBS" if "FT" in text else "IN")
     with pytest.raises(BadInputError, match=r"e\.xml:1: <e> has no <c>"):
-        needed(scope, node, "c")
+        required_number(scope, node, "c")
 
 
 def test_what_lacks_of_a_triplet_is_zero() -> None:
@@ -57,12 +64,12 @@ def test_strange_tables_and_elements_are_refused() -> None:
         with pytest.raises(BadInputError, match=r"e\.xml:1"):
             grid(scope, node)
     with pytest.raises(BadInputError, match="<tableData> of <table> is not understood"):
-        known(scope, node, (), ("type",))
+        refuse_unknown(scope, node, (), ("type",))
 
 
 def test_an_engine_bears_its_number() -> None:
     scope, node = parsed('<e><function name="propulsion/engine[#]/a"><p>b[#]</p></function></e>')
-    copy = numbered((scope.document, node), 2)[1]
+    copy = with_number((scope.document, node), 2)[1]
     assert copy.children[0].attributes["name"] == "propulsion/engine[2]/a"
     assert copy.children[0].children[0].text == "b[2]"
     assert node.children[0].attributes["name"] == "propulsion/engine[#]/a"

@@ -63,16 +63,16 @@ def test_systems_see_what_jsbsims_see():
 def test_another_order_is_noticed(monkeypatch):
     """Winds behind the systems: they would see the wind of the frame before."""
     from uqharness.batch.models import winds
-    from uqharness.batch.translate import whole
+    from uqharness.batch.translate import flight
 
-    trace = whole.Systems.trace
+    trace = flight.Systems.trace
 
     def swapped(self, frame, first=False):
         trace(self, frame, first)
         winds.trace_winds(frame)
 
-    monkeypatch.setattr(whole.Systems, "trace", swapped)
-    monkeypatch.setattr(whole, "winds", _Without(winds))
+    monkeypatch.setattr(flight.Systems, "trace", swapped)
+    monkeypatch.setattr(flight, "winds", _Without(winds))
     assert worst(compared(aircraft(BODY), RECORDS, INPUTS, 20, START)) > 1e-3
 
 

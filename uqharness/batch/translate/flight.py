@@ -1,0 +1,295 @@
+"""Trace a complete frame: JSBSim's models and the aircraft's XML in JSBSim's order of execution.
+
+Clock and events, propagation, atmosphere, winds, systems, mass, auxiliary, propulsion,
+aerodynamics, external reactions, accelerations. A flight consists of two frames in which time
+stands still (JSBSim's initialisation), then frames of one step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from uqharness.batch.form.program import Program, Stream
+from uqharness.batch.models import winds
+from uqharness.batch.models.atmosphere import trace_air_data, trace_atmosphere, trace_ratios
+from uqharness.batch.models.auxiliary import trace_auxiliary, trace_ground, trace_start_distance
+from uqharness.batch.models.motion import (
+    INTEGRATORS,
+    WEIGHTS,
+    remember_derivatives,
+    trace_accelerations,
+    trace_propagate,
+    trace_time,
+)
+from uqharness.batch.translate.aerodynamics import (
+    functions_of,
+    trace_aerodynamics,
+    trace_external,
+    trace_totals,
+)
+from uqharness.batch.translate.channels import (
+    Sources,
+    Systems,
+    compute_where_read,
+    refuse_inner_names,
+)
+from uqharness.batch.translate.engines import STEADY_STEP_S, Propulsion, read_propulsion
+from uqharness.batch.translate.frame import HOOKS, REQUIRED, Frame, Values, settable
+from uqharness.batch.translate.script import trace_events
+from uqharness.batch.translate.tanks import MASS
+from uqharness.errors import BadInputError
+from uqharness.flight import ContactPoint
+
+_HOOKS = {**winds.WRITES, **HOOKS}
+_RENEWAL = 3
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A flight as programs.
+
+    Attributes
+    ----------
+    first, second : Program
+        The initialising frames.
+    frame : Program
+        Every frame of the flight.
+    draws : tuple of (str, int)
+        Slots in which the frame draws noise, in order, and their execution rates.
+    first_draws : int
+        Number of draws of each initialising frame.
+    propulsion : Propulsion
+        Engines and tanks.
+    steady : tuple of Program
+        One per engine: steps to its steady state, flown while its settling slot is not 0.
+    renewed : Program or None
+        A frame in which time stands still, after the engines are steady; None without engines,
+        unless requested.
+    """
+
+    first: Program
+    second: Program
+    frame: Program
+    draws: tuple[tuple[str, int], ...]
+    first_draws: int
+    propulsion: Propulsion
+    steady: tuple[Program, ...] = ()
+    renewed: Program | None = None
+
+
+@dataclass(frozen=True)
+class FrameModels:
+    """What a frame is traced from; ``methods`` are the integrators of the parts of the motion."""
+
+    sources: Sources
+    systems: Systems
+    propulsion: Propulsion
+    methods: dict[str, int]
+    request: TraceRequest
+
+
+@dataclass(frozen=True)
+class TraceRequest:
+    """What a flight needs besides the aircraft.
+
+    Attributes
+    ----------
+    inputs : collection of str
+        Properties that differ between lanes; if the aircraft writes one, only its initial value
+        differs.
+    streams : sequence of Stream
+        Their columns are properties that the host sets before each frame.
+    records : collection of str
+        Properties that are recorded after a frame.
+    points : sequence of ContactPoint
+        Where the aircraft touches the ground.
+    gusts_by_heading : bool
+        Host gusts enter through JSBSim's properties, by the heading of the frame before.
+    any_step : bool
+        The step is a number of the lane, in slot STEP.
+    changes_dry_mass : bool
+        Lanes that change the mass also change that of the aircraft without fuel (`tanks.DRY`).
+    engines_running : bool
+        The host starts the engines, as ``propulsion/set-running`` does.
+    renewal : bool
+        A frame after the initialising ones in which time stands still is needed, with or without
+        engines.
+    """
+
+    inputs: Collection[str]
+    streams: Sequence[Stream]
+    records: Collection[str]
+    points: Sequence[ContactPoint] = ()
+    gusts_by_heading: bool = False
+    any_step: bool = False
+    changes_dry_mass: bool = False
+    engines_running: bool = False
+    renewal: bool = False
+
+
+def trace_flight(sources: Sources, dt_s: float, values: Values, request: TraceRequest) -> Flight:
+    """Trace the programs of a flight.
+
+    Parameters
+    ----------
+    sources : Sources
+        XML of aircraft and script.
+    dt_s : float
+        Step.
+    values : Values
+        Values of properties before the first frame.
+    request : TraceRequest
+        What differs between lanes, what is fed, what is recorded.
+
+    Returns
+    -------
+    Flight
+
+    Raises
+    ------
+    BadInputError
+        With file and line, for what the engine does not support.
+    """
+    methods = {part: _integrator(values, name) for part, name in INTEGRATORS.items()}
+    _check_settings(values, request.inputs)
+    propulsion = read_propulsion(sources, values, request.engines_running)
+    stream_slots = {name for stream in request.streams for name in stream.columns}
+    # The dry mass would no longer fit the total.
+    if propulsion.tanks and not request.changes_dry_mass and set(request.inputs) & set(MASS):
+        raise BadInputError("the mass of an aircraft with tanks cannot differ between lanes here")
+    models = FrameModels(
+        sources,
+        Systems(sources.systems, dt_s, len(propulsion.engines)),
+        propulsion,
+        methods,
+        request,
+    )
+    # A first pass finds all written properties; the frames themselves follow.
+    survey = Frame(dt_s, values, None, any_step=request.any_step)
+    _trace(survey, models, 0)
+    written_properties = survey.writes | stream_slots
+    inputs = set(request.inputs) - written_properties
+    frames = [
+        Frame(step, values, written_properties, inputs, request.any_step)
+        for step in (0.0, 0.0, dt_s)
+    ]
+    for frame, phase in zip(frames, (1, 2, 0), strict=True):
+        _trace(frame, models, phase)
+    # Records that nothing computes are refused after tracing.
+    for name in request.records:
+        if not name.startswith("#") and frames[2].read(name) is None:
+            raise BadInputError(
+                f"property {name} is not computed by the batch engine, so it cannot be recorded"
+            )
+    first, second, flight = frames
+    # JSBSim's turbulence needs normals only if its section exists.
+    streams = [
+        *request.streams,
+        *([winds.NORMALS] if any(s.when.mask == winds.MASK for s in flight.sections) else []),
+    ]
+    return Flight(
+        first.program(()),
+        second.program(()),
+        flight.program(request.records, streams),
+        tuple(flight.draws),
+        len(first.draws),
+        propulsion,
+        *_trace_settling(models, values, written_properties, inputs),
+    )
+
+
+def _trace_settling(
+    models: FrameModels,
+    values: Values,
+    written_properties: Collection[str],
+    inputs: Collection[str],
+) -> tuple[tuple[Program, ...], Program | None]:
+    """Trace the steps to each engine's steady state, and the frame after them."""
+    if not models.propulsion.engines and not models.request.renewal:
+        return (), None
+    settling = []
+    for engine in models.propulsion.engines:
+        frame = Frame(STEADY_STEP_S, values, written_properties, inputs)
+        models.propulsion.trace_steady(frame, engine)
+        settling.append(frame.program(()))
+    # JSBSim runs one frame without time after the steady state.
+    renewed = Frame(0.0, values, written_properties, inputs, models.request.any_step)
+    _trace(renewed, models, _RENEWAL)
+    return tuple(settling), renewed.program(())
+
+
+def _check_settings(values: Values, inputs: Collection[str]) -> None:
+    """Refuse settings that JSBSim obeys and the engine does not support."""
+    for name, required in REQUIRED.items():
+        if values.get(name, required) != required:
+            raise BadInputError(
+                f"{name} = {values[name]:g}: the batch engine has {required:g} alone"
+            )
+    for name in inputs:
+        if not settable(name):
+            raise BadInputError(
+                f"property {name} cannot be set in the batch engine: JSBSim does more with it than"
+                " keep its value"
+            )
+
+
+def _integrator(values: Values, name: str) -> int:
+    """Return the number of an integrator; refuse unknown ones."""
+    number = int(values[name])
+    if number not in WEIGHTS:
+        raise BadInputError(
+            f"{name} = {number}: the batch engine has JSBSim's integrators"
+            f" {', '.join(map(str, WEIGHTS))}"
+        )
+    return number
+
+
+def _trace(frame: Frame, models: FrameModels, phase: int) -> None:
+    """Trace one frame; ``phase`` is 1 or 2 in the initialising frames, _RENEWAL in one after them,
+    0 in flight.
+    """
+    sources, propulsion, request = models.sources, models.propulsion, models.request
+    frame.hooks.update(_HOOKS)
+    frame.live["simulation/dt"] = lambda: frame.step
+    # Before its first run a function is evaluated where it is read.
+    for part in (sources.aerodynamics, sources.external):
+        if part is not None:
+            refuse_inner_names(frame, *part)
+            for function in functions_of(part[1]) if phase == 1 else ():
+                compute_where_read(frame, part[0], function)
+    propulsion.prepare(frame, phase == 1)
+    # From here on in JSBSim's order of execution.
+    with frame.section("time"):
+        trace_time(frame)
+    if request.gusts_by_heading and phase == 0:
+        with frame.section("gusts of the host"):
+            winds.turn_gusts(frame)
+    trace_events(frame, sources.script)
+    with frame.section("propagation"):
+        trace_propagate(frame, models.methods)
+    with frame.section("atmosphere"):
+        trace_atmosphere(frame)
+        trace_ratios(frame)
+    winds.trace_winds(frame)
+    models.systems.trace(frame, first=phase == 1)
+    propulsion.trace_mass(frame, phase == 1)
+    with frame.section("auxiliary"):
+        trace_auxiliary(frame)
+        trace_air_data(frame)
+        trace_start_distance(frame)
+    propulsion.trace(frame)
+    parts = [sources.document, None] if sources.aerodynamics is None else [*sources.aerodynamics]
+    trace_aerodynamics(frame, parts[0], parts[1])  # type: ignore[arg-type]
+    parts = [sources.document, None] if sources.external is None else [*sources.external]
+    trace_external(frame, parts[0], parts[1])  # type: ignore[arg-type]
+    with frame.section("ground"):
+        trace_ground(frame, request.points)
+    with frame.section("accelerations"):
+        trace_totals(
+            frame, ("aero", "prop", "external") if propulsion.engines else ("aero", "external")
+        )
+        # The histories of the integrators start with these derivatives.
+        if phase == 2:
+            remember_derivatives(frame)
+        trace_accelerations(frame)
