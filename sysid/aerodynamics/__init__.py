@@ -1,4 +1,6 @@
-"""Equations of flight: coefficient terms and polynomials, coefficients from accelerations, residuals, equations of motion."""
+"""Equations of flight: coefficient terms and polynomials, coefficients from accelerations,
+residuals, equations of motion.
+"""
 
 import lazy_loader
 

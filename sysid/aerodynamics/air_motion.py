@@ -1,19 +1,24 @@
-"""The air's own rotation, which residual coefficients hold in turbulence and which is no error of the model.
+"""The air's own rotation, which residual coefficients hold in turbulence and which is no error of
+the model.
 
-Gusts that pass at airspeed rotate the air as MIL-F-8785C 3.7.5 has it (gust_states.py): q_h and r_h follow from how vanes turn
-against what gyros and accelerometers say,
+Gusts that pass at airspeed rotate the air as MIL-F-8785C 3.7.5 has it (gust_states.py): q_h and r_h
+follow from how vanes turn against what gyros and accelerometers say,
 
-    T_q dq_h/dt = -q_h + cos(phi) a + sin(phi) b       a = d(alpha)/dt - rate of alpha by inertia, b the same of beta        (1)
-    T_r dr_h/dt = -r_h + sin(phi) a - cos(phi) b                                                                          (2)
+    T_q dq_h/dt = -q_h + cos(phi) a + sin(phi) b       a = d(alpha)/dt - rate of alpha by inertia, b
+    the same of beta        (1)
+    T_r dr_h/dt = -r_h + sin(phi) a - cos(phi) b
+    (2)
 
-and a model that is told the gyros' rates misses  -dC/dq q_air - dC/dr r_air.  Not all air rotates so (some simulators' does not):
-the residuals say what share of (1), (2) is there, and that share is taken out. What the air rolls with (p_h) nobody measures; the
-standard gives it as a first-order process, whose white level follows from that of a vertical gust's gradient,
+and a model that is told the gyros' rates misses  -dC/dq q_air - dC/dr r_air.  Not all air rotates
+so (some simulators' does not): the residuals say what share of (1), (2) is there, and that share is
+taken out. What the air rolls with (p_h) nobody measures; the standard gives it as a first-order
+process, whose white level follows from that of a vertical gust's gradient,
 
-    S_p(0) = 0.8 pi/3 (pi L/4b)^(1/3) S_q(0),   T_p = 4b/(pi V)                                                            (3)
+    S_p(0) = 0.8 pi/3 (pi L/4b)^(1/3) S_q(0),   T_p = 4b/(pi V)
+    (3)
 
-and it joins the sensors' noise. Levels are what the vanes show beyond their own noise: in calm air both are nothing.
-"""
+and it joins the sensors' noise. Levels are what the vanes show beyond their own noise: in calm air
+both are nothing."""
 
 from __future__ import annotations
 
@@ -66,7 +71,9 @@ ROLLING = "p_h"
 """Name of the rolling gusts among the channels of a piece's noise."""
 _SCALE_M = 100.0
 _SPREAD = 0.35
-"""Of the rolling gusts' size: L from 20 to 533 m moves the root of (3) from 0.76 to 1.32 of that at 100 m; form not counted."""
+"""Of the rolling gusts' size: L from 20 to 533 m moves the root of (3) from 0.76 to 1.32 of that at
+100 m; form not counted.
+"""
 _BAND = (
     1.0 / 3.0
 )  # of the cut-off: above it the vanes' noise, differentiated, outweighs light gusts
@@ -75,7 +82,9 @@ _OFFSET_RADPS = 1e-3
 
 @dataclass(frozen=True)
 class AirPiece:
-    """One piece: channels by name (N,), slopes (N, 3, 6) of the coefficients with p, q, r [s/rad], span b [m]."""
+    """One piece: channels by name (N,), slopes (N, 3, 6) of the coefficients with p, q, r [s/rad],
+    span b [m].
+    """
 
     channels: Mapping[str, FloatArray]
     slopes: FloatArray
@@ -84,7 +93,9 @@ class AirPiece:
 
 @dataclass(frozen=True)
 class AirFound:
-    """share: of the rotation by (1), (2), with its standard error; level: of the vertical gusts' gradient, [rad2/s2] a sample."""
+    """share: of the rotation by (1), (2), with its standard error; level: of the vertical gusts'
+    gradient, [rad2/s2] a sample.
+    """
 
     share: float
     std: float
@@ -94,7 +105,9 @@ class AirFound:
 def air_pieces(
     record: FlightRecord, pieces: Sequence[Piece], model: Model, airspeed_hz: float
 ) -> list[AirPiece]:
-    """What `without_air_rotation` needs of a flight: asks the model for its slopes with the rates."""
+    """What `without_air_rotation` needs of a flight: asks the model for its slopes with the
+    rates.
+    """
     record = steady_airspeed(record, airspeed_hz)
     out = []
     for piece in pieces:
@@ -123,11 +136,11 @@ def _channels(record: FlightRecord, piece: Piece) -> dict[str, FloatArray]:
 def without_air_rotation(
     residuals: Residuals, air: Sequence[AirPiece], arm_m: Sequence[float], std: Mapping[str, float]
 ) -> tuple[Residuals, AirFound]:
-    """One flight's residuals without the air's rotation, its rolling among their noise, and what was found.
+    """One flight's residuals without the air's rotation, its rolling among their noise, and what
+    was found.
 
-    residuals  with noise, of the pieces of ``air`` that are longer than the filter     std  channel -> of its white noise
-    Raises ValueError where the pieces are not the same.
-    """
+    residuals  with noise, of the pieces of ``air`` that are longer than the filter     std  channel
+    -> of its white noise Raises ValueError where the pieces are not the same."""
     least = 2 * half_width(residuals.dt_s, residuals.cutoffs.all_hz) + 3
     kept = [a for a in air if len(a.slopes) >= least]
     arm = np.asarray(arm_m, dtype=float)
@@ -193,7 +206,9 @@ def _inner(x: FloatArray, n: int) -> FloatArray:
 
 
 def _share(residuals: Residuals, rotations: Sequence[FloatArray]) -> tuple[float, float]:
-    """Of the rotation that all coefficients together show, held by a normal prior of unit deviation about nothing."""
+    """Of the rotation that all coefficients together show, held by a normal prior of unit deviation
+    about nothing.
+    """
     information, moment = np.ones(1), np.zeros(1)
     for j in range(6):
         y = np.concatenate([_waves(p.delta[:, j], residuals) for p in residuals.pieces])
@@ -222,7 +237,9 @@ def _level(
     residuals: Residuals,
     std: Mapping[str, float],
 ) -> tuple[float, float]:
-    """Mean square of the gradient's waves beyond twice what sensors put there (their noise may be understated), and its share."""
+    """Mean square of the gradient's waves beyond twice what sensors put there (their noise may be
+    understated), and its share.
+    """
     seen, noise = [], []
     for a, g, p in zip(air, gusts, residuals.pieces, strict=True):
         n = len(p)
@@ -306,13 +323,13 @@ def _rolling_weights(time_s: float, dt_s: float, cutoff_hz: float) -> tuple[floa
 
 
 class GustStates(NamedTuple):
-    """p_h [rad/s], h_q, h_r, c_u, c_v [m/s] behind V, alpha, beta, p, q, r, phi, theta; ``b`` the span [m].
+    """p_h [rad/s], h_q, h_r, c_u, c_v [m/s] behind V, alpha, beta, p, q, r, phi, theta; ``b`` the
+    span [m].
 
-    passing_mps: the speed at which the gusts pass, where they are simulated at one whatever the airspeed; 0: the airspeed, as in
-    real air.
-    rotating: q_h, r_h follow from gusts down and to the right; turning_with: u, v turn with the heading. Neither is so in all air:
-    some simulators' gusts do not rotate, and no real gust turns with an aircraft.
-    """
+    passing_mps: the speed at which the gusts pass, where they are simulated at one whatever the
+    airspeed; 0: the airspeed, as in real air. rotating: q_h, r_h follow from gusts down and to the
+    right; turning_with: u, v turn with the heading. Neither is so in all air: some simulators'
+    gusts do not rotate, and no real gust turns with an aircraft."""
 
     b: float
     passing_mps: float = 0.0
@@ -333,16 +350,22 @@ class GustStates(NamedTuple):
         return level(self, x, sines(x))
 
     def rotation(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
-        """p_g, q_g, r_g [rad/s]: the air's rotation in body axes; ``trig``: `sines` of x, if known."""
+        """p_g, q_g, r_g [rad/s]: the air's rotation in body axes; ``trig``: `sines` of x,
+        if known.
+        """
         trig = trig or sines(x)
         return rotation(level(self, x, trig), trig)
 
     def turning(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
-        """What the turning of u, v with the heading adds to the acceleration relative to the air, in body axes [m/s2]."""
+        """What the turning of u, v with the heading adds to the acceleration relative to the air,
+        in body axes [m/s2].
+        """
         return turning(self, x, trig or sines(x))
 
     def rates(
         self, x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig | None = None
     ) -> tuple[Any, ...]:
-        """d/dt of the five states, given the deterministic rates of V, alpha, beta (`turning` included), phi and theta."""
+        """d/dt of the five states, given the deterministic rates of V, alpha, beta (`turning`
+        included), phi and theta.
+        """
         return gust_rates(self, x, rated, trig or sines(x))

@@ -1,11 +1,11 @@
-"""Force and moment coefficients that a flight demanded: accelerations and rates turned into CX ... Cn.
+"""Force and moment coefficients that a flight demanded: accelerations and rates turned into CX ...
+Cn.
 
     CX..CZ = (m a - F_other) / (qbar S)
     Cl, Cm, Cn = (I w' + w x I w - M_other) / (qbar S b, c, b)
 
-with the specific force a moved to the centre of gravity and w' by local polynomials (Klein and Morelli, "Aircraft System
-Identification" (2006), ch. 5; dissertation eqs 2.17 ff).
-"""
+with the specific force a moved to the centre of gravity and w' by local polynomials (Klein and
+Morelli, "Aircraft System Identification" (2006), ch. 5; dissertation eqs 2.17 ff)."""
 
 from __future__ import annotations
 
@@ -20,12 +20,16 @@ import numpy as np
 from sysid.arrays import FloatArray
 
 CUTOFF_HZ = 6.0
-"""Default cut-off of differentiator and smoother: four times the fastest rigid-body mode of a 20 kg aeroplane."""
+"""Default cut-off of differentiator and smoother: four times the fastest rigid-body mode of a 20 kg
+aeroplane.
+"""
 
 
 @dataclass(frozen=True)
 class MassProperties:
-    """Mass [kg], inertia (3, 3) [kg m2] about the CG in body axes (off-diagonal -Ixz), S [m2], b, c [m]."""
+    """Mass [kg], inertia (3, 3) [kg m2] about the CG in body axes (off-diagonal -Ixz), S [m2], b, c
+    [m].
+    """
 
     mass: float
     inertia: FloatArray
@@ -40,22 +44,24 @@ class MassProperties:
 
 
 def half_width(dt_s: float, cutoff_hz: float = CUTOFF_HZ) -> int:
-    """Samples m on either side of a local fit whose smoother has lost half of a wave's power at ``cutoff_hz``.
+    """Samples m on either side of a local fit whose smoother has lost half of a wave's power at
+    ``cutoff_hz``.
 
-    The smoother's weights are a parabola; its transform 3 (sin x - x cos x)/x^3 is 1/sqrt(2) at x = 2 pi f m dt = 1.8.
-    """
+    The smoother's weights are a parabola; its transform 3 (sin x - x cos x)/x^3 is 1/sqrt(2) at x =
+    2 pi f m dt = 1.8."""
     return max(1, round(1.8 / (2.0 * np.pi * cutoff_hz * dt_s)))
 
 
 def smooth(
     values: FloatArray, dt_s: float, cutoff_hz: float = CUTOFF_HZ, derivative: int = 0
 ) -> FloatArray:
-    """(n, ...) smoothed values, or their time derivative, along axis 0; narrower fits towards the ends.
+    """(n, ...) smoothed values, or their time derivative, along axis 0; narrower fits towards the
+    ends.
 
-    The derivative is the slope of a straight line fitted to 2 m + 1 samples (Savitzky and Golay). It equals the true derivative
-    averaged with parabolic weights, and those are the weights of the smoother: so a smoothed moment and a differentiated rate
-    can be compared, even across a step of a surface.
-    """
+    The derivative is the slope of a straight line fitted to 2 m + 1 samples (Savitzky and Golay).
+    It equals the true derivative averaged with parabolic weights, and those are the weights of the
+    smoother: so a smoothed moment and a differentiated rate can be compared, even across a step of
+    a surface."""
     n, widest = len(values), half_width(dt_s, cutoff_hz)
     flat = np.reshape(values, (n, -1))
     if n <= 2 * widest:
@@ -64,7 +70,8 @@ def smooth(
     out[widest : n - widest] = sum(
         w * flat[k : k + inner] for k, w in enumerate(kernel(widest, dt_s, derivative).tolist())
     )
-    # What is nearer to an end than the fit is wide: as in a stretch of which the fits narrow from both ends.
+    # What is nearer to an end than the fit is wide: as in a stretch of which the fits narrow from
+    # both ends.
     ends = _narrowing(2 * widest, widest, dt_s, derivative)
     out[:widest] = ends[:widest] @ flat[: 2 * widest]
     out[n - widest :] = ends[widest:] @ flat[inner:]
@@ -87,7 +94,9 @@ def _narrowing(n: int, widest: int, dt_s: float, derivative: int) -> FloatArray:
 
 
 def kernel(m: int, dt_s: float, derivative: int = 0) -> FloatArray:
-    """(2 m + 1,) weights of the smoother, or of the differentiator [1/s], over m samples to either side."""
+    """(2 m + 1,) weights of the smoother, or of the differentiator [1/s], over m samples to either
+    side.
+    """
     at = np.arange(-m, m + 1)
     if m == 0:
         return np.ones(1)
@@ -95,7 +104,8 @@ def kernel(m: int, dt_s: float, derivative: int = 0) -> FloatArray:
     if derivative:
         return at / (square * dt_s)
     far = np.abs(at)
-    # Sum of j over j > |i|, and half of |i|: what the pairs (j, -j) give sample i when the derivative is summed by trapezia.
+    # Sum of j over j > |i|, and half of |i|: what the pairs (j, -j) give sample i when the
+    # derivative is summed by trapezia.
     weight = 0.5 * (m * (m + 1) - far * (far + 1)) + 0.5 * far
     return np.asarray(weight / square)
 
@@ -103,7 +113,9 @@ def kernel(m: int, dt_s: float, derivative: int = 0) -> FloatArray:
 def at_cg(
     specific_force: FloatArray, rates: FloatArray, rates_dot: FloatArray, arm_m: FloatArray
 ) -> FloatArray:
-    """Specific force (n, 3) at the CG from that felt by a sensor ``arm_m`` (3,) away from it, rates (n, 3)."""
+    """Specific force (n, 3) at the CG from that felt by a sensor ``arm_m`` (3,) away from it, rates
+    (n, 3).
+    """
     if not np.any(arm_m):
         return specific_force
     felt = np.cross(rates_dot, arm_m) + np.cross(rates, np.cross(rates, arm_m))
@@ -123,9 +135,9 @@ def demanded(
 ) -> FloatArray:
     """(n, 6) CX CY CZ Cl Cm Cn of one piece without a gap.
 
-    specific_force (n, 3) m/s2 at the sensor, rates (n, 3) rad/s, qbar (n,) Pa; other_force (n, 3) N, other_moment (n, 3) N m:
-    everything but aerodynamics (thrust), without gravity. Everything is smoothed by the same local fits.
-    """
+    specific_force (n, 3) m/s2 at the sensor, rates (n, 3) rad/s, qbar (n,) Pa; other_force (n, 3)
+    N, other_moment (n, 3) N m: everything but aerodynamics (thrust), without gravity. Everything is
+    smoothed by the same local fits."""
     rates_dot = smooth(rates, dt_s, cutoff_hz, derivative=1)
     omega = smooth(rates, dt_s, cutoff_hz)
     force = at_cg(specific_force, omega, rates_dot, np.zeros(3) if arm_m is None else arm_m)
@@ -163,7 +175,9 @@ _VARIABLES = {
 
 
 def split_name(name: str) -> tuple[str, str] | None:
-    """('Cm', 'alpha2') of ``aero/Cm_alpha2`` or ``Cm_alpha2``; None when it is no coefficient term with a known variable."""
+    """('Cm', 'alpha2') of ``aero/Cm_alpha2`` or ``Cm_alpha2``; None when it is no coefficient term
+    with a known variable.
+    """
     coefficient, underscore, term = name.removeprefix("aero/").partition("_")
     if not underscore or coefficient not in COEFFICIENTS:
         return None
@@ -171,7 +185,8 @@ def split_name(name: str) -> tuple[str, str] | None:
 
 
 def regressor(term: str, variables: Mapping[str, FloatArray]) -> FloatArray:
-    """(n,) values of a term; ``variables`` alpha, beta [rad], p_hat, q_hat, r_hat, de, da, dr [deg], each (n,).
+    """(n,) values of a term; ``variables`` alpha, beta [rad], p_hat, q_hat, r_hat, de, da, dr
+    [deg], each (n,).
 
     Raises KeyError for a term that `split_name` does not know.
     """
@@ -196,7 +211,9 @@ def variables(
     b: float,
     c: float,
 ) -> dict[str, FloatArray]:
-    """The variables of `regressor` from V [m/s], angles [rad], rates [rad/s], deflections [deg], span and chord [m]."""
+    """The variables of `regressor` from V [m/s], angles [rad], rates [rad/s], deflections [deg],
+    span and chord [m].
+    """
     half = 0.5 / V
     return {
         "alpha": alpha,
@@ -230,7 +247,9 @@ STATES = (
     "rudder_pos_deg",
     "throttle_pct",
 )
-"""Flight states that a model form may depend on: measured in flight, known to a simulation at every step."""
+"""Flight states that a model form may depend on: measured in flight, known to a simulation at every
+step.
+"""
 MAX_POWER = 4
 _FACTOR = re.compile(r"([A-Za-z_]+)(?:\^([1-9]))?")
 Term = tuple[int, ...]
@@ -243,7 +262,10 @@ def term_name(term: Term, states: Sequence[str]) -> str:
 
 
 def parse_term(name: str, states: Sequence[str]) -> Term:
-    """The powers of each state in a term. Raises ValueError for an unknown state, a bad power or bad writing."""
+    """The powers of each state in a term.
+
+    Raises ValueError for an unknown state, a bad power or bad writing.
+    """
     powers = dict.fromkeys(states, 0)
     if name.strip() == "1":
         return tuple(powers.values())
@@ -265,7 +287,9 @@ def parse_term(name: str, states: Sequence[str]) -> Term:
 
 
 def full_polynomial(count: int, order: int = 2) -> tuple[Term, ...]:
-    """All terms up to total ``order`` in ``count`` states: constant, linear, then quadratic ones (15 for four states)."""
+    """All terms up to total ``order`` in ``count`` states: constant, linear, then quadratic ones
+    (15 for four states).
+    """
     out: list[Term] = []
     for degree in range(order + 1):
         for factors in itertools.combinations_with_replacement(range(count), degree):
@@ -285,5 +309,8 @@ def regressors(normalised: FloatArray, terms: Sequence[Term]) -> FloatArray:
 
 
 def stack(states: Mapping[str, FloatArray], names: Sequence[str]) -> FloatArray:
-    """(n, k) the named states side by side; scalars count as one row. Raises KeyError for one that is not there."""
+    """(n, k) the named states side by side; scalars count as one row.
+
+    Raises KeyError for one that is not there.
+    """
     return np.column_stack([np.atleast_1d(np.asarray(states[name], dtype=float)) for name in names])

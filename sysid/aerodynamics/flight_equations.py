@@ -1,9 +1,10 @@
-"""Equations of a rigid aeroplane in moving air, for one state or for many, and the loops that linearise them along a flight.
+"""Equations of a rigid aeroplane in moving air, for one state or for many, and the loops that
+linearise them along a flight.
 
-x is V, alpha, beta, p, q, r, phi, theta and, in turbulence, the five states of `sysid.aerodynamics.air_motion`: a vector, or the
-rows of an array with a flight in its columns. The loops are compiled (`linearised` and `carried`), with everything in this one
-file: numba looks at no other when it decides whether what it kept is still what stands here.
-"""
+x is V, alpha, beta, p, q, r, phi, theta and, in turbulence, the five states of
+`sysid.aerodynamics.air_motion`: a vector, or the rows of an array with a flight in its columns. The
+loops are compiled (`linearised` and `carried`), with everything in this one file: numba looks at no
+other when it decides whether what it kept is still what stands here."""
 
 from __future__ import annotations
 
@@ -20,7 +21,9 @@ _ORDERS = 5
 
 
 def sines(x: Any) -> Trig:
-    """sin and cos of phi, theta, alpha and beta of a state x: computed once, they serve every method."""
+    """sin and cos of phi, theta, alpha and beta of a state x: computed once, they serve every
+    method.
+    """
     return (
         np.sin(x[6]),
         np.cos(x[6]),
@@ -34,7 +37,9 @@ def sines(x: Any) -> Trig:
 
 
 def sines_near(own: Trig, x: Any) -> Trig:
-    """The same of a complex state whose imaginary part is too small for a second order, ``own`` being those of its real part."""
+    """The same of a complex state whose imaginary part is too small for a second order, ``own``
+    being those of its real part.
+    """
     sf, cf, st, ct, sa, ca, sb, cb = own
     phi, theta, alpha, beta = x[6].imag, x[7].imag, x[1].imag, x[2].imag
     return (
@@ -56,7 +61,9 @@ def gust_lags_s(gusts: Any, V: Any) -> tuple[Any, Any, Any]:
 
 
 def heading(x: Any, trig: Trig) -> tuple[Any, Any, Any]:
-    """Velocity relative to the air in heading axes [m/s]: along the heading and level, to the right, and down."""
+    """Velocity relative to the air in heading axes [m/s]: along the heading and level, to the
+    right, and down.
+    """
     sf, cf, st, ct, sa, ca, sb, cb = trig
     ahead, right, below = x[0] * ca * cb, x[0] * sb, x[0] * sa * cb
     upright = sf * right + cf * below
@@ -97,7 +104,9 @@ def rotation(levelled: tuple[Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]
 
 
 def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
-    """What the turning of u_h, v_h with the heading adds to the acceleration relative to the air, in body axes [m/s2]."""
+    """What the turning of u_h, v_h with the heading adds to the acceleration relative to the air,
+    in body axes [m/s2].
+    """
     sf, cf, st, ct = trig[:4]
     U, S, _ = heading(x, trig)
     dpsi = gusts.turning_with * (x[4] * sf + x[5] * cf) / ct
@@ -108,7 +117,9 @@ def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
 def gust_rates(
     gusts: Any, x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """d/dt of the five states of the air, given the deterministic rates of V, alpha, beta (`turning` included), phi and theta."""
+    """d/dt of the five states of the air, given the deterministic rates of V, alpha, beta
+    (`turning` included), phi and theta.
+    """
     dU, dS, dW = heading_rates(x, rated, trig)
     p_h, q_h, r_h = level(gusts, x, trig)
     T_p, _, _ = gust_lags_s(gusts, x[0])
@@ -125,7 +136,9 @@ def gust_rates(
 def flow_rates(
     x: Any, felt: tuple[Any, Any, Any], trig: Trig, gravity: float
 ) -> tuple[Any, Any, Any]:
-    """Rates of V [m/s2], alpha and beta [rad/s] under a specific force [m/s2] in body axes, and weight."""
+    """Rates of V [m/s2], alpha and beta [rad/s] under a specific force [m/s2] in body axes, and
+    weight.
+    """
     V, p, q, r = x[0], x[3], x[4], x[5]
     sf, cf, st, ct, sa, ca, sb, cb = trig
     ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
@@ -137,9 +150,9 @@ def flow_rates(
 
 
 class Body(NamedTuple):
-    """What moves: mass [kg], inertia and its inverse (3, 3) [kg m2], arm (3,) of the accelerometers [m], gravity [m/s2]; gusty:
-    with the air's states, as ``gusts`` (GustStates) has them; by_flow: forces go with what else than forces changes alpha and
-    beta."""
+    """What moves: mass [kg], inertia and its inverse (3, 3) [kg m2], arm (3,) of the accelerometers
+    [m], gravity [m/s2]; gusty: with the air's states, as ``gusts`` (GustStates) has them; by_flow:
+    forces go with what else than forces changes alpha and beta."""
 
     mass: float
     inertia: Any
@@ -152,8 +165,9 @@ class Body(NamedTuple):
 
 
 class Along(NamedTuple):
-    """Reference flight: x (n, 8), load (n, 6) force [N] and moment [N m], slopes (n, 6, 6) by V, alpha, beta and the rates relative
-    to the air, by_flow (n, 6, 2) by the rates of alpha and beta."""
+    """Reference flight: x (n, 8), load (n, 6) force [N] and moment [N m], slopes (n, 6, 6) by V,
+    alpha, beta and the rates relative to the air, by_flow (n, 6, 2) by the rates of alpha and beta.
+    """
 
     x: Any
     load: Any
@@ -164,8 +178,9 @@ class Along(NamedTuple):
 def motion(
     x: Any, trig: Trig, body: Any, at: Any, load: Any, work: Any, rate: Any, seen: Any
 ) -> None:
-    """dx/dt of one state into ``rate`` and the outputs into ``seen`` (11,); forces linear about the reference ``at``, whose own are
-    ``load`` (6,). trig: `sines` of x; work (12,) is written over."""
+    """dx/dt of one state into ``rate`` and the outputs into ``seen`` (11,); forces linear about the
+    reference ``at``, whose own are ``load`` (6,). trig: `sines` of x; work (12,) is written over.
+    """
     for i in range(6):
         work[i] = x[i] - at.x[i]
     if body.gusty:
@@ -178,7 +193,8 @@ def motion(
         for k in range(6):
             work[6 + i] += at.slopes[i, k] * work[k]
     if body.gusty and body.by_flow:
-        # Rates of alpha and beta are the motion's own: air that rotates, and attitudes, are not in the slopes as they act.
+        # Rates of alpha and beta are the motion's own: air that rotates, and attitudes, are not in
+        # the slopes as they act.
         zero = 0.0 * x[0]
         # A force that the model does not know of changes them, too.
         unknown = (
@@ -265,8 +281,8 @@ def _rated(x, body, along, load, rate, seen):  # type: ignore[no-untyped-def]
 
 
 def _slopes(x, body, along, by_state, by_load):  # type: ignore[no-untyped-def]
-    """Slopes of rates and outputs by the states (n, x + 11, x) and by force and moment (n, x + 11, 6), by complex steps: exact to
-    rounding."""
+    """Slopes of rates and outputs by the states (n, x + 11, x) and by force and moment (n, x + 11,
+    6), by complex steps: exact to rounding."""
     size = x.shape[1]
     work, moved, load = (
         np.empty(12, dtype=np.complex128),
@@ -294,7 +310,9 @@ def _slopes(x, body, along, by_state, by_load):  # type: ignore[no-untyped-def]
 
 
 def _series(A, h, phi, to0, to1):  # type: ignore[no-untyped-def]
-    """exp(A h) of (x, x), and the weights of an input at a step's start and end, linear in between."""
+    """exp(A h) of (x, x), and the weights of an input at a step's start and end, linear in
+    between.
+    """
     size = len(A)
     power, next_ = np.eye(size), np.empty((size, size))
     phi[:], to0[:], to1[:] = power, 0.5 * h * power, 0.5 * h * power
@@ -323,7 +341,9 @@ def _series(A, h, phi, to0, to1):  # type: ignore[no-untyped-def]
 
 
 def _stepped(by_state, by_load, h, phi, g0, g1):  # type: ignore[no-untyped-def]
-    """Transitions (n - 1, x, x) and what inputs at both ends of a step do (n - 1, x, 6): A is the mean of a step's ends."""
+    """Transitions (n - 1, x, x) and what inputs at both ends of a step do (n - 1, x, 6): A is the
+    mean of a step's ends.
+    """
     size = phi.shape[1]
     A, to0, to1 = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
     for k in range(len(phi)):

@@ -1,9 +1,10 @@
-"""Residual coefficients: what a flight demanded minus what the model says at the same states (dissertation eqs 2.11 to 2.16).
+"""Residual coefficients: what a flight demanded minus what the model says at the same states
+(dissertation eqs 2.11 to 2.16).
 
-The model is handed in as a callable on pieces of a flight, so that JSBSim, another program or three lines of Python serve alike.
-Everything that is compared has passed one filter (`coefficients.smooth`): demanded and predicted coefficients, and the states
-that the difference is later regressed on.
-"""
+The model is handed in as a callable on pieces of a flight, so that JSBSim, another program or three
+lines of Python serve alike. Everything that is compared has passed one filter
+(`coefficients.smooth`): demanded and predicted coefficients, and the states that the difference is
+later regressed on."""
 
 from __future__ import annotations
 
@@ -42,7 +43,10 @@ _BEFORE_S, _AFTER_S = 1.0, 3.0
 
 @dataclass(frozen=True)
 class Piece:
-    """Consecutive rows of a record without a gap. ``label`` is the manoeuvre's name, or how the piece was found."""
+    """Consecutive rows of a record without a gap.
+
+    ``label`` is the manoeuvre's name, or how the piece was found.
+    """
 
     label: str
     rows: slice
@@ -55,7 +59,8 @@ def cut(
 ) -> tuple[list[Piece], str]:
     """Pieces in order of time, and one sentence saying how they were found.
 
-    needed  channels that must be finite throughout a piece; pieces shorter than ``min_s`` seconds are left out, longer ones
+    needed  channels that must be finite throughout a piece; pieces shorter than ``min_s`` seconds
+    are left out, longer ones
             than ``max_s`` cut into equal parts.
     """
     if "manoeuvre" in record and any(record["manoeuvre"]):
@@ -68,7 +73,10 @@ def cut(
             how = "no manoeuvre is labelled: stretches in which a surface was moved on purpose"
         else:
             labels = np.full(len(record), "flight", dtype=object)
-            how = "no manoeuvre is labelled and no surface was moved on purpose: the whole flight in pieces"
+            how = (
+                "no manoeuvre is labelled and no surface was moved on purpose: the whole flight in"
+                " pieces"
+            )
     time = record["time_s"]
     pieces = []
     for whole in record.segments(tuple(needed), min_s):
@@ -118,9 +126,8 @@ def _excited(record: FlightRecord) -> NDArray[np.bool_]:
 def as_logged(record: FlightRecord, name: str, rows: slice) -> FloatArray:
     """The channel at ``rows``, NaN where its value was only filled in between two logged ones.
 
-    A channel slower than the grid counts once for every time it was logged; counted at every row its noise would look smooth
-    and its weight in a fit would be several times too large.
-    """
+    A channel slower than the grid counts once for every time it was logged; counted at every row
+    its noise would look smooth and its weight in a fit would be several times too large."""
     values = np.array(record[name][rows], dtype=np.float64)
     rate = record.metadata.native_hz.get(name, 0.0)
     stride = max(1, round(1.0 / (record.dt_s * rate))) if rate > 0 else 1
@@ -138,11 +145,11 @@ Way = Literal["smoothed", "differentiated", "both"]
 class Prediction:
     """What a model says at n measured states.
 
-    coefficients (n, 6)       CX CY CZ Cl Cm Cn, body axes, moments about the CG
-    other_force (n, 3) [N], other_moment (n, 3) [N m]   everything but aerodynamics and gravity: thrust above all
+    coefficients (n, 6)       CX CY CZ Cl Cm Cn, body axes, moments about the CG other_force (n, 3)
+    [N], other_moment (n, 3) [N m]   everything but aerodynamics and gravity: thrust above all
     qbar (n,) [Pa]            dynamic pressure at the measured airspeed
-    positions                 where the controls stood, by state name (elevator_pos_deg, throttle_pct), (n,) each
-    """
+    positions                 where the controls stood, by state name (elevator_pos_deg,
+    throttle_pct), (n,) each"""
 
     coefficients: FloatArray
     other_force: FloatArray
@@ -157,11 +164,12 @@ Model = Callable[[FlightRecord, Piece], Prediction]
 
 @dataclass(frozen=True)
 class Cutoffs:
-    """Half-power frequencies [Hz]: of the filter that everything passes, and of the airspeed's low-pass before it (inf: none).
+    """Half-power frequencies [Hz]: of the filter that everything passes, and of the airspeed's
+    low-pass before it (inf: none).
 
-    A pitot tube's noise enters every coefficient through the dynamic pressure, CZ = W/(qbar S) above all, while an aeroplane
-    changes speed slowly; so its low-pass may be slower than the differentiator.
-    """
+    A pitot tube's noise enters every coefficient through the dynamic pressure, CZ = W/(qbar S)
+    above all, while an aeroplane changes speed slowly; so its low-pass may be slower than the
+    differentiator."""
 
     all_hz: float = CUTOFF_HZ
     airspeed_hz: float = AIRSPEED_CUTOFF_HZ
@@ -173,8 +181,8 @@ class Passage:
 
     way                 smoothed, differentiated, or both one after the other
     gain (n, 6)         of each coefficient, per standard deviation of the channel's noise
-    weights (2 m + 1,)  of the filter on that way       spread  relative standard deviation of the noise's presumed size
-    """
+    weights (2 m + 1,)  of the filter on that way       spread  relative standard deviation of the
+    noise's presumed size"""
 
     channel: str
     way: Way
@@ -187,8 +195,8 @@ class Passage:
 class PieceNoise:
     """Sensor noise of the ``n`` samples of a piece (`sensor_noise` makes it).
 
-    passages  all ways into the coefficients        states  state -> standard deviation of its channel's noise, and filter weights
-    """
+    passages  all ways into the coefficients        states  state -> standard deviation of its
+    channel's noise, and filter weights"""
 
     passages: tuple[Passage, ...]
     states: Mapping[str, tuple[float, tuple[float, ...]]]
@@ -202,10 +210,11 @@ class PieceNoise:
 
 @dataclass(frozen=True)
 class ResidualPiece:
-    """One piece without a gap: time_s (n,), delta (n, 6) in the order of COEFFICIENTS, states by name (n,) each, all filtered.
+    """One piece without a gap: time_s (n,), delta (n, 6) in the order of COEFFICIENTS, states by
+    name (n,) each, all filtered.
 
-    flight: number of the flight it comes from, of those put together. noise: of the sensors, where it was asked for.
-    """
+    flight: number of the flight it comes from, of those put together. noise: of the sensors, where
+    it was asked for."""
 
     label: str
     time_s: FloatArray
@@ -220,7 +229,9 @@ class ResidualPiece:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Of one or several flights, piece by piece. dt_s: step between samples of the first; cutoffs: what all of it has passed."""
+    """Of one or several flights, piece by piece. dt_s: step between samples of the first; cutoffs:
+    what all of it has passed.
+    """
 
     pieces: tuple[ResidualPiece, ...]
     dt_s: float
@@ -270,9 +281,8 @@ def residual_piece(
     """Residual coefficients of one piece; None when it is shorter than the filter.
 
     record     needs V, alpha, beta, phi, theta, p, q, r, ax, ay, az, finite throughout the piece
-    arm_m (3,) from the CG to the accelerometers, body axes
-    Samples nearer to an end than the filter's half width are left out: their filter would be another one, and noisier.
-    """
+    arm_m (3,) from the CG to the accelerometers, body axes Samples nearer to an end than the
+    filter's half width are left out: their filter would be another one, and noisier."""
     time = record["time_s"][piece.rows]
     dt_s, m = _filter_of(time, cutoff_hz)
     if len(time) < 2 * m + 3:
@@ -331,7 +341,10 @@ def residual_coefficients(
     arm_m: Sequence[float] = (0.0, 0.0, 0.0),
     cutoffs: Cutoffs | None = None,
 ) -> Residuals:
-    """Residual coefficients of a flight's pieces. Raises ValueError when every piece is shorter than the filter."""
+    """Residual coefficients of a flight's pieces.
+
+    Raises ValueError when every piece is shorter than the filter.
+    """
     cutoffs = cutoffs or Cutoffs()
     record = steady_airspeed(record, cutoffs.airspeed_hz)
     found = [residual_piece(record, p, model(record, p), arm_m, cutoffs.all_hz) for p in pieces]
@@ -354,7 +367,10 @@ def steady_airspeed(record: FlightRecord, cutoff_hz: float) -> FlightRecord:
 
 
 def together(parts: Sequence[Residuals]) -> Residuals:
-    """Several flights' residuals as one, pieces numbered by flight. Raises ValueError when they have passed different filters."""
+    """Several flights' residuals as one, pieces numbered by flight.
+
+    Raises ValueError when they have passed different filters.
+    """
     if len({r.cutoffs for r in parts}) > 1:
         raise ValueError("residuals of different cut-offs cannot be put together")
     pieces = tuple(replace(p, flight=k) for k, r in enumerate(parts) for p in r.pieces)

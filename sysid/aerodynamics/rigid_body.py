@@ -1,12 +1,14 @@
-"""A rigid aeroplane linearised along a reference flight: how a small extra coefficient moves every measured channel.
+"""A rigid aeroplane linearised along a reference flight: how a small extra coefficient moves every
+measured channel.
 
-    dx/dt = f(x, F(t, x))    V alpha beta p q r phi theta, and in turbulence the five states of `sysid.aerodynamics.air_motion`
-    d(k+1) = Phi(k) d(k) + G0(k) u(k) + G1(k) u(k+1) + defect(k)          d = x - x_ref,  u = extra CX CY CZ Cl Cm Cn
-    y(k)   = y_ref(k) + H(k) d(k) + D(k) u(k)
+    dx/dt = f(x, F(t, x))    V alpha beta p q r phi theta, and in turbulence the five states of
+    `sysid.aerodynamics.air_motion`
+    d(k+1) = Phi(k) d(k) + G0(k) u(k) + G1(k) u(k+1) + defect(k)          d = x - x_ref,  u = extra
+    CX CY CZ Cl Cm Cn y(k)   = y_ref(k) + H(k) d(k) + D(k) u(k)
 
-Forces and moments and their slopes along the reference come from the caller's simulator, so any aircraft will do. Inputs are linear
-between samples; A is the mean of a step's ends: Phi = exp(A h), G by its series.
-"""
+Forces and moments and their slopes along the reference come from the caller's simulator, so any
+aircraft will do. Inputs are linear between samples; A is the mean of a step's ends: Phi = exp(A h),
+G by its series."""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ from sysid.units import G0_MPS2
 
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
 AIR = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps")
-"""States that forces depend on, in the order of the slopes; the rates are those relative to the air."""
+"""States that forces depend on, in the order of the slopes; the rates are those relative to the
+air.
+"""
 OUTPUTS = (
     "V_mps",
     "alpha_rad",
@@ -46,14 +50,14 @@ NX = 13
 class Reference:
     """One segment's reference flight of n samples.
 
-    x (n, 8) STATES; force (n, 3) N and moment (n, 3) N m about the CG, gravity left out; slopes (n, 6, 6): d(force, moment) by
-    AIR; qbar (n,) Pa; bend (2, n - 1, 6): how much force and moment at the middle of a step differ from the mean of its ends, and
-    at its end, just before the next row, from those of that row: surfaces do not move in straight lines, and one without a lag
-    jumps at a row. arm_m (3,): accelerometers from the CG.
-    consistent: the reference is itself a flight of the model (a simulation), so that it has no defects.
-    by_flow (n, 6, 2): d(force, moment) by what else than forces changes the rates of alpha and beta [N, N m per rad/s]; None where
-    nothing depends on them.
-    """
+    x (n, 8) STATES; force (n, 3) N and moment (n, 3) N m about the CG, gravity left out; slopes (n,
+    6, 6): d(force, moment) by AIR; qbar (n,) Pa; bend (2, n - 1, 6): how much force and moment at
+    the middle of a step differ from the mean of its ends, and at its end, just before the next row,
+    from those of that row: surfaces do not move in straight lines, and one without a lag jumps at a
+    row. arm_m (3,): accelerometers from the CG. consistent: the reference is itself a flight of the
+    model (a simulation), so that it has no defects. by_flow (n, 6, 2): d(force, moment) by what
+    else than forces changes the rates of alpha and beta [N, N m per rad/s]; None where nothing
+    depends on them."""
 
     dt_s: float
     x: FloatArray
@@ -69,11 +73,11 @@ class Reference:
 
 @dataclass(frozen=True)
 class Steps:
-    """One segment's linear system of x states, 8 in still air or 13: phi (n-1, x, x), g0, g1 (n-1, x, 6), defect (n-1, x),
-    H (n, m, x), D (n, m, 6), y_ref (n, m).
+    """One segment's linear system of x states, 8 in still air or 13: phi (n-1, x, x), g0, g1 (n-1,
+    x, 6), defect (n-1, x), H (n, m, x), D (n, m, 6), y_ref (n, m).
 
-    start (x, 8): how all states begin by the first eight, the air being still; None: as they are, the others at zero.
-    """
+    start (x, 8): how all states begin by the first eight, the air being still; None: as they are,
+    the others at zero."""
 
     dt_s: float
     phi: FloatArray
@@ -92,7 +96,9 @@ def linearise(
     gravity: float = G0_MPS2,
     gusts: GustStates | None = None,
 ) -> Steps:
-    """The linear system along a reference, outputs OUTPUTS; with gusts 13 states, about air at rest."""
+    """The linear system along a reference, outputs OUTPUTS; with gusts 13 states, about air at
+    rest.
+    """
     n, h = len(reference.x), reference.dt_s
     wide = whole_states(reference.x, gusts)
     size = wide.shape[1]
@@ -131,13 +137,15 @@ def rates(
     gravity: float = G0_MPS2,
     gusts: GustStates | None = None,
 ) -> FloatArray:
-    """dx/dt (n, 8 or 13) at whole states x of the reference's times, but for what gusts will add: forces linear about the
-    reference, surfaces where they stand there."""
+    """dx/dt (n, 8 or 13) at whole states x of the reference's times, but for what gusts will add:
+    forces linear about the reference, surfaces where they stand there."""
     return _Rigid(reference, mass, gravity, gusts)(x, 0.0)[0]
 
 
 def unforced(x: NDArray[Any], gravity: float = G0_MPS2) -> NDArray[Any]:
-    """(n, 2) rates of alpha and beta [rad/s] at states x (n, 8 or more) without any force but weight."""
+    """(n, 2) rates of alpha and beta [rad/s] at states x (n, 8 or more) without any force but
+    weight.
+    """
     states = x.T
     nothing = np.zeros(len(x))
     return np.stack(
@@ -172,8 +180,8 @@ class _Rigid:
     def __call__(
         self, x: FloatArray, later: float, extra: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """dx/dt and outputs (n, 11) at states x (n, 8 or 13), the first at the reference's first sample, or a share of a step
-        later; extra (n, 6) force and moment besides."""
+        """dx/dt and outputs (n, 11) at states x (n, 8 or 13), the first at the reference's first
+        sample, or a share of a step later; extra (n, 6) force and moment besides."""
         along = self.along
         if later:
             along = Along(*(v[:-1] + later * (v[1:] - v[:-1]) for v in along))
@@ -185,7 +193,9 @@ class _Rigid:
         return rate, seen
 
     def slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Slopes of both, rates first, by the states (n, x + 11, x) and by force and moment (n, x + 11, 6)."""
+        """Slopes of both, rates first, by the states (n, x + 11, x) and by force and moment (n, x +
+        11, 6).
+        """
         n, size = x.shape
         by_state, by_load = (
             np.empty((n, size + len(OUTPUTS), size)),

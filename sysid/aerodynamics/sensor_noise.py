@@ -1,13 +1,14 @@
-"""Sensor noise in residual coefficients: how white noise of each channel passes formula, filter and differentiator.
+"""Sensor noise in residual coefficients: how white noise of each channel passes formula, filter and
+differentiator.
 
 Gains vary slowly, so that noise of channel c adds to the residual of a coefficient
 
     e(k) = sum over c and its ways w of  g_cw(k) sum_j h_w(j) n_c(k - j)
 
-with h_w the smoother, the differentiator or both one after the other. Offsets pass the smoother as they are and the differentiator
-not at all, so the gains g of the smoothed ways are found by offsetting a channel; those of the differentiated rates are
-m arm/(qbar S) and I/(qbar S l). Noise of accelerometers therefore comes out as 1/qbar.
-"""
+with h_w the smoother, the differentiator or both one after the other. Offsets pass the smoother as
+they are and the differentiator not at all, so the gains g of the smoothed ways are found by
+offsetting a channel; those of the differentiated rates are m arm/(qbar S) and I/(qbar S l). Noise
+of accelerometers therefore comes out as 1/qbar."""
 
 from __future__ import annotations
 
@@ -47,16 +48,20 @@ _OFFSET = 1e-3  # of the others: small against what a flight has, large against 
 
 @cache
 def autocorrelation(weights: tuple[float, ...]) -> tuple[float, ...]:
-    """Of filtered white noise of unit variance, at lags 0, 1, ..., for a filter of these weights."""
+    """Of filtered white noise of unit variance, at lags 0, 1, ..., for a filter of these
+    weights.
+    """
     w = np.array(weights)
     return tuple(float(w[lag:] @ w[: len(w) - lag]) for lag in range(len(w)))
 
 
 @lru_cache(_KEPT)
 def cosine_variance(n: int, correlation: tuple[float, ...]) -> FloatArray:
-    """(n,) variances of the orthonormal DCT-II of a stationary series with autocovariance ``correlation`` at lags 0, 1, ...
+    """(n,) variances of the orthonormal DCT-II of a stationary series with autocovariance
+    ``correlation`` at lags 0, 1, ...
 
-    With T the autocovariance, 2 cos a cos b = cos(a - b) + cos(a + b) makes n times the variance of wave k > 0
+    With T the autocovariance, 2 cos a cos b = cos(a - b) + cos(a + b) makes n times the variance of
+    wave k > 0
 
         sum over d of (n - |d|) T_d cos(pi d k / n)  +  sum over s of W_s cos(pi s k / n)
 
@@ -88,11 +93,11 @@ def with_sensor_noise(
     std: Mapping[str, float],
     spread: Mapping[str, float] | None = None,
 ) -> Residuals:
-    """The residuals of a flight with the sensor noise of each piece; ``pieces`` and ``model`` as they were made with.
+    """The residuals of a flight with the sensor noise of each piece; ``pieces`` and ``model`` as
+    they were made with.
 
-    std: channel -> standard deviation of its white noise, in the record's unit; channels without a figure are noise-free.
-    spread: channel -> relative standard deviation of that figure.
-    """
+    std: channel -> standard deviation of its white noise, in the record's unit; channels without a
+    figure are noise-free. spread: channel -> relative standard deviation of that figure."""
     cutoffs = residuals.cutoffs
     record = steady_airspeed(record, cutoffs.airspeed_hz)
     sizes = {c: s for c, s in std.items() if np.isfinite(s) and s > 0.0}
@@ -105,7 +110,9 @@ def with_sensor_noise(
 
 
 def offset_records(record: FlightRecord, cutoffs: Cutoffs) -> list[FlightRecord]:
-    """The records at whose states `with_sensor_noise` asks the model, one for each channel that forces depend on."""
+    """The records at whose states `with_sensor_noise` asks the model, one for each channel that
+    forces depend on.
+    """
     steady = steady_airspeed(record, cutoffs.airspeed_hz)
     return [_offset(steady, c) for c in FORCED]
 
@@ -163,7 +170,9 @@ def _of_piece(
 
 @dataclass(frozen=True)
 class _Filters:
-    """Weights of the filters over m samples to either side, and of the airspeed's low-pass before them."""
+    """Weights of the filters over m samples to either side, and of the airspeed's low-pass before
+    them.
+    """
 
     dt_s: float
     m: int
@@ -181,7 +190,9 @@ class _Filters:
 def _differentiated(
     prediction: Prediction, arm: FloatArray, inner: slice, channel: str
 ) -> list[tuple[Way, FloatArray]]:
-    """Gain (n, 6) of a rate's noise by way of its derivative: into moments, and into forces where the sensors have an arm."""
+    """Gain (n, 6) of a rate's noise by way of its derivative: into moments, and into forces where
+    the sensors have an arm.
+    """
     mass = prediction.mass
     axis = RATES.index(channel)
     pressure = prediction.qbar[inner] * mass.S
@@ -198,7 +209,8 @@ def _differentiated(
 
 
 def with_noise_of(residuals: Residuals, other: Residuals) -> Residuals:
-    """Residuals of the same pieces behind another filter with the noise of ``other``: gains hardly depend on a filter.
+    """Residuals of the same pieces behind another filter with the noise of ``other``: gains hardly
+    depend on a filter.
 
     Both have the record's step. Raises ValueError where the pieces are not the same.
     """
@@ -242,7 +254,9 @@ def noise_variance(noise: PieceNoise) -> FloatArray:
 
 
 def noise_cosines(noise: PieceNoise) -> tuple[FloatArray, FloatArray]:
-    """(n, 6) variances of the noise's cosine transform (orthonormal DCT-II), gains at their rms; (6,) their relative spread."""
+    """(n, 6) variances of the noise's cosine transform (orthonormal DCT-II), gains at their rms;
+    (6,) their relative spread.
+    """
     out = np.zeros((noise.n, 6))
     spread: dict[str, FloatArray] = {}
     for p in noise.passages:
@@ -250,7 +264,8 @@ def noise_cosines(noise: PieceNoise) -> tuple[FloatArray, FloatArray]:
             p.gain**2, axis=0
         )
         out += added
-        # One figure's error is common to all ways of its channel; a variance is off by twice what a standard deviation is.
+        # One figure's error is common to all ways of its channel; a variance is off by twice what a
+        # standard deviation is.
         spread[p.channel] = spread.get(p.channel, np.zeros(6)) + 2.0 * p.spread * added.sum(axis=0)
     total = np.maximum(out.sum(axis=0), np.finfo(float).tiny)
     return out, np.sqrt(sum((v / total) ** 2 for v in spread.values()) + np.zeros(6))

@@ -1,4 +1,6 @@
-"""Parameter estimation: equation error, output error, filter error, stepwise regression, and what their bounds are worth."""
+"""Parameter estimation: equation error, output error, filter error, stepwise regression, and what
+their bounds are worth.
+"""
 
 import lazy_loader
 

@@ -1,17 +1,19 @@
 """Standard errors under coloured residuals.
 
-Morelli, E. A. and Klein, V., "Determining the Accuracy of Maximum Likelihood Parameter Estimates with Colored
-Residuals", NASA CR 194893 (1994), and "Accuracy of Aerodynamic Model Parameters Estimated from Flight Test Data",
-Journal of Guidance, Control, and Dynamics 20(1), 1997: the estimate's covariance is
+Morelli, E. A. and Klein, V., "Determining the Accuracy of Maximum Likelihood Parameter Estimates
+with Colored Residuals", NASA CR 194893 (1994), and "Accuracy of Aerodynamic Model Parameters
+Estimated from Flight Test Data", Journal of Guidance, Control, and Dynamics 20(1), 1997: the
+estimate's covariance is
 
-    cov = D [ sum_i sum_j S(i)' R^-1 Rvv(i-j) R^-1 S(j) ] D,      D = (sum_i S(i)' R^-1 S(i))^-1             (MK)
+    cov = D [ sum_i sum_j S(i)' R^-1 Rvv(i-j) R^-1 S(j) ] D,      D = (sum_i S(i)' R^-1 S(i))^-1
+    (MK)
 
-with Rvv the biased autocovariance of the residual. Summed over every lag, the sample autocovariance sees the residual's
-periodogram exactly where the fit has removed it (for a constant sensitivity the sum is identically zero), so the bound
-would come out too small. Here the biased autocovariance is kept up to a lag p chosen by the Schwarz criterion and
-continued to all further lags by its maximum-entropy (autoregressive) extension; what then still links different outputs
-is kept over a few tapered lags. The double sum is evaluated as an integral over frequency.
-"""
+with Rvv the biased autocovariance of the residual. Summed over every lag, the sample autocovariance
+sees the residual's periodogram exactly where the fit has removed it (for a constant sensitivity the
+sum is identically zero), so the bound would come out too small. Here the biased autocovariance is
+kept up to a lag p chosen by the Schwarz criterion and continued to all further lags by its
+maximum-entropy (autoregressive) extension; what then still links different outputs is kept over a
+few tapered lags. The double sum is evaluated as an integral over frequency."""
 
 from __future__ import annotations
 
@@ -31,11 +33,12 @@ CROSS_LAGS = (
 
 
 def autocovariance(segments: list[FloatArray], max_lag: int) -> FloatArray:
-    """Biased autocovariance at lags 0..max_lag of one series in segments (n,), NaN = missing; unit squared.
+    """Biased autocovariance at lags 0..max_lag of one series in segments (n,), NaN = missing; unit
+    squared.
 
-    Lag products never cross segments. With samples missing, each lag is averaged over the pairs that exist and then
-    given the bias factor of the complete record, which keeps multi-rate channels meaningful.
-    """
+    Lag products never cross segments. With samples missing, each lag is averaged over the pairs
+    that exist and then given the bias factor of the complete record, which keeps multi-rate
+    channels meaningful."""
     products, pairs, complete = np.zeros(max_lag + 1), np.zeros(max_lag + 1), np.zeros(max_lag + 1)
     for series in segments:
         size = 1 << int(2 * series.size - 1).bit_length()
@@ -52,11 +55,11 @@ def autocovariance(segments: list[FloatArray], max_lag: int) -> FloatArray:
 
 
 def autoregression(covariance: FloatArray, n: int) -> tuple[FloatArray, float]:
-    """Coefficients a (p,) of v(t) = sum a_i v(t-i) + e and var(e): Levinson's recursion, Schwarz's criterion.
+    """Coefficients a (p,) of v(t) = sum a_i v(t-i) + e and var(e): Levinson's recursion, Schwarz's
+    criterion.
 
-    covariance (L+1,) from lag 0; n samples behind it. A white series gets order 0. Orders beyond a lag at which the
-    sequence stops being positive definite (missing samples) are not considered.
-    """
+    covariance (L+1,) from lag 0; n samples behind it. A white series gets order 0. Orders beyond a
+    lag at which the sequence stops being positive definite (missing samples) are not considered."""
     variance = float(covariance[0])
     best, best_variance = np.zeros(0), variance
     if variance <= 0.0:
@@ -76,12 +79,16 @@ def autoregression(covariance: FloatArray, n: int) -> tuple[FloatArray, float]:
 
 
 def max_order(n: int) -> int:
-    """Longest autoregression considered for n samples; none below 32, too few to tell colour from chance."""
+    """Longest autoregression considered for n samples; none below 32, too few to tell colour from
+    chance.
+    """
     return int(min(10.0 * np.log10(n), n // 8)) if n >= 32 else 0
 
 
 def _innovations(segment: FloatArray, models: list[FloatArray]) -> FloatArray:
-    """The residual (n, m) filtered to white by its autoregressions; NaN where a needed sample is missing."""
+    """The residual (n, m) filtered to white by its autoregressions; NaN where a needed sample is
+    missing.
+    """
     out = np.full(segment.shape, np.nan)
     for channel, model in enumerate(models):
         order = model.size
@@ -92,7 +99,9 @@ def _innovations(segment: FloatArray, models: list[FloatArray]) -> FloatArray:
 
 
 def _cross_covariance(parts: list[FloatArray], max_lag: int) -> tuple[FloatArray, FloatArray]:
-    """Covariances (L+1, m, m) of e(t+l) with e(t), and the number of pairs behind each; NaN = missing."""
+    """Covariances (L+1, m, m) of e(t+l) with e(t), and the number of pairs behind each; NaN =
+    missing.
+    """
     m = parts[0].shape[1]
     total, pairs = np.zeros((max_lag + 1, m, m)), np.zeros((max_lag + 1, m, m))
     for part in parts:
@@ -106,7 +115,9 @@ def _cross_covariance(parts: list[FloatArray], max_lag: int) -> tuple[FloatArray
 
 
 def residual_models(residual: list[FloatArray]) -> tuple[list[FloatArray], FloatArray]:
-    """Per output the autoregression (p,) of the residual and its innovation variance (m,); (n, m) a segment."""
+    """Per output the autoregression (p,) of the residual and its innovation variance (m,); (n, m) a
+    segment.
+    """
     models, variances = [], []
     for channel in range(residual[0].shape[1]):
         series = [part[:, channel] for part in residual]
@@ -123,11 +134,11 @@ def residual_models(residual: list[FloatArray]) -> tuple[list[FloatArray], Float
 def coloured_information(
     sensitivity: list[FloatArray] | Blocks, residual: list[FloatArray]
 ) -> FloatArray:
-    """The bracket of (MK): (k, k), for sensitivities (n, m, k) and residuals (n, m), one pair a segment.
+    """The bracket of (MK): (k, k), for sensitivities (n, m, k) and residuals (n, m), one pair a
+    segment.
 
-    Both are expected divided by the noise's square root, so that white residuals of unit variance return sum S'S.
-    NaN in a residual marks a missing sample; its sensitivity must be zero.
-    """
+    Both are expected divided by the noise's square root, so that white residuals of unit variance
+    return sum S'S. NaN in a residual marks a missing sample; its sensitivity must be zero."""
     blocks = sensitivity if isinstance(sensitivity, Blocks) else Blocks.listed(sensitivity)
     m, k = residual[0].shape[1], blocks.k
     models, variances = residual_models(residual)
@@ -178,7 +189,8 @@ def coloured_information(
         shape *= np.sqrt(variances)
     bracket = np.zeros((k, k))
     for part, columns in blocks:
-        # (MK) by Parseval: sum_ij s(i)' r(i-j) s(j) = mean over frequency of S^H P S; padded, so not cyclic. P = R^H R.
+        # (MK) by Parseval: sum_ij s(i)' r(i-j) s(j) = mean over frequency of S^H P S; padded, so
+        # not cyclic. P = R^H R.
         wave = fft.rfft(part, size, axis=0)
         wave *= shape[:, :, None]
         flat = (wave if root is None else root @ wave).reshape(frequencies * m, columns.size)
@@ -189,7 +201,9 @@ def coloured_information(
 
 
 def _root(spectrum: FloatArray) -> FloatArray:
-    """R (F, m, m) with R^H R the nearest non-negative Hermitian matrices: estimated cross-spectra may stray below zero."""
+    """R (F, m, m) with R^H R the nearest non-negative Hermitian matrices: estimated cross-spectra
+    may stray below zero.
+    """
     values, vectors = np.linalg.eigh(spectrum)
     return np.asarray(
         np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.conj(np.swapaxes(vectors, 1, 2))
@@ -200,11 +214,12 @@ def _root(spectrum: FloatArray) -> FloatArray:
 
 
 def integral_time(pieces: Sequence[FloatArray]) -> float:
-    """Samples that count as one independent sample: 1 + 2 (r1 + r2 + ...) up to the first zero of the autocorrelation.
+    """Samples that count as one independent sample: 1 + 2 (r1 + r2 + ...) up to the first zero of
+    the autocorrelation.
 
-    pieces  [(n,)] of one zero-mean series; products never cross a join. The variance of the series' mean is this many times
-    that of as many independent samples (Bayley and Hammersley, J. R. Stat. Soc. Suppl. 8 (1946) 184). 1 for white noise or zeros.
-    """
+    pieces  [(n,)] of one zero-mean series; products never cross a join. The variance of the series'
+    mean is this many times that of as many independent samples (Bayley and Hammersley, J. R. Stat.
+    Soc. Suppl. 8 (1946) 184). 1 for white noise or zeros."""
     total, longest = 1.0, max(len(e) for e in pieces) // 3
     power = sum(float(e @ e) for e in pieces)
     for lag in range(1, longest):
@@ -220,7 +235,9 @@ def integral_time(pieces: Sequence[FloatArray]) -> float:
 
 
 def effective_samples(pieces: Sequence[FloatArray]) -> float:
-    """Independent samples that pieces of a series, taken about zero, are worth; at most their number."""
+    """Independent samples that pieces of a series, taken about zero, are worth; at most their
+    number.
+    """
     return sum(len(e) for e in pieces) / integral_time(pieces)
 
 
@@ -232,14 +249,17 @@ WHITENESS_LEVEL = (
 STRONG_SHARE = (
     0.15  # share of an output's residual predictable from its own past that counts as process noise
 )
-MOTION_SHARE = 0.6  # share of a residual that follows the simulated motion above which the model's form is suspected first
+# share of a residual that follows the simulated motion above which the model's form is suspected
+# first
+MOTION_SHARE = 0.6
 STRONG_RATIO = 1.7  # coloured over Cramer-Rao standard error, median, that counts as process noise
 
 
 @dataclass(frozen=True)
 class Colour:
-    """Per output (m,): Ljung-Box p-value, predictable share of the residual's variance, share of its power below a
-    tenth of the Nyquist frequency (0.1 if white), share explained by the simulated motion."""
+    """Per output (m,): Ljung-Box p-value, predictable share of the residual's variance, share of
+    its power below a tenth of the Nyquist frequency (0.1 if white), share explained by the
+    simulated motion."""
 
     p_value: FloatArray
     predictable: FloatArray
@@ -248,7 +268,9 @@ class Colour:
 
 
 def ljung_box(segments: list[FloatArray], lags: int) -> float:
-    """p-value of Ljung and Box's test (Biometrika 65, 1978): Q = n(n+2) sum r_l^2/(n-l) against chi-square(lags)."""
+    """p-value of Ljung and Box's test (Biometrika 65, 1978): Q = n(n+2) sum r_l^2/(n-l) against
+    chi-square(lags).
+    """
     n = int(sum(np.isfinite(part).sum() for part in segments))
     covariance = autocovariance(segments, lags)
     if covariance[0] <= 0.0 or n <= lags + 1:
@@ -269,8 +291,9 @@ def _slow_share(segments: list[FloatArray]) -> float:
 
 
 def _explained(residual: list[FloatArray], motion: list[FloatArray]) -> FloatArray:
-    """Adjusted share (m,) of each residual that is a quadratic function of the simulated motion (no cross products
-    beyond 6 outputs); what turbulence does is no function of it, what a wrong model does is."""
+    """Adjusted share (m,) of each residual that is a quadratic function of the simulated motion (no
+    cross products beyond 6 outputs); what turbulence does is no function of it, what a wrong model
+    does is."""
     stacked, outputs = np.concatenate(residual), np.concatenate(motion)
     m = outputs.shape[1]
     spread = outputs.std(axis=0)
@@ -292,7 +315,9 @@ def _explained(residual: list[FloatArray], motion: list[FloatArray]) -> FloatArr
 
 
 def colour(residual: list[FloatArray], motion: list[FloatArray] | None = None) -> Colour:
-    """Judge residuals (n, m), one array a segment, NaN = dropout; motion: the simulated outputs, same shapes."""
+    """Judge residuals (n, m), one array a segment, NaN = dropout; motion: the simulated outputs,
+    same shapes.
+    """
     m = residual[0].shape[1]
     n = min(
         int(np.isfinite(np.concatenate([part[:, c] for part in residual])).sum()) for c in range(m)
@@ -313,12 +338,12 @@ def colour(residual: list[FloatArray], motion: list[FloatArray] | None = None) -
 def colour_warnings(
     found: Colour, std: FloatArray, std_crb: FloatArray, method: str, *, calm_air: bool = False
 ) -> list[str]:
-    """One sentence of at most 60 words on residuals coloured enough to matter, [] when they are not.
+    """One sentence of at most 60 words on residuals coloured enough to matter, [] when they are
+    not.
 
-    Two conditions must meet: whiteness is rejected, and the colour is large enough to move the standard errors; so that
-    long records do not cry at trifles. With ``calm_air`` process noise has been ruled out by another
-    test and is not suspected.
-    """
+    Two conditions must meet: whiteness is rejected, and the colour is large enough to move the
+    standard errors; so that long records do not cry at trifles. With ``calm_air`` process noise has
+    been ruled out by another test and is not suspected."""
     m = found.p_value.size
     rejected = np.flatnonzero(found.p_value < WHITENESS_LEVEL / m)
     ratio = std / std_crb
@@ -350,7 +375,8 @@ def colour_warnings(
         cause, share = "process noise (turbulence) or the model's form", ""
     return [
         (
-            f"coloured residuals: suspect {cause}. Predictable from their past: {evidence}{share}. Standard errors allow "
-            f"for it ({median:.1f} times the Cramer-Rao bounds). {cure} (docs/estimators.md, Coloured residuals)."
+            f"coloured residuals: suspect {cause}. Predictable from their past: {evidence}{share}."
+            f" Standard errors allow for it ({median:.1f} times the Cramer-Rao bounds). {cure}"
+            " (docs/estimators.md, Coloured residuals)."
         )
     ]

@@ -1,7 +1,7 @@
 """Equation error: linear least squares with standard errors that hold under coloured residuals.
 
-Klein, V. and Morelli, E. A., "Aircraft System Identification" (2006), ch. 5; coloured residuals: coloured.py.
-"""
+Klein, V. and Morelli, E. A., "Aircraft System Identification" (2006), ch. 5; coloured residuals:
+coloured.py."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ RANK = 1e-12  # singular values of the column-scaled X below this share of the l
 
 
 def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """X (n, k) and y (n,), finite, n > k. Raises ValueError saying which rows or shapes are wrong."""
+    """X (n, k) and y (n,), finite, n > k.
+
+    Raises ValueError saying which rows or shapes are wrong.
+    """
     regressors, response = as_array(X, "X"), as_array(y, "y")
     if regressors.ndim == 1:
         regressors = regressors[:, None]
@@ -29,7 +32,8 @@ def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArr
         raise ValueError(f"X has shape {regressors.shape}; give (n samples, k regressors)")
     if response.shape != (regressors.shape[0],):
         raise ValueError(
-            f"y has shape {response.shape}, X has {regressors.shape[0]} rows; give one y for each row of X"
+            f"y has shape {response.shape}, X has {regressors.shape[0]} rows; give one y for each"
+            " row of X"
         )
     bad = ~np.isfinite(regressors).all(axis=1) | ~np.isfinite(response)
     if bad.any():
@@ -45,13 +49,17 @@ def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArr
 
 
 def segment_edges(segments: Sequence[int] | None, n: int) -> list[int]:
-    """Row numbers 0, ..., n between which records are continuous, from segment lengths. Raises ValueError."""
+    """Row numbers 0, ..., n between which records are continuous, from segment lengths.
+
+    Raises ValueError.
+    """
     if segments is None:
         return [0, n]
     lengths = [int(length) for length in segments]
     if not lengths or min(lengths) < 1 or sum(lengths) != n:
         raise ValueError(
-            f"segments has lengths {lengths} summing to {sum(lengths)}; they must be positive and sum to {n}"
+            f"segments has lengths {lengths} summing to {sum(lengths)}; they must be positive and"
+            f" sum to {n}"
         )
     return [0, *np.cumsum(lengths).tolist()]
 
@@ -65,9 +73,10 @@ def equation_error(
 ) -> Regression:
     """Least squares of y on the columns of X; a constant term is a column of ones, none is added.
 
-    Solved by the singular value decomposition of X with columns scaled to unit length. Columns that are zero or exact
-    combinations of others are "not-identified": theta 0 for a zero column, the smallest-norm share for a collinear one,
-    std NaN, reason naming the partners; the rest is estimated as if they were settled.
+    Solved by the singular value decomposition of X with columns scaled to unit length. Columns that
+    are zero or exact combinations of others are "not-identified": theta 0 for a zero column, the
+    smallest-norm share for a collinear one, std NaN, reason naming the partners; the rest is
+    estimated as if they were settled.
 
     Parameters
     ----------
@@ -78,31 +87,26 @@ def equation_error(
     names : sequence of str, optional
         k unique names; by default x0, x1, ...
     segments : sequence of int, optional
-        Lengths of continuous records stacked in X and y, so that no correlation is sought across their joins.
+        Lengths of continuous records stacked in X and y, so that no correlation is sought across
+        their joins.
 
     Returns
     -------
     Regression
-        ``theta``, ``std`` (k,) corrected for coloured residuals, ``cov`` (k, k), ``residual`` (n,), ``status`` and ``reason``.
+        ``theta``, ``std`` (k,) corrected for coloured residuals, ``cov`` (k, k), ``residual`` (n,),
+        ``status`` and ``reason``.
 
     Raises
     ------
     ValueError
         For shapes and names that disagree, n <= k, NaN or infinity in a row (rows are not dropped).
 
-    References
-    ----------
-    V. Klein, E. A. Morelli, Aircraft System Identification, 2006: regression, and standard errors for coloured residuals.
+    References ---------- V. Klein, E. A. Morelli, Aircraft System Identification, 2006: regression,
+    and standard errors for coloured residuals.
 
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import sysid
-    >>> x = np.linspace(0.0, 1.0, 50)
-    >>> fit = sysid.equation_error(np.column_stack([np.ones(50), x]), 1.0 + 2.0 * x, names=["bias", "slope"])
-    >>> [round(float(value), 6) for value in fit.theta]
-    [1.0, 2.0]
-    """
+    Examples -------- >>> import numpy as np >>> import sysid >>> x = np.linspace(0.0, 1.0, 50) >>>
+    fit = sysid.equation_error(np.column_stack([np.ones(50), x]), 1.0 + 2.0 * x, names=["bias",
+    "slope"]) >>> [round(float(value), 6) for value in fit.theta] [1.0, 2.0]"""
     regressors, response = checked_regressors(X, y)
     n, k = regressors.shape
     labels = as_names(names, k, "x")
@@ -160,7 +164,9 @@ def equation_error(
 def _coloured(
     left: FloatArray, weights: FloatArray, residual: FloatArray, s2: float, edges: list[int]
 ) -> FloatArray:
-    """(MK) of coloured.py in the orthonormal columns of U, where D is the identity: cov = W [..] W' s2."""
+    """(MK) of coloured.py in the orthonormal columns of U, where D is the identity: cov = W [..] W'
+    s2.
+    """
     if not s2 > 0.0:
         return np.zeros((weights.shape[0], weights.shape[0]))
     pieces = [(left[a:b, None, :], residual[a:b, None]) for a, b in itertools.pairwise(edges)]
@@ -232,7 +238,8 @@ def _warnings(
     ratio = ratio[np.isfinite(ratio)]
     if p_value < WHITENESS_LEVEL and ratio.size and not 0.8 < float(np.median(ratio)) < 1.25:
         out.append(
-            f"coloured residual (Ljung-Box p = {p_value:.1g}): standard errors are {np.median(ratio):.2g} times the "
-            f"white ones (median; largest {ratio.max():.2g}); use std, not std_white"
+            f"coloured residual (Ljung-Box p = {p_value:.1g}): standard errors are"
+            f" {np.median(ratio):.2g} times the white ones (median; largest {ratio.max():.2g}); use"
+            " std, not std_white"
         )
     return out

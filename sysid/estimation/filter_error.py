@@ -1,15 +1,18 @@
-"""Filter error: maximum likelihood for process and measurement noise, by the innovations of an extended Kalman filter.
+"""Filter error: maximum likelihood for process and measurement noise, by the innovations of an
+extended Kalman filter.
 
     J = 1/2 sum_i [e(i)' S(i)^-1 e(i) + ln det S(i)]
 
-over theta, the process noise Q, the logarithm of the measurement noise and, if asked, the initial states, by Fisher
-scoring:
+over theta, the process noise Q, the logarithm of the measurement noise and, if asked, the initial
+states, by Fisher scoring:
 
-    dJ/da   = sum e_a' S^-1 e + 1/2 tr(S^-1 S_a) - 1/2 e' S^-1 S_a S^-1 e                                  (gradient)
-    M_ab    = sum e_a' S^-1 e_b + 1/2 tr(S^-1 S_a S^-1 S_b)                                                (information)
+    dJ/da   = sum e_a' S^-1 e + 1/2 tr(S^-1 S_a) - 1/2 e' S^-1 S_a S^-1 e
+    (gradient)
+    M_ab    = sum e_a' S^-1 e_b + 1/2 tr(S^-1 S_a S^-1 S_b)
+    (information)
 
-Maine, R. E. and Iliff, K. W., NASA RP-1168 (1986), ch. 5-6; Jategaonkar (2015), ch. 5; Astrom, Automatica 16 (1980).
-"""
+Maine, R. E. and Iliff, K. W., NASA RP-1168 (1986), ch. 5-6; Jategaonkar (2015), ch. 5; Astrom,
+Automatica 16 (1980)."""
 
 from __future__ import annotations
 
@@ -69,7 +72,8 @@ def read_record(
     for number, time in enumerate(times):
         if time.size < 2 or not (np.diff(time) > 0.0).all():
             raise ValueError(
-                f"t of segment {number} does not increase at every sample (or has fewer than 2); sort or split it"
+                f"t of segment {number} does not increase at every sample (or has fewer than 2);"
+                " sort or split it"
             )
     each = (
         is_many(x0) or np.ndim(x0) == 2
@@ -77,7 +81,8 @@ def read_record(
     starts = [as_parameters(part, "x0") for part in (x0 if each else [x0] * len(lengths))]
     if len(starts) != len(lengths) or any(part.size != starts[0].size for part in starts):
         raise ValueError(
-            f"x0 has {len(starts)} vectors of {[p.size for p in starts]}, z has {len(lengths)} segments; match them"
+            f"x0 has {len(starts)} vectors of {[p.size for p in starts]}, z has {len(lengths)}"
+            " segments; match them"
         )
     longest, s = max(lengths), len(lengths)
     U = np.zeros((longest, inputs[0].shape[1], s))
@@ -99,7 +104,8 @@ def _middle(u_middle: Any, inputs: list[FloatArray], longest: int) -> FloatArray
     wanted = [(part.shape[0] - 1, part.shape[1]) for part in inputs]
     if [part.shape for part in found] != wanted:
         raise ValueError(
-            f"u_middle has segments of shape {[part.shape for part in found]}; half-way between the samples of u there are {wanted}"
+            f"u_middle has segments of shape {[part.shape for part in found]}; half-way between the"
+            f" samples of u there are {wanted}"
         )
     out = np.zeros((longest - 1, inputs[0].shape[1], len(inputs)))
     for index, part in enumerate(found):
@@ -122,7 +128,10 @@ def noisy_states(chosen: Any, nx: int) -> NDArray[np.intp]:
 
 
 def positive_vector(value: ArrayLike, size: int, what: str) -> FloatArray:
-    """``value`` as a vector (size,) of finite positive numbers; one number serves all. Raises ValueError that names ``what``."""
+    """``value`` as a vector (size,) of finite positive numbers; one number serves all.
+
+    Raises ValueError that names ``what``.
+    """
     vector = np.broadcast_to(as_array(value, what), (size,)).astype(float)
     if not (np.isfinite(vector).all() and (vector > 0.0).all()):
         raise ValueError(f"{what} is {vector.tolist()}; give {size} positive numbers")
@@ -137,7 +146,9 @@ def output_spread(record: Record) -> FloatArray:
 
 
 def measurement_noise(record: Record) -> FloatArray:
-    """First guess (m,) from third differences, which smooth motion does not reach: var = 20 sigma^2."""
+    """First guess (m,) from third differences, which smooth motion does not reach: var = 20
+    sigma^2.
+    """
     out = np.empty(record.z.shape[1])
     spread = output_spread(record)
     for channel in range(out.size):
@@ -152,7 +163,9 @@ def measurement_noise(record: Record) -> FloatArray:
 def state_scale(
     model: Model, record: Record, theta: FloatArray, initial: FloatArray, spread: FloatArray
 ) -> FloatArray:
-    """How far (nx,) each state may be off: the change that moves an output by its own spread; else its size, or 1."""
+    """How far (nx,) each state may be off: the change that moves an output by its own spread; else
+    its size, or 1.
+    """
     nx = model.states
     scale = np.empty(nx)
     x, u = initial[:, :1], record.u[0, :, :1]
@@ -177,9 +190,9 @@ def state_scale(
 class Layout:
     """Order of the vector: free theta, Q of noisy states, ln r, initial states segment by segment.
 
-    Q enters as a variance with zero as its bound: there its gradient tells whether the data want any (as a logarithm it
-    would run away along a flat valley), and Fisher scoring is nearly exact in variances. R has no such bound.
-    """
+    Q enters as a variance with zero as its bound: there its gradient tells whether the data want
+    any (as a logarithm it would run away along a flat valley), and Fisher scoring is nearly exact
+    in variances. R has no such bound."""
 
     theta0: FloatArray
     columns: NDArray[np.intp]
@@ -200,7 +213,9 @@ class Layout:
         return slice(self.process.stop, self.process.stop + self.outputs)
 
     def pack(self, theta: FloatArray, q: FloatArray, r: FloatArray, x0: FloatArray) -> FloatArray:
-        """The search's vector from parameters (k,), process noise (nx,), noise (ny,) and start states (segments, nx)."""
+        """The search's vector from parameters (k,), process noise (nx,), noise (ny,) and start
+        states (segments, nx).
+        """
         parts = [theta[self.columns], q[self.noisy], np.log(r)]
         return np.concatenate([*parts, x0.T.ravel()] if self.with_x0 else parts)
 
@@ -220,7 +235,9 @@ class Layout:
     def limits(
         self, lower: FloatArray, upper: FloatArray, scale: FloatArray, spread: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Bounds of the whole vector: Q up to (a thousand states' scales)^2, r within 1e-5 and 10 of the spread."""
+        """Bounds of the whole vector: Q up to (a thousand states' scales)^2, r within 1e-5 and 10
+        of the spread.
+        """
         low = [lower[self.columns], np.zeros(self.noisy.size), np.log(1e-5 * spread)]
         high = [upper[self.columns], (1e3 * scale[self.noisy]) ** 2, np.log(1e1 * spread)]
         extra = [np.full(self.segments * self.states, np.inf)] if self.with_x0 else []
@@ -253,8 +270,8 @@ LOG_STEP = 1e-3
 
 @dataclass
 class State:
-    """Innovations at a point; e, s and e/sqrt(s) (N, m) by rows, N = n x segments, segment-major; and, once linearised, the
-    whitened derivatives of e (N, m, K)."""
+    """Innovations at a point; e, s and e/sqrt(s) (N, m) by rows, N = n x segments, segment-major;
+    and, once linearised, the whitened derivatives of e (N, m, K)."""
 
     base: Innovations
     e: FloatArray
@@ -265,7 +282,9 @@ class State:
 
 @dataclass
 class Sensitivities:
-    """Derivatives of e and s, dE and dS (N, m, K), at a point with its e and s; what the secant updates hold on to."""
+    """Derivatives of e and s, dE and dS (N, m, K), at a point with its e and s; what the secant
+    updates hold on to.
+    """
 
     vector: FloatArray
     e: FloatArray
@@ -282,7 +301,9 @@ def _cost(white: FloatArray, s: FloatArray) -> float:
 
 @dataclass
 class FilterProblem:
-    """The cost over the packed vector; keeps the adapted difference steps and counts the filter runs."""
+    """The cost over the packed vector; keeps the adapted difference steps and counts the filter
+    runs.
+    """
 
     model: Model
     record: Record
@@ -374,15 +395,16 @@ class FilterProblem:
         return step
 
     def linearise(self, vector: FloatArray, state: State, central: bool) -> Linearisation:
-        """Gradient and information of the module's equations at a point whose innovations are given.
+        """Gradient and information of the module's equations at a point whose innovations are
+        given.
 
-        The derivatives of e and s are those of the last point, carried on by Broyden's update (Math. Comp. 19, 1965)
+        The derivatives of e and s are those of the last point, carried on by Broyden's update
+        (Math. Comp. 19, 1965)
 
             D += (dy - D d) (M d)' / (d' M d)
 
-        which costs no filter run; they are differenced anew, forwards, when that has been done CARRIED times, when the search
-        nears its end and at a point asked for twice.
-        """
+        which costs no filter run; they are differenced anew, forwards, when that has been done
+        CARRIED times, when the search nears its end and at a point asked for twice."""
         near = self._carry(vector, state, central)
         if near is None:
             return self._anew(vector, state, False)
@@ -418,7 +440,9 @@ class FilterProblem:
         return Linearisation(gradient, information, predict)
 
     def _carry(self, vector: FloatArray, state: State, central: bool) -> bool | None:
-        """Derivatives carried on: True near where they were differenced, False far from there, None: not possible."""
+        """Derivatives carried on: True near where they were differenced, False far from there,
+        None: not possible.
+        """
         last = self._last
         if last is None or self._fresh is None or self._updates >= CARRIED:
             return None
@@ -515,7 +539,8 @@ class FilterProblem:
         return again
 
     def whitened(self, state: State) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Per segment: sensitivities of the innovations (n, m, K), zero where missing; white innovations, NaN there.
+        """Per segment: sensitivities of the innovations (n, m, K), zero where missing; white
+        innovations, NaN there.
 
         The sign is that of a model output's sensitivity, minus the innovation's.
         """
@@ -552,7 +577,8 @@ def assemble(
     every_name = layout.names(labels)
     gate = assess(line.information[np.ix_(inside, inside)], tuple(every_name[i] for i in inside))
     pieces, whites = problem.whitened(again[1])
-    # (MK) of coloured.py for the innovations' share of the information; the covariances' share is left as it is.
+    # (MK) of coloured.py for the innovations' share of the information; the covariances' share is
+    # left as it is.
     sensitivities = [piece[:, :, inside] for piece in pieces]
     plain = np.zeros((inside.size, inside.size))
     for piece in sensitivities:
@@ -668,19 +694,22 @@ def filter_error(
     tolerance: float = 1e-2,
     told: Told | None = None,
 ) -> FilterErrorFit:
-    """Estimate theta (k,) of dx/dt = f(x, u, theta) + w, z = g(x, u, theta) + v from flights in turbulence.
+    """Estimate theta (k,) of dx/dt = f(x, u, theta) + w, z = g(x, u, theta) + v from flights in
+    turbulence.
 
     Parameters
     ----------
     f, g : callable
-        Vectors in, vectors out: x (nx,), u (nu,), theta (k,). Written with elementwise operations on x[i], u[i], theta[i]
-        (no branching on values) they are evaluated for many parameter sets at once: faster.
+        Vectors in, vectors out: x (nx,), u (nu,), theta (k,). Written with elementwise operations
+        on x[i], u[i], theta[i] (no branching on values) they are evaluated for many parameter sets
+        at once: faster.
     x0 : array_like
         (nx,) initial state, or a list, one a segment.
     theta0 : array_like
         (k,) start.
     u, z, t : array_like
-        (n, nu), (n, m), (n,) [s], or lists of them, one a segment; NaN in z is a dropout. u may be None.
+        (n, nu), (n, m), (n,) [s], or lists of them, one a segment; NaN in z is a dropout. u may be
+        None.
     names, bounds, free
         Of theta, as in `output_error`.
     process_noise : sequence, optional
@@ -688,34 +717,36 @@ def filter_error(
     process_noise_start, noise_start : array_like, optional
         (nx,) and (m,) starting standard deviations [state unit per sqrt(s); output unit].
     x0_std : array_like, optional
-        (nx,) uncertainty of x0; by default as wide as the outputs' own spread, so that x0 matters little.
+        (nx,) uncertainty of x0; by default as wide as the outputs' own spread, so that x0 matters
+        little.
     estimate_x0 : bool
         Estimate the initial states too (one set a segment); x0_std then defaults to a thousandth.
     hold : {"linear", "zoh"}
         Inputs between samples: interpolated (measured surfaces) or held (commands).
     u_middle : array_like, optional
-        (n-1, nu), or a list: inputs half-way between samples where they are known better than by `hold`.
+        (n-1, nu), or a list: inputs half-way between samples where they are known better than by
+        `hold`.
     jacobian_every : int
         Renew the filter's Jacobians at every so many samples (4: a tenth of a second at 40 Hz).
     max_iterations, tolerance
         Stop when the next step is shorter than `tolerance` standard errors.
     told : callable, optional
-        Called in each iteration of a descent with its number and the length of the next step in standard errors.
+        Called in each iteration of a descent with its number and the length of the next step in
+        standard errors.
 
     Returns
     -------
     FilterErrorFit
-        As `output_error` gives, ``residual`` being the innovations, plus ``process_noise_cov`` (nx, nx).
+        As `output_error` gives, ``residual`` being the innovations, plus ``process_noise_cov`` (nx,
+        nx).
 
     Raises
     ------
     ValueError
         For inputs that disagree, times that do not increase, models that fail at x0, theta0.
 
-    References
-    ----------
-    R. E. Maine, K. W. Iliff, NASA RP-1168, 1986, chapters 5 and 6. R. V. Jategaonkar, Flight Vehicle System Identification, 2015,
-    chapter 5.
+    References ---------- R. E. Maine, K. W. Iliff, NASA RP-1168, 1986, chapters 5 and 6. R. V.
+    Jategaonkar, Flight Vehicle System Identification, 2015, chapter 5.
 
     Examples
     --------
@@ -724,12 +755,10 @@ def filter_error(
     >>> rng, t = np.random.default_rng(1), 0.05 * np.arange(400)
     >>> u, x = np.sign(np.sin(t))[:, None], np.zeros((400, 1))
     >>> for k in range(399):
-    ...     x[k + 1] = x[k] + 0.05 * (-1.0 * x[k] + 2.0 * u[k]) + 0.02 * rng.standard_normal(1)
-    >>> z = x + 0.05 * rng.standard_normal(x.shape)
-    >>> fit = sysid.filter_error(lambda x, u, p: [p[0] * x[0] + p[1] * u[0]], lambda x, u, p: [x[0]], [0.0], [-0.5, 1.0], u, z, t)
-    >>> bool(np.all(np.abs(fit.theta - [-1.0, 2.0]) < 4.0 * fit.std))
-    True
-    """
+    ...     x[k + 1] = x[k] + 0.05 * (-1.0 * x[k] + 2.0 * u[k]) + 0.02 * rng.standard_normal(1) >>>
+    z = x + 0.05 * rng.standard_normal(x.shape) >>> fit = sysid.filter_error(lambda x, u, p: [p[0] *
+    x[0] + p[1] * u[0]], lambda x, u, p: [x[0]], [0.0], [-0.5, 1.0], u, z, t) >>>
+    bool(np.all(np.abs(fit.theta - [-1.0, 2.0]) < 4.0 * fit.std)) True"""
     theta = as_parameters(theta0)
     labels = as_names(names, theta.size, "theta")
     lower, upper = as_bounds(bounds, theta, labels)
@@ -746,11 +775,13 @@ def filter_error(
     counts = np.isfinite(record.z).sum(axis=(0, 2))
     if (counts == 0).any():
         raise ValueError(
-            f"z output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave them out"
+            f"z output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave"
+            " them out"
         )
     if counts.sum() <= columns.size:
         raise ValueError(
-            f"{int(counts.sum())} measured values for {columns.size} parameters; measure more or free fewer"
+            f"{int(counts.sum())} measured values for {columns.size} parameters; measure more or"
+            " free fewer"
         )
     model = make_model(f, g, initial[:, 0], record.u[0, :, 0], theta, m)
     noisy = noisy_states(process_noise, nx)
@@ -815,9 +846,9 @@ def _from(
 ) -> Minimum:
     """The minimum reached from a packed point at which the filter works.
 
-    Far from the answer a likelihood gains most by calling the model's errors measurement noise, and then looks no further.
-    With R held near what the data's third differences show, the filter stays with the data and theta comes near first.
-    """
+    Far from the answer a likelihood gains most by calling the model's errors measurement noise, and
+    then looks no further. With R held near what the data's third differences show, the filter stays
+    with the data and theta comes near first."""
     logs = problem.layout.logs
     near_low, near_high = low.copy(), high.copy()
     near_low[logs] = np.maximum(low[logs], point[logs] - NEAR_NOISE)
@@ -840,10 +871,11 @@ def _from_high_gain(
     tolerance: float,
     max_iterations: int,
 ) -> Minimum | None:
-    """The minimum reached with theta from one-step predictions: so much process noise q (nx,) that every step starts from the data.
+    """The minimum reached with theta from one-step predictions: so much process noise q (nx,) that
+    every step starts from the data.
 
-    They are nearly linear in theta however far off it is, where the likelihood itself may have valleys of its own.
-    """
+    They are nearly linear in theta however far off it is, where the likelihood itself may have
+    valleys of its own."""
     layout = problem.layout
     noisy = point.copy()
     noisy[layout.process] = np.clip(q[layout.noisy], low[layout.process], high[layout.process])

@@ -1,4 +1,6 @@
-"""How far a model is from a flight: root mean squares against noise, Theil's inequality, time shifts, worst moments. Pure."""
+"""How far a model is from a flight: root mean squares against noise, Theil's inequality, time
+shifts, worst moments. Pure.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,11 @@ import numpy as np
 from sysid.arrays import FloatArray
 from sysid.estimation.coloured_residuals import STRONG_SHARE, WHITENESS_LEVEL, colour, integral_time
 
-FORM_SHARE = 0.6  # share of a residual that is a function of the motion above which the model's form is to blame
+# share of a residual that is a function of the motion above which the model's form is to blame
+FORM_SHARE = 0.6
 
-QUIET_SHARE = 0.5  # residual power beyond noise in quiet flight, over that in motion, above which the air is to blame
+# residual power beyond noise in quiet flight, over that in motion, above which the air is to blame
+QUIET_SHARE = 0.5
 
 
 NOISE_FLOOR = 1.15
@@ -26,19 +30,23 @@ def rms(values: FloatArray) -> float:
 
 
 def white_noise(pieces: Sequence[FloatArray]) -> float:
-    """Standard deviation of a channel's white noise, from third differences of its finite samples; NaN below 8 samples.
+    """Standard deviation of a channel's white noise, from third differences of its finite samples;
+    NaN below 8 samples.
 
-    A third difference takes out any motion that is quadratic over four samples and multiplies the noise's variance by 20.
-    """
+    A third difference takes out any motion that is quadratic over four samples and multiplies the
+    noise's variance by 20."""
     squares = [np.diff(p[np.isfinite(p)], 3) ** 2 for p in pieces if np.isfinite(p).sum() >= 8]
     if not squares:
         return float("nan")
-    # Median of squares: steps of surfaces and other sudden motion are few samples, and must not count as noise.
+    # Median of squares: steps of surfaces and other sudden motion are few samples, and must not
+    # count as noise.
     return float(np.sqrt(np.median(np.concatenate(squares)) / 0.454936 / 20.0))
 
 
 def quantum(pieces: Sequence[FloatArray]) -> float:
-    """Size of the steps in which a channel's samples move; 0 for one that takes any value, or never moves."""
+    """Size of the steps in which a channel's samples move; 0 for one that takes any value, or never
+    moves.
+    """
     steps = [np.abs(np.diff(p[np.isfinite(p)])) for p in pieces]
     together = np.concatenate(steps) if steps else np.zeros(0)
     moving = together[together > 0.0]
@@ -56,12 +64,12 @@ _RESOLUTION = 1e-6  # of a channel's size: what a record's numbers tell at best
 def channel_noise(
     data: Sequence[FloatArray], channels: Sequence[str], card: Mapping[str, float]
 ) -> dict[str, float]:
-    """Noise of each channel: what its own samples show, what the card says of the sensor, and what its steps hide: the largest.
+    """Noise of each channel: what its own samples show, what the card says of the sensor, and what
+    its steps hide: the largest.
 
-    Attitudes of an autopilot are filtered and look cleaner than they are true; there the card's figure counts. Steps of size q
-    hide an error of variance q^2/12. Nothing is known better than to a
-    millionth: no noise is zero. NaN for a channel without samples.
-    """
+    Attitudes of an autopilot are filtered and look cleaner than they are true; there the card's
+    figure counts. Steps of size q hide an error of variance q^2/12. Nothing is known better than to
+    a millionth: no noise is zero. NaN for a channel without samples."""
     out = {}
     for k, name in enumerate(channels):
         pieces = [block[:, k] for block in data]
@@ -77,17 +85,20 @@ def channel_noise(
 
 
 _SMALLEST = 1e-2
-"""Size of a channel that stands at zero: of angles in rad, rates in rad/s and speeds in m/s alike."""
+"""Size of a channel that stands at zero: of angles in rad, rates in rad/s and speeds in m/s
+alike.
+"""
 
 
 def quiet_share(
     residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray
 ) -> FloatArray:
-    """(m,) power beyond noise (m,) of each residual while the aircraft moves little, over that while it moves much.
+    """(m,) power beyond noise (m,) of each residual while the aircraft moves little, over that
+    while it moves much.
 
-    1 is what turbulence gives, which does not wait for manoeuvres; 0 what a wrong model or a late surface gives. The halves
-    are those of the simulated motion's speed of change, all channels together.
-    """
+    1 is what turbulence gives, which does not wait for manoeuvres; 0 what a wrong model or a late
+    surface gives. The halves are those of the simulated motion's speed of change, all channels
+    together."""
     spread = np.concatenate(list(motion)).std(axis=0)
     spread = np.where(spread > 0.0, spread, 1.0)
     speed = np.concatenate(
@@ -105,11 +116,11 @@ def quiet_share(
 def process_noise_shown(
     residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray
 ) -> bool:
-    """True when residuals are coloured, are no function of the simulated motion and are there in quiet flight too: turbulence.
+    """True when residuals are coloured, are no function of the simulated motion and are there in
+    quiet flight too: turbulence.
 
-    One channel may be a function of the motion in gusty air as well, where a sensor's scale is wrong, or a force is: then half of
-    all channels must be as turbulence leaves them.
-    """
+    One channel may be a function of the motion in gusty air as well, where a sensor's scale is
+    wrong, or a force is: then half of all channels must be as turbulence leaves them."""
     found = colour(list(residual), list(motion))
     strong = (found.p_value < WHITENESS_LEVEL / len(found.p_value)) & (
         found.predictable > STRONG_SHARE
@@ -121,7 +132,9 @@ def process_noise_shown(
 
 @dataclass(frozen=True)
 class Theil:
-    """Theil's inequality coefficient, 0 perfect to 1, and what it is made of (shares that add up to 1)."""
+    """Theil's inequality coefficient, 0 perfect to 1, and what it is made of (shares that add up to
+    1).
+    """
 
     u: float
     bias: float
@@ -130,7 +143,10 @@ class Theil:
 
 
 def theil(measured: FloatArray, modelled: FloatArray) -> Theil:
-    """Over the samples where both are finite. Theil, "Economic Forecasts and Policy" (1961); Jategaonkar (2015), ch. 11."""
+    """Over the samples where both are finite.
+
+    Theil, "Economic Forecasts and Policy" (1961); Jategaonkar (2015), ch. 11.
+    """
     good = np.isfinite(measured) & np.isfinite(modelled)
     z, y = measured[good], modelled[good]
     error = float(np.mean((z - y) ** 2)) if z.size else float("nan")
@@ -144,7 +160,9 @@ def theil(measured: FloatArray, modelled: FloatArray) -> Theil:
 
 @dataclass(frozen=True)
 class Shift:
-    """How late the measured channel comes after the model's, s, its standard error, and whether that is worth a word."""
+    """How late the measured channel comes after the model's, s, its standard error, and whether
+    that is worth a word.
+    """
 
     seconds: float
     std: float
@@ -156,10 +174,11 @@ def time_shift(
     dt_s: float,
     at_most_s: float = 0.2,
 ) -> Shift:
-    """Delay tau that makes modelled(t - tau) fit measured(t) best, by Gauss-Newton on the model's slope, offset left free.
+    """Delay tau that makes modelled(t - tau) fit measured(t) best, by Gauss-Newton on the model's
+    slope, offset left free.
 
-    The standard error allows for coloured residuals by their integral time. NaN when the model does not move.
-    """
+    The standard error allows for coloured residuals by their integral time. NaN when the model does
+    not move."""
     tau = 0.0
     for _ in range(8):
         top = bottom = 0.0
@@ -193,7 +212,9 @@ def time_shift(
 def worst(
     residual: FloatArray, time_s: FloatArray, noise: float, count: int, apart_s: float
 ) -> list[tuple[float, float]]:
-    """(time, residual) of the ``count`` largest residuals in units of noise, at least ``apart_s`` from one another."""
+    """(time, residual) of the ``count`` largest residuals in units of noise, at least ``apart_s``
+    from one another.
+    """
     size = np.where(np.isfinite(residual), np.abs(residual), -1.0) / (noise if noise > 0 else 1.0)
     out: list[tuple[float, float]] = []
     for k in np.argsort(-size):

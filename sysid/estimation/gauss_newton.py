@@ -1,9 +1,10 @@
-"""Damped Gauss-Newton (Fisher scoring) on a negative log-likelihood, with bounds, that only ever goes down.
+"""Damped Gauss-Newton (Fisher scoring) on a negative log-likelihood, with bounds, that only ever
+goes down.
 
-Step: (M + lambda diag M) delta = g with M the information and g minus the gradient (Levenberg 1944, Marquardt 1963);
-lambda by gain ratio (Nielsen, IMM-REP-1999-05, Technical University of Denmark). Directions without information
-(identifiability.py) get no step. Parameters at a bound that the data push outwards are held there.
-"""
+Step: (M + lambda diag M) delta = g with M the information and g minus the gradient (Levenberg 1944,
+Marquardt 1963); lambda by gain ratio (Nielsen, IMM-REP-1999-05, Technical University of Denmark).
+Directions without information (identifiability.py) get no step. Parameters at a bound that the data
+push outwards are held there."""
 
 from __future__ import annotations
 
@@ -35,10 +36,11 @@ TRIALS_CARRIED = (
 
 @dataclass(frozen=True)
 class Linearisation:
-    """gradient (k,) of minus the cost, information (k, k), predict(delta): the cost the linearised model expects.
+    """gradient (k,) of minus the cost, information (k, k), predict(delta): the cost the linearised
+    model expects.
 
-    exact: good enough to call convergence by; fresh: differenced at this very point, not carried on from another.
-    """
+    exact: good enough to call convergence by; fresh: differenced at this very point, not carried on
+    from another."""
 
     gradient: FloatArray
     information: FloatArray
@@ -52,10 +54,15 @@ Told = Callable[[int, float], None]
 
 
 class Problem(Protocol[S]):
-    """A cost in k parameters; `evaluate` answers None where the model fails. An attribute ``told`` is called as Told says."""
+    """A cost in k parameters; `evaluate` answers None where the model fails.
+
+    An attribute ``told`` is called as Told says.
+    """
 
     def evaluate(self, theta: FloatArray) -> tuple[float, S] | None:
-        """Cost at ``theta`` (k,) and the state that :meth:`linearise` needs; None where the model cannot be run."""
+        """Cost at ``theta`` (k,) and the state that :meth:`linearise` needs; None where the model
+        cannot be run.
+        """
         ...
 
     def linearise(self, theta: FloatArray, state: S, central: bool) -> Linearisation:
@@ -65,8 +72,9 @@ class Problem(Protocol[S]):
 
 @dataclass(frozen=True)
 class Minimum:
-    """theta (k,), its cost, cost_history of accepted points, iterations, converged, decrement: the last undamped step's
-    expected length in standard errors; rejected: trial points refused; failed: those of them where the model failed."""
+    """theta (k,), its cost, cost_history of accepted points, iterations, converged, decrement: the
+    last undamped step's expected length in standard errors; rejected: trial points refused; failed:
+    those of them where the model failed."""
 
     theta: FloatArray
     cost: float
@@ -87,7 +95,9 @@ def damped_step(
     up: FloatArray,
     allowed: NDArray[np.bool_],
 ) -> FloatArray:
-    """The damped step (k,) within [-down, up]; those that would leave are put on their bound, the rest re-solved."""
+    """The damped step (k,) within [-down, up]; those that would leave are put on their bound, the
+    rest re-solved.
+    """
     k = gradient.size
     step, fixed = np.zeros(k), ~allowed
     for _ in range(k + 1):
@@ -121,7 +131,9 @@ def minimise(
     max_iterations: int,
     always_central: bool,
 ) -> Minimum:
-    """From theta0 (k,), whose evaluation is `start`, to where the undamped step is `tolerance` standard errors long."""
+    """From theta0 (k,), whose evaluation is `start`, to where the undamped step is `tolerance`
+    standard errors long.
+    """
     theta, (cost, state) = theta0.copy(), start
     history, damping, growth = [cost], DAMPING, 2.0
     rejected = failed = 0
@@ -197,7 +209,8 @@ def minimise(
                     0,
                 )  # forward differences may be what failed
                 continue
-            # With an imprecise simulation the slope never vanishes: close enough in standard errors is converged.
+            # With an imprecise simulation the slope never vanishes: close enough in standard errors
+            # is converged.
             converged = decrement < NEAR
             message = (
                 f"no step lowers the cost; the expected step is {significant(decrement)} standard "

@@ -1,14 +1,17 @@
-"""The linear Kalman filter along a linearised flight, and what extra coefficients and the start do to its innovations.
+"""The linear Kalman filter along a linearised flight, and what extra coefficients and the start do
+to its innovations.
 
-Samples of independent channels are taken one after the other (Astrom, Automatica 16, 1980; Bierman, Factorization Methods, 1977):
+Samples of independent channels are taken one after the other (Astrom, Automatica 16, 1980; Bierman,
+Factorization Methods, 1977):
 
-    e = z - h d,   s = h P h' + r,   K = P h'/s,   d+ = d + K e,   X+ = X - K (h X + D u),   P+ = P - K s K'
-    d' = Phi d+ + defect,   X' = Phi X+ + G0 u(k) + G1 u(k+1-),   P' = Phi P+ Phi' + process noise
+    e = z - h d,   s = h P h' + r,   K = P h'/s,   d+ = d + K e,   X+ = X - K (h X + D u),   P+ = P
+    - K s K' d' = Phi d+ + defect,   X' = Phi X+ + G0 u(k) + G1 u(k+1-),   P' = Phi P+ Phi' +
+    process noise
 
-X holds what the state does per unit of some extra coefficients u, and of the start state, which is unknown: its eight columns
-come first. u(k+1-) is u just before it jumps at the row k+1, if it does. e and h X + D u over sqrt(s) are the whitened
-innovations and their sensitivities. The gains do not depend on what was measured.
-"""
+X holds what the state does per unit of some extra coefficients u, and of the start state, which is
+unknown: its eight columns come first. u(k+1-) is u just before it jumps at the row k+1, if it does.
+e and h X + D u over sqrt(s) are the whitened innovations and their sensitivities. The gains do not
+depend on what was measured."""
 
 from __future__ import annotations
 
@@ -29,8 +32,8 @@ _AT_ONCE = 96
 
 @dataclass(frozen=True)
 class Process:
-    """Process noise of S segments: noise (S, 13) variances per second of the states, begin (S, 13) of those of the air at the
-    start."""
+    """Process noise of S segments: noise (S, 13) variances per second of the states, begin (S, 13)
+    of those of the air at the start."""
 
     noise: FloatArray
     begin: FloatArray
@@ -45,10 +48,10 @@ def gains(
 ) -> Gains:
     """Gains of a flight in an air.
 
-    noise (m,) standard deviations of the sensors; air: variances (13,) per second of the states' noise, and (13,) of the air at the
-    start; None for calm air, in which the state is not corrected: output error. Without ``every`` the whole variances are left out.
-    Raises LinAlgError where a variance is below zero or an unstable flight outgrows numbers.
-    """
+    noise (m,) standard deviations of the sensors; air: variances (13,) per second of the states'
+    noise, and (13,) of the air at the start; None for calm air, in which the state is not
+    corrected: output error. Without ``every`` the whole variances are left out. Raises LinAlgError
+    where a variance is below zero or an unstable flight outgrows numbers."""
     if air is None:
         spread = np.where(seen.there, noise**2, 1.0)
         return Gains(np.zeros(seen.H.shape), spread, spread)
@@ -64,8 +67,9 @@ def gains(
 def slopes(
     seen: Seen, by: Gains, innovations: FloatArray, variances: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Slopes of minus twice the log likelihood with variances: of the sensors (2, m), of the states' noise per second (2, 13), zero
-    where there is none, and of the start (2, 13); first those of its logarithm, then what its sum of squares takes away.
+    """Slopes of minus twice the log likelihood with variances: of the sensors (2, m), of the
+    states' noise per second (2, 13), zero where there is none, and of the start (2, 13); first
+    those of its logarithm, then what its sum of squares takes away.
 
     innovations (n, m), whitened, the start fitted; by and variances (13,) of `gains`.
     """
@@ -84,9 +88,9 @@ def _loops() -> ModuleType:
 
 @dataclass(frozen=True)
 class Whitened:
-    """innovations (n, m) and starts (n, m, 8) of the start states, columns (n, m, K) in single precision, each over the
-    innovations' deviations and zero where nothing was measured; path (n, x) predicted state less the reference, from what was
-    measured before."""
+    """innovations (n, m) and starts (n, m, 8) of the start states, columns (n, m, K) in single
+    precision, each over the innovations' deviations and zero where nothing was measured; path (n,
+    x) predicted state less the reference, from what was measured before."""
 
     innovations: FloatArray
     starts: FloatArray
@@ -133,7 +137,9 @@ def carried(
 
 
 def path_from(seen: Seen, by: Gains, begin: FloatArray) -> FloatArray:
-    """(n, x) predicted states less the reference, from what was measured before, of a flight that begins at ``begin`` (x,)."""
+    """(n, x) predicted states less the reference, from what was measured before, of a flight that
+    begins at ``begin`` (x,).
+    """
     n, m, size = seen.H.shape
     path, left = np.zeros((n, size)), np.zeros((n, m, 1))
     # The state goes through the gains less itself.
@@ -204,7 +210,9 @@ class Model:
         theta: FloatArray,
         dt: FloatArray,
     ) -> FloatArray:
-        """Runge-Kutta 4 from x, whose rate is k1, through inputs `middle`, half a step later, to u1."""
+        """Runge-Kutta 4 from x, whose rate is k1, through inputs `middle`, half a step later, to
+        u1.
+        """
         k2 = self.rate(x + 0.5 * dt * k1, middle, theta)
         k3 = self.rate(x + 0.5 * dt * k2, middle, theta)
         k4 = self.rate(x + dt * k3, u1, theta)
@@ -219,17 +227,19 @@ def make_model(
     theta: FloatArray,
     outputs: int,
 ) -> Model:
-    """The Model of f and g around x (nx,), u (nu,), theta (k,); finds out whether they broadcast over a lane axis.
+    """The Model of f and g around x (nx,), u (nu,), theta (k,); finds out whether they broadcast
+    over a lane axis.
 
-    Raises ValueError when f or g fail on single vectors, or return the wrong length or values that are not finite.
-    """
+    Raises ValueError when f or g fail on single vectors, or return the wrong length or values that
+    are not finite."""
     for name, function, rows in (("f", f, x.size), ("g", g, outputs)):
         try:
             value = np.asarray(function(x.copy(), u.copy(), theta.copy()), dtype=float)
         except Exception as error:
             raise ValueError(
-                f"{name}(x, u, theta) raised {type(error).__name__}: {error}, for x of {x.size}, u of {u.size}, "
-                f"theta of {theta.size} elements at the first sample; it must accept these"
+                f"{name}(x, u, theta) raised {type(error).__name__}: {error}, for x of {x.size}, u"
+                f" of {u.size}, theta of {theta.size} elements at the first sample; it must accept"
+                " these"
             ) from error
         if value.size != rows:
             raise ValueError(
@@ -237,7 +247,8 @@ def make_model(
             )
         if not np.isfinite(value).all():
             raise ValueError(
-                f"{name}(x, u, theta) is not finite at x0, theta0: {value.ravel().tolist()}; choose another start"
+                f"{name}(x, u, theta) is not finite at x0, theta0: {value.ravel().tolist()}; choose"
+                " another start"
             )
     lanes = next(
         size for size in (7, 11, 13, 17, 19) if size not in (x.size, u.size, theta.size, outputs)
@@ -272,10 +283,11 @@ def make_model(
 
 @dataclass(frozen=True)
 class Record:
-    """Segments padded to one length n: u (n, nu, s), z (n, m, s) with NaN where missing or padded, dt (n-1, s).
+    """Segments padded to one length n: u (n, nu, s), z (n, m, s) with NaN where missing or padded,
+    dt (n-1, s).
 
-    middle (n-1, nu, s): inputs half-way from each sample to the next; None: held ones u[k], others the mean of both ends.
-    """
+    middle (n-1, nu, s): inputs half-way from each sample to the next; None: held ones u[k], others
+    the mean of both ends."""
 
     u: FloatArray
     z: FloatArray
@@ -287,9 +299,10 @@ class Record:
 
 @dataclass(frozen=True)
 class Innovations:
-    """Per sample, output and lane (n, m, W), lanes = points x segments: raw, the innovation z - g(predicted x), NaN if
-    missing; e, what is new in an output given those before it in the same sample (0 where missing); s, its variance
-    (1 there). With S the covariance of the raw innovations, S = L L', e/sqrt(s) = L^-1 raw and ln det S = sum ln s."""
+    """Per sample, output and lane (n, m, W), lanes = points x segments: raw, the innovation z -
+    g(predicted x), NaN if missing; e, what is new in an output given those before it in the same
+    sample (0 where missing); s, its variance (1 there). With S the covariance of the raw
+    innovations, S = L L', e/sqrt(s) = L^-1 raw and ln det S = sum ln s."""
 
     raw: FloatArray
     e: FloatArray
@@ -309,11 +322,11 @@ def run_filter(
 ) -> Innovations | None:
     """Filter every point through every segment; None if a value stops being finite.
 
-    theta (k, P) parameters, q (nx, P) process-noise variances per second, r (m, P) measurement standard deviations,
-    x0 (nx, P, s), p0 (nx, nx) initial covariance, difference (nx,) state steps of the Jacobians, renewed each `every`.
-    The update takes the outputs one by one, which for uncorrelated noise is the joint update without an inverse
-    (Kaminski, Bryson and Schmidt, IEEE Trans. Automatic Control 16, 1971).
-    """
+    theta (k, P) parameters, q (nx, P) process-noise variances per second, r (m, P) measurement
+    standard deviations, x0 (nx, P, s), p0 (nx, nx) initial covariance, difference (nx,) state steps
+    of the Jacobians, renewed each `every`. The update takes the outputs one by one, which for
+    uncorrelated noise is the joint update without an inverse (Kaminski, Bryson and Schmidt, IEEE
+    Trans. Automatic Control 16, 1971)."""
     n, m, segments = record.z.shape
     points, nx = theta.shape[1], model.states
     lanes = points * segments
@@ -354,7 +367,8 @@ def run_filter(
                 s = np.einsum("aw,aw->w", h, PH) + R[j]
                 gain = PH / s
                 if not complete[k, j]:
-                    # A missing output: no innovation, no gain, unit variance: it adds nothing to the likelihood.
+                    # A missing output: no innovation, no gain, unit variance: it adds nothing to
+                    # the likelihood.
                     missing = np.isnan(raw[k, j])
                     e, s, gain = (
                         np.where(missing, 0.0, e),

@@ -1,12 +1,13 @@
-"""Compiled loops of the linear filter along one linearised flight, in factors of the covariance, P = U D U'.
+"""Compiled loops of the linear filter along one linearised flight, in factors of the covariance, P
+= U D U'.
 
-The channels of a sample are taken one after the other: with independent noise that is the whole sample at once, and its whitened
-innovations are those of a Cholesky root (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, section V.3).
-Noise of a step comes in by weighted Gram-Schmidt (Thornton's form, the same, section VI.4). No rounding makes a variance negative.
+The channels of a sample are taken one after the other: with independent noise that is the whole
+sample at once, and its whitened innovations are those of a Cholesky root (Bierman, Factorization
+Methods for Discrete Sequential Estimation, 1977, section V.3). Noise of a step comes in by weighted
+Gram-Schmidt (Thornton's form, the same, section VI.4). No rounding makes a variance negative.
 
-Inner loops run over all states, whose number is known when they are compiled, or along rows of memory: both become vector
-instructions without a sum being taken in another order.
-"""
+Inner loops run over all states, whose number is known when they are compiled, or along rows of
+memory: both become vector instructions without a sum being taken in another order."""
 
 from __future__ import annotations
 
@@ -23,8 +24,9 @@ from sysid.linalg import compiled
 
 @compiled
 def follow(seen, r, q, begin, every):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Gains along a flight ``seen``, as `Gains` has them: variances r (m,) of the sensors, q (13,) per second of the states' noise,
-    begin (13,) of the start. The whole variances with ``every``."""
+    """Gains along a flight ``seen``, as `Gains` has them: variances r (m,) of the sensors, q (13,)
+    per second of the states' noise, begin (13,) of the start. The whole variances with ``every``.
+    """
     n, m = seen.there.shape
     gain, spread, whole = np.zeros((n, m, NX)), np.ones((n, m)), np.ones((n, m))
     noisy = np.flatnonzero(q)
@@ -63,7 +65,9 @@ def _felt(V, h, f):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 @compiled
 def _measured(V, D, f, variance, gain):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Bierman's update of U and D by a channel, f = U'h: its innovation's variance, and its gain (13,) into ``gain``."""
+    """Bierman's update of U and D by a channel, f = U'h: its innovation's variance, and its gain
+    (13,) into ``gain``.
+    """
     alpha = variance
     for i in range(NX):
         if f[i] == 0.0:
@@ -96,9 +100,12 @@ def _moved(phi, V, W):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
-def _noise_added(phi, dt_s, q, noisy, W, weight):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """The other rows of ``W`` and their weights: the noise of a step, which acts while the step lasts: integral of exp(A s) Q
-    exp(A's) by Simpson's rule. At the step's end alone it would come half a step late, and every sensor would look early."""
+def _noise_added(  # type: ignore[no-untyped-def]  # pragma: no cover
+    phi, dt_s, q, noisy, W, weight
+):
+    """The other rows of ``W`` and their weights: the noise of a step, which acts while the step
+    lasts: integral of exp(A s) Q exp(A's) by Simpson's rule. At the step's end alone it would come
+    half a step late, and every sensor would look early."""
     w = len(noisy)
     halves = W[NX : NX + w]
     _halves(phi, noisy, halves)
@@ -114,8 +121,8 @@ def _noise_added(phi, dt_s, q, noisy, W, weight):  # type: ignore[no-untyped-def
 
 @compiled
 def _halves(phi, noisy, halves):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Columns ``noisy`` of the transition over half a step, one a row of ``halves``: the root to second order of that over a whole
-    one, 1 + A/2 - A^2/8 with A = Phi - 1."""
+    """Columns ``noisy`` of the transition over half a step, one a row of ``halves``: the root to
+    second order of that over a whole one, 1 + A/2 - A^2/8 with A = Phi - 1."""
     away = np.empty((NX, NX))
     for i in range(NX):
         for e in range(NX):
@@ -153,11 +160,13 @@ def _factored(W, weight, V, D):  # type: ignore[no-untyped-def]  # pragma: no co
 
 
 @compiled
-def carry(seen, gain, scale, X, acting, out, path):  # type: ignore[no-untyped-def]  # pragma: no cover
+def carry(  # type: ignore[no-untyped-def]  # pragma: no cover
+    seen, gain, scale, X, acting, out, path
+):
     """Innovations of a flight ``seen`` and what columns do to them, through given gains (n, m, x).
 
-    X (x, c) at the start: less the state, then columns, overwritten; scale (n, m) what innovations are multiplied by; acting:
-    what the columns do. Fills out (n, m, c) and path (n, x), the state.
+    X (x, c) at the start: less the state, then columns, overwritten; scale (n, m) what innovations
+    are multiplied by; acting: what the columns do. Fills out (n, m, c) and path (n, x), the state.
     """
     n, m = seen.there.shape
     row, Y = np.empty(X.shape[1]), np.empty_like(X)
@@ -198,8 +207,8 @@ def _output(seen, acting, k, j, X, row):  # type: ignore[no-untyped-def]  # prag
 
 @compiled
 def _next(seen, acting, k, X, Y):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """The states of sample k + 1 by those of sample k, into ``Y``: four at a time, for reading and writing ``Y`` takes longer than
-    its sums."""
+    """The states of sample k + 1 by those of sample k, into ``Y``: four at a time, for reading and
+    writing ``Y`` takes longer than its sums."""
     size, phi = len(X), seen.phi[k]
     for i in range(size):
         Y[i, :] = 0.0
@@ -227,9 +236,10 @@ def _next(seen, acting, k, X, Y):  # type: ignore[no-untyped-def]  # pragma: no 
 
 @compiled
 def backward(seen, by, innovation, q):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Slopes of minus twice the log likelihood with variances, innovations (n, m) as they are with the start fitted, the gains
-    ``by``: what its logarithm and what its sum of squares has, each of the sensors (2, m), per second of the states' noise (2, 13),
-    zero where q (13,) is, and at the start (2, 13).
+    """Slopes of minus twice the log likelihood with variances, innovations (n, m) as they are with
+    the start fitted, the gains ``by``: what its logarithm and what its sum of squares has, each of
+    the sensors (2, m), per second of the states' noise (2, 13), zero where q (13,) is, and at the
+    start (2, 13).
 
     Equations (2) and (3) of `sysid.effects.turbulence`.
     """
@@ -241,7 +251,8 @@ def backward(seen, by, innovation, q):  # type: ignore[no-untyped-def]  # pragma
     sixth = seen.dt_s / 6.0
     for k in range(n - 1, -1, -1):
         if k < n - 1:
-            # As `follow` adds the noise of a step: Simpson's rule over its end, middle and beginning.
+            # As `follow` adds the noise of a step: Simpson's rule over its end, middle and
+            # beginning.
             _halves(seen.phi[k], noisy, halves)
             _ends(r, N, noisy, sixth, by_process)
             _middles(r, N, noisy, halves, 4.0 * sixth, by_process)
@@ -276,7 +287,9 @@ def _ends(r, N, noisy, weight, by_process):  # type: ignore[no-untyped-def]  # p
 
 
 @compiled
-def _middles(r, N, noisy, halves, weight, by_process):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _middles(  # type: ignore[no-untyped-def]  # pragma: no cover
+    r, N, noisy, halves, weight, by_process
+):
     turned = np.empty(NX)
     for c in range(len(noisy)):
         at = noisy[c]
@@ -331,8 +344,9 @@ STARTS = 8
 
 
 class Seen(NamedTuple):
-    """A segment's linear system with what was measured of it: there (n, m), z (n, m) less the reference's outputs, H (n, m, x),
-    D (n, m, 6); phi, defect, g0, g1, dt_s and start (x, 8) as in `Steps`. Where nothing was measured z is zero."""
+    """A segment's linear system with what was measured of it: there (n, m), z (n, m) less the
+    reference's outputs, H (n, m, x), D (n, m, 6); phi, defect, g0, g1, dt_s and start (x, 8) as in
+    `Steps`. Where nothing was measured z is zero."""
 
     there: NDArray[np.bool_]
     z: FloatArray
@@ -367,8 +381,9 @@ class Seen(NamedTuple):
 
 
 class Gains(NamedTuple):
-    """gain (n, m, x) of each channel of each sample behind those before it; spread (n, m): variance of its innovation; whole (n,
-    m): the same before any of the sample. 0, 1 and 1 where nothing was measured."""
+    """gain (n, m, x) of each channel of each sample behind those before it; spread (n, m): variance
+    of its innovation; whole (n, m): the same before any of the sample. 0, 1 and 1 where nothing was
+    measured."""
 
     gain: FloatArray
     spread: FloatArray
@@ -381,9 +396,10 @@ class Gains(NamedTuple):
 
 
 class Acting(NamedTuple):
-    """What columns do: column own[e] has values[:, e] (n, e) of the coefficient coefficient[e], ends[:, e] just before each row and
-    felt[:, e] of what the channels of that row have seen; column direct[e] has added[:, :, e] (n, m, e) of the channels. Columns
-    count from 1: before them stands the state."""
+    """What columns do: column own[e] has values[:, e] (n, e) of the coefficient coefficient[e],
+    ends[:, e] just before each row and felt[:, e] of what the channels of that row have seen;
+    column direct[e] has added[:, :, e] (n, m, e) of the channels. Columns count from 1: before them
+    stands the state."""
 
     own: NDArray[np.intp]
     coefficient: NDArray[np.intp]
@@ -404,9 +420,10 @@ class Acting(NamedTuple):
         ends: Mapping[str, FloatArray] | None = None,
         felt: Mapping[str, FloatArray] | None = None,
     ) -> Acting:
-        """inputs: column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for all six; outputs: column ->
-        (n, m) added to the measured channels; ends, felt: column -> the values just before each row, and what the row's channels
-        have seen of them, of the same shape, where these are others than the values themselves."""
+        """inputs: column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6))
+        for all six; outputs: column -> (n, m) added to the measured channels; ends, felt: column ->
+        the values just before each row, and what the row's channels have seen of them, of the same
+        shape, where these are others than the values themselves."""
         own: list[int] = []
         coefficient: list[int] = []
         values = [np.zeros((n, 0))]

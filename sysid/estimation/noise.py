@@ -1,4 +1,6 @@
-"""Measurement noise of m outputs from residuals with dropouts: covariance, whitening, likelihood."""
+"""Measurement noise of m outputs from residuals with dropouts: covariance, whitening,
+likelihood.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ class Noise:
     def whiten(
         self, residual: FloatArray, sensitivity: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray | None]:
-        """R^-1/2 times residual (N, m), zero where it is NaN, and times sensitivity (N, m, k), with those rows zero."""
+        """R^-1/2 times residual (N, m), zero where it is NaN, and times sensitivity (N, m, k), with
+        those rows zero.
+        """
         there = np.isfinite(residual)
         if not self.full:
             deviation = np.sqrt(np.diagonal(self.cov))
@@ -48,11 +52,12 @@ class Noise:
 def residual_noise(
     residual: FloatArray, floor: FloatArray, full: bool, spent: FloatArray | None = None
 ) -> Noise:
-    """Noise from residuals (N, m): maximum likelihood, or per output divided by N_a - spent_a (degrees of freedom).
+    """Noise from residuals (N, m): maximum likelihood, or per output divided by N_a - spent_a
+    (degrees of freedom).
 
-    floor (m,): smallest standard deviation believed (an exact fit would make the likelihood infinite). A full matrix is
-    formed pairwise over the samples both outputs have, and made positive definite.
-    """
+    floor (m,): smallest standard deviation believed (an exact fit would make the likelihood
+    infinite). A full matrix is formed pairwise over the samples both outputs have, and made
+    positive definite."""
     there = np.isfinite(residual).astype(float)
     value = np.where(there > 0, residual, 0.0)
     count = there.sum(axis=0)
@@ -73,7 +78,8 @@ def residual_noise(
 
 
 def concentrated(residual: FloatArray, noise: Noise) -> float:
-    """Negative log-likelihood of the residuals at their own noise, constants dropped: sum_a N_a/2 ln R_aa if diagonal.
+    """Negative log-likelihood of the residuals at their own noise, constants dropped: sum_a N_a/2
+    ln R_aa if diagonal.
 
     Written out in full otherwise (dropouts, floor): 1/2 sum [v' R^-1 v + ln det R] - N_all/2.
     """
@@ -107,7 +113,9 @@ def concentrated(residual: FloatArray, noise: Noise) -> float:
 # Series Models" (1989), 4.3).
 
 PRIOR_SPREAD = float(np.log(2.0))
-"""Standard deviation of the logarithm of a noise's size about the card's figure: data sheets are wrong by a factor of two."""
+"""Standard deviation of the logarithm of a noise's size about the card's figure: data sheets are
+wrong by a factor of two.
+"""
 _KEPT = 64  # channels of flights whose sizes are remembered
 _LEAST = 16  # frequencies below which a channel shows nothing of its noise
 _MULTIPLIED = 8  # frequencies whose variances are multiplied before their logarithm is taken
@@ -121,7 +129,9 @@ _SIGNALS = np.exp(
 
 @dataclass(frozen=True)
 class NoiseSize:
-    """Root mean square ``std`` of a channel's noise in its own unit, and the relative standard deviation ``spread`` of std."""
+    """Root mean square ``std`` of a channel's noise in its own unit, and the relative standard
+    deviation ``spread`` of std.
+    """
 
     std: float
     spread: float
@@ -132,10 +142,10 @@ def noise_size(
 ) -> NoiseSize | None:
     """Size of white noise in a channel.
 
-    pieces   [(n,)] of the channel without gaps, ``dt_s`` apart       from_hz   the signal's own motion lies below
-    stated   what the card says of the sensor, a prior; None: nothing
-    None where neither card nor samples tell: fewer than 16 frequencies above ``from_hz``, or a channel without any noise.
-    """
+    pieces   [(n,)] of the channel without gaps, ``dt_s`` apart       from_hz   the signal's own
+    motion lies below stated   what the card says of the sensor, a prior; None: nothing None where
+    neither card nor samples tell: fewer than 16 frequencies above ``from_hz``, or a channel without
+    any noise."""
     return _size(tuple(np.asarray(x, dtype=float).tobytes() for x in pieces), dt_s, from_hz, stated)
 
 
@@ -171,12 +181,13 @@ def _size(
 
 
 def _cost(power: FloatArray, shape: FloatArray, square: FloatArray, shown: float) -> FloatArray:
-    """Minus the Whittle likelihood of one piece by the noise's variance, square (s,), and by the signal's (_SIGNALS of the piece's
-    mean power): (s, 41). ``shown`` is a variance that is not zero.
+    """Minus the Whittle likelihood of one piece by the noise's variance, square (s,), and by the
+    signal's (_SIGNALS of the piece's mean power): (s, 41). ``shown`` is a variance that is not
+    zero.
 
-    Logarithms are taken of products of a few frequencies' variances, in units of the piece's own power: no product leaves what a
-    number can hold, and a logarithm costs ten times what a product does.
-    """
+    Logarithms are taken of products of a few frequencies' variances, in units of the piece's own
+    power: no product leaves what a number can hold, and a logarithm costs ten times what a product
+    does."""
     mean = float(np.mean(power))
     unit = mean or shown
     noise, signal = square[:, None] / unit, _SIGNALS * (mean / unit)
@@ -195,7 +206,9 @@ def _cost(power: FloatArray, shape: FloatArray, square: FloatArray, shown: float
 def _periodogram(
     x: FloatArray, dt_s: float, from_hz: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Power of a piece's differences above ``from_hz``, and 2 (1 - cos w) there; None where the piece is too short."""
+    """Power of a piece's differences above ``from_hz``, and 2 (1 - cos w) there; None where the
+    piece is too short.
+    """
     steps = np.diff(np.asarray(x, dtype=float))
     n = len(steps)
     if n < 2 * _LEAST:

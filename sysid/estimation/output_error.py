@@ -2,10 +2,10 @@
 
     J(theta) = 1/2 sum_i [z(i) - y(i)]' R^-1 [z(i) - y(i)] + N/2 ln det R
 
-with R at its own maximum-likelihood value for every theta (relaxation), so that the cost followed is the concentrated
-likelihood and falls at every accepted step. Klein and Morelli, "Aircraft System Identification" (2006), ch. 6;
-Jategaonkar, R. V., "Flight Vehicle System Identification", 2nd ed. (2015), ch. 4.
-"""
+with R at its own maximum-likelihood value for every theta (relaxation), so that the cost followed
+is the concentrated likelihood and falls at every accepted step. Klein and Morelli, "Aircraft System
+Identification" (2006), ch. 6; Jategaonkar, R. V., "Flight Vehicle System Identification", 2nd ed.
+(2015), ch. 4."""
 
 from __future__ import annotations
 
@@ -55,7 +55,9 @@ Run = Callable[[Sequence[FloatArray]], Iterator[FloatArray | str]]
 
 @dataclass(frozen=True)
 class Shift:
-    """Parameter ``index`` moved ``by``, for the ``position``-th column; ``rows`` of the outputs are all that it can move."""
+    """Parameter ``index`` moved ``by``, for the ``position``-th column; ``rows`` of the outputs are
+    all that it can move.
+    """
 
     position: int
     index: int
@@ -64,8 +66,9 @@ class Shift:
 
 
 def rows_moved(simulate: Any, index: int, edges: Sequence[int]) -> tuple[slice, ...]:
-    """Rows (start and end in ``edges``) of the segments that a parameter moves. One slice of all rows, unless the simulation has a
-    method ``moved(index)`` that gives numbers of segments; its None means all as well."""
+    """Rows (start and end in ``edges``) of the segments that a parameter moves. One slice of all
+    rows, unless the simulation has a method ``moved(index)`` that gives numbers of segments; its
+    None means all as well."""
     asked = getattr(simulate, "moved", None)
     some = None if asked is None else asked(index)
     if some is None:
@@ -94,7 +97,9 @@ def grouped(shifts: Sequence[Shift]) -> list[list[Shift]]:
 def answers(
     run: Run, theta: FloatArray, shifts: Sequence[Shift]
 ) -> Iterator[tuple[Shift, float, Answer]]:
-    """Each shift, as the machine has it, and what it gives; those of a group that fails together are run again one by one."""
+    """Each shift, as the machine has it, and what it gives; those of a group that fails together
+    are run again one by one.
+    """
     alone: list[Shift] = []
     groups = grouped(shifts)
     for members, found in zip(
@@ -134,7 +139,8 @@ def _shared_out(
             )
 
 
-TARGET = 3e-4  # first wanted change of the most affected output, in its spread; then `target_for` its roughness
+# first wanted change of the most affected output, in its spread; then `target_for` its roughness
+TARGET = 3e-4
 TARGETS = (
     3e-5,
     3e-2,
@@ -162,12 +168,15 @@ class SafeSimulation:
         with np.errstate(all="ignore"):
             try:
                 value = self.simulate(theta.copy())
-            except Exception as error:  # a model's own failure at a trial point is a rejected step, whatever its type
+            # a model's own failure at a trial point is a rejected step, whatever its type
+            except Exception as error:
                 return f"simulate raised {type(error).__name__}: {error}"
         return self.stacked(value)
 
     def stacked(self, value: Any) -> FloatArray | str:
-        """Outputs of any permitted form as one (N, m) array; a sentence if the form is wrong or values not finite."""
+        """Outputs of any permitted form as one (N, m) array; a sentence if the form is wrong or
+        values not finite.
+        """
         try:
             parts = [
                 np.asarray(part, dtype=float) for part in (value if is_many(value) else [value])
@@ -180,26 +189,34 @@ class SafeSimulation:
             [(length, self.outputs) for length in self.lengths],
         )
         if shapes != wanted:
-            return f"simulate returned shapes {shapes}, measured has {wanted}; return the outputs at the measured samples"
+            return (
+                f"simulate returned shapes {shapes}, measured has {wanted}; return the outputs at"
+                " the measured samples"
+            )
         out = np.concatenate(parts)
         sound = np.abs(out) < HUGE  # False for NaN too
         if not sound.all():
             row = int(np.argwhere(~sound)[0][0])
-            return f"simulate returned values that are not finite, or beyond {HUGE:g}, from stacked sample {row} on"
+            return (
+                f"simulate returned values that are not finite, or beyond {HUGE:g}, from stacked"
+                f" sample {row} on"
+            )
         return out
 
 
 def run_all(
     simulation: SafeSimulation, thetas: Sequence[FloatArray], map_: MapLike | None
 ) -> Iterator[FloatArray | str]:
-    """Every theta simulated, in order, through the injected map if there is one; one after the other, where that is how it gives
-    them."""
+    """Every theta simulated, in order, through the injected map if there is one; one after the
+    other, where that is how it gives them."""
     yield from (map_ or map)(simulation, thetas)
 
 
 @dataclass(frozen=True)
 class Differences:
-    """sensitivity (N, m, len(columns)) in blocks; step (k,) as adapted; effect (len(columns),) bool; runs: simulations spent."""
+    """sensitivity (N, m, len(columns)) in blocks; step (k,) as adapted; effect (len(columns),)
+    bool; runs: simulations spent.
+    """
 
     sensitivity: Blocks
     step: FloatArray
@@ -228,10 +245,10 @@ def sensitivities(
 ) -> Differences:
     """d(outputs)/d(theta) at `theta`, whose outputs are `base` (N, m).
 
-    Central differences, or forward ones; one-sided at a bound or where one side fails. spread (m,) scales the outputs.
-    target: wanted change of the most affected output, in its spread. Parameters of which the simulation says, by a method
-    ``moved``, that they move different segments are perturbed together (together.py).
-    A parameter whose every perturbed run fails gets effect False.
+    Central differences, or forward ones; one-sided at a bound or where one side fails. spread (m,)
+    scales the outputs. target: wanted change of the most affected output, in its spread. Parameters
+    of which the simulation says, by a method ``moved``, that they move different segments are
+    perturbed together (together.py). A parameter whose every perturbed run fails gets effect False.
     """
     step = step.copy()
     lower, upper = limits
@@ -247,7 +264,8 @@ def sensitivities(
         return run_all(simulation, points, map_)
 
     for attempt in range(6):
-        # Below this a step is lost in the parameter's own rounding, and shrinking it further would never find an effect again.
+        # Below this a step is lost in the parameter's own rounding, and shrinking it further would
+        # never find an effect again.
         step = np.maximum(step, SMALLEST * np.abs(theta))
         shifts = [
             s
@@ -297,7 +315,8 @@ def forward_differences(
     shape: tuple[Sequence[int], int],
     map_: MapLike | None = None,
 ) -> Blocks | None:
-    """d(outputs)/d(theta) (N, m, k) by one step of each parameter, ``steps`` (k,); None where a simulation fails.
+    """d(outputs)/d(theta) (N, m, k) by one step of each parameter, ``steps`` (k,); None where a
+    simulation fails.
 
     shape: rows of each segment, and outputs.
     """
@@ -413,11 +432,12 @@ def roughness(
     spread: FloatArray,
     map_: MapLike | None,
 ) -> tuple[float, int]:
-    """How far the outputs are from smooth in theta, in their spread (rms), and the simulations it took to find out.
+    """How far the outputs are from smooth in theta, in their spread (rms), and the simulations it
+    took to find out.
 
-    Six points along small (k,) steps away from theta: a smooth function leaves nothing in high differences, rounding,
-    iterated trims and printed decimals do. More, J. J. and Wild, S. M., SIAM J. Sci. Comput. 33 (2011), eq. (2.4).
-    """
+    Six points along small (k,) steps away from theta: a smooth function leaves nothing in high
+    differences, rounding, iterated trims and printed decimals do. More, J. J. and Wild, S. M., SIAM
+    J. Sci. Comput. 33 (2011), eq. (2.4)."""
     lower, upper = limits
     inward = np.where(theta + 7.0 * small > upper, -small, small)
     points = [theta + count * inward for count in range(1, 7)]
@@ -436,7 +456,9 @@ def roughness(
 
 
 def target_for(rough: float) -> float:
-    """The output change at which a central difference's truncation and rounding balance, about roughness^(1/3)."""
+    """The output change at which a central difference's truncation and rounding balance, about
+    roughness^(1/3).
+    """
     return float(np.clip(np.cbrt(rough), *TARGETS))
 
 
@@ -449,7 +471,9 @@ NEARBY = 0.5  # standard errors within which sensitivities need no renewal
 
 @dataclass
 class OutputErrorProblem:
-    """The cost over the free parameters; counts simulations and keeps the adapted difference steps."""
+    """The cost over the free parameters; counts simulations and keeps the adapted
+    difference steps.
+    """
 
     simulation: SafeSimulation
     measured: FloatArray
@@ -483,7 +507,9 @@ class OutputErrorProblem:
         return 1e-9 * self.spread
 
     def whole(self, theta: FloatArray) -> FloatArray:
-        """All parameters, with the free ones at ``theta`` and the fixed ones at their given values."""
+        """All parameters, with the free ones at ``theta`` and the fixed ones at their given
+        values.
+        """
         out = self.full_theta.copy()
         out[self.columns] = theta
         return out
@@ -493,7 +519,9 @@ class OutputErrorProblem:
         return residual_noise(self.measured - outputs, self.floor, self.full)
 
     def evaluate(self, theta: FloatArray) -> tuple[float, FloatArray] | None:
-        """Concentrated cost at ``theta`` and the outputs (n, ny); None where the simulation failed."""
+        """Concentrated cost at ``theta`` and the outputs (n, ny); None where the simulation
+        failed.
+        """
         self.runs += 1
         outputs = self.simulation(self.whole(theta))
         if isinstance(outputs, str):
@@ -504,13 +532,14 @@ class OutputErrorProblem:
     def linearise(self, theta: FloatArray, outputs: FloatArray, central: bool) -> Linearisation:
         """Gradient and information at theta (k,), whose outputs (N, m) are given.
 
-        With ``secant`` the sensitivities of the last point are carried on by Broyden's update (Math. Comp. 19, 1965)
+        With ``secant`` the sensitivities of the last point are carried on by Broyden's update
+        (Math. Comp. 19, 1965)
 
             S += (dy - S d) (W d)' / (d' W d),    W = diag M
 
-        (segment by segment, where S is not zero: Schubert, Math. Comp. 24, 1970), which costs no simulation; they are differenced
-        anew, forwards, when that has been done CARRIED times, when the search nears its end, and at a point asked for twice.
-        """
+        (segment by segment, where S is not zero: Schubert, Math. Comp. 24, 1970), which costs no
+        simulation; they are differenced anew, forwards, when that has been done CARRIED times, when
+        the search nears its end, and at a point asked for twice."""
         carried = self._carry(theta, outputs, central) if self.secant else None
         if carried is None:
             self._difference(theta, outputs, central and not self.secant)
@@ -522,7 +551,9 @@ class OutputErrorProblem:
         return replace(line, exact=carried, fresh=False)
 
     def settle(self, theta: FloatArray, outputs: FloatArray) -> Linearisation:
-        """The linearisation that bounds are computed from: differences at theta itself, or a small part of a bound away."""
+        """The linearisation that bounds are computed from: differences at theta itself, or a small
+        part of a bound away.
+        """
         if self.secant and self._fresh is not None and self._distance(theta) < NEARBY:
             self.sensitivity = self._fresh[1]
         else:
@@ -536,7 +567,9 @@ class OutputErrorProblem:
         return float(np.sqrt(np.maximum(away @ self._fresh[2] @ away, 0.0)))
 
     def _carry(self, theta: FloatArray, outputs: FloatArray, central: bool) -> bool | None:
-        """Sensitivities carried on to theta: True near where they were differenced, False far from there, None: not possible."""
+        """Sensitivities carried on to theta: True near where they were differenced, False far from
+        there, None: not possible.
+        """
         if self._last is None or self._updates >= CARRIED:
             return None
         step = theta - self._last[0]
@@ -555,8 +588,8 @@ class OutputErrorProblem:
         return near
 
     def _difference(self, theta: FloatArray, outputs: FloatArray, central: bool) -> None:
-        """Sensitivities by differences; the second time, how small their steps may be as well: a fit that begins where it ends asks
-        once."""
+        """Sensitivities by differences; the second time, how small their steps may be as well: a
+        fit that begins where it ends asks once."""
         if self._begun and self._target is None:
             small = np.zeros_like(self.step)
             small[self.columns] = 1e-3 * self.step[self.columns]
@@ -637,9 +670,10 @@ def output_error(
     Parameters
     ----------
     simulate : callable
-        theta (k,) -> (n, m) array, or a list of them, one per segment, at the measured samples, in the units of `measured`. It
-        may raise or return NaN at a trial point: a shorter step is tried. With a method ``moved(j)`` it says which segments
-        theta[j] moves (their numbers; None: all): parameters that move different ones are perturbed in the same simulation.
+        theta (k,) -> (n, m) array, or a list of them, one per segment, at the measured samples, in
+        the units of `measured`. It may raise or return NaN at a trial point: a shorter step is
+        tried. With a method ``moved(j)`` it says which segments theta[j] moves (their numbers;
+        None: all): parameters that move different ones are perturbed in the same simulation.
     theta0 : array_like
         (k,) start; zeros are fine, but simulate(theta0) must be finite.
     measured : array_like
@@ -653,44 +687,41 @@ def output_error(
     noise : {"diagonal", "full"}
         Independent outputs, or not.
     map : callable, optional
-        Like the built-in map(function, points), e.g. a process pool's: runs the perturbed simulations.
+        Like the built-in map(function, points), e.g. a process pool's: runs the perturbed
+        simulations.
     differences : {"auto", "central", "secant"}
-        "auto" takes forward differences between the first iteration and the last ones; "secant", for smooth simulations that
-        are dear, carries sensitivities on from iteration to iteration.
+        "auto" takes forward differences between the first iteration and the last ones; "secant",
+        for smooth simulations that are dear, carries sensitivities on from iteration to iteration.
     max_iterations, tolerance
         Stop when the next step is shorter than `tolerance` standard errors.
     errors : bool
-        False for the estimates alone: standard errors, covariances and variance inflation are then NaN, nothing is judged.
+        False for the estimates alone: standard errors, covariances and variance inflation are then
+        NaN, nothing is judged.
     told : callable, optional
-        Called in each iteration of a descent with its number and the length of the next step in standard errors.
+        Called in each iteration of a descent with its number and the length of the next step in
+        standard errors.
 
     Returns
     -------
     OutputErrorFit
-        ``theta`` (k,), ``std`` (k,) corrected for coloured residuals (see coloured.py), ``std_crb`` (k,) the Cramer-Rao bound.
-        Parameters that the data do not determine, or that end on a bound, are "not-identified": their std is NaN and
-        fit.reason says why; the others are still estimated. Where it did not converge, ``converged`` and ``warnings`` say so.
+        ``theta`` (k,), ``std`` (k,) corrected for coloured residuals (see coloured.py), ``std_crb``
+        (k,) the Cramer-Rao bound. Parameters that the data do not determine, or that end on a
+        bound, are "not-identified": their std is NaN and fit.reason says why; the others are still
+        estimated. Where it did not converge, ``converged`` and ``warnings`` say so.
 
     Raises
     ------
     ValueError
-        When inputs disagree, theta0 lies outside the bounds, there are fewer measured values than parameters, or the simulation
-        fails at theta0.
+        When inputs disagree, theta0 lies outside the bounds, there are fewer measured values than
+        parameters, or the simulation fails at theta0.
 
-    References
-    ----------
-    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9. V. Klein, E. A. Morelli, Aircraft System Identification, 2006.
+    References ---------- L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9. V. Klein,
+    E. A. Morelli, Aircraft System Identification, 2006.
 
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import sysid
-    >>> t = np.linspace(0.0, 5.0, 100)
-    >>> measured = 2.0 * np.exp(-0.5 * t) + 0.01 * np.sin(40.0 * t)
-    >>> fit = sysid.output_error(lambda theta: theta[0] * np.exp(-theta[1] * t), [1.0, 1.0], measured)
-    >>> [round(float(value), 1) for value in fit.theta]
-    [2.0, 0.5]
-    """
+    Examples -------- >>> import numpy as np >>> import sysid >>> t = np.linspace(0.0, 5.0, 100) >>>
+    measured = 2.0 * np.exp(-0.5 * t) + 0.01 * np.sin(40.0 * t) >>> fit = sysid.output_error(lambda
+    theta: theta[0] * np.exp(-theta[1] * t), [1.0, 1.0], measured) >>> [round(float(value), 1) for
+    value in fit.theta] [2.0, 0.5]"""
     theta = as_parameters(theta0)
     labels = as_names(names, theta.size, "theta")
     lower, upper = as_bounds(bounds, theta, labels)
@@ -706,12 +737,14 @@ def output_error(
     counts = np.isfinite(stacked).sum(axis=0)
     if (counts == 0).any():
         raise ValueError(
-            f"measured output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave them out"
+            f"measured output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all;"
+            " leave them out"
         )
     columns = [int(index) for index in np.flatnonzero(mask)]
     if counts.sum() <= len(columns):
         raise ValueError(
-            f"{int(counts.sum())} measured values for {len(columns)} parameters; measure more or free fewer"
+            f"{int(counts.sum())} measured values for {len(columns)} parameters; measure more or"
+            " free fewer"
         )
     with np.errstate(invalid="ignore"):
         spread = np.nanstd(stacked, axis=0)
@@ -737,7 +770,8 @@ def output_error(
     start = problem.evaluate(theta[columns])
     if start is None:
         raise ValueError(
-            f"the simulation fails at theta0: {problem.last_failure}; start from values that can be simulated"
+            f"the simulation fails at theta0: {problem.last_failure}; start from values that can be"
+            " simulated"
         )
     edges = [0, *np.cumsum([part.shape[0] for part in segments]).tolist()]
     limits = (lower[columns], upper[columns])
@@ -790,9 +824,10 @@ def output_error(
 
 
 def _lost(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
-    """Perhaps not the minimum that was meant: no output explained even to 70 %, or not converged, or, where simulations are cheap,
-    an output left much further off than its white noise. Where they are dear, a descent that has not converged but explains every
-    output to 70 % is no longer far off: another start would end in the same valley."""
+    """Perhaps not the minimum that was meant: no output explained even to 70 %, or not converged,
+    or, where simulations are cheap, an output left much further off than its white noise. Where
+    they are dear, a descent that has not converged but explains every output to 70 % is no longer
+    far off: another start would end in the same valley."""
     found = problem.evaluate(best.theta)
     if found is None or not (best.converged or problem.secant):
         return True
@@ -820,11 +855,11 @@ def _from_short_horizons(
     max_iterations: int,
     tolerance: float,
 ) -> Minimum | None:
-    """The minimum reached from theta (k,) by way of the first tenth, third and whole of every segment.
+    """The minimum reached from theta (k,) by way of the first tenth, third and whole of every
+    segment.
 
-    Far from the truth a long simulation says little about where to go: it diverges, or swings out of phase. Its
-    beginning is nearly linear in the parameters.
-    """
+    Far from the truth a long simulation says little about where to go: it diverges, or swings out
+    of phase. Its beginning is nearly linear in the parameters."""
     complete = problem.measured
     try:
         for share in HORIZONS:
@@ -875,7 +910,8 @@ def _assemble(
         )
     if best.failed:
         warnings.append(
-            f"{best.failed} trial point(s) could not be simulated and were rejected: {problem.last_failure}"
+            f"{best.failed} trial point(s) could not be simulated and were rejected:"
+            f" {problem.last_failure}"
         )
     return OutputErrorFit(
         names=labels,

@@ -23,15 +23,20 @@ from sysid.linalg import Blocks, Index, information, leverage
 class OutputErrorFit:
     """Maximum-likelihood estimate of k parameters from m outputs; see `sysid.output_error`.
 
-    theta (k,)             estimate, each in its parameter's unit; a parameter not identified stays at (or drifts little
+    theta (k,)             estimate, each in its parameter's unit; a parameter not identified stays
+    at (or drifts little
                            from) its start and has no standard error
-    std, std_crb (k,)      corrected for coloured residuals / Cramer-Rao bound; NaN if not identified
-    cov, cov_crb (k, k)    their covariances, NaN in the rows and columns of parameters that are not identified
+    std, std_crb (k,)      corrected for coloured residuals / Cramer-Rao bound; NaN if not
+    identified
+    cov, cov_crb (k, k)    their covariances, NaN in the rows and columns of parameters that are not
+    identified
     status, reason         per name: "identified" | "not-identified" | "fixed", and why
     noise_cov (m, m)       residual covariance, corrected for the degrees of freedom spent
-    residual               measured minus model, (n, m) or a list of them as `measured` was given; NaN at dropouts
+    residual               measured minus model, (n, m) or a list of them as `measured` was given;
+    NaN at dropouts
     vif (k,)               variance inflation, uncentred; inf where not identified
-    cost_history           negative log-likelihood (concentrated over R, constants dropped) of each accepted point
+    cost_history           negative log-likelihood (concentrated over R, constants dropped) of each
+    accepted point
     whiteness (m,)         p-value of the Ljung-Box test per output
     """
 
@@ -59,9 +64,11 @@ class OutputErrorFit:
 class FilterErrorFit(OutputErrorFit):
     """As OutputErrorFit, residual being the one-step innovations, and:
 
-    process_noise_cov (x, x)  diagonal spectral density Q of the process noise, state unit^2/s (variance Q dt a step)
+    process_noise_cov (x, x)  diagonal spectral density Q of the process noise, state unit^2/s
+    (variance Q dt a step)
     noise_cov (m, m)          measurement noise R
-    process_noise_std (x,)    standard error of diag Q; NaN where Q is zero: the data ask for no noise there
+    process_noise_std (x,)    standard error of diag Q; NaN where Q is zero: the data ask for no
+    noise there
     x0                        initial state (x,) used, one a segment
     """
 
@@ -74,8 +81,10 @@ class FilterErrorFit(OutputErrorFit):
 class Regression:
     """Linear least squares, y = X theta + residual; see `sysid.equation_error`.
 
-    theta, std, std_white (k,)  estimate, coloured and white standard errors; NaN where not identified
-    cov (k, k)                  the coloured covariance        s2: residual variance, n - rank degrees of freedom
+    theta, std, std_white (k,)  estimate, coloured and white standard errors; NaN where not
+    identified
+    cov (k, k)                  the coloured covariance        s2: residual variance, n - rank
+    degrees of freedom
     r2                          about the mean if X spans a constant, else about zero
     vif (k,)                    uncentred variance inflation, inf where not identified
     """
@@ -98,8 +107,9 @@ class Regression:
 class SelectionStep:
     """One decision of `sysid.stepwise`.
 
-    action     "enter" | "remove" | "stop"          name, index: the regressor judged
-    partial_f  its partial F under white residuals   effective_f  the same with the coloured standard error: the decider
+    action     "enter" | "remove" | "stop"          name, index: the regressor judged partial_f  its
+    partial F under white residuals   effective_f  the same with the coloured standard error: the
+    decider
     threshold  what effective_f was held against     r2, press, pse  of the model after the step
     """
 
@@ -116,7 +126,9 @@ class SelectionStep:
 
 @dataclass(frozen=True)
 class Selection:
-    """Chosen regressors: selected (indices into X, ascending), theta (len(selected),), std, the final Regression."""
+    """Chosen regressors: selected (indices into X, ascending), theta (len(selected),), std, the
+    final Regression.
+    """
 
     names: tuple[str, ...]
     selected: list[int]
@@ -156,8 +168,9 @@ INFLATION_WARNING = 1e4  # variance inflation worth a sentence
 
 @dataclass(frozen=True)
 class Identifiability:
-    """identified (k,); reason per parameter ("" if identified); vif (k,), inf where nothing is known; inverse (k, k):
-    pseudo-inverse of the information, exact for the identified parameters; notes: sentences on near-collinear sets."""
+    """identified (k,); reason per parameter ("" if identified); vif (k,), inf where nothing is
+    known; inverse (k, k): pseudo-inverse of the information, exact for the identified parameters;
+    notes: sentences on near-collinear sets."""
 
     identified: NDArray[np.bool_]
     reason: tuple[str, ...]
@@ -169,7 +182,9 @@ class Identifiability:
 def assess(
     information: FloatArray, names: tuple[str, ...], tolerance: float = RANK_TOLERANCE
 ) -> Identifiability:
-    """Judge the (k, k) information matrix of the parameters `names` (any units; it is scaled here)."""
+    """Judge the (k, k) information matrix of the parameters `names` (any units; it is
+    scaled here).
+    """
     k = len(names)
     length = np.sqrt(np.maximum(np.diagonal(information), 0.0))
     informed = length > 0.0
@@ -210,7 +225,9 @@ def _inflation_notes(
     reason: list[str],
     index: NDArray[np.intp],
 ) -> list[str]:
-    """One sentence if variance inflation exceeds the limit: by how much, and the weakest direction's members."""
+    """One sentence if variance inflation exceeds the limit: by how much, and the weakest
+    direction's members.
+    """
     inflation = np.diagonal(inverse)
     worst = [
         i
@@ -223,8 +240,9 @@ def _inflation_notes(
     group = [names[i] for i in np.argsort(-share) if share[i] > 0.2]
     return [
         (
-            f"near-collinear: {', '.join(group)} (variance inflation up to {inflation[worst[0]]:.3g}, condition index "
-            f"{np.sqrt(values[-1] / values[0]):.3g}); their bounds are wide for that reason"
+            f"near-collinear: {', '.join(group)} (variance inflation up to {inflation[worst[0]]:.3g},"
+            f" condition index {np.sqrt(values[-1] / values[0]):.3g}); their bounds are wide for that"
+            " reason"
         )
     ]
 
@@ -241,12 +259,16 @@ def masked_covariance(covariance: FloatArray, identified: NDArray[np.bool_]) -> 
 # Pure.
 
 RESOLVED = 1e-8
-"""Relative change of a parameter below which rounding is all that a difference of two simulations shows."""
+"""Relative change of a parameter below which rounding is all that a difference of two simulations
+shows.
+"""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """Over the k free parameters: covariances (k, k), gate, noise with degrees of freedom, colour, sentences."""
+    """Over the k free parameters: covariances (k, k), gate, noise with degrees of freedom, colour,
+    sentences.
+    """
 
     cov: FloatArray
     cov_crb: FloatArray
@@ -272,22 +294,25 @@ def at_bound(value: float, lower: float, upper: float) -> str:
 
 
 def idle_bound(std: float, width: float) -> str:
-    """The reason given when the bounds alone (uniform, std width/sqrt(12)) say more than the data; "" otherwise."""
+    """The reason given when the bounds alone (uniform, std width/sqrt(12)) say more than the data;
+    "" otherwise.
+    """
     if np.isfinite(width) and std > width / np.sqrt(12.0):
         return f"standard error {std:.3g} exceeds what its bounds alone say ({width:.3g} wide)"
     return ""
 
 
 def unknown_noise(counts: NDArray[np.intp], spent: FloatArray, reach: FloatArray) -> list[str]:
-    """Reasons (k,) for parameters informed by an output that has no degree of freedom left: its noise is unknown.
+    """Reasons (k,) for parameters informed by an output that has no degree of freedom left: its
+    noise is unknown.
 
-    counts, spent (m,) samples and degrees of freedom spent of each output; reach (m, k) its largest sensitivities.
-    """
+    counts, spent (m,) samples and degrees of freedom spent of each output; reach (m, k) its largest
+    sensitivities."""
     out = [""] * reach.shape[1]
     for a in np.flatnonzero(counts - spent < 1.0 - 1e-6):
         text = (
-            f"output {a} has {int(counts[a])} samples, of which the parameters use up {spent[a]:.1f}: "
-            "its noise, and so any bound, is unknown"
+            f"output {a} has {int(counts[a])} samples, of which the parameters use up"
+            f" {spent[a]:.1f}: its noise, and so any bound, is unknown"
         )
         for k in np.flatnonzero(reach[a] > 0.0):
             out[k] = out[k] or text
@@ -295,11 +320,12 @@ def unknown_noise(counts: NDArray[np.intp], spent: FloatArray, reach: FloatArray
 
 
 def unresolved(theta: FloatArray, reach: FloatArray, spread: FloatArray) -> list[str]:
-    """Reasons (k,) for parameters whose last digits decide the outputs, as in a simulation that diverges.
+    """Reasons (k,) for parameters whose last digits decide the outputs, as in a simulation that
+    diverges.
 
-    theta (k,); reach (m, k) largest sensitivities; spread (m,) each output's size. Where one part in 1e8 of a parameter, about the
-    square root of the rounding of its number, moves an output by its own size, no derivative of it can be computed, and a standard
-    error from one says nothing.
+    theta (k,); reach (m, k) largest sensitivities; spread (m,) each output's size. Where one part
+    in 1e8 of a parameter, about the square root of the rounding of its number, moves an output by
+    its own size, no derivative of it can be computed, and a standard error from one says nothing.
     """
     out = [""] * theta.size
     with np.errstate(invalid="ignore", over="ignore"):
@@ -307,14 +333,17 @@ def unresolved(theta: FloatArray, reach: FloatArray, spread: FloatArray) -> list
         lost = ~(moved <= np.where(spread > 0.0, spread, np.inf)[:, None]) | ~np.isfinite(reach)
     for a, k in zip(*np.nonzero(lost), strict=True):
         out[k] = out[k] or (
-            f"a change of one part in {1.0 / RESOLVED:.0e} moves output {a} by its own size: the simulation diverges, and no "
-            "standard error can be computed; use shorter segments or filter error"
+            f"a change of one part in {1.0 / RESOLVED:.0e} moves output {a} by its own size: the"
+            " simulation diverges, and no standard error can be computed; use shorter segments or"
+            " filter error"
         )
     return out
 
 
 def unjudged(noise: Noise, free: int) -> Findings:
-    """What is said of ``free`` parameters whose estimates alone were asked for: nothing, as NaN; all count as identified."""
+    """What is said of ``free`` parameters whose estimates alone were asked for: nothing, as NaN;
+    all count as identified.
+    """
     unknown, outputs = np.full((free, free), np.nan), np.full(len(noise.cov), np.nan)
     colour_ = Colour(outputs, outputs, outputs, outputs)
     return Findings(
@@ -343,8 +372,9 @@ def judge(
     full: bool,
     method: str,
 ) -> Findings:
-    """Bounds and warnings at the optimum theta (k,): sensitivity (N, m, k) by segments, residual and motion (N, m), their edges,
-    gradient (k,) of minus the cost, which distinguishes an active bound from one merely touched."""
+    """Bounds and warnings at the optimum theta (k,): sensitivity (N, m, k) by segments, residual
+    and motion (N, m), their edges, gradient (k,) of minus the cost, which distinguishes an active
+    bound from one merely touched."""
     lower, upper = bounds
     held = outward(theta, gradient, lower, upper)
     inside = np.flatnonzero(~held)
@@ -353,7 +383,8 @@ def judge(
         lambda part, _, rows: np.where(there[rows, :, None], part, 0.0)
     )
 
-    # Degrees of freedom: each output has spent its share of the leverage, sum_i S_a D S_a'/R_aa; one output: k.
+    # Degrees of freedom: each output has spent its share of the leverage, sum_i S_a D S_a'/R_aa;
+    # one output: k.
     noise = residual_noise(residual, floor, full)
     within = tuple(names[index] for index in inside)
     scaled = _scaled(noise, residual, sensitivity)

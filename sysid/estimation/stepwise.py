@@ -1,10 +1,10 @@
 """Stepwise regression: which of the candidate regressors belong in the model.
 
-Draper and Smith's forward selection with backward elimination by partial F, as used for aircraft models by Klein, V.,
-Batterson, J. G. and Murphy, P. C., NASA TP-1916 (1981). The F that decides uses the coloured standard error, so that an
-autocorrelated residual does not let in terms on the strength of samples that are no news. PSE: Barron (1984) as in
-Klein and Morelli (2006), ch. 5; PRESS: Allen (1974).
-"""
+Draper and Smith's forward selection with backward elimination by partial F, as used for aircraft
+models by Klein, V., Batterson, J. G. and Murphy, P. C., NASA TP-1916 (1981). The F that decides
+uses the coloured standard error, so that an autocorrelated residual does not let in terms on the
+strength of samples that are no news. PSE: Barron (1984) as in Klein and Morelli (2006), ch. 5;
+PRESS: Allen (1974)."""
 
 from __future__ import annotations
 
@@ -51,8 +51,9 @@ def stepwise(
     keep : sequence of int
         Indices always in the model.
     f_enter, f_remove : float, optional
-        Thresholds of the effective F [-]; by default the 1 % and 5 % points of F(1, n - p), shared out over the candidates
-        (Bonferroni), so that pure noise lets in any term at all once in a hundred data sets.
+        Thresholds of the effective F [-]; by default the 1 % and 5 % points of F(1, n - p), shared
+        out over the candidates (Bonferroni), so that pure noise lets in any term at all once in a
+        hundred data sets.
     segments : sequence of int, optional
         Lengths of continuous records stacked in X, y.
     max_terms : int, optional
@@ -61,7 +62,8 @@ def stepwise(
     Returns
     -------
     Selection
-        ``selected`` indices, ``theta`` and ``std`` of them, and the ``history``, which tells every decision with its statistic.
+        ``selected`` indices, ``theta`` and ``std`` of them, and the ``history``, which tells every
+        decision with its statistic.
 
     Raises
     ------
@@ -89,7 +91,8 @@ def stepwise(
         raise ValueError(f"keep holds {list(keep)}; allowed are indices 0 to {k - 1}")
     if f_enter is not None and f_remove is not None and f_remove > f_enter:
         raise ValueError(
-            f"f_remove {f_remove} exceeds f_enter {f_enter}: terms would enter and leave for ever; lower it"
+            f"f_remove {f_remove} exceeds f_enter {f_enter}: terms would enter and leave for ever;"
+            " lower it"
         )
     data = _Data(regressors, response, labels, segments)
     candidates = max(k - len(set(keep)), 1)
@@ -163,7 +166,9 @@ class _Data:
         )
 
     def best_entry(self, chosen: list[int], threshold: float) -> tuple[int, float, float] | None:
-        """(index, partial F, effective F): the first of the SHORTLIST best that passes, else the best."""
+        """(index, partial F, effective F): the first of the SHORTLIST best that passes, else the
+        best.
+        """
         q = self.basis(chosen)
         rest = self.y - q @ (q.T @ self.y)
         ssr = float(rest @ rest)
@@ -194,7 +199,9 @@ class _Data:
         return first
 
     def effective(self, chosen: list[int], index: int) -> float:
-        """(theta/std)^2 of one regressor with the coloured standard error: F with the samples that are news."""
+        """(theta/std)^2 of one regressor with the coloured standard error: F with the samples that
+        are news.
+        """
         fit = self.fit(sorted(chosen))
         position = sorted(chosen).index(index)
         if not np.isfinite(fit.std[position]):
@@ -232,7 +239,8 @@ class _Data:
         leverage = np.sum(q**2, axis=1)
         press = float(np.sum((residual / np.maximum(1.0 - leverage, 1e-12)) ** 2))
         mean_square = float(residual @ residual) / n
-        # PSE = SSR/n + sigma_max^2 p/n with sigma_max^2 the variance about the mean (Klein and Morelli, ch. 5)
+        # PSE = SSR/n + sigma_max^2 p/n with sigma_max^2 the variance about the mean (Klein and
+        # Morelli, ch. 5)
         pse = mean_square + float(np.var(self.y, ddof=1)) * p / n
         r2 = self.fit(chosen).r2 if chosen else 0.0
         return SelectionStep(

@@ -1,4 +1,6 @@
-"""Model-form uncertainty: intervals of the six coefficients over the states, their coverage and what would narrow them."""
+"""Model-form uncertainty: intervals of the six coefficients over the states, their coverage and
+what would narrow them.
+"""
 
 import lazy_loader
 

@@ -1,18 +1,23 @@
-"""What a residual consists of: polynomial, what persists, what is transient, and sensor noise of known form.
+"""What a residual consists of: polynomial, what persists, what is transient, and sensor noise of
+known form.
 
 For sample k of block m of flight f
 
-    r = x' beta + u_f + u_m + eta_k + e_k                                                                    (1)
+    r = x' beta + u_f + u_m + eta_k + e_k
+    (1)
 
-with u constant through a flight and a block, eta a first-order process of correlation time tau_c and e the sensors' noise, known
-but for one factor. Priors say little and hold everything finite: the size of the whole model error is half-Cauchy, its scale some
-times the residual's (Gelman, Bayesian Analysis 1 (2006) 515), shared among beta, u and eta in any way with equal probability
-(Fuglstad et al., Bayesian Analysis 15 (2020) 1109); tau_c is likely in its logarithm; the noise's factor is as sure as its sizes
-are. Means over the posterior are taken, so that few blocks give wide intervals. With D the variances of the waves (blocks.py) and
-S the prior of beta and u_f
+with u constant through a flight and a block, eta a first-order process of correlation time tau_c
+and e the sensors' noise, known but for one factor. Priors say little and hold everything finite:
+the size of the whole model error is half-Cauchy, its scale some times the residual's (Gelman,
+Bayesian Analysis 1 (2006) 515), shared among beta, u and eta in any way with equal probability
+(Fuglstad et al., Bayesian Analysis 15 (2020) 1109); tau_c is likely in its logarithm; the noise's
+factor is as sure as its sizes are. Means over the posterior are taken, so that few blocks give wide
+intervals. With D the variances of the waves (blocks.py) and S the prior of beta and u_f
 
-    C = (X' D^-1 X + S^-1)^-1,   beta = C X' D^-1 y                                                          (2)
-    2 log L = -log |D| - log |S| + log |C| - y' D^-1 y + beta' C^-1 beta                                     (3)
+    C = (X' D^-1 X + S^-1)^-1,   beta = C X' D^-1 y
+    (2)
+    2 log L = -log |D| - log |S| + log |C| - y' D^-1 y + beta' C^-1 beta
+    (3)
 """
 
 from __future__ import annotations
@@ -66,7 +71,8 @@ class Blocks:
 
     y, noise (n,)   residual, and variance of the sensors' noise      X (n, m)   regressors
     block (n,)      number of the block       wave (n,)   number of the frequency, 0 the mean
-    lengths         samples of each block     flight      number of each block's flight       dt_s  between samples
+    lengths         samples of each block     flight      number of each block's flight       dt_s
+    between samples
     noise_spread    relative standard deviation of the noise's variance
     """
 
@@ -87,7 +93,9 @@ class Blocks:
 
     @property
     def flights(self) -> FloatArray:
-        """(n, f) waves of what is constant through a flight, at unit size, one column each; f = 0 with a single flight."""
+        """(n, f) waves of what is constant through a flight, at unit size, one column each; f = 0
+        with a single flight.
+        """
         numbers = sorted(set(self.flight))
         if len(numbers) < 2:
             return np.zeros((len(self.y), 0))
@@ -95,7 +103,9 @@ class Blocks:
         return np.where(own, np.sqrt(self.constant)[:, None], 0.0)
 
     def coloured(self, time_s: float) -> FloatArray:
-        """(n,) variance that a first-order process of unit variance and correlation time ``time_s`` adds."""
+        """(n,) variance that a first-order process of unit variance and correlation time ``time_s``
+        adds.
+        """
         out = np.empty(len(self.y))
         for number, n in enumerate(self.lengths):
             of_block = self.block == number
@@ -105,13 +115,17 @@ class Blocks:
 
 @lru_cache(_KEPT)
 def _first_order(n: int, step: float) -> FloatArray:
-    """(n,) variances of a block's waves in a first-order process of unit variance, samples ``step`` correlation times apart."""
+    """(n,) variances of a block's waves in a first-order process of unit variance, samples ``step``
+    correlation times apart.
+    """
     lags = np.arange(n) * step
     return cosine_variance(n, tuple(np.exp(-lags[lags < 12.0]).tolist()))
 
 
 def stretches(residuals: Residuals) -> Residuals:
-    """The same with pieces much longer than BLOCK_S cut into equal stretches of about that length."""
+    """The same with pieces much longer than BLOCK_S cut into equal stretches of about that
+    length.
+    """
     return replace(
         residuals, pieces=tuple(part for p in residuals.pieces for part in _cut(p, residuals.dt_s))
     )
@@ -132,7 +146,10 @@ def _cut(piece: ResidualPiece, dt_s: float) -> Iterator[ResidualPiece]:
 
 
 def blocks_of(residuals: Residuals, coefficient: str, regressors: Sequence[FloatArray]) -> Blocks:
-    """Blocks of one coefficient: one a piece, with regressors [(n, m)] piece by piece. Every piece needs its noise."""
+    """Blocks of one coefficient: one a piece, with regressors [(n, m)] piece by piece.
+
+    Every piece needs its noise.
+    """
     column = COEFFICIENTS.index(coefficient)
     y, X, noise, block, wave, spreads, weights = [], [], [], [], [], [], []
     for number, (piece, x) in enumerate(zip(residuals.pieces, regressors, strict=True)):
@@ -173,16 +190,21 @@ def blocks_of(residuals: Residuals, coefficient: str, regressors: Sequence[Float
 FIRST = 256
 LATER = 128
 ENOUGH = 150.0
-"""Independent draws that the points must be worth; posterior means are then known to a tenth of the posterior's own spread."""
+"""Independent draws that the points must be worth; posterior means are then known to a tenth of the
+posterior's own spread.
+"""
 LEAST_ROUNDS, MOST_ROUNDS = 2, 30
 _DOF = 5
-_LEAST_POINTS = 25.0  # that a distribution is fitted to; with fewer effective ones the likelihood is flattened first
+# that a distribution is fitted to; with fewer effective ones the likelihood is flattened first
+_LEAST_POINTS = 25.0
 _EDGE = 1e-7
 
 
 @dataclass(frozen=True)
 class Weighted:
-    """Points (n, d) of the unit cube, weights (n,) that sum to 1, and the logarithm of the likelihood's mean over the prior."""
+    """Points (n, d) of the unit cube, weights (n,) that sum to 1, and the logarithm of the
+    likelihood's mean over the prior.
+    """
 
     points: FloatArray
     weights: FloatArray
@@ -195,7 +217,9 @@ class Weighted:
 
 
 def sample(log_likelihood: Callable[[FloatArray], FloatArray], dimensions: int) -> Weighted:
-    """Points that stand for the posterior under a uniform prior; ``log_likelihood`` takes points (n, d) and gives (n,)."""
+    """Points that stand for the posterior under a uniform prior; ``log_likelihood`` takes points
+    (n, d) and gives (n,).
+    """
     rows, found, log_weights = np.zeros((0, dimensions)), np.zeros(0), np.zeros(0)
     sources: list[_Source] = []
     densities = np.zeros((0, 0))  # of every point, from every source
@@ -224,8 +248,8 @@ def sample(log_likelihood: Callable[[FloatArray], FloatArray], dimensions: int) 
 
 @lru_cache(2 * MOST_ROUNDS)
 def _deviates(dimensions: int, number: int) -> FloatArray:
-    """What a round's points are made of, the same whatever the data: logits of uniform points (FIRST, d) in the first, then
-    Student deviates (LATER, d)."""
+    """What a round's points are made of, the same whatever the data: logits of uniform points
+    (FIRST, d) in the first, then Student deviates (LATER, d)."""
     from scipy.stats import qmc
 
     u = qmc.Sobol(dimensions + 1, seed=number).random(FIRST if number == 0 else LATER)
@@ -241,8 +265,9 @@ def _deviates(dimensions: int, number: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Source:
-    """What ``count`` points were drawn from, in logits: a Student distribution of _DOF degrees of freedom about ``mean`` (d,)
-    whose shape has the Cholesky factor ``root`` (d, d); without them the prior, uniform points."""
+    """What ``count`` points were drawn from, in logits: a Student distribution of _DOF degrees of
+    freedom about ``mean`` (d,) whose shape has the Cholesky factor ``root`` (d, d); without them
+    the prior, uniform points."""
 
     count: int
     mean: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -260,7 +285,9 @@ class _Source:
 
 
 def _moments(z: FloatArray, log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean (d,) and inflated covariance (d, d) of weighted points; a likelihood too sharp for the points so far is flattened."""
+    """Mean (d,) and inflated covariance (d, d) of weighted points; a likelihood too sharp for the
+    points so far is flattened.
+    """
     power = 1.0
     while True:
         weights = np.exp(power * (log_weights - log_weights.max()))
@@ -274,13 +301,21 @@ def _moments(z: FloatArray, log_weights: FloatArray) -> tuple[FloatArray, FloatA
 
 
 TIMES_S = np.geomspace(0.08, 4.0, 12)
-"""Correlation times of the transient part: above them it is constant through a block, below them the filter takes it away."""
+"""Correlation times of the transient part: above them it is constant through a block, below them
+the filter takes it away.
+"""
 LEAST_SPREAD = 0.2
-"""Of the noise's variance: filter, formula and the assumption of white noise are no better known than that."""
+"""Of the noise's variance: filter, formula and the assumption of white noise are no better known
+than that.
+"""
 STRONG = float(np.log(20.0))
-"""Logarithm of the odds from which a model error counts as found: "strong" (Kass and Raftery, JASA 90 (1995) 773)."""
+"""Logarithm of the odds from which a model error counts as found: "strong" (Kass and Raftery, JASA
+90 (1995) 773).
+"""
 PRIOR_SCALE = 3.0
-"""Half-Cauchy scale of the model error's rms, in rms of the residual: a handful of manoeuvres may all have been lucky ones."""
+"""Half-Cauchy scale of the model error's rms, in rms of the residual: a handful of manoeuvres may
+all have been lucky ones.
+"""
 MOST_POINTS = 200
 """Of the posterior, that count when a block is left out."""
 _NOTHING = 1e-14  # of the residual's variance: what a part has at least, that its logarithm exists
@@ -303,14 +338,18 @@ class Uncertain:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of the inverse chi-square distribution of these moments: its relative variance is 2/(nu - 4)."""
+        """Degrees of freedom of the inverse chi-square distribution of these moments: its relative
+        variance is 2/(nu - 4).
+        """
         relative = float(self.weights @ (self.values - self.mean) ** 2) / max(
             self.mean**2, np.finfo(float).tiny
         )
         return 4.0 + 2.0 / max(relative, 1e-6)
 
     def quantile(self, confidence: float) -> float:
-        """Two-sided, of a normal distribution whose variance is so uncertain, in roots of the mean variance."""
+        """Two-sided, of a normal distribution whose variance is so uncertain, in roots of the mean
+        variance.
+        """
         ratio = np.sqrt(self.mean / np.maximum(self.values, 1e-12 * self.mean))
 
         def beyond(limit: float) -> float:
@@ -323,12 +362,14 @@ class Uncertain:
 class Components:
     """Posterior of (1), variances as means.
 
-    beta (m,), covariance (m, m)           persistent, flight, transient   variances; flight is NaN with a single flight
+    beta (m,), covariance (m, m)           persistent, flight, transient   variances; flight is NaN
+    with a single flight
     time_s        of the transient part    noise_factor  of the noise's standard deviation
     lasting, whole  variance of polynomial and persistent part, and of all parts, over the data
-    tail          95 % quantile of the model error in the data over that of a normal distribution of its variance, at least 1
-    not_above     upper 95 % limit of the model error's rms          log_odds   of a model error against noise alone
-    """
+    tail          95 % quantile of the model error in the data over that of a normal distribution of
+    its variance, at least 1
+    not_above     upper 95 % limit of the model error's rms          log_odds   of a model error
+    against noise alone"""
 
     beta: FloatArray
     covariance: FloatArray
@@ -346,7 +387,9 @@ class Components:
 
 @dataclass(frozen=True)
 class _Points:
-    """p sets of variances, each (p,): of a coefficient of the polynomial, of blocks, flights and transient part; noise's factor."""
+    """p sets of variances, each (p,): of a coefficient of the polynomial, of blocks, flights and
+    transient part; noise's factor.
+    """
 
     polynomial: FloatArray
     block: FloatArray
@@ -375,7 +418,9 @@ class _Points:
 
 @dataclass(frozen=True)
 class _Solved:
-    """At p points: log likelihood (p,), estimate (p, m) of polynomial and flights, and its covariance (p, m, m)."""
+    """At p points: log likelihood (p,), estimate (p, m) of polynomial and flights, and its
+    covariance (p, m, m).
+    """
 
     log_likelihood: FloatArray
     beta: FloatArray
@@ -394,7 +439,9 @@ class _Solved:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Waves of some blocks. X (n, m + f) with the flights' columns, gram (m, m) of a sample, scale2 the residual's variance."""
+    """Waves of some blocks. X (n, m + f) with the flights' columns, gram (m, m) of a sample, scale2
+    the residual's variance.
+    """
 
     blocks: Blocks
     X: FloatArray
@@ -437,7 +484,8 @@ class _Problem:
     def points(self, u: FloatArray) -> _Points:
         """The variances at points (p, 5) or (p, 6) of the unit cube."""
         whole = PRIOR_SCALE**2 * self.scale2 * np.tan(0.5 * np.pi * u[:, 0]) ** 2
-        # Sticks of a uniform distribution over three shares: the first is Beta(1, 2), the second of what is left uniform.
+        # Sticks of a uniform distribution over three shares: the first is Beta(1, 2), the second of
+        # what is left uniform.
         polynomial = 1.0 - np.sqrt(1.0 - u[:, 1])
         lasting, transient = (
             (1.0 - polynomial) * u[:, 2] * whole,
@@ -510,10 +558,11 @@ def _problem(blocks: Blocks) -> _Problem:
 
 
 def _weighted_sums(columns: FloatArray, weights: FloatArray) -> FloatArray:
-    """(p, c, c) sums over n rows of the products of ``columns`` (n, c), weighted by each row of ``weights`` (p, n).
+    """(p, c, c) sums over n rows of the products of ``columns`` (n, c), weighted by each row of
+    ``weights`` (p, n).
 
-    All points share the products, so that the sums are one product of matrices. Some rows at a time: there are c^2 / 2 products.
-    """
+    All points share the products, so that the sums are one product of matrices. Some rows at a
+    time: there are c^2 / 2 products."""
     n, c = columns.shape
     low, high = np.triu_indices(c)
     at_once = max(1, _TOGETHER // len(low))
@@ -528,7 +577,9 @@ def _weighted_sums(columns: FloatArray, weights: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Separation:
-    """The posterior of (1) for one coefficient: points of the variances, and how likely all the data make each."""
+    """The posterior of (1) for one coefficient: points of the variances, and how likely all the
+    data make each.
+    """
 
     problem: _Problem
     found: Weighted
@@ -555,7 +606,9 @@ class Separation:
 
 
 def separate(blocks: Blocks) -> Separation:
-    """Take one coefficient's residuals apart, the noise's size as sure as ``blocks.noise_spread`` says."""
+    """Take one coefficient's residuals apart, the noise's size as sure as ``blocks.noise_spread``
+    says.
+    """
     problem = _problem(blocks)
     points: list[_Points] = []
     rows: list[_Solved] = []
@@ -588,7 +641,8 @@ def _summary(problem: _Problem, found: Weighted, points: _Points, rows: _Solved)
     )
     order = np.argsort(error)
     colour = points.colour
-    # Times count by how much of the transient part they stand for: where there is none, any time fits.
+    # Times count by how much of the transient part they stand for: where there is none, any time
+    # fits.
     time = float(
         np.exp(
             np.average(
@@ -630,12 +684,11 @@ def _summary(problem: _Problem, found: Weighted, points: _Points, rows: _Solved)
 
 
 def _tail(problem: _Problem, p: _Points) -> float:
-    """How much further the model error's tails reach than a normal distribution's: of its estimate in the data and what that lacks.
-    ``p``: one point.
+    """How much further the model error's tails reach than a normal distribution's: of its estimate
+    in the data and what that lacks. ``p``: one point.
 
-    An effect of a surface that moves in three of nine manoeuvres has a variance, and more samples beyond two deviations than a
-    normal distribution of that variance.
-    """
+    An effect of a surface that moves in three of nine manoeuvres has a variance, and more samples
+    beyond two deviations than a normal distribution of that variance."""
     blocks = problem.blocks
     total, noise = problem.variance(p)[0], p.noise[0] * blocks.noise
     own = total - noise
@@ -678,10 +731,11 @@ LAGS_S = (0.02, 0.1, 0.5, 1.0, 2.0)
 
 @dataclass(frozen=True)
 class Variation:
-    """increments (n,) of level over STEP_S; mean, sigma of the normal fitted to them; rate = sigma/sqrt(STEP_S) [1/sqrt(s)].
+    """increments (n,) of level over STEP_S; mean, sigma of the normal fitted to them; rate =
+    sigma/sqrt(STEP_S) [1/sqrt(s)].
 
-    NaN throughout when no piece is longer than the low-pass. lagged: lag [s] -> rms change/sqrt(lag).
-    """
+    NaN throughout when no piece is longer than the low-pass. lagged: lag [s] -> rms
+    change/sqrt(lag)."""
 
     increments: FloatArray
     mean: float
@@ -736,7 +790,9 @@ def _levels(
 def _changes(
     levels: Sequence[tuple[FloatArray, FloatArray, FloatArray]], step_s: float
 ) -> FloatArray:
-    """(n,) changes of level over ``step_s``, starting step_s apart at most, by straight lines between samples."""
+    """(n,) changes of level over ``step_s``, starting step_s apart at most, by straight lines
+    between samples.
+    """
     found = [np.zeros(0)]
     for time, y, width in levels:
         start = np.arange(time[0], time[-1] - step_s + 1e-9, min(step_s, STEP_S))

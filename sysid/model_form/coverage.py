@@ -1,4 +1,7 @@
-"""Do the intervals hold on a flight they have not seen? Coverage by coefficient and manoeuvre, and leaving manoeuvres out."""
+"""Do the intervals hold on a flight they have not seen?
+
+Coverage by coefficient and manoeuvre, and leaving manoeuvres out.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,9 @@ from sysid.model_form.model_form import CoefficientBounds, ModelForm, Outside
 
 Verdict = Literal["holds", "fails", "inconclusive"]
 HOLDS_FROM = 0.85
-"""Share of a new flight that 95 % bounds must contain, whatever its standard error: single flights scatter by 0.02 to 0.04."""
+"""Share of a new flight that 95 % bounds must contain, whatever its standard error: single flights
+scatter by 0.02 to 0.04.
+"""
 SURE_TO = 0.02
 """Standard error above which a share says neither that bounds hold nor that they do not."""
 _ONE_SIDED = 1.6448536269514722  # standard normal quantile of 95 %
@@ -36,7 +41,9 @@ _BINS = 3
 
 @dataclass(frozen=True)
 class Bin:
-    """Share of the samples inside whose state lies from ``low`` to ``high``, unit of the state; n of them."""
+    """Share of the samples inside whose state lies from ``low`` to ``high``, unit of the state; n
+    of them.
+    """
 
     low: float
     high: float
@@ -46,11 +53,12 @@ class Bin:
 
 @dataclass(frozen=True)
 class Conformal:
-    """Bounds ``factor`` times as wide hold 95 % of the samples of a further manoeuvre with a probability of ``level`` or more.
+    """Bounds ``factor`` times as wide hold 95 % of the samples of a further manoeuvre with a
+    probability of ``level`` or more.
 
-    Distribution-free, if manoeuvres are alike: the factor is an order statistic of those that the manoeuvres need (Vovk et al.,
-    "Algorithmic Learning in a Random World" (2005)); with fewer than 19 the largest, at the level m/(m + 1).
-    """
+    Distribution-free, if manoeuvres are alike: the factor is an order statistic of those that the
+    manoeuvres need (Vovk et al., "Algorithmic Learning in a Random World" (2005)); with fewer than
+    19 the largest, at the level m/(m + 1)."""
 
     factor: float
     level: float
@@ -58,18 +66,20 @@ class Conformal:
 
 
 def verdict(share: float, error: float, level: float) -> Verdict:
-    """Whether bounds of confidence ``level`` hold, from the share of a new flight inside and its standard error.
+    """Whether bounds of confidence ``level`` hold, from the share of a new flight inside and its
+    standard error.
 
-    ``fails`` where the share's upper 95 % limit lies below the level, or the share below HOLDS_FROM; ``inconclusive`` where the
-    standard error exceeds SURE_TO or is not known.
-    """
+    ``fails`` where the share's upper 95 % limit lies below the level, or the share below
+    HOLDS_FROM; ``inconclusive`` where the standard error exceeds SURE_TO or is not known."""
     if not share >= HOLDS_FROM or share + _ONE_SIDED * error < level:
         return "fails"
     return "holds" if error <= SURE_TO else "inconclusive"
 
 
 def bins(residuals: Residuals, state: str, inside: Sequence[FloatArray]) -> tuple[Bin, ...]:
-    """Thirds of the samples by a state, and the share inside in each; ``inside`` 0 or 1 for each sample, piece by piece."""
+    """Thirds of the samples by a state, and the share inside in each; ``inside`` 0 or 1 for each
+    sample, piece by piece.
+    """
     values, within = residuals.states.get(state), np.concatenate(list(inside))
     if values is None:
         return ()
@@ -113,11 +123,13 @@ BLOCKS = 10
 class Coverage:
     """Of one coefficient on one flight.
 
-    share, error   level -> share of samples within the bounds of that confidence; its standard error, autocorrelation counted
-    n, n_effective samples, and independent ones they are worth (of the residual about the interval's middle)
-    mean_width     of the 95 % bounds, without the sensors' noise        outside  share of samples outside the data
-    manoeuvres     label -> level -> share
-    speeds, incidences  shares at the 95 % level in thirds of the flight's airspeed and angle of attack
+    share, error   level -> share of samples within the bounds of that confidence; its standard
+    error, autocorrelation counted n, n_effective samples, and independent ones they are worth (of
+    the residual about the interval's middle)
+    mean_width     of the 95 % bounds, without the sensors' noise        outside  share of samples
+    outside the data
+    manoeuvres     label -> level -> share speeds, incidences  shares at the 95 % level in thirds of
+    the flight's airspeed and angle of attack
     conformal      factor by which the 95 % bounds must be widened, by what manoeuvres show
     """
 
@@ -136,10 +148,11 @@ class Coverage:
 def coverage(
     form: ModelForm, residuals: Residuals, levels: Sequence[float] = LEVELS
 ) -> dict[str, Coverage]:
-    """Coverage of a form on a flight's residuals, filtered as the form's own were. Raises KeyError for a missing state.
+    """Coverage of a form on a flight's residuals, filtered as the form's own were. Raises KeyError
+    for a missing state.
 
-    Samples are measured: where the form keeps noise apart, that of the flight's own sensors is added to the interval.
-    """
+    Samples are measured: where the form keeps noise apart, that of the flight's own sensors is
+    added to the interval."""
     if any(b.parts is not None for b in form.coefficients.values()):
         residuals = quiet(residuals)
     return {c: _of(c, b, form.outside, residuals, levels) for c, b in form.coefficients.items()}
@@ -195,7 +208,9 @@ def _of(
 def _stretch(
     bounds: CoefficientBounds, coefficient: str, piece: ResidualPiece, outside: Outside
 ) -> FloatArray:
-    """(n,) by what factor the 95 % bounds of measured samples must be widened about their middle to hold each sample and zero."""
+    """(n,) by what factor the 95 % bounds of measured samples must be widened about their middle to
+    hold each sample and zero.
+    """
     middle, half = bounds.sample_middle(piece.states, _noise(coefficient, piece), 0.95, outside)
     y = piece.delta[:, COEFFICIENTS.index(coefficient)]
     return np.maximum(np.where(y >= 0.0, y - middle, middle - y), 0.0) / np.maximum(
@@ -210,7 +225,9 @@ def measured_bounds(
     confidence: float | None,
     outside: Outside,
 ) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper end (n,) of the interval for a piece's measured samples, its sensors' noise and all."""
+    """Lower and upper end (n,) of the interval for a piece's measured samples, its sensors' noise
+    and all.
+    """
     return bounds.sample_interval(piece.states, _noise(coefficient, piece), confidence, outside)
 
 
@@ -222,14 +239,18 @@ def _noise(coefficient: str, piece: ResidualPiece) -> FloatArray:
 
 
 def share_error(inside: Sequence[FloatArray]) -> float:
-    """Standard error of a share of samples, given 0 or 1 for each, piece by piece: samples in a row fall outside together."""
+    """Standard error of a share of samples, given 0 or 1 for each, piece by piece: samples in a row
+    fall outside together.
+    """
     values = np.concatenate(list(inside))
     p = float(values.mean())
     return float(np.sqrt(p * (1.0 - p) * integral_time([v - p for v in inside]) / len(values)))
 
 
 def told_apart(residuals: Residuals) -> Residuals:
-    """The same; pieces that all have one name are given names by the stretch of the flight they lie in."""
+    """The same; pieces that all have one name are given names by the stretch of the flight they lie
+    in.
+    """
     n = len(residuals.pieces)
     if len(residuals.labels) != 1 or n < 2:
         return residuals
@@ -249,12 +270,13 @@ def leave_one_out(
     outside: Outside = "grow",
     fitted: Mapping[str, FittedBounds] | None = None,
 ) -> dict[str, dict[str, float]]:
-    """Manoeuvre -> coefficient -> share of its samples within the bounds that the other manoeuvres give.
+    """Manoeuvre -> coefficient -> share of its samples within the bounds that the other manoeuvres
+    give.
 
-    A share far below the confidence says that the manoeuvre holds something that the others do not. NaN where the rest is too
-    short for a fit. Where all pieces have one name, BLOCKS stretches of the flight stand for manoeuvres; empty for a single piece.
-    fitted: what `fit_bounds` made of the same residuals.
-    """
+    A share far below the confidence says that the manoeuvre holds something that the others do not.
+    NaN where the rest is too short for a fit. Where all pieces have one name, BLOCKS stretches of
+    the flight stand for manoeuvres; empty for a single piece. fitted: what `fit_bounds` made of the
+    same residuals."""
     out: dict[str, dict[str, float]] = {}
     residuals = told_apart(residuals)
     if len(residuals.labels) < 2:

@@ -1,13 +1,15 @@
-"""From residual coefficients to intervals: regression on polynomials of flight states (dissertation eqs 2.17, 2.18).
+"""From residual coefficients to intervals: regression on polynomials of flight states (dissertation
+eqs 2.17, 2.18).
 
-Where the pieces know their sensor noise, model error is taken apart from it (components.py): what persists through a manoeuvre or
-a flight, what changes within one, and noise, which belongs to the sensors and to no bounds. ``noise = "inside"`` keeps the
-published interval, of measured samples, noise and all.
+Where the pieces know their sensor noise, model error is taken apart from it (components.py): what
+persists through a manoeuvre or a flight, what changes within one, and noise, which belongs to the
+sensors and to no bounds. ``noise = "inside"`` keeps the published interval, of measured samples,
+noise and all.
 
-The published interval counts every sample as news. Residuals sampled at 50 Hz and filtered at some hertz are not: n samples are
-worth n/tau independent ones, tau their integral time (autocorrelation.py). By default the degrees of freedom, the residual
-variance and the leverage's weight are those of the independent ones; ``samples = "all"`` is the published way.
-"""
+The published interval counts every sample as news. Residuals sampled at 50 Hz and filtered at some
+hertz are not: n samples are worth n/tau independent ones, tau their integral time
+(autocorrelation.py). By default the degrees of freedom, the residual variance and the leverage's
+weight are those of the independent ones; ``samples = "all"`` is the published way."""
 
 from __future__ import annotations
 
@@ -62,7 +64,9 @@ _SURE = 2.0
 
 
 def quiet(residuals: Residuals) -> Residuals:
-    """The residuals with states freed of noise; as they are where a piece does not know its noise."""
+    """The residuals with states freed of noise; as they are where a piece does not know its
+    noise.
+    """
     if any(p.noise is None for p in residuals.pieces):
         return residuals
     clean = quiet_states(residuals.pieces, residuals.dt_s)
@@ -73,7 +77,9 @@ def quiet(residuals: Residuals) -> Residuals:
 
 
 def quiet_states(pieces: Sequence[ResidualPiece], dt_s: float) -> list[dict[str, FloatArray]]:
-    """Per piece state -> (n,) without the noise that `ResidualPiece.noise` tells of; other states as they are."""
+    """Per piece state -> (n,) without the noise that `ResidualPiece.noise` tells of; other states
+    as they are.
+    """
     out = [dict(p.states) for p in pieces]
     for name in out[0]:
         if any(p.noise is None or name not in p.noise.states for p in pieces):
@@ -106,8 +112,8 @@ def _quiet(pieces: Sequence[ResidualPiece], name: str, dt_s: float) -> list[Floa
 def _signal(power: FloatArray, noise: FloatArray, band: NDArray[np.intp]) -> FloatArray:
     """Share of signal in each band: none where noise alone explains the power.
 
-    Each band for itself: a band of few waves may show nothing below others that hold the whole motion.
-    """
+    Each band for itself: a band of few waves may show nothing below others that hold the whole
+    motion."""
     share = np.zeros(len(_BANDS_HZ) + 1)
     for k in range(len(share)):
         of_band = band == k
@@ -124,7 +130,9 @@ def _signal(power: FloatArray, noise: FloatArray, band: NDArray[np.intp]) -> Flo
 LONGITUDINAL = ("V_mps", "alpha_rad", "q_radps", "theta_rad")
 LATERAL = ("V_mps", "beta_rad", "p_radps", "r_radps")
 MIN_SAMPLES_PER_TERM = 2.0
-"""Effective samples a term needs; below, the polynomial's order is lowered rather than a residual fitted away."""
+"""Effective samples a term needs; below, the polynomial's order is lowered rather than a residual
+fitted away.
+"""
 _STILL = {
     "V_mps": 0.2,
     "alpha_rad": 0.002,
@@ -137,14 +145,17 @@ _STILL = {
     "throttle_pct": 0.5,
 }
 _STILL_SURFACE_DEG = 0.1
-"""A state whose deviation is below this varied hardly more than filtered sensor noise (Table 2.1 of the dissertation): a polynomial
-in it, and above all its growth beyond such data, would be made of noise."""
+"""A state whose deviation is below this varied hardly more than filtered sensor noise (Table 2.1 of
+the dissertation): a polynomial in it, and above all its growth beyond such data, would be made of
+noise."""
 _COLLINEAR = 1e-6  # part of a regressor's length that the ones before it must leave
 
 
 @dataclass(frozen=True)
 class Design:
-    """What one coefficient is regressed on: states, and its terms; without terms the full polynomial of ``order``."""
+    """What one coefficient is regressed on: states, and its terms; without terms the full
+    polynomial of ``order``.
+    """
 
     states: tuple[str, ...]
     terms: tuple[Term, ...] | None = None
@@ -158,10 +169,11 @@ def default_designs() -> dict[str, Design]:
 
 @dataclass(frozen=True)
 class FitOptions:
-    """confidence of the interval; samples: how autocorrelation counts; select: all terms, or those a statistic asks for.
+    """confidence of the interval; samples: how autocorrelation counts; select: all terms, or those
+    a statistic asks for.
 
-    noise: "apart" leaves the sensors' noise out of the intervals, where the residuals know it; "inside" is the published way.
-    """
+    noise: "apart" leaves the sensors' noise out of the intervals, where the residuals know it;
+    "inside" is the published way."""
 
     confidence: float = 0.95
     samples: Literal["effective", "all"] = "effective"
@@ -171,10 +183,11 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class FittedBounds:
-    """An interval, what is left of the residual in each piece (flight minus fit, [(n,)]), and what was done about its terms.
+    """An interval, what is left of the residual in each piece (flight minus fit, [(n,)]), and what
+    was done about its terms.
 
-    separation: of model error from noise, block by block of `stretches`; None where noise is inside the interval.
-    """
+    separation: of model error from noise, block by block of `stretches`; None where noise is inside
+    the interval."""
 
     bounds: CoefficientBounds
     left: list[FloatArray]
@@ -187,16 +200,17 @@ def fit_bounds(
     designs: Mapping[str, Design] | None = None,
     options: FitOptions | None = None,
 ) -> dict[str, FittedBounds]:
-    """Intervals of the coefficients in ``designs`` (default: all six). Raises ValueError: a missing state, too short a flight.
+    """Intervals of the coefficients in ``designs`` (default: all six). Raises ValueError: a missing
+    state, too short a flight.
 
-    Terms in a state that hardly varied are left out with a note; it stays in the envelope box. States are normalised by their
-    mean and deviation over all samples, the same for every coefficient, so that coefficients with the same states share one
-    (X'X)^-1.
-    """
+    Terms in a state that hardly varied are left out with a note; it stays in the envelope box.
+    States are normalised by their mean and deviation over all samples, the same for every
+    coefficient, so that coefficients with the same states share one (X'X)^-1."""
     designs, options = designs or default_designs(), options or FitOptions()
     apart = options.noise == "apart" and all(p.noise is not None for p in residuals.pieces)
     if apart:
-        # Noise that is in a state and in the residual alike would pass for a function of that state.
+        # Noise that is in a state and in the residual alike would pass for a function of that
+        # state.
         residuals = quiet(residuals)
     states = residuals.states
     wanted = dict.fromkeys(s for d in designs.values() for s in d.states)
@@ -228,8 +242,8 @@ def _moving(
     terms = tuple(t for t in wanted if not any(t[k] for k in still))
     them = "it" if len(still) == 1 else "them"
     note = (
-        f"{coefficient}: {names} hardly varied; the bounds do not depend on {them}, and any other value is outside "
-        "the data"
+        f"{coefficient}: {names} hardly varied; the bounds do not depend on {them}, and any other"
+        " value is outside the data"
     )
     return terms or (tuple(0 for _ in design.states),), (note,)
 
@@ -264,15 +278,16 @@ def _fit(
         if n_effective >= MIN_SAMPLES_PER_TERM * len(kept):
             if order is not None and order < design.order:
                 notes.append(
-                    f"{coefficient}: too short a flight for order {design.order}; order {order} was fitted"
+                    f"{coefficient}: too short a flight for order {design.order}; order {order} was"
+                    " fitted"
                 )
             bounds = _bounds(
                 residuals, design, kept, scaling, x, np.concatenate(y), left, n_effective, options
             )
             return FittedBounds(bounds, left, (*said_of_states, *notes, *said))
     raise ValueError(
-        f"{coefficient}: {n} samples are worth {n_effective:.0f} independent ones, at least {MIN_SAMPLES_PER_TERM:g} a term are "
-        "needed; fly longer or choose fewer terms"
+        f"{coefficient}: {n} samples are worth {n_effective:.0f} independent ones, at least"
+        f" {MIN_SAMPLES_PER_TERM:g} a term are needed; fly longer or choose fewer terms"
     )
 
 
@@ -283,7 +298,10 @@ def _fit_apart(
     scaling: Mapping[str, tuple[float, float]],
     options: FitOptions,
 ) -> FittedBounds:
-    """The interval of the model's error alone. Its prior holds the polynomial finite: no flight is too short for its order."""
+    """The interval of the model's error alone.
+
+    Its prior holds the polynomial finite: no flight is too short for its order.
+    """
     open_terms, said_of_states = _moving(coefficient, design, scaling)
     asked = (
         open_terms if open_terms is not None else full_polynomial(len(design.states), design.order)
@@ -333,7 +351,9 @@ def _fit_apart(
 def with_components(
     bounds: CoefficientBounds, found: Components, noise: float
 ) -> CoefficientBounds:
-    """The interval with other components of the same terms; noise: rms of the sensors' in the samples as presumed [-]."""
+    """The interval with other components of the same terms; noise: rms of the sensors' in the
+    samples as presumed [-].
+    """
     parts = Parts(
         persistent=float(np.sqrt(found.persistent)),
         transient=float(np.sqrt(found.transient)),
@@ -388,7 +408,9 @@ def _chosen(
     scaling: Mapping[str, tuple[float, float]],
     options: FitOptions,
 ) -> tuple[tuple[Term, ...], list[str]]:
-    """Terms that the data tell apart, in order (those that a stepwise choice keeps, if asked for), and what was left out."""
+    """Terms that the data tell apart, in order (those that a stepwise choice keeps, if asked for),
+    and what was left out.
+    """
     x = _design_matrix(residuals, design, terms, scaling)
     independent, basis = [], np.zeros((len(x), 0))
     for k in range(x.shape[1]):
@@ -404,7 +426,8 @@ def _chosen(
     lost = [term_name(terms[k], design.states) for k in range(len(terms)) if k not in independent]
     if lost:
         notes.append(
-            f"{coefficient}: the flights do not separate {', '.join(lost)} from other terms; left out"
+            f"{coefficient}: the flights do not separate {', '.join(lost)} from other terms;"
+            " left out"
         )
     if options.select == "stepwise":
         constant = [i for i, k in enumerate(independent) if not any(terms[k])]
@@ -438,7 +461,8 @@ def _bounds(
     beta = inverse @ (q.T @ y)
     n, m = x.shape
     dof = n_effective - m  # n - (k + 1) with k regressors beside the constant
-    # Residual sum over its degrees of freedom; with every sample counted it is the published mean squared error.
+    # Residual sum over its degrees of freedom; with every sample counted it is the published mean
+    # squared error.
     s2 = sum(float(e @ e) for e in left) / n * n_effective / dof
     states = stack(residuals.states, design.states)
     return CoefficientBounds(
@@ -463,7 +487,9 @@ def _bounds(
 def with_walk_rates(
     fitted: Mapping[str, FittedBounds], rates: Mapping[str, float]
 ) -> dict[str, CoefficientBounds]:
-    """The intervals with their rates of variation [1/sqrt(s)]; one with parts keeps that of its transient part."""
+    """The intervals with their rates of variation [1/sqrt(s)]; one with parts keeps that of its
+    transient part.
+    """
     return {
         c: f.bounds if f.bounds.parts else replace(f.bounds, walk_rate=rates[c])
         for c, f in fitted.items()
@@ -490,17 +516,23 @@ NOISY = (
 def with_noise(
     channels: Mapping[str, FloatArray], noise_std: Mapping[str, float], rng: np.random.Generator
 ) -> dict[str, FloatArray]:
-    """The channels (n,) with white noise of ``noise_std`` (channel -> std) added; those without a finite figure as they are."""
+    """The channels (n,) with white noise of ``noise_std`` (channel -> std) added; those without a
+    finite figure as they are.
+    """
     return {
-        c: v + noise_std[c] * rng.standard_normal(len(v))
-        if np.isfinite(noise_std.get(c, np.nan))
-        else v
+        c: (
+            v + noise_std[c] * rng.standard_normal(len(v))
+            if np.isfinite(noise_std.get(c, np.nan))
+            else v
+        )
         for c, v in channels.items()
     }
 
 
 def floor_of(changes: Sequence[FloatArray]) -> FloatArray:
-    """(k,) rms of what added noise changed in k quantities: the mean over experiments of (n, k) each."""
+    """(k,) rms of what added noise changed in k quantities: the mean over experiments of (n, k)
+    each.
+    """
     return np.asarray(np.sqrt(sum(np.mean(change**2, axis=0) for change in changes) / len(changes)))
 
 
@@ -511,7 +543,8 @@ def floor_of(changes: Sequence[FloatArray]) -> FloatArray:
 # not in the polynomial already; a stepwise choice that allows for coloured residuals
 # (selection.py) says which belong there.
 
-_MISSING_TERMS_STILL = 1e-3  # part of the largest state's deviation over its mean size below which a state did not move
+# part of the largest state's deviation over its mean size below which a state did not move
+_MISSING_TERMS_STILL = 1e-3
 MOST = 4
 LEAST_SHARE = 0.05
 """Of the scatter's variance; a chosen term that takes less is not worth a word."""
@@ -519,7 +552,9 @@ LEAST_SHARE = 0.05
 
 @dataclass(frozen=True)
 class MissingTerm:
-    """``name`` as polynomial.py writes it; ``share`` of the scatter's variance that it takes away, after those before it."""
+    """``name`` as polynomial.py writes it; ``share`` of the scatter's variance that it takes away,
+    after those before it.
+    """
 
     name: str
     states: tuple[str, ...]
@@ -529,10 +564,11 @@ class MissingTerm:
 def missing_terms(
     residuals: Residuals, coefficient: str, bounds: CoefficientBounds, most: int = MOST
 ) -> list[MissingTerm]:
-    """Terms that flights show to be missing, the most telling first; empty when what is left is noise.
+    """Terms that flights show to be missing, the most telling first; empty when what is left is
+    noise.
 
-    residuals: of the flights behind the bounds. Raises ValueError if they lack a state of the bounds.
-    """
+    residuals: of the flights behind the bounds. Raises ValueError if they lack a state of the
+    bounds."""
     there = residuals.states
     lacking = [s for s in bounds.states if s not in there]
     if lacking:

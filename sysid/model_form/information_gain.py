@@ -1,20 +1,23 @@
-"""What more data would do to a model-form interval: the answer of the linear model, before anybody has flown.
+"""What more data would do to a model-form interval: the answer of the linear model, before anybody
+has flown.
 
-With C = (X'X)^-1 of the data behind the interval and K = Z'Z of further data, in the same normalised states,
+With C = (X'X)^-1 of the data behind the interval and K = Z'Z of further data, in the same
+normalised states,
 
     C+ = (X'X + K)^-1                                                           (1)
     n+ = n + n_Z,   dof+ = n+/f - m,   t+ = t(dof+)                             (2)
     beta+ = C+ (X'X beta_hat + K b),  b = beta + noise of variance f s2 K^-1    (3)
 
-(1), (2): least squares, the residual's variance s2 and colour f being what they are (model_form.py). (3): a width depends on beta+
-because bounds are stretched to hold zero. What is believed of beta today is not beta_hat +- its standard error: far from the data
-that would be a model error as large as the interval, and an interval is wide there for want of knowledge, not for error. Terms are
-as likely to be up as down, with one size for all, which beta_hat tells (empirical Bayes; Efron and Morris, JASA 68 (1973) 117).
-The mean over futures is taken (preposterior analysis: Raiffa and Schlaifer, "Applied Statistical Decision Theory" (1961), ch. 5).
+(1), (2): least squares, the residual's variance s2 and colour f being what they are
+(model_form.py). (3): a width depends on beta+ because bounds are stretched to hold zero. What is
+believed of beta today is not beta_hat +- its standard error: far from the data that would be a
+model error as large as the interval, and an interval is wide there for want of knowledge, not for
+error. Terms are as likely to be up as down, with one size for all, which beta_hat tells (empirical
+Bayes; Efron and Morris, JASA 68 (1973) 117). The mean over futures is taken (preposterior analysis:
+Raiffa and Schlaifer, "Applied Statistical Decision Theory" (1961), ch. 5).
 
-Data narrow f x'Cx, the *parameter part*, and t. They do not narrow s2: what scatters about the best polynomial, be it noise or a
-term that is missing, stays.
-"""
+Data narrow f x'Cx, the *parameter part*, and t. They do not narrow s2: what scatters about the best
+polynomial, be it noise or a term that is missing, stays."""
 
 from __future__ import annotations
 
@@ -35,7 +38,9 @@ _MAX_STATES = 400  # at which the mean over draws is taken
 
 @dataclass(frozen=True)
 class Information:
-    """What some data say about one coefficient: Z'Z (m, m) over its terms, n samples, smallest and largest state (k,)."""
+    """What some data say about one coefficient: Z'Z (m, m) over its terms, n samples, smallest and
+    largest state (k,).
+    """
 
     ZtZ: FloatArray
     n: float
@@ -45,7 +50,9 @@ class Information:
 
 @dataclass(frozen=True)
 class Width:
-    """Mean widths over states. total: of the bounds; parameter: 2 t sqrt(f s2 x'Cx), from the uncertainty of the polynomial."""
+    """Mean widths over states. total: of the bounds; parameter: 2 t sqrt(f s2 x'Cx), from the
+    uncertainty of the polynomial.
+    """
 
     total: float
     parameter: float
@@ -54,7 +61,8 @@ class Width:
 def information(
     bounds: CoefficientBounds, states: Mapping[str, FloatArray], weight: float = 1.0
 ) -> Information:
-    """Of data at states (n,). weight: samples of the data behind ``bounds`` that one of these is worth (ratio of the rates).
+    """Of data at states (n,). weight: samples of the data behind ``bounds`` that one of these is
+    worth (ratio of the rates).
 
     Raises KeyError for a missing state.
     """
@@ -69,9 +77,9 @@ def after(
 ) -> CoefficientBounds:
     """The interval as it will be with ``more`` data, but for beta, which nobody knows yet.
 
-    scatter: residual variance of the further data over that of the data behind ``bounds``; the pooled one is expected.
-    The envelope box grows with the data; its largest leverage is not known without the samples and stays.
-    """
+    scatter: residual variance of the further data over that of the data behind ``bounds``; the
+    pooled one is expected. The envelope box grows with the data; its largest leverage is not known
+    without the samples and stays."""
     if not more:
         return bounds
     C = np.linalg.inv(np.linalg.inv(bounds.XtX_inv) + sum(item.ZtZ for item in more))  # (1)
@@ -91,7 +99,8 @@ def after(
         hull=replace(bounds.hull, low=low, high=high),
     )
     if bounds.parts is not None:
-        # What persists and how sure that is are the model's; samples alone do not change them, and noise is in no width.
+        # What persists and how sure that is are the model's; samples alone do not change them, and
+        # noise is in no width.
         return more_known
     t = float(student_quantile(0.5 + 0.5 * bounds.confidence, dof))
     return replace(more_known, s2=bounds.s2 * (bounds.n + scatter * added) / n, dof=dof, t=t)
@@ -122,11 +131,11 @@ def width(
 
 
 def belief(bounds: CoefficientBounds) -> tuple[FloatArray, FloatArray]:
-    """Mean (m,) and covariance (m, m) of beta: beta_hat is N(beta, f s2 C), beta is N(0, v I), v where beta_hat is likeliest.
+    """Mean (m,) and covariance (m, m) of beta: beta_hat is N(beta, f s2 C), beta is N(0, v I), v
+    where beta_hat is likeliest.
 
-    Terms are of normalised states, so that one size for all of them has a meaning. Where model error was taken apart from noise,
-    beta_hat and its covariance are a posterior already.
-    """
+    Terms are of normalised states, so that one size for all of them has a meaning. Where model
+    error was taken apart from noise, beta_hat and its covariance are a posterior already."""
     if bounds.parts is not None:
         return bounds.beta_hat, bounds.leverage_factor * bounds.s2 * bounds.XtX_inv
     S = bounds.leverage_factor * bounds.s2 * bounds.XtX_inv
@@ -161,7 +170,9 @@ def expected_width(
     draws: int = DRAWS,
     seed: int = 1,
 ) -> Width:
-    """Mean widths that ``then`` (from `after` or `for_ever`) will have, over states and over what may be learnt of beta."""
+    """Mean widths that ``then`` (from `after` or `for_ever`) will have, over states and over what
+    may be learnt of beta.
+    """
     kept = thinned(states, now.states, _MAX_STATES)
     z = then.normalised(kept, outside)
     X = regressors(z, then.terms)
@@ -201,11 +212,12 @@ def weighted_quartiles(values: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def speed_power(speeds_mps: FloatArray, variances: FloatArray, counts: FloatArray) -> float:
-    """b of variance ~ V^b, from stretches of flight with these mean speeds (p,), residual variances (p,) and samples (p,).
+    """b of variance ~ V^b, from stretches of flight with these mean speeds (p,), residual variances
+    (p,) and samples (p,).
 
-    Noise of a sensor becomes noise of a coefficient through the dynamic pressure: b is -4 in still air; gusts make it less steep.
-    0 where the speeds do not tell: fewer than three, within 5 %, or a standard error above 1.
-    """
+    Noise of a sensor becomes noise of a coefficient through the dynamic pressure: b is -4 in still
+    air; gusts make it less steep. 0 where the speeds do not tell: fewer than three, within 5 %, or
+    a standard error above 1."""
     good = (variances > 0.0) & (counts > 0.0) & np.isfinite(variances)
     if good.sum() < 3:
         return 0.0
@@ -220,7 +232,9 @@ def speed_power(speeds_mps: FloatArray, variances: FloatArray, counts: FloatArra
 
 
 def mean_power(middle: FloatArray, low: float, high: float, power: float) -> float:
-    """Mean of V^power over a distribution known by its quartiles (3,), smallest and largest value, straight lines in between."""
+    """Mean of V^power over a distribution known by its quartiles (3,), smallest and largest value,
+    straight lines in between.
+    """
     at = np.interp(
         np.linspace(0.005, 0.995, 100), [0.0, 0.25, 0.5, 0.75, 1.0], [low, *middle, high]
     )
@@ -240,7 +254,9 @@ _FLIGHT_CHOICE_MAX_STATES = 500
 
 @dataclass(frozen=True)
 class Offer:
-    """A manoeuvre that could be flown: ``seconds`` it takes, ``group`` of those that need no transition between them."""
+    """A manoeuvre that could be flown: ``seconds`` it takes, ``group`` of those that need no
+    transition between them.
+    """
 
     group: str
     seconds: float
@@ -249,7 +265,9 @@ class Offer:
 
 @dataclass(frozen=True)
 class Chosen:
-    """One choice: index of the offer, seconds with the transition that it needs, mean half-width once it is flown."""
+    """One choice: index of the offer, seconds with the transition that it needs, mean half-width
+    once it is flown.
+    """
 
     index: int
     seconds: float
@@ -266,8 +284,8 @@ def choose(
 ) -> list[Chosen]:
     """Offers to fly within ``budget_s`` seconds, best first; an offer may be taken several times.
 
-    transition_s: what the first offer of a group costs besides. Empty when no offer fits, or none narrows anything.
-    """
+    transition_s: what the first offer of a group costs besides. Empty when no offer fits, or none
+    narrows anything."""
     kept = thinned(states, bounds.states, _FLIGHT_CHOICE_MAX_STATES)
     X = regressors(bounds.normalised(kept, outside), bounds.terms)
     M: FloatArray = np.asarray(np.linalg.inv(bounds.XtX_inv), dtype=np.float64)

@@ -1,12 +1,14 @@
-"""ModelForm: the waist between flights and everything that samples what a flight model does not know.
+"""ModelForm: the waist between flights and everything that samples what a flight model does not
+know.
 
-Per coefficient an interval for the residual dC = flight minus model at flight states x (dissertation eqs 2.17, 2.18):
+Per coefficient an interval for the residual dC = flight minus model at flight states x
+(dissertation eqs 2.17, 2.18):
 
     y(x) +/- t sqrt(s2 (1 + f x' (X'X)^-1 x)),        upper := max(upper, 0), lower := min(lower, 0)
 
-with x the polynomial terms of normalised states (polynomial.py), so that the identified model always lies inside. dC adds to the
-model's own coefficient, body axes, SI (CZ down). f is 1 as published; above 1 when the samples' autocorrelation is allowed for.
-"""
+with x the polynomial terms of normalised states (polynomial.py), so that the identified model
+always lies inside. dC adds to the model's own coefficient, body axes, SI (CZ down). f is 1 as
+published; above 1 when the samples' autocorrelation is allowed for."""
 
 from __future__ import annotations
 
@@ -38,12 +40,13 @@ _ROUNDING = 1e-9  # of a hull's edge: a sample on the edge lies inside, whatever
 
 @dataclass(frozen=True)
 class Hull:
-    """Where the data are: per state the smallest and largest value (k,), and the largest leverage x'(X'X)^-1 x of a sample.
+    """Where the data are: per state the smallest and largest value (k,), and the largest leverage
+    x'(X'X)^-1 x of a sample.
 
-    The box stops single states, the leverage their combinations: the ellipsoid-like set of leverages up to the data's largest
-    is the region that a regression's regressors cover (Cook 1979; Montgomery, Peck and Vining, "Linear Regression Analysis", 3.8).
-    middle (k, 3): quartiles of each state, which say where inside the box the data are dense.
-    """
+    The box stops single states, the leverage their combinations: the ellipsoid-like set of
+    leverages up to the data's largest is the region that a regression's regressors cover (Cook
+    1979; Montgomery, Peck and Vining, "Linear Regression Analysis", 3.8). middle (k, 3): quartiles
+    of each state, which say where inside the box the data are dense."""
 
     low: FloatArray
     high: FloatArray
@@ -53,13 +56,16 @@ class Hull:
 
 @dataclass(frozen=True)
 class Parts:
-    """What the difference between flight and model consists of beside the polynomial; standard deviations [-].
+    """What the difference between flight and model consists of beside the polynomial; standard
+    deviations [-].
 
-    persistent        constant through a manoeuvre, of all flights       transient    changes within a manoeuvre
-    flight            part of ``persistent`` that is common to a flight; NaN: not estimable, there was one flight
-    transient_time_s  correlation time of the transient part; NaN where there is none
-    noise             of the sensors, in the data's samples (rms)        noise_scale  their size over what was presumed
-    total_dof, total_t  degrees of freedom and two-sided quantile of persistent and transient part together
+    persistent        constant through a manoeuvre, of all flights       transient    changes within
+    a manoeuvre
+    flight            part of ``persistent`` that is common to a flight; NaN: not estimable, there
+    was one flight transient_time_s  correlation time of the transient part; NaN where there is none
+    noise             of the sensors, in the data's samples (rms)        noise_scale  their size
+    over what was presumed total_dof, total_t  degrees of freedom and two-sided quantile of
+    persistent and transient part together
     not_above         upper 95 % limit of the root of persistent plus transient variance
     found             whether the data show any model error: polynomial, persistent or transient
     """
@@ -82,10 +88,11 @@ class Parts:
 
     @property
     def transient_rate_per_sqrt_s(self) -> float:
-        """Rate [1/sqrt(s)] of a walk between reflecting ends 0 and 1 whose correlation time is the transient part's.
+        """Rate [1/sqrt(s)] of a walk between reflecting ends 0 and 1 whose correlation time is the
+        transient part's.
 
-        The slowest mode of such a walk decays with rate**2 pi**2 / 2. 0 where there is no transient part.
-        """
+        The slowest mode of such a walk decays with rate**2 pi**2 / 2. 0 where there is no transient
+        part."""
         if not self.transient_time_s > 0.0:
             return 0.0
         return math.sqrt(2.0) / (math.pi * math.sqrt(self.transient_time_s))
@@ -95,14 +102,21 @@ class Parts:
 class CoefficientBounds:
     """The interval of one coefficient.
 
-    With ``parts`` it is that of the model's error which persists: y(x) +/- t sqrt(persistent**2 + s2 f x' (X'X)^-1 x).
+    With ``parts`` it is that of the model's error which persists: y(x) +/- t sqrt(persistent**2 +
+    s2 f x' (X'X)^-1 x).
 
-    states (k,)          record columns, units as named         centre, scale (k,)  z = (x - centre)/scale
-    terms (m,)           powers of z                            beta_hat (m,), XtX_inv (m, m)  over the terms
-    s2, dof, t           residual variance, degrees of freedom, two-sided quantile of Student's t at ``confidence``
-    leverage_factor      f above        n, n_effective  samples, and how many independent ones they are worth
-    walk_rate            1/sqrt(s), of the interval's width; NaN (null in the file) where the flight is too short
-    parts                model error apart from noise; None: not separated, the interval holds the sensors' noise as published
+    states (k,)          record columns, units as named         centre, scale (k,)  z = (x -
+    centre)/scale
+    terms (m,)           powers of z                            beta_hat (m,), XtX_inv (m, m)  over
+    the terms
+    s2, dof, t           residual variance, degrees of freedom, two-sided quantile of Student's t at
+    ``confidence``
+    leverage_factor      f above        n, n_effective  samples, and how many independent ones they
+    are worth
+    walk_rate            1/sqrt(s), of the interval's width; NaN (null in the file) where the flight
+    is too short
+    parts                model error apart from noise; None: not separated, the interval holds the
+    sensors' noise as published
     hull                 where the data are
     """
 
@@ -125,7 +139,9 @@ class CoefficientBounds:
 
     @property
     def constant_variance(self) -> float:
-        """What the interval's variance is where the polynomial is known: persistent model error; the residual's without parts."""
+        """What the interval's variance is where the polynomial is known: persistent model error;
+        the residual's without parts.
+        """
         return self.s2 if self.parts is None else self.parts.persistent**2
 
     def half_width(self, leverage: FloatArray, t: float) -> FloatArray:
@@ -151,7 +167,9 @@ class CoefficientBounds:
         return self._quantile(confidence, self.t, self.dof)
 
     def _quantile(self, confidence: float, t: float, dof: float) -> float:
-        """``t`` is that at the form's confidence; at another one a Student distribution's, in proportion where parts are kept."""
+        """``t`` is that at the form's confidence; at another one a Student distribution's, in
+        proportion where parts are kept.
+        """
         if confidence == self.confidence:
             return t
         asked, known = (
@@ -180,10 +198,11 @@ class CoefficientBounds:
         confidence: float | None = None,
         outside: Outside = "grow",
     ) -> tuple[FloatArray, FloatArray]:
-        """Lower <= 0 <= upper (n,) for one measured sample: model error, persistent and transient, and the sensors' noise.
+        """Lower <= 0 <= upper (n,) for one measured sample: model error, persistent and transient,
+        and the sensors' noise.
 
-        noise_variance (n,): of the samples; it counts only where the interval has parts, others hold the noise already.
-        """
+        noise_variance (n,): of the samples; it counts only where the interval has parts, others
+        hold the noise already."""
         y, half = self.sample_middle(states, noise_variance, confidence, outside)
         return np.minimum(y - half, 0.0), np.maximum(y + half, 0.0)
 
@@ -194,7 +213,9 @@ class CoefficientBounds:
         confidence: float | None = None,
         outside: Outside = "grow",
     ) -> tuple[FloatArray, FloatArray]:
-        """Middle and half-width (n,) of that interval before it is stretched to hold zero; without noise of the model error."""
+        """Middle and half-width (n,) of that interval before it is stretched to hold zero; without
+        noise of the model error.
+        """
         z = self.normalised(states, outside)
         y = regressors(z, self.terms) @ self.beta_hat
         if self.parts is None:
@@ -217,7 +238,9 @@ class CoefficientBounds:
         return np.minimum(lower, 0.0), np.maximum(upper, 0.0)
 
     def distance(self, states: Mapping[str, FloatArray]) -> FloatArray:
-        """(n,) how far states lie outside the data: 0 inside, else the larger of box excess in widths and sqrt(h/h_max) - 1."""
+        """(n,) how far states lie outside the data: 0 inside, else the larger of box excess in
+        widths and sqrt(h/h_max) - 1.
+        """
         x = stack(states, self.states)
         width = np.where(self.hull.high > self.hull.low, self.hull.high - self.hull.low, 1.0)
         box = np.max(np.maximum(self.hull.low - x, x - self.hull.high) / width, axis=1)
@@ -228,7 +251,9 @@ class CoefficientBounds:
 
 @dataclass(frozen=True)
 class AircraftReference:
-    """Name and SHA-256 (of XML and card) of the aircraft whose residuals these are: bounds around another model mean nothing."""
+    """Name and SHA-256 (of XML and card) of the aircraft whose residuals these are: bounds around
+    another model mean nothing.
+    """
 
     name: str
     sha256: str
@@ -236,7 +261,9 @@ class AircraftReference:
 
 @dataclass(frozen=True)
 class FlightUsed:
-    """A flight behind the bounds. estimates: channels that an estimator made up and no sensor measured (alpha without a vane)."""
+    """A flight behind the bounds. estimates: channels that an estimator made up and no sensor
+    measured (alpha without a vane).
+    """
 
     name: str
     sha256: str
@@ -263,7 +290,8 @@ class Filtering:
 
 @dataclass(frozen=True)
 class ModelForm:
-    """Bounds of the coefficients (keys of COEFFICIENTS), where they come from and what happens outside the data.
+    """Bounds of the coefficients (keys of COEFFICIENTS), where they come from and what happens
+    outside the data.
 
     outside  "grow": the polynomial goes on (published); "clamp": states are held at the data's box
     """
@@ -276,7 +304,10 @@ class ModelForm:
     coefficients: Mapping[str, CoefficientBounds]
 
     def __repr__(self) -> str:
-        return f"ModelForm({', '.join(self.coefficients)}; {len(self.flights)} flights, confidence {self.confidence:g})"
+        return (
+            f"ModelForm({', '.join(self.coefficients)}; {len(self.flights)} flights, confidence"
+            f" {self.confidence:g})"
+        )
 
     def _repr_html_(self) -> str:
         rows: list[dict[str, object]] = [
@@ -299,7 +330,10 @@ class ModelForm:
     def bounds(
         self, states: Mapping[str, FloatArray], confidence: float | None = None
     ) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """Coefficient -> lower and upper (n,) at states (n,) each, lower <= 0 <= upper. Raises KeyError for a missing state."""
+        """Coefficient -> lower and upper (n,) at states (n,) each, lower <= 0 <= upper.
+
+        Raises KeyError for a missing state.
+        """
         return {c: b.bounds(states, confidence, self.outside) for c, b in self.coefficients.items()}
 
     def extrapolated(self, states: Mapping[str, FloatArray]) -> BoolArray:
@@ -351,7 +385,8 @@ def read_model_form(path: Path) -> ModelForm:
     Returns
     -------
     ModelForm
-        Per coefficient the polynomial of its bounds [-] in the flight states; ``bounds(states)`` gives lower and upper (n,).
+        Per coefficient the polynomial of its bounds [-] in the flight states; ``bounds(states)``
+        gives lower and upper (n,).
 
     Raises
     ------
@@ -530,6 +565,7 @@ def _array(row: Mapping[str, Any], key: str, *shape: int) -> FloatArray:
     values = np.asarray(row[key], dtype=float)
     if values.shape != shape or not np.isfinite(values).all():
         raise ValueError(
-            f"{key} must be {' x '.join(map(str, shape))} finite numbers; received shape {values.shape}"
+            f"{key} must be {' x '.join(map(str, shape))} finite numbers; received shape"
+            f" {values.shape}"
         )
     return values

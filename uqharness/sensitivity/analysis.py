@@ -52,9 +52,9 @@ class Sensitivity(Tabled):
     def to_dataframe(self) -> pd.DataFrame:
         """One row per output, parameter and method.
 
-        Columns: the index [-], from ``smallest`` to ``largest`` (equal unless the method gives a range over pairs of corners), the
-        ends ``low`` and ``high`` of its 95 % interval, and the ``reason`` where it is undefined (NaN).
-        """
+        Columns: the index [-], from ``smallest`` to ``largest`` (equal unless the method gives a
+        range over pairs of corners), the ends ``low`` and ``high`` of its 95 % interval, and the
+        ``reason`` where it is undefined (NaN)."""
         import pandas as pd
 
         rows = [
@@ -78,7 +78,9 @@ class Sensitivity(Tabled):
         return pd.DataFrame(rows).set_index(["output", "parameter", "method"]).sort_index()
 
     def text(self) -> str:
-        """Tables to read: one per output, each index with its interval, then what each method costs and assumes."""
+        """Tables to read: one per output, each index with its interval, then what each method costs
+        and assumes.
+        """
         return "\n\n".join(_table(output, methods) for output, methods in self.results.items())
 
 
@@ -101,8 +103,8 @@ def analyse(
     Returns
     -------
     Sensitivity
-        Output, method and parameter to an `Index` [-] with its 95 % interval, NaN with a reason where it is undefined; ``text()``
-        is the table.
+        Output, method and parameter to an `Index` [-] with its 95 % interval, NaN with a reason
+        where it is undefined; ``text()`` is the table.
 
     Raises
     ------
@@ -113,14 +115,10 @@ def analyse(
     ----------
     L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4.
 
-    Examples
-    --------
-    >>> from uqharness import sensitivity
-    >>> study = sensitivity.run_study(lambda a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)}, samples=16)
-    >>> found = sensitivity.analyse(study, methods=["local"])["output"]["local"]
-    >>> bool(found.indices["a"].value > found.indices["b"].value)
-    True
-    """
+    Examples -------- >>> from uqharness import sensitivity >>> study = sensitivity.run_study(lambda
+    a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)}, samples=16) >>> found = sensitivity.analyse(study,
+    methods=["local"])["output"]["local"] >>> bool(found.indices["a"].value >
+    found.indices["b"].value) True"""
     instance("study", study, Study, "a Study, as run_study gives it,")
     whole("seed", seed)
     flag("intervals", intervals)
@@ -174,7 +172,8 @@ def cell(index: Index | PairRange) -> str:
 
 
 def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
-    """Mean over repeats that differ in their seed alone; each interval is that of the mean (Student's t).
+    """Mean over repeats that differ in their seed alone; each interval is that of the mean
+    (Student's t).
 
     Parameters
     ----------
@@ -184,8 +183,9 @@ def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
     Returns
     -------
     Sensitivity
-        ``details["std_of_one_run"]`` (d,) [-] of each method is the standard deviation of a single repeat (of the larger end for
-        the proposed method). An index that is undefined in one repeat is undefined.
+        ``details["std_of_one_run"]`` (d,) [-] of each method is the standard deviation of a single
+        repeat (of the larger end for the proposed method). An index that is undefined in one repeat
+        is undefined.
 
     Raises
     ------
@@ -196,7 +196,8 @@ def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
     --------
     >>> from uqharness import sensitivity
     >>> def once(seed):
-    ...     study = sensitivity.run_study(lambda a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)}, samples=16, seed=seed)
+    ...     study = sensitivity.run_study(lambda a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)},
+    samples=16, seed=seed)
     ...     return sensitivity.analyse(study, intervals=False)
     >>> mean = sensitivity.average([once(1), once(2), once(3)])
     >>> mean["output"]["anova"].details["std_of_one_run"].shape

@@ -1,8 +1,8 @@
 """Areas between distribution functions, from samples of equal size. Pure.
 
-With A equally likely draws the area between two empirical distribution functions is the mean distance of their order statistics,
-and the area of a p-box the mean over the orders of (largest - smallest). Both have the output's unit.
-"""
+With A equally likely draws the area between two empirical distribution functions is the mean
+distance of their order statistics, and the area of a p-box the mean over the orders of (largest -
+smallest). Both have the output's unit."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def log_area(y: FloatArray) -> float:
 def pair_areas(ordered: FloatArray, d: int) -> FloatArray:
     """(..., d, 2^(d-1)) areas between the corners that differ in one parameter alone.
 
-    ``ordered`` (2^d, ..., A) has its draws sorted along the last axis and corners in the order of ``problem.corners``.
-    """
+    ``ordered`` (2^d, ..., A) has its draws sorted along the last axis and corners in the order of
+    ``problem.corners``."""
     found = np.empty((d, 2 ** (d - 1), *ordered.shape[1:-1]))
     for i in range(d):
         halves = ordered.reshape(2**i, 2, -1, *ordered.shape[1:])
@@ -48,11 +48,12 @@ def pair_areas(ordered: FloatArray, d: int) -> FloatArray:
 
 
 def envelope_areas(ordered: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
-    """Areas (...) of the envelope of all corners, and (..., d, 2) of those with one parameter fixed at its lower, then at its
-    upper bound; ``ordered`` as above."""
+    """Areas (...) of the envelope of all corners, and (..., d, 2) of those with one parameter fixed
+    at its lower, then at its upper bound; ``ordered`` as above."""
     rest = ordered.shape[1:]
     found = np.empty((d, 2, *rest[:-1]))
-    # Largest and smallest over the parameters before the i-th are kept for the ones that follow: 2^d steps in place of d 2^d.
+    # Largest and smallest over the parameters before the i-th are kept for the ones that follow:
+    # 2^d steps in place of d 2^d.
     most = least = ordered
     for i in range(d):
         most, least = (ends.reshape(2, -1, *rest) for ends in (most, least))
@@ -63,7 +64,8 @@ def envelope_areas(ordered: FloatArray, d: int) -> tuple[FloatArray, FloatArray]
 
 
 def beyond_corners(corners: FloatArray, interior: FloatArray, area: float) -> float:
-    """Area by which the worst of ``interior`` (n, A) leaves the envelope of ``corners`` (m, A), over ``area``.
+    """Area by which the worst of ``interior`` (n, A) leaves the envelope of ``corners`` (m, A),
+    over ``area``.
 
     inf where something leaves an envelope without area.
     """
@@ -94,7 +96,8 @@ HALVES = 20
 BLOCKS = 8
 RESAMPLES = 200
 _BIAS_SEEN = 1.0 / (2.0**0.5 - 1.0)
-# Of noise s in the sample a resample has sqrt(2) s; a bias in proportion to s shows only the difference, 0.41 of itself.
+# Of noise s in the sample a resample has sqrt(2) s; a bias in proportion to s shows only the
+# difference, 0.41 of itself.
 SWAPS = 50
 TOGETHER = 200_000
 """Values that are resampled at once."""
@@ -105,8 +108,8 @@ MIN_DRAWS = 8
 def std_by_draws(
     statistic: Callable[[NDArray[Any]], FloatArray | float], draws: int, seed: int
 ) -> FloatArray:
-    """Standard deviation of ``statistic(columns)`` that the choice of the aleatory draws makes: over halves, for half kept is
-    half left out. 0 where one draw stands for no chance at all."""
+    """Standard deviation of ``statistic(columns)`` that the choice of the aleatory draws makes:
+    over halves, for half kept is half left out. 0 where one draw stands for no chance at all."""
     if draws == 1:
         return np.zeros_like(statistic(np.arange(1)))
     rng = np.random.default_rng(seed)
@@ -122,9 +125,9 @@ def reach_of_box(
 ) -> FloatArray:
     """Half-width of the interval of a statistic of p-box areas, ``statistic(rows, columns)``.
 
-    Rows: the spread over BLOCKS separate blocks, not narrowed to the full number of samples. An extreme of E samples varies as
-    E^(-1/k) with k active parameters, so the narrowing is anything from none to eightfold; none is on the safe side.
-    """
+    Rows: the spread over BLOCKS separate blocks, not narrowed to the full number of samples. An
+    extreme of E samples varies as E^(-1/k) with k active parameters, so the narrowing is anything
+    from none to eightfold; none is on the safe side."""
     samples, draws = shape
     every = np.arange(samples), np.arange(draws)
     rows = np.random.default_rng(seed).permutation(samples)
@@ -141,14 +144,15 @@ def reach_of_box(
 
 @dataclass(frozen=True)
 class PairBand:
-    """Indices with one band that holds for all of them at once; ``area`` of the envelope and its own interval.
+    """Indices with one band that holds for all of them at once; ``area`` of the envelope and its
+    own interval.
 
-    ``index``, ``low``, ``high`` (d, 2^(d-1) + 2): the pairs' shares of the envelope's area, then, in the last two columns, the
-    share by which the envelope shrinks with the parameter fixed at its lower and at its upper bound. All lie in 0..1.
-    ``lead`` (d, d): the lower limit of (smallest share of row - largest share of column); above 0 where the row's parameter comes
-    first whatever the others are. It compares the same flights, so it knows more than two bands side by side, and it reaches as
-    many standard deviations as the band does.
-    """
+    ``index``, ``low``, ``high`` (d, 2^(d-1) + 2): the pairs' shares of the envelope's area, then,
+    in the last two columns, the share by which the envelope shrinks with the parameter fixed at its
+    lower and at its upper bound. All lie in 0..1. ``lead`` (d, d): the lower limit of (smallest
+    share of row - largest share of column); above 0 where the row's parameter comes first whatever
+    the others are. It compares the same flights, so it knows more than two bands side by side, and
+    it reaches as many standard deviations as the band does."""
 
     index: FloatArray
     low: FloatArray
@@ -169,12 +173,12 @@ def pair_band(
 ) -> PairBand:
     """Indices of all pairs and their simultaneous band by a bootstrap over the draws; y (2^d, A).
 
-    The band is the bootstrap's largest studentised deviation over all of them. An area of absolute differences, or of largest and
-    smallest values, is biased by chance, in the direction the bootstrap shows: the band reaches further to the other side, and
-    what chance alone would make of two equal corners is no evidence that they differ. With fewer than MIN_DRAWS draws, no
-    resamples, or a resample without any width, the band is NaN; without ``chance`` the one column's numbers are exact
-    and it is closed.
-    """
+    The band is the bootstrap's largest studentised deviation over all of them. An area of absolute
+    differences, or of largest and smallest values, is biased by chance, in the direction the
+    bootstrap shows: the band reaches further to the other side, and what chance alone would make of
+    two equal corners is no evidence that they differ. With fewer than MIN_DRAWS draws, no
+    resamples, or a resample without any width, the band is NaN; without ``chance`` the one column's
+    numbers are exact and it is closed."""
     whole, index = _indices(np.sort(y, axis=-1), d)
     area, draws = float(whole), y.shape[1]
     if not chance and draws == 1:
@@ -194,7 +198,8 @@ def pair_band(
     std, bias = again.std(axis=0, ddof=1), _BIAS_SEEN * (again.mean(axis=0) - flat)
     moving = std > 1e-12
     deviation = np.abs(again - again.mean(axis=0))[:, moving] / std[moving]
-    # Few draws: the bootstrap's spread is that of a variance divided by A in place of A-1, and its tails are Student's.
+    # Few draws: the bootstrap's spread is that of a variance divided by A in place of A-1, and its
+    # tails are Student's.
     point = 0.5 + 0.5 * confidence
     small = (
         np.sqrt(draws / (draws - 1.0)) * student_quantile(point, draws - 1) / normal_quantile(point)
@@ -215,10 +220,10 @@ def pair_band(
 def _lead(index: FloatArray, again: FloatArray, reach: float) -> FloatArray:
     """(d, d) lower limits, ``reach`` standard deviations of the difference below it.
 
-    The band's ``reach`` grows with what the draws show of skewness and outliers. Student's quantile does not: of ties between a
-    constant and a log-normal gust (unit log variance, 8 draws, 300 repeats) it called 15 % certain, this one 7 %. The smallest of
-    noisy shares is biased down and the largest up, so chance makes a lead look shorter, never longer.
-    """
+    The band's ``reach`` grows with what the draws show of skewness and outliers. Student's quantile
+    does not: of ties between a constant and a log-normal gust (unit log variance, 8 draws, 300
+    repeats) it called 15 % certain, this one 7 %. The smallest of noisy shares is biased down and
+    the largest up, so chance makes a lead look shorter, never longer."""
     pairs, resampled = index[:, :-2], again[:, :, :-2]
     lead = pairs.min(axis=1)[:, None] - pairs.max(axis=1)[None, :]
     spread = (resampled.min(axis=2)[:, :, None] - resampled.max(axis=2)[:, None, :]).std(
@@ -228,11 +233,12 @@ def _lead(index: FloatArray, again: FloatArray, reach: float) -> FloatArray:
 
 
 def _chance_areas(y: FloatArray, d: int, rng: np.random.Generator, reach: float) -> FloatArray:
-    """(d, 2^(d-1)) areas that chance alone gives a pair of corners whose distributions differ by a shift at most.
+    """(d, 2^(d-1)) areas that chance alone gives a pair of corners whose distributions differ by a
+    shift at most.
 
-    The two values of each draw are swapped at random once the shift is removed: what is left is the noise that the draws do not
-    share. ``reach`` standard deviations above the mean of SWAPS such areas.
-    """
+    The two values of each draw are swapped at random once the shift is removed: what is left is the
+    noise that the draws do not share. ``reach`` standard deviations above the mean of SWAPS such
+    areas."""
     draws = y.shape[1]
     found = np.empty((d, 2 ** (d - 1)))
     for i in range(d):
@@ -249,7 +255,9 @@ def _chance_areas(y: FloatArray, d: int, rng: np.random.Generator, reach: float)
 
 
 def _portions(repeats: int, values: int) -> Iterator[slice]:
-    """Slices of ``repeats`` that are computed together, of ``values`` each: as many as the processor's cache holds."""
+    """Slices of ``repeats`` that are computed together, of ``values`` each: as many as the
+    processor's cache holds.
+    """
     at_once = max(1, TOGETHER // values)
     return (slice(begin, min(begin + at_once, repeats)) for begin in range(0, repeats, at_once))
 
@@ -263,7 +271,9 @@ def _without_band(index: FloatArray, area: float, nothing: float) -> PairBand:
 
 
 def _indices(ordered: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
-    """The envelope's area (...) and the indices (..., d, 2^(d-1) + 2) of corners (2^d, ..., A); NaN without any width."""
+    """The envelope's area (...) and the indices (..., d, 2^(d-1) + 2) of corners (2^d, ..., A); NaN
+    without any width.
+    """
     area, fixed = envelope_areas(ordered, d)
     width = np.where(area > 0.0, area, np.nan)[..., None, None]
     return area, np.concatenate([pair_areas(ordered, d) / width, 1.0 - fixed / width], axis=-1)

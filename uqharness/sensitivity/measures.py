@@ -33,11 +33,11 @@ _RESAMPLES = 200
 
 
 def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
-    """Share of the variance of the aleatory mean that would go with each parameter, under uniform intervals.
+    """Share of the variance of the aleatory mean that would go with each parameter, under uniform
+    intervals.
 
-    Nothing is clipped: a total effect above 1 is chance or few samples, and stays. The interval joins a bootstrap over the
-    epistemic samples with half-sampling over the draws.
-    """
+    Nothing is clipped: a total effect above 1 is chance or few samples, and stays. The interval
+    joins a bootstrap over the epistemic samples with half-sampling over the draws."""
     if runs.sampled is None or runs.second is None or runs.mixed is None:
         return all_undefined(METHOD, study.names, "the study has no pair of sampled matrices")
     first, second, mixed = runs.sampled, runs.second, runs.mixed
@@ -45,7 +45,8 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     reason = missing_values(sampled=first, second=second, mixed=mixed)
     if reason:
         return all_undefined(METHOD, study.names, reason, cost)
-    # To examine what epistemic inputs do, the mean over the aleatory draws is the output (section 4.5.3).
+    # To examine what epistemic inputs do, the mean over the aleatory draws is the output (section
+    # 4.5.3).
     f_A, f_B, f_AB = first.mean(axis=1), second.mean(axis=1), mixed.mean(axis=2)
     if is_flat(float(np.ptp(np.concatenate([f_A, f_B]))), f_A, f_B):
         reason = "the aleatory mean has no variance: the output's mean depends on no parameter"
@@ -53,7 +54,8 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     samples = f_A.size
     from scipy import stats
 
-    # Twice the same output: for one output of one parameter scipy squeezes its result to a scalar and fails on it.
+    # Twice the same output: for one output of one parameter scipy squeezes its result to a scalar
+    # and fails on it.
     twice = {
         "f_A": np.stack([f_A] * 2),
         "f_B": np.stack([f_B] * 2),
@@ -80,8 +82,8 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     together = float(total.sum())
     above = [name for name, index in indices.items() if index.value > 1.0]
     statement = (
-        f"total effects add up to {together:.2f} (1 without interactions); they assume uniform distributions, which "
-        "were not measured, and divide variance, not width"
+        f"total effects add up to {together:.2f} (1 without interactions); they assume uniform"
+        " distributions, which were not measured, and divide variance, not width"
     )
     if above:
         statement += (
@@ -127,11 +129,12 @@ CORNER_PAIRS_METHOD = "proposed"
 def corner_pairs(
     study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
 ) -> MethodResult:
-    """[min, max] share of the envelope's area. Intervals hold for all parameters and pairs at once (see ``pair_band``).
+    """[min, max] share of the envelope's area. Intervals hold for all parameters and pairs at once
+    (see ``pair_band``).
 
-    ``details`` tell by which share the envelope shrinks with a parameter fixed at either bound (``shrink_min``, ``shrink_max``,
-    (d,), and their band), and ``lead`` (d, d) which parameter certainly comes before which.
-    """
+    ``details`` tell by which share the envelope shrinks with a parameter fixed at either bound
+    (``shrink_min``, ``shrink_max``, (d,), and their band), and ``lead`` (d, d) which parameter
+    certainly comes before which."""
     if runs.corners is None:
         return all_undefined(CORNER_PAIRS_METHOD, study.names, "the study has no corner runs")
     y, d = runs.corners, len(study.names)
@@ -143,7 +146,10 @@ def corner_pairs(
     if is_flat(area, y) or (interior is not None and is_flat(area, interior)):
         reason = "the corners' envelope has no width"
         if interior is not None and not is_flat(box_area(interior), interior):
-            reason += ", though samples inside the box differ: the output is not monotone and the corners do not show it"
+            reason += (
+                ", though samples inside the box differ: the output is not monotone and the corners"
+                " do not show it"
+            )
         return all_undefined(CORNER_PAIRS_METHOD, study.names, reason, y.size)
     band = pair_band(y, d, seed, resamples=RESAMPLES if intervals else 0, chance=study.chance)
     indices = {}
@@ -186,7 +192,9 @@ def _no_interval(draws: int, wanted: bool) -> str:
 def _smoothness(
     corners: FloatArray, interior: FloatArray | None, area: float
 ) -> tuple[bool | None, str, float]:
-    """Whether interior samples stay within the corners' envelope: the area by which the worst leaves it, over the envelope's."""
+    """Whether interior samples stay within the corners' envelope: the area by which the worst
+    leaves it, over the envelope's.
+    """
     if interior is None:
         return (
             None,
@@ -196,14 +204,23 @@ def _smoothness(
     if missing_values(interior=interior):
         return (
             False,
-            f"{missing_values(interior=interior)}, so the corners do not bound what lies between them",
+            (
+                f"{missing_values(interior=interior)}, so the corners do not bound what lies"
+                " between them"
+            ),
             float("nan"),
         )
     worst = beyond_corners(corners, interior, area)
     holds = worst <= OUTSIDE_ALLOWED
-    text = f"of {len(interior)} interior samples the worst leaves the corners' envelope by {100 * worst:.1f} % of its area"
+    text = (
+        f"of {len(interior)} interior samples the worst leaves the corners' envelope by"
+        f" {100 * worst:.1f} % of its area"
+    )
     if not holds:
-        text += ": the output is not monotone enough, the corners miss part of the p-box and these ranges are too small"
+        text += (
+            ": the output is not monotone enough, the corners miss part of the p-box and these"
+            " ranges are too small"
+        )
     return holds, text, worst
 
 
@@ -216,7 +233,8 @@ LINEAR_WITHIN = 0.1
 
 
 def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
-    """Share range x |slope| of the sampled p-box's width, or of the corners' where nothing was sampled.
+    """Share range x |slope| of the sampled p-box's width, or of the corners' where nothing was
+    sampled.
 
     The differences are exact; the interval is that of the width.
     """
@@ -271,7 +289,9 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
 def _linearity(
     predicted: float, corners: FloatArray, interior: FloatArray | None, flat: bool
 ) -> tuple[bool, str]:
-    """For a linear output the corners' p-box is as wide as the slopes' ranges together, and no interior sample leaves it."""
+    """For a linear output the corners' p-box is as wide as the slopes' ranges together, and no
+    interior sample leaves it.
+    """
     corner_area = box_area(corners)
     holds = not flat and corner_area > 0.0 and abs(predicted / corner_area - 1.0) <= LINEAR_WITHIN
     beyond = 0.0
@@ -285,9 +305,12 @@ def _linearity(
     )
     if beyond > OUTSIDE_ALLOWED:
         verdict = "samples between the corners leave it; " + verdict
-    return holds, (
-        f"the ranges that the slopes predict add up to {predicted:.4g}, the corners' p-box is {corner_area:.4g} wide (the same "
-        f"for a linear output): {verdict}"
+    return (
+        holds,
+        (
+            f"the ranges that the slopes predict add up to {predicted:.4g}, the corners' p-box is"
+            f" {corner_area:.4g} wide (the same for a linear output): {verdict}"
+        ),
     )
 
 
@@ -302,10 +325,11 @@ FILLED = 0.9
 def pinching(
     study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
 ) -> MethodResult:
-    """1 - area with the parameter at its nominal value / area with all free, over the same samples otherwise.
+    """1 - area with the parameter at its nominal value / area with all free, over the same samples
+    otherwise.
 
-    Less than 0 where pinching widened the sampled p-box: chance, or a nominal value that lies worse than most.
-    """
+    Less than 0 where pinching widened the sampled p-box: chance, or a nominal value that lies worse
+    than most."""
     if runs.sampled is None or runs.pinned is None:
         return all_undefined(
             PINCHING_METHOD,
@@ -358,7 +382,10 @@ def pinching(
             + (
                 ""
                 if inside
-                else ": samples between the corners leave it, so an extremum inside decides these shares"
+                else (
+                    ": samples between the corners leave it, so an extremum inside decides these"
+                    " shares"
+                )
             )
             + "; the nominal value is taken for the true one"
         )
@@ -376,9 +403,9 @@ R2_NEAR_ONE = 0.1
 def scatter(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
     """Share range x |slope| of the sampled p-box's width.
 
-    The interval joins the slope's (runs of one epistemic sample count as one, since they share its parameters) and the width's.
-    An absolute value is never less than chance makes it: an interval that reaches 0 says that no slope was seen.
-    """
+    The interval joins the slope's (runs of one epistemic sample count as one, since they share its
+    parameters) and the width's. An absolute value is never less than chance makes it: an interval
+    that reaches 0 says that no slope was seen."""
     if runs.sampled is None:
         return all_undefined(
             SCATTER_METHOD, study.names, "the study has no runs sampled inside the intervals"
@@ -399,12 +426,14 @@ def scatter(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = Tr
     x = theta - theta.mean(axis=0)
     sxx = np.sum(x**2, axis=0)
     mean = y.mean(axis=1) - y.mean()
-    # With the same draws in every row the line through all points is the line through the rows' means.
+    # With the same draws in every row the line through all points is the line through the rows'
+    # means.
     slope = x.T @ mean / sxx  # (4.3)
     total = float(np.sum((y - y.mean()) ** 2))
     r2 = slope**2 * sxx * y.shape[1] / total
     residual = mean[:, None] - x * slope
-    # Heteroscedasticity-consistent (HC1): the scatter about one line is the effect of all other parameters, not noise.
+    # Heteroscedasticity-consistent (HC1): the scatter about one line is the effect of all other
+    # parameters, not noise.
     error = np.sqrt(np.sum((x * residual) ** 2, axis=0) * samples / (samples - 2)) / sxx
     scale = study.width / area
     signed = slope * scale
@@ -435,4 +464,7 @@ def _words(r2_sum: float, of_means: float, holds: bool) -> str:
         return f"{text}: straight lines explain the output"
     if abs(of_means - 1.0) <= R2_NEAR_ONE:
         return f"{text}: scatter hides straight lines, but the means follow them"
-    return f"{text}: far from 1, so straight lines do not explain the output and these shares are not to be relied on"
+    return (
+        f"{text}: far from 1, so straight lines do not explain the output and these shares are not"
+        " to be relied on"
+    )

@@ -1,9 +1,10 @@
-"""The dissertation's modal example: its linear longitudinal model of the E-SPAARO (Hale 2016, section 4.7.1), and its study.
+"""The dissertation's modal example: its linear longitudinal model of the E-SPAARO (Hale 2016,
+section 4.7.1), and its study.
 
-Two readings. ``as_corrected`` is physics: the trim's sign is repaired and CZ at trim is CZ_0 + CZ_alpha alpha + CZ_de de.
-``as_published`` is what the printed tables follow: CZ at trim begins with CX_0 in place of CZ_0, and "natural frequency"
-is zeta / sqrt(1 - zeta^2) of the short period. In both the intervals are +-5 % about Table 2.6, because Table 4.3's are misprinted.
-"""
+Two readings. ``as_corrected`` is physics: the trim's sign is repaired and CZ at trim is CZ_0 +
+CZ_alpha alpha + CZ_de de. ``as_published`` is what the printed tables follow: CZ at trim begins
+with CX_0 in place of CZ_0, and "natural frequency" is zeta / sqrt(1 - zeta^2) of the short period.
+In both the intervals are +-5 % about Table 2.6, because Table 4.3's are misprinted."""
 
 from __future__ import annotations
 
@@ -56,7 +57,9 @@ def intervals() -> dict[str, tuple[float, float]]:
 
 
 def trim(values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """alpha [rad] and elevator [deg] of level flight by eqs 4.14 (sign repaired) and 4.15: two linear equations."""
+    """alpha [rad] and elevator [deg] of level flight by eqs 4.14 (sign repaired) and 4.15: two
+    linear equations.
+    """
     lift = -values["M_kg"] * G_MPS2 / (QBAR_PA * values["S_m2"]) - values["CZ_0"]
     det = values["CZ_alpha"] * values["Cm_de"] - values["CZ_de"] * values["Cm_alpha"]
     alpha = (lift * values["Cm_de"] + values["CZ_de"] * values["Cm_0"]) / det
@@ -66,7 +69,9 @@ def trim(values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class SystemMatrix:
-    """The entries of eq. 4.9 that are not 0, 1 or -g, over (u, w, q, theta); ``row column`` from 1, each an array."""
+    """The entries of eq. 4.9 that are not 0, 1 or -g, over (u, w, q, theta); ``row column`` from 1,
+    each an array.
+    """
 
     a11: FloatArray
     a12: FloatArray
@@ -108,11 +113,10 @@ def system_matrix(reading: Reading, values: Mapping[str, Any]) -> SystemMatrix:
 def longitudinal_modes(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Damping and frequency [rad/s] of phugoid and short period, in this order, from A (..., 4, 4).
 
-    The two slower eigenvalues make the phugoid. wn = sqrt(l1 l2) and zeta = -(l1 + l2) / 2 wn serve a pair that has split into two
-    real roots as well. NaN where there is no such mode: a pair of real roots of opposite sign, and
-    all four where a conjugate pair lies between two real roots (the third oscillatory mode of a
-    statically unstable aircraft).
-    """
+    The two slower eigenvalues make the phugoid. wn = sqrt(l1 l2) and zeta = -(l1 + l2) / 2 wn serve
+    a pair that has split into two real roots as well. NaN where there is no such mode: a pair of
+    real roots of opposite sign, and all four where a conjugate pair lies between two real roots
+    (the third oscillatory mode of a statically unstable aircraft)."""
     unsorted = np.linalg.eigvals(A)
     values = np.take_along_axis(unsorted, np.argsort(np.abs(unsorted), axis=-1), axis=-1)
     # Conjugates differ in modulus by rounding only, so a cut pair shows on both sides of the cut.
@@ -133,9 +137,9 @@ def _damping(r: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
 def modes_of(matrix: SystemMatrix) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """The same as ``longitudinal_modes`` of the dense matrix, twenty times as fast.
 
-    The characteristic polynomial is split into a slow and a fast quadratic by Lin's iteration, which gains two digits a turn
-    where the modes lie as far apart as an aeroplane's; where it does not settle, eigenvalues are taken.
-    """
+    The characteristic polynomial is split into a slow and a fast quadratic by Lin's iteration,
+    which gains two digits a turn where the modes lie as far apart as an aeroplane's; where it does
+    not settle, eigenvalues are taken."""
     a11, a12, a21, a22, a23, a32, a33 = (getattr(matrix, field.name) for field in fields(matrix))
     # |l I - A| = l^4 + c3 l^3 + c2 l^2 + c1 l + c0
     force = a11 * a22 - a12 * a21
@@ -161,7 +165,9 @@ def modes_of(matrix: SystemMatrix) -> tuple[FloatArray, FloatArray, FloatArray, 
 
 
 def modal_model(reading: Reading) -> Callable[..., dict[str, FloatArray]]:
-    """The model as a function of its fourteen values by name, giving the three outputs; arrays in, arrays out."""
+    """The model as a function of its fourteen values by name, giving the three outputs; arrays in,
+    arrays out.
+    """
 
     def outputs(**values: FloatArray) -> dict[str, FloatArray]:
         phugoid_zeta, _, zeta, wn = modes_of(system_matrix(reading, values))
@@ -179,7 +185,9 @@ def run_modal_study(
     seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Study:
-    """The chapter's study: ten intervals, four normal variables; finite differences by 1 % of the nominal value."""
+    """The chapter's study: ten intervals, four normal variables; finite differences by 1 % of the
+    nominal value.
+    """
     from scipy import stats
 
     return run_study(
@@ -201,7 +209,9 @@ def modal_sensitivity(
     seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Sensitivity:
-    """Mean over independent repeats of the chapter's study, each index with the interval of the mean."""
+    """Mean over independent repeats of the chapter's study, each index with the interval of the
+    mean.
+    """
     found = []
     for k, stream in enumerate(np.random.SeedSequence(seed).spawn(repeats)):
         number = int(stream.generate_state(1)[0])

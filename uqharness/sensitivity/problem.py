@@ -24,11 +24,12 @@ from uqharness.errors import BadInputError
 
 @dataclass(frozen=True)
 class Problem:
-    """d epistemic parameters, each an interval with a nominal value inside, and a aleatory variables, each a distribution.
+    """d epistemic parameters, each an interval with a nominal value inside, and a aleatory
+    variables, each a distribution.
 
-    ``lower``, ``upper``, ``nominal`` (d,) in the parameters' own units. ``step`` (d,), signed, is what the local method adds to one
-    parameter at a time. ``aleatory`` maps a name to anything with ``ppf`` (a frozen scipy.stats distribution).
-    """
+    ``lower``, ``upper``, ``nominal`` (d,) in the parameters' own units. ``step`` (d,), signed, is
+    what the local method adds to one parameter at a time. ``aleatory`` maps a name to anything with
+    ``ppf`` (a frozen scipy.stats distribution)."""
 
     names: tuple[str, ...]
     lower: FloatArray
@@ -49,11 +50,11 @@ def make_problem(
     nominal: Mapping[str, float] | None = None,
     step: Mapping[str, float] | None = None,
 ) -> Problem:
-    """Check and collect. ``nominal`` defaults to the middle of each interval, ``step`` to a hundredth of its width.
+    """Check and collect. ``nominal`` defaults to the middle of each interval, ``step`` to a
+    hundredth of its width.
 
-    Raises BadInputError for an interval that is not lower < upper, a nominal value outside, a step of 0, a name that is not known
-    or used twice, and a distribution without ``ppf``.
-    """
+    Raises BadInputError for an interval that is not lower < upper, a nominal value outside, a step
+    of 0, a name that is not known or used twice, and a distribution without ``ppf``."""
     aleatory = dict(aleatory or {})
     if not epistemic:
         raise BadInputError(
@@ -69,7 +70,8 @@ def make_problem(
     for name, distribution in aleatory.items():
         if not callable(getattr(distribution, "ppf", None)):
             raise BadInputError(
-                f"aleatory {name}: {distribution!r} has no ppf; give a frozen distribution, as scipy.stats.norm(2.0, 0.1)"
+                f"aleatory {name}: {distribution!r} has no ppf; give a frozen distribution, as"
+                " scipy.stats.norm(2.0, 0.1)"
             )
     lower = np.array([float(epistemic[name][0]) for name in names])
     upper = np.array([float(epistemic[name][1]) for name in names])
@@ -95,7 +97,8 @@ def _check_interval(name: str, interval: Any) -> None:
         ) from None
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise BadInputError(
-            f"epistemic {name} = ({low:g}, {high:g}): must be finite with lower < upper; a known value belongs into the model"
+            f"epistemic {name} = ({low:g}, {high:g}): must be finite with lower < upper; a known"
+            " value belongs into the model"
         )
 
 
@@ -116,7 +119,9 @@ def _over(
 
 
 def aleatory_draws(problem: Problem, draws: int, rng: np.random.Generator) -> FloatArray:
-    """(draws, a) by Latin hypercube: the same draws serve every epistemic sample, so that differences are not chance's."""
+    """(draws, a) by Latin hypercube: the same draws serve every epistemic sample, so that
+    differences are not chance's.
+    """
     if not problem.aleatory:
         return np.empty((1, 0))
     from scipy.stats import qmc
@@ -151,7 +156,9 @@ def corners(lower: FloatArray, upper: FloatArray) -> FloatArray:
 
 MOST_FILE_BYTES = 500_000_000
 MOST_BYTES = 1_000_000_000
-"""Of all arrays together, unpacked: a study of 12 parameters, 8192 samples and 100 draws has 200 MB an output."""
+"""Of all arrays together, unpacked: a study of 12 parameters, 8192 samples and 100 draws has 200 MB
+an output.
+"""
 _KINDS = "fiub"
 _DAMAGED = (
     zipfile.BadZipFile,
@@ -173,7 +180,10 @@ _DAMAGED = (
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Arrays of numbers by name. Raises BadInputError for anything else, and for more than MOST_BYTES of them."""
+    """Arrays of numbers by name.
+
+    Raises BadInputError for anything else, and for more than MOST_BYTES of them.
+    """
     try:
         content = read_regular(path, MOST_FILE_BYTES)
     except OSError as error:
@@ -184,7 +194,8 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             size = sum(member.file_size for member in members)
             if size > MOST_BYTES:
                 raise ValueError(
-                    f"its arrays would take {in_words(size)}, at most {in_words(MOST_BYTES)} are read"
+                    f"its arrays would take {in_words(size)}, at most {in_words(MOST_BYTES)} are"
+                    " read"
                 )
             return {
                 member.filename.removesuffix(".npy"): _array(archive.read(member))
@@ -193,12 +204,15 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     except _DAMAGED as error:
         words = in_a_line(error)
         raise BadInputError(
-            f"{path}: not a study written by uqharness, nor any other archive of arrays: {words}; write it again"
+            f"{path}: not a study written by uqharness, nor any other archive of arrays: {words};"
+            " write it again"
         ) from None
 
 
 def _array(content: bytes) -> NDArray[Any]:
-    """One array. ValueError for one that holds other things than numbers, and for a header that promises what does not follow."""
+    """One array. ValueError for one that holds other things than numbers, and for a header that
+    promises what does not follow.
+    """
     file = io.BytesIO(content)
     version = np.lib.format.read_magic(file)
     read = {

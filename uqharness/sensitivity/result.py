@@ -17,7 +17,9 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Index:
-    """One sensitivity index with its sampling interval [low, high] at 95 %; NaN with a ``reason`` where it is undefined."""
+    """One sensitivity index with its sampling interval [low, high] at 95 %; NaN with a ``reason``
+    where it is undefined.
+    """
 
     value: float
     low: float
@@ -35,7 +37,9 @@ class Index:
 
 @dataclass(frozen=True)
 class PairRange:
-    """Smallest and largest index over the pairs of corners; ``pairs`` (2^(d-1),) are all of them."""
+    """Smallest and largest index over the pairs of corners; ``pairs`` (2^(d-1),) are all of
+    them.
+    """
 
     minimum: Index
     maximum: Index
@@ -55,8 +59,9 @@ class PairRange:
 
 @dataclass(frozen=True)
 class MethodResult:
-    """One method on one output. ``runs`` is its cost (Table 4.1); ``holds`` whether its assumption does (None: not known),
-    in words in ``statement``. ``details`` are further numbers, by name: per parameter (arrays of d) or single."""
+    """One method on one output. ``runs`` is its cost (Table 4.1); ``holds`` whether its assumption
+    does (None: not known), in words in ``statement``. ``details`` are further numbers, by name: per
+    parameter (arrays of d) or single."""
 
     method: str
     runs: int
@@ -113,10 +118,10 @@ def missing_values(**stages: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class Ranking:
-    """``first`` is what to reduce first (empty if undefined), ``rivals`` what may come before it: by the values of the other
-    coefficients (``by_ranges``) or by sampling error alone (``by_sampling``). ``certain`` if there is none, no flight was lost, and
-    the interval of the shrinkage that ``first`` would bring lies above zero (``shown``).
-    """
+    """``first`` is what to reduce first (empty if undefined), ``rivals`` what may come before it:
+    by the values of the other coefficients (``by_ranges``) or by sampling error alone
+    (``by_sampling``). ``certain`` if there is none, no flight was lost, and the interval of the
+    shrinkage that ``first`` would bring lies above zero (``shown``)."""
 
     first: str
     by_ranges: tuple[str, ...] = ()
@@ -126,7 +131,9 @@ class Ranking:
 
 
 def rank(result: MethodResult, lost: int = 0) -> Ranking:
-    """The largest share by the middle of its range, and those that may exceed it: whose largest share reaches its smallest."""
+    """The largest share by the middle of its range, and those that may exceed it: whose largest
+    share reaches its smallest.
+    """
     ranges = {name: index for name, index in result.indices.items() if isinstance(index, PairRange)}
     if not ranges or any(math.isnan(item.maximum.value) for item in ranges.values()):
         return Ranking("")
@@ -148,15 +155,20 @@ def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flight
     """Which uncertainty to reduce first, what that brings, and whether it is certain."""
     if not ranking.first:
         return f"{metric}: {result.statement}"
-    text = f"{metric}: reduce {ranking.first} first. {_shrinkage(result, ranking.first, unit_of(metric))}"
+    text = (
+        f"{metric}: reduce {ranking.first} first."
+        f" {_shrinkage(result, ranking.first, unit_of(metric))}"
+    )
     doubts = []
     if ranking.by_ranges:
         doubts.append(
-            f"at some values of the other coefficients {_listed(ranking.by_ranges)} may matter as much"
+            f"at some values of the other coefficients {_listed(ranking.by_ranges)} may matter as"
+            " much"
         )
     if ranking.by_sampling:
         doubts.append(
-            f"by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may come first"
+            f"by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may"
+            " come first"
         )
     elif not ranking.shown:
         doubts.append(
@@ -165,9 +177,15 @@ def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flight
     if doubts:
         text += f" Not certain: {'; '.join(doubts)}."
     if ranking.certain:
-        text += " Certain: it holds at every corner of the other coefficients and for the sampling error (95 %, same flights compared)."
+        text += (
+            " Certain: it holds at every corner of the other coefficients and for the sampling"
+            " error (95 %, same flights compared)."
+        )
     if lost:
-        text += f" {lost} of {flights} aleatory samples are left out, because a flight of theirs failed in some corner; "
+        text += (
+            f" {lost} of {flights} aleatory samples are left out, because a flight of theirs failed"
+            " in some corner; "
+        )
         text += "the result holds for the others only."
     return text
 
@@ -177,7 +195,10 @@ def _shrinkage(result: MethodResult, first: str, unit: str) -> str:
     low, high, floor, top = (
         float(result.details[f"shrink_{end}"][i]) for end in ("min", "max", "low", "high")
     )
-    text = f"The p-box is {result.details['area']:.3g} {unit} wide; with {first} known to lie at one of its bounds it would "
+    text = (
+        f"The p-box is {result.details['area']:.3g} {unit} wide; with {first} known to lie at one"
+        " of its bounds it would "
+    )
     text += f"shrink by {_percent(low, high)}"
     if not math.isnan(floor):
         text += f" ({_percent(floor, top)} with sampling error)"

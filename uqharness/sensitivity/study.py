@@ -1,4 +1,6 @@
-"""One study: the model is run once at every point that any of the methods needs, and the raw outputs are kept."""
+"""One study: the model is run once at every point that any of the methods needs, and the raw
+outputs are kept.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ from uqharness.sensitivity.problem import (
 )
 
 METHODS = ("local", "scatter", "anova", "pbox", "proposed")
-"""Finite difference, scatter regression, total-effect Sobol, p-box pinching, corner pairs: chapter 4's five."""
+"""Finite difference, scatter regression, total-effect Sobol, p-box pinching, corner pairs: chapter
+4's five.
+"""
 
 INTERIOR_SAMPLES = 16
 """Interior samples that check the corner envelope where a study has no other inside the box."""
@@ -42,10 +46,10 @@ Model = Callable[..., Any]
 class Evaluations:
     """Raw outputs of one quantity; a stage that was not run is None.
 
-    ``nominal`` (1,) and ``forward`` (d,) at the centre of the aleatory variables; ``sampled``, ``second`` (E, A), ``mixed``
-    (d, E, A: the sampled matrix with column i from the second) and ``pinned`` (d, E, A: column i at its nominal value);
-    ``corners`` (2^d, A), first parameter slowest; ``interior`` (n, A), inside the box. Columns are the same A aleatory draws
-    everywhere.
+    ``nominal`` (1,) and ``forward`` (d,) at the centre of the aleatory variables; ``sampled``,
+    ``second`` (E, A), ``mixed`` (d, E, A: the sampled matrix with column i from the second) and
+    ``pinned`` (d, E, A: column i at its nominal value); ``corners`` (2^d, A), first parameter
+    slowest; ``interior`` (n, A), inside the box. Columns are the same A aleatory draws everywhere.
     """
 
     nominal: FloatArray | None = None
@@ -59,16 +63,19 @@ class Evaluations:
 
     @property
     def between(self) -> FloatArray | None:
-        """Samples inside the box beside the corners: ``interior``, else ``sampled``; None where there are none."""
+        """Samples inside the box beside the corners: ``interior``, else ``sampled``; None where
+        there are none.
+        """
         return self.interior if self.interior is not None else self.sampled
 
 
 @dataclass(frozen=True)
 class Study:
-    """What was run: intervals (d,), ``theta`` (E, d) of the sampled matrix, and the evaluations of each output.
+    """What was run: intervals (d,), ``theta`` (E, d) of the sampled matrix, and the evaluations of
+    each output.
 
-    ``chance`` says whether the columns of the evaluations are draws of something random; without, one column is exact.
-    """
+    ``chance`` says whether the columns of the evaluations are draws of something random; without,
+    one column is exact."""
 
     names: tuple[str, ...]
     lower: FloatArray
@@ -80,7 +87,10 @@ class Study:
     outputs: Mapping[str, Evaluations]
 
     def __repr__(self) -> str:
-        return f"Study({len(self.theta)} samples of {', '.join(self.names)}; {', '.join(self.outputs)})"
+        return (
+            f"Study({len(self.theta)} samples of {', '.join(self.names)};"
+            f" {', '.join(self.outputs)})"
+        )
 
     @property
     def width(self) -> FloatArray:
@@ -107,8 +117,8 @@ def run_study(
     Parameters
     ----------
     model : callable
-        ``model(**values)`` receives every epistemic and aleatory value by name and returns the output, or a mapping of named
-        outputs. A NaN output is kept and reported.
+        ``model(**values)`` receives every epistemic and aleatory value by name and returns the
+        output, or a mapping of named outputs. A NaN output is kept and reported.
     epistemic : Mapping
         Parameter to its interval (lower, upper), in its own unit.
     aleatory : Mapping, optional
@@ -126,7 +136,8 @@ def run_study(
     methods : sequence of str
         Among ``METHODS``.
     vectorised : bool
-        Whether the model takes arrays (n,) and returns such; else it is called with floats, one by one.
+        Whether the model takes arrays (n,) and returns such; else it is called with floats, one by
+        one.
     on_progress : callable, optional
         Called with runs done and runs to do.
 
@@ -138,23 +149,21 @@ def run_study(
     Raises
     ------
     BadInputError
-        For intervals, distributions, sizes and methods that make no study, and for a model that does not return what it should.
+        For intervals, distributions, sizes and methods that make no study, and for a model that
+        does not return what it should.
 
-    References
-    ----------
-    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4: the five methods and their costs (Table 4.1).
+    References ---------- L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4: the five methods
+    and their costs (Table 4.1).
 
     Examples
     --------
     >>> from scipy import stats
     >>> import uqharness as uq
     >>> def sink_rate(CD0, k, mass):
-    ...     return mass * (CD0 + k)
-    >>> intervals, masses = {"CD0": (0.02, 0.03), "k": (0.05, 0.06)}, {"mass": stats.norm(21.3, 0.5)}
-    >>> study = uq.sensitivity.run_study(sink_rate, intervals, masses, samples=64, draws=10)
-    >>> study.theta.shape, list(study.outputs)
-    ((64, 2), ['output'])
-    """
+    ...     return mass * (CD0 + k) >>> intervals, masses = {"CD0": (0.02, 0.03), "k": (0.05,
+    0.06)}, {"mass": stats.norm(21.3, 0.5)} >>> study = uq.sensitivity.run_study(sink_rate,
+    intervals, masses, samples=64, draws=10) >>> study.theta.shape, list(study.outputs) ((64, 2),
+    ['output'])"""
     whole("samples", samples)
     whole("draws", draws)
     whole("seed", seed)
@@ -225,7 +234,8 @@ def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -
         )
     if problem.aleatory and draws < 2:
         raise BadInputError(
-            f"draws = {draws}: with aleatory variables at least 2 draws are needed, and 8 for intervals"
+            f"draws = {draws}: with aleatory variables at least 2 draws are needed, and 8 for"
+            " intervals"
         )
     if "anova" in methods and samples & (samples - 1):
         raise BadInputError(
@@ -234,8 +244,8 @@ def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -
         )
     if "proposed" in methods and 2 ** len(problem.names) > MAX_CORNERS:
         raise BadInputError(
-            f"{len(problem.names)} epistemic parameters have 2^{len(problem.names)} corners, more than {MAX_CORNERS}; "
-            "leave 'proposed' out of methods, or fewer parameters in"
+            f"{len(problem.names)} epistemic parameters have 2^{len(problem.names)} corners, more"
+            f" than {MAX_CORNERS}; leave 'proposed' out of methods, or fewer parameters in"
         )
 
 
@@ -288,8 +298,8 @@ def _call(model: Model, values: dict[str, FloatArray], n: int) -> dict[str, Floa
         y = np.asarray(y, dtype=float)
         if y.shape not in ((n,), ()):
             raise BadInputError(
-                f"the model gave an array of shape {y.shape} for values of shape ({n},); return one number per value, or "
-                "pass vectorised=False to have it called with floats"
+                f"the model gave an array of shape {y.shape} for values of shape ({n},); return one"
+                " number per value, or pass vectorised=False to have it called with floats"
             )
         # A model that depends on nothing may say so with one number.
         found[str(output)] = np.broadcast_to(y, (n,)).copy()
@@ -301,7 +311,8 @@ def _call_each(model: Model, values: dict[str, FloatArray]) -> dict[str, FloatAr
     results = [_named(model(**dict(zip(values, row, strict=True)))) for row in rows]
     if any(set(item) != set(results[0]) for item in results):
         raise BadInputError(
-            "the model names different outputs at different values; give every output a value, NaN where it has none"
+            "the model names different outputs at different values; give every output a value, NaN"
+            " where it has none"
         )
     return {
         str(output): np.array([float(item[output]) for item in results]) for output in results[0]
@@ -417,7 +428,9 @@ def _require(name: str, values: FloatArray, shape: tuple[int | None, ...]) -> No
 
 
 def _check_evaluations(found: Evaluations, d: int, samples: int) -> None:
-    """ValueError unless every stage has the shape that its docstring tells, with the same draws everywhere."""
+    """ValueError unless every stage has the shape that its docstring tells, with the same draws
+    everywhere.
+    """
     given = {field.name: getattr(found, field.name) for field in fields(Evaluations)}
     given = {name: values for name, values in given.items() if values is not None}
     draws = {

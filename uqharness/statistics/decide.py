@@ -1,19 +1,21 @@
 """Is the excursion rate acceptable? Wrong no more often than stated, however often one looks.
 
-A cell is one condition with all its corners. "yes": every corner's rate is below the threshold; "no": some corner's is above. Only
-one of the two can be wrong in a given cell, so each may use the cell's whole error rate:
+A cell is one condition with all its corners. "yes": every corner's rate is below the threshold;
+"no": some corner's is above. Only one of the two can be wrong in a given cell, so each may use the
+cell's whole error rate:
 
-* "no" asks for evidence against "all corners are at or below the threshold": the mean of the corners' evidence, whatever their
-  dependence, is itself evidence of that kind, so nothing is paid for the corner that was picked;
-* "yes" asks for evidence from every corner. It is wrong only if the corner that is in truth above the threshold was let pass, so
-  nothing is paid for their number either.
+* "no" asks for evidence against "all corners are at or below the threshold": the mean of the
+  corners' evidence, whatever their dependence, is itself evidence of that kind, so nothing is paid
+  for the corner that was picked;
+* "yes" asks for evidence from every corner. It is wrong only if the corner that is in truth above
+  the threshold was let pass, so nothing is paid for their number either.
 
-The same is asked of aborted flights. "yes" needs both, each at half the error rate: of excursions and of aborted flights per hour
-flown, in which the time that an aborted flight did not fly is charged at the tested rate. "no" takes a weighted mean of the
-evidence of both.
+The same is asked of aborted flights. "yes" needs both, each at half the error rate: of excursions
+and of aborted flights per hour flown, in which the time that an aborted flight did not fly is
+charged at the tested rate. "no" takes a weighted mean of the evidence of both.
 
-Corners share their air; the arguments need the flights of one corner to be independent of each other and a corner that has been
-settled never to fly again, no more. Pure: counts in, answers out.
+Corners share their air; the arguments need the flights of one corner to be independent of each
+other and a corner that has been settled never to fly again, no more. Pure: counts in, answers out.
 """
 
 from __future__ import annotations
@@ -37,9 +39,9 @@ LOSS_WEIGHT = 0.1
 class Question:
     """What is to be settled, in mean excursions per flight (rate times duration).
 
-    ``loss_threshold`` is that of aborted flights. ``error_rate`` is that of one cell, of each corner of it where ``every_corner``
-    is asked for. ``zone`` around the threshold: a corner shown to lie within is not flown further, its answer stays open.
-    """
+    ``loss_threshold`` is that of aborted flights. ``error_rate`` is that of one cell, of each
+    corner of it where ``every_corner`` is asked for. ``zone`` around the threshold: a corner shown
+    to lie within is not flown further, its answer stays open."""
 
     threshold: float
     zone: tuple[float, float]
@@ -53,11 +55,11 @@ class Question:
 class Evidence:
     """What the flights of one cell say so far, per corner (c,).
 
-    ``total`` excursions with failed flights bounded from above, ``squares`` of them; logarithms of the ``bets`` against the
-    threshold and of ``bets_zone`` against the zone's lower end, counted from below. ``lost`` flights were aborted, ``bets_lost``
-    against their threshold, ``missing`` is the sum of the shares of their time they did not fly, ``ended`` the largest count of a
-    flight that ended early. ``answers``: of each corner, "" while it flies.
-    """
+    ``total`` excursions with failed flights bounded from above, ``squares`` of them; logarithms of
+    the ``bets`` against the threshold and of ``bets_zone`` against the zone's lower end, counted
+    from below. ``lost`` flights were aborted, ``bets_lost`` against their threshold, ``missing`` is
+    the sum of the shares of their time they did not fly, ``ended`` the largest count of a flight
+    that ended early. ``answers``: of each corner, "" while it flies."""
 
     flights: FloatArray
     total: FloatArray
@@ -102,10 +104,11 @@ def add(
     lost: FloatArray | None = None,
     missing: FloatArray | None = None,
 ) -> Evidence:
-    """Evidence with one round more: least and most excursions (c, k) of each flight of the open corners, NaN elsewhere.
+    """Evidence with one round more: least and most excursions (c, k) of each flight of the open
+    corners, NaN elsewhere.
 
-    ``lost`` (c, k) is 1 where a flight was aborted, ``missing`` (c, k) the share of its time that it did not fly; none by default.
-    """
+    ``lost`` (c, k) is 1 where a flight was aborted, ``missing`` (c, k) the share of its time that
+    it did not fly; none by default."""
     flown = np.isfinite(high)
     counted, upper = np.where(flown, low, 0.0), np.where(flown, high, 0.0)
     absent = np.where(flown, 0.0 if missing is None else missing, 0.0)
@@ -192,7 +195,8 @@ def look(evidence: Evidence, question: Question) -> Evidence:
 
 
 def evidence_of_either(excursions: FloatArray, losses: FloatArray) -> FloatArray:
-    """Logarithm of the evidence that one of two means is too large: the weighted mean of that of each, for any weights.
+    """Logarithm of the evidence that one of two means is too large: the weighted mean of that of
+    each, for any weights.
 
     Most of the weight lies on excursions, of which there are more.
     """
@@ -203,7 +207,9 @@ def evidence_of_either(excursions: FloatArray, losses: FloatArray) -> FloatArray
 
 
 def close(evidence: Evidence) -> Evidence:
-    """The end of the flights: what is not settled stays open; one corner shown to be above answers for its cell."""
+    """The end of the flights: what is not settled stays open; one corner shown to be above answers
+    for its cell.
+    """
     if evidence.cell:
         return evidence
     answers = tuple(answer or OPEN for answer in evidence.answers)

@@ -1,9 +1,9 @@
 """P-boxes and excursion rates with their limits, from samples alone. Pure: arrays in, arrays out.
 
-A p-box is the envelope of the distribution functions of the epistemic samples (corners). Its band adds what a finite number of
-flights leaves open, simultaneously over all corners and values. A flight that failed, or whose metric is undefined, is bounded,
-never dropped: it counts as +inf for the lower side and as -inf for the upper side.
-"""
+A p-box is the envelope of the distribution functions of the epistemic samples (corners). Its band
+adds what a finite number of flights leaves open, simultaneously over all corners and values. A
+flight that failed, or whose metric is undefined, is bounded, never dropped: it counts as +inf for
+the lower side and as -inf for the upper side."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ _SEED = 20161224
 
 
 def is_enough(airs: int, flights: int, confidence: float) -> bool:
-    """Whether airs can be drawn again: neither too few nor too many flights, nor a quantile too far out."""
+    """Whether airs can be drawn again: neither too few nor too many flights, nor a quantile too far
+    out.
+    """
     return (
         airs >= MIN_AIRS
         and flights <= MOST_FLIGHTS
@@ -52,12 +54,12 @@ def is_enough(airs: int, flights: int, confidence: float) -> bool:
 
 
 def common_air_half_width(values: FloatArray, confidence: float, seed: int = _SEED) -> float:
-    """Half-width of a band that holds for all corners and values at once; ``values`` (c, n) of n common airs, NaN: not known.
+    """Half-width of a band that holds for all corners and values at once; ``values`` (c, n) of n
+    common airs, NaN: not known.
 
-    What is not known counts as infinite for the lower side and as minus infinite for the upper side. Two corrections of order 1/n:
-    drawn distances scatter less than true ones by the root of (n - 1)/n, and are looked at after each step alone, so that up to 1/n
-    is missing.
-    """
+    What is not known counts as infinite for the lower side and as minus infinite for the upper
+    side. Two corrections of order 1/n: drawn distances scatter less than true ones by the root of
+    (n - 1)/n, and are looked at after each step alone, so that up to 1/n is missing."""
     airs = values.shape[1]
     more = _multiplicities(airs, seed) - 1
     largest = np.zeros(RESAMPLES, dtype=np.int64)
@@ -66,7 +68,8 @@ def common_air_half_width(values: FloatArray, confidence: float, seed: int = _SE
         sides = (np.inf, -np.inf) if unknown.any() else (np.inf,)
         for side in sides:
             np.maximum(largest, _distances(np.where(unknown, side, row), more), out=largest)
-    # The smallest resampled distance with at most the wanted share above it, of one more than were drawn.
+    # The smallest resampled distance with at most the wanted share above it, of one more than were
+    # drawn.
     place = min(int(np.ceil(confidence * (RESAMPLES + 1))), RESAMPLES) - 1
     wanted = float(np.sort(largest)[place]) / airs
     return min(1.0, float(np.sqrt(airs / (airs - 1.0))) * wanted + 1.0 / airs)
@@ -85,8 +88,9 @@ def _multiplicities(airs: int, seed: int) -> NDArray[np.int32]:
 
 
 def _distances(row: FloatArray, more: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(resamples,) largest difference between counts at or below a value, drawn and flown; ``more`` (airs, resamples): how much
-    oftener than once each air was drawn. Air by air, all resamples at once: a cumulative sum would leave the processor's cache."""
+    """(resamples,) largest difference between counts at or below a value, drawn and flown; ``more``
+    (airs, resamples): how much oftener than once each air was drawn. Air by air, all resamples at
+    once: a cumulative sum would leave the processor's cache."""
     order = np.argsort(row, kind="stable")
     ordered = row[order]
     steps = np.append(ordered[1:] != ordered[:-1], True)
@@ -101,17 +105,21 @@ def _distances(row: FloatArray, more: NDArray[np.int32]) -> NDArray[np.int64]:
 
 
 MAX_POINTS = 512
-"""Rows of a p-box; beyond that many distinct values the grid is thinned. The rows that remain are exact."""
+"""Rows of a p-box; beyond that many distinct values the grid is thinned.
+
+The rows that remain are exact.
+"""
 
 _SHOWN_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Flights of one epistemic sample in one condition: known ``values`` (n,) and the number that are not known.
+    """Flights of one epistemic sample in one condition: known ``values`` (n,) and the number that
+    are not known.
 
-    ``airs`` (n + unknown,) name the air of each flight, those of the unknown ones last; None where that is not said.
-    """
+    ``airs`` (n + unknown,) name the air of each flight, those of the unknown ones last; None where
+    that is not said."""
 
     epistemic_id: str
     values: FloatArray
@@ -126,11 +134,12 @@ class Sample:
 
 @dataclass(frozen=True)
 class PBox:
-    """Envelope at ``value`` (n,): P(X <= value) lies in [lower, upper], with the band at the stated confidence.
+    """Envelope at ``value`` (n,): P(X <= value) lies in [lower, upper], with the band at the stated
+    confidence.
 
-    Between two rows the lower side is that of the row to the left, the upper side at most that of the row to the right.
-    ``corner_*`` (n,) name the epistemic sample that sets each side (the first, where several do).
-    """
+    Between two rows the lower side is that of the row to the left, the upper side at most that of
+    the row to the right. ``corner_*`` (n,) name the epistemic sample that sets each side (the
+    first, where several do)."""
 
     value: FloatArray
     lower: FloatArray
@@ -152,7 +161,8 @@ class PBox:
         return view(repr(self), rows_table(rows))
 
     def quantile(self, probability: float) -> tuple[float, float]:
-        """Interval of the p-box's quantile; the right end is inf where failures or chance leave it open.
+        """Interval of the p-box's quantile; the right end is inf where failures or chance leave it
+        open.
 
         Raises BadInputError for a probability that is none.
         """
@@ -161,7 +171,8 @@ class PBox:
         )
 
     def set_by(self, probability: float) -> tuple[str, str]:
-        """Epistemic samples that set the two ends of :meth:`quantile`, best first; empty for an end that is open.
+        """Epistemic samples that set the two ends of :meth:`quantile`, best first; empty for an end
+        that is open.
 
         Raises BadInputError likewise.
         """
@@ -173,7 +184,10 @@ class PBox:
         return found[0], found[1]
 
     def band_quantile(self, probability: float) -> tuple[float, float]:
-        """The same for the band: -inf or inf where too few flights were flown to say. Raises BadInputError likewise."""
+        """The same for the band: -inf or inf where too few flights were flown to say.
+
+        Raises BadInputError likewise.
+        """
         left = _first(self.value, self.band_upper, probability)
         if left == self.value[0]:
             left = -np.inf
@@ -194,11 +208,12 @@ def ecdf(sorted_values: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def band_half_width(flights: int, corners: int, confidence: float) -> float:
-    """Half-width around an empirical distribution that holds for all values and all corners at once.
+    """Half-width around an empirical distribution that holds for all values and all corners at
+    once.
 
-    Bonferroni over the corners on the exact distribution of Kolmogorov's statistic, a little narrower than the DKW bound
-    sqrt(ln(2 corners / (1 - confidence)) / (2 flights)). Corners that share random numbers need no independence for it.
-    """
+    Bonferroni over the corners on the exact distribution of Kolmogorov's statistic, a little
+    narrower than the DKW bound sqrt(ln(2 corners / (1 - confidence)) / (2 flights)). Corners that
+    share random numbers need no independence for it."""
     if flights < 1:
         return 1.0
     # Rounded up, for the last bits differ between processors, and tables must not.
@@ -207,14 +222,18 @@ def band_half_width(flights: int, corners: int, confidence: float) -> float:
 
 @lru_cache(256)
 def _kolmogorov(tail: float, flights: int) -> float:
-    """What Kolmogorov's statistic of so many flights exceeds with the probability ``tail``: one number for all metrics."""
+    """What Kolmogorov's statistic of so many flights exceeds with the probability ``tail``: one
+    number for all metrics.
+    """
     from scipy import stats
 
     return float(stats.kstwo.isf(tail, flights))
 
 
 def flights_for_band(half_width: float, corners: int, confidence: float) -> int:
-    """Flights per corner that bring the band within ``half_width`` (probability) of the envelope: known before the first."""
+    """Flights per corner that bring the band within ``half_width`` (probability) of the envelope:
+    known before the first.
+    """
     low, high = 0, 1
     while band_half_width(high, corners, confidence) > half_width:
         low, high = high, 2 * high
@@ -268,7 +287,9 @@ def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = 
 
 
 def _on_common_air(samples: Sequence[Sample], confidence: float) -> FloatArray | None:
-    """Values (c, n) of corners that all flew the same n airs, NaN where not known; None where they did not, or too few or many."""
+    """Values (c, n) of corners that all flew the same n airs, NaN where not known; None where they
+    did not, or too few or many.
+    """
     size = samples[0].size
     flights = sum(sample.size for sample in samples)
     if len(samples) < 2 or samples[0].airs is None or not is_enough(size, flights, confidence):
@@ -287,7 +308,10 @@ def _on_common_air(samples: Sequence[Sample], confidence: float) -> FloatArray |
 
 
 def envelope(samples: Sequence[Sample], at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper envelope (m,) of the samples' distribution functions at each of ``at`` (m,). ValueError for no flight."""
+    """Lower and upper envelope (m,) of the samples' distribution functions at each of ``at`` (m,).
+
+    ValueError for no flight.
+    """
     if not samples or any(sample.size == 0 for sample in samples):
         raise ValueError(
             "an envelope needs at least one epistemic sample, each with at least one flight"
@@ -301,7 +325,8 @@ def envelope(samples: Sequence[Sample], at: FloatArray) -> tuple[FloatArray, Flo
 
 
 def widened(samples: Sequence[Sample], added: Sequence[Sample]) -> float:
-    """By which share of its area the p-box of ``samples`` grows when ``added`` join it; NaN where it has no area.
+    """By which share of its area the p-box of ``samples`` grows when ``added`` join it; NaN where
+    it has no area.
 
     Raises ValueError as :func:`envelope` does.
     """
@@ -319,10 +344,10 @@ def widened(samples: Sequence[Sample], added: Sequence[Sample]) -> float:
 class Containment:
     """How one p-box lies to another, at all values at once.
 
-    ``value`` (n,) with both envelopes; ``excess_lower`` and ``excess_upper`` are the largest probabilities by which the inner
-    one reaches beyond the outer one, at ``at_lower`` and ``at_upper`` (0 and NaN if it never does); ``chance`` is what the finite
-    number of flights could make of that; ``area_ratio`` the inner area over the outer one (NaN if that is 0).
-    """
+    ``value`` (n,) with both envelopes; ``excess_lower`` and ``excess_upper`` are the largest
+    probabilities by which the inner one reaches beyond the outer one, at ``at_lower`` and
+    ``at_upper`` (0 and NaN if it never does); ``chance`` is what the finite number of flights could
+    make of that; ``area_ratio`` the inner area over the outer one (NaN if that is 0)."""
 
     value: FloatArray
     inner: tuple[FloatArray, FloatArray]
@@ -346,7 +371,8 @@ class Containment:
 def containment(
     inner: Sequence[Sample], outer: Sequence[Sample], confidence: float = 0.95
 ) -> Containment:
-    """Whether the p-box of ``inner`` lies within that of ``outer``. Raises ValueError as :func:`envelope` does.
+    """Whether the p-box of ``inner`` lies within that of ``outer``. Raises ValueError as
+    :func:`envelope` does.
 
     ``chance`` adds both simultaneous half-widths, each at half the error rate.
     """
@@ -407,10 +433,10 @@ def poisson_upper(events: int, hours: float, confidence: float = 0.95) -> float:
 class ExcursionRate:
     """Excursions of one epistemic sample in one condition.
 
-    ``events`` were counted; ``events_upper`` adds one for each flight that failed or has no count. ``rate`` and ``rate_upper``
-    per hour go with them. ``limits`` are exact Poisson limits of this sample alone; ``simultaneous`` hold for all corners at
-    once, so also for the best and the worst picked among them.
-    """
+    ``events`` were counted; ``events_upper`` adds one for each flight that failed or has no count.
+    ``rate`` and ``rate_upper`` per hour go with them. ``limits`` are exact Poisson limits of this
+    sample alone; ``simultaneous`` hold for all corners at once, so also for the best and the worst
+    picked among them."""
 
     epistemic_id: str
     flights: int
@@ -432,10 +458,11 @@ def excursion_rate(
     corners: int,
     confidence: float = 0.95,
 ) -> ExcursionRate:
-    """Rate from ``counts``, one per flight (None = unknown), of which ``failed`` flights failed, in ``hours`` of scored flight.
+    """Rate from ``counts``, one per flight (None = unknown), of which ``failed`` flights failed, in
+    ``hours`` of scored flight.
 
-    Lower limits rest on what was counted, upper limits on what may have happened. Without a scored hour the counted rate is NaN.
-    """
+    Lower limits rest on what was counted, upper limits on what may have happened. Without a scored
+    hour the counted rate is NaN."""
     events = sum(count for count in counts if count is not None)
     unknown = sum(count is None for count in counts)
     # A failed flight is an excursion beyond those it had, whether or not it has a count.
@@ -459,7 +486,8 @@ def excursion_rate(
 
 
 def best_and_worst(rates: Sequence[ExcursionRate]) -> tuple[ExcursionRate, ExcursionRate]:
-    """The corner with the fewest counted excursions per hour and that with the most possible ones; the first of equals.
+    """The corner with the fewest counted excursions per hour and that with the most possible ones;
+    the first of equals.
 
     A corner without a scored hour has no rate (NaN) and is not the best.
     """
@@ -477,11 +505,12 @@ def best_and_worst(rates: Sequence[ExcursionRate]) -> tuple[ExcursionRate, Excur
 
 @dataclass(frozen=True)
 class AreaMetric:
-    """``area`` outside the p-box, of which ``below`` lies at values smaller than the model allows and ``above`` at larger ones.
+    """``area`` outside the p-box, of which ``below`` lies at values smaller than the model allows
+    and ``above`` at larger ones.
 
-    ``beyond_chance`` is what remains when chance is allowed for on both sides: the p-box's band, and as many flights as were flown.
-    Above 0 the flights contradict the p-box; at 0 they may agree, or be too few to say.
-    """
+    ``beyond_chance`` is what remains when chance is allowed for on both sides: the p-box's band,
+    and as many flights as were flown. Above 0 the flights contradict the p-box; at 0 they may
+    agree, or be too few to say."""
 
     area: float
     below: float
@@ -491,7 +520,8 @@ class AreaMetric:
 
 
 def area_metric(box: PBox, values: FloatArray, confidence: float = 0.95) -> AreaMetric:
-    """Area metric of flight ``values`` (n,) in the p-box's unit; ``confidence`` is of the flights' own band.
+    """Area metric of flight ``values`` (n,) in the p-box's unit; ``confidence`` is of the flights'
+    own band.
 
     ValueError for no value, or one that is not finite.
     """
@@ -505,7 +535,8 @@ def area_metric(box: PBox, values: FloatArray, confidence: float = 0.95) -> Area
         return np.concatenate([[0.0], side])[row]
 
     widths = np.append(np.diff(at), 0.0)
-    # Beyond the last value flown a side stays where it is: flights that failed, or were too few, leave it open.
+    # Beyond the last value flown a side stays where it is: flights that failed, or were too few,
+    # leave it open.
     below = float(widths @ np.maximum(share - steps(box.upper), 0.0))
     above = float(widths @ np.maximum(steps(box.lower) - share, 0.0))
     # Below the first value flown nothing is known but how few flights there were.
@@ -530,11 +561,12 @@ def area_metric(box: PBox, values: FloatArray, confidence: float = 0.95) -> Area
 
 @dataclass(frozen=True)
 class Repeats:
-    """``repeats`` times ``flights`` flights of one epistemic sample: how far apart their distribution functions lie.
+    """``repeats`` times ``flights`` flights of one epistemic sample: how far apart their
+    distribution functions lie.
 
-    ``distance`` is the largest between any two, ``expected`` what it stays below in 95 of 100 studies of independent draws;
-    ``medians`` (repeats,) in the metric's unit; ``curves`` (repeats, flights) sorted values, inf for failed flights.
-    """
+    ``distance`` is the largest between any two, ``expected`` what it stays below in 95 of 100
+    studies of independent draws; ``medians`` (repeats,) in the metric's unit; ``curves`` (repeats,
+    flights) sorted values, inf for failed flights."""
 
     repeats: int
     flights: int
@@ -546,10 +578,11 @@ class Repeats:
 
 @dataclass(frozen=True)
 class Growth:
-    """P-boxes of ``samples`` epistemic samples out of all: mean ``area`` between the sides (metric's unit), its spread over draws.
+    """P-boxes of ``samples`` epistemic samples out of all: mean ``area`` between the sides
+    (metric's unit), its spread over draws.
 
-    ``chance_of_more`` bounds, for any value of the metric, the chance that one more sample lies outside.
-    """
+    ``chance_of_more`` bounds, for any value of the metric, the chance that one more sample lies
+    outside."""
 
     samples: int
     area: float
@@ -559,13 +592,17 @@ class Growth:
 
 
 def repeats(values: FloatArray, number: int, confidence: float = 0.95) -> Repeats:
-    """Cut the flights ``values`` (n,), in the order of their ids, into ``number`` repeats. ValueError if they are too few."""
+    """Cut the flights ``values`` (n,), in the order of their ids, into ``number`` repeats.
+
+    ValueError if they are too few.
+    """
     flights = values.size // number
     if number < 2 or flights < 2:
         raise ValueError(f"{values.size} flights do not make {number} repeats of at least 2")
     curves = np.sort(values[: number * flights].reshape(number, flights), axis=1)
     distance = max(_distance(first, second) for first, second in itertools.combinations(curves, 2))
-    # Two repeats differ by no more than the sum of their distances from the truth, which one band bounds for all at once.
+    # Two repeats differ by no more than the sum of their distances from the truth, which one band
+    # bounds for all at once.
     expected = min(1.0, 2.0 * band_half_width(flights, number, confidence))
     return Repeats(number, flights, distance, expected, _median(curves), curves)
 
@@ -585,7 +622,9 @@ def _distance(first: FloatArray, second: FloatArray) -> float:
 
 
 def growth(samples: Sequence[FloatArray], seed: int, draws: int = 40) -> list[Growth]:
-    """P-box area against the number of epistemic samples, doubling up to all; ``samples`` are the flights' values of each."""
+    """P-box area against the number of epistemic samples, doubling up to all; ``samples`` are the
+    flights' values of each.
+    """
     at = np.unique(np.concatenate(list(samples)))
     at = at[np.isfinite(at)]
     if at.size > 512:

@@ -1,24 +1,28 @@
-"""Limits of a rate from counts per flight, with the flight as the unit: excursions of one flight need not be independent.
+"""Limits of a rate from counts per flight, with the flight as the unit: excursions of one flight
+need not be independent.
 
-``X`` is the count of one flight, mu its mean. Flights are independent; within a flight anything may go on. Two facts carry all:
+``X`` is the count of one flight, mu its mean. Flights are independent; within a flight anything may
+go on. Two facts carry all:
 
-* lower side, no assumption but X >= 0: for 0 <= k < 1 the product over flights of 1 + k (X/m - 1) has mean <= 1 while mu <= m, so
-  that it ever exceeds 1/a with probability a at most (Ville's inequality; Waudby-Smith and Ramdas, doi 10.1093/jrsssb/qkad009);
-* upper side: with E[X^2] <= kappa mu, E[exp(-s X)] <= 1 - mu (1 - exp(-s kappa))/kappa. Proof: (1 - exp(-s x))/x is convex in x, so
-  Jensen's inequality under the distribution weighted by x gives E[1 - exp(-s X)] >= mu (1 - exp(-s kappa))/kappa. A mean cannot be
-  bounded from above by any number of flights without such an assumption (Bahadur and Savage 1956).
+* lower side, no assumption but X >= 0: for 0 <= k < 1 the product over flights of 1 + k (X/m - 1)
+  has mean <= 1 while mu <= m, so that it ever exceeds 1/a with probability a at most (Ville's
+  inequality; Waudby-Smith and Ramdas, doi 10.1093/jrsssb/qkad009);
+* upper side: with E[X^2] <= kappa mu, E[exp(-s X)] <= 1 - mu (1 - exp(-s kappa))/kappa. Proof: (1 -
+  exp(-s x))/x is convex in x, so Jensen's inequality under the distribution weighted by x gives E[1
+  - exp(-s X)] >= mu (1 - exp(-s kappa))/kappa. A mean cannot be bounded from above by any number of
+  flights without such an assumption (Bahadur and Savage 1956).
 
-The assumption is stated as the largest ratio ``dispersion`` = Var X / E X (1: Poisson; 3: excursions come in clusters), for which
-kappa = dispersion + mu. It need hold at the tested mean only: above it the ratio may grow in proportion with the mean, because what
-counts is E[X^2]/mu^2.
+The assumption is stated as the largest ratio ``dispersion`` = Var X / E X (1: Poisson; 3:
+excursions come in clusters), for which kappa = dispersion + mu. It need hold at the tested mean
+only: above it the ratio may grow in proportion with the mean, because what counts is E[X^2]/mu^2.
 
-A flight may end early, the share M of its time not flown. The rate per flight's length flown is r = E X / (1 - E M), so that
-E[X + r M] = r: limits test Y = X + m M for each m. The upper side needs E[exp(-s Y)] <= 1 - r (1 - exp(-s kappa))/kappa with
-kappa = dispersion + r. Flights that are whole have it from the assumption above. In one that ended early with X <= dispersion,
-Y <= kappa, where exp(-s Y) lies below its chord 1 - Y (1 - exp(-s kappa))/kappa. Both parts together have it, whatever the share
-of flights that end early. So ``dispersion`` is also to be at least the count of any flight that ended early. Pure: arrays in,
-arrays out.
-"""
+A flight may end early, the share M of its time not flown. The rate per flight's length flown is r =
+E X / (1 - E M), so that E[X + r M] = r: limits test Y = X + m M for each m. The upper side needs
+E[exp(-s Y)] <= 1 - r (1 - exp(-s kappa))/kappa with kappa = dispersion + r. Flights that are whole
+have it from the assumption above. In one that ended early with X <= dispersion, Y <= kappa, where
+exp(-s Y) lies below its chord 1 - Y (1 - exp(-s kappa))/kappa. Both parts together have it,
+whatever the share of flights that end early. So ``dispersion`` is also to be at least the count of
+any flight that ended early. Pure: arrays in, arrays out."""
 
 from __future__ import annotations
 
@@ -28,9 +32,11 @@ from scipy.special import betaincinv, logsumexp
 from sysid.arrays import FloatArray
 from sysid.distributions import normal_quantile
 
-# Bets of the lower side: small ones for rates near the tested one, large ones for rates far above it.
+# Bets of the lower side: small ones for rates near the tested one, large ones for rates far above
+# it.
 _BETS = np.array([0.01, 0.03, 0.06, 0.12, 0.2, 0.35, 0.5, 0.7])
-# s kappa of the upper side's mixture; the first is for flights without any excursion, which decide most cells.
+# s kappa of the upper side's mixture; the first is for flights without any excursion, which decide
+# most cells.
 _TILTS = np.array([6.0, 2.0, 1.0, 0.5, 0.25, 0.1])
 _TILT_WEIGHTS = np.array([0.75, 0.08, 0.07, 0.05, 0.03, 0.02])
 _CHERNOFF_TILTS = np.geomspace(1e-3, 30.0, 80)
@@ -39,7 +45,9 @@ _DISPERSIONS = (1e-3, 1e6)
 
 
 def observed_dispersion(counts: FloatArray) -> FloatArray:
-    """Variance over mean of the counts (..., n), NaN marking none; 1 where it says nothing (fewer than 2 flights, or no count)."""
+    """Variance over mean of the counts (..., n), NaN marking none; 1 where it says nothing (fewer
+    than 2 flights, or no count).
+    """
     known = np.isfinite(counts)
     flights = known.sum(axis=-1)
     values = np.where(known, counts, 0.0)
@@ -54,14 +62,19 @@ def observed_dispersion(counts: FloatArray) -> FloatArray:
 
 
 def bet_logs(counts: FloatArray, mean: float | FloatArray) -> FloatArray:
-    """Logarithm of what each bet earns on each count (...): (..., bets). ``mean`` is the tested one, above 0."""
+    """Logarithm of what each bet earns on each count (...): (..., bets).
+
+    ``mean`` is the tested one, above 0.
+    """
     ratio = counts[..., None] / np.asarray(mean)[..., None]
     logs: FloatArray = np.log1p(_BETS * (ratio - 1.0))
     return logs
 
 
 def log_e_above(bets: FloatArray) -> FloatArray:
-    """Logarithm of the evidence that the mean is above the tested one, from sums over flights of ``bet_logs`` (..., bets)."""
+    """Logarithm of the evidence that the mean is above the tested one, from sums over flights of
+    ``bet_logs`` (..., bets).
+    """
     found: FloatArray = logsumexp(bets, axis=-1) - np.log(_BETS.size)
     return found
 
@@ -74,11 +87,12 @@ def log_e_below(
     assumed: float,
     missing: FloatArray | None = None,
 ) -> FloatArray:
-    """Logarithm of the evidence that the mean is below ``mean``, after ``flights`` with ``total`` excursions (arrays alike).
+    """Logarithm of the evidence that the mean is below ``mean``, after ``flights`` with ``total``
+    excursions (arrays alike).
 
-    ``assumed`` dispersion chooses the tilts before anything is seen; ``dispersion`` >= assumed is the one allowed for, which may
-    come from the data: a larger one gives less evidence, never more. ``missing``: see `upper_limits`.
-    """
+    ``assumed`` dispersion chooses the tilts before anything is seen; ``dispersion`` >= assumed is
+    the one allowed for, which may come from the data: a larger one gives less evidence, never more.
+    ``missing``: see `upper_limits`."""
     mean = np.asarray(mean, float)
     s = _TILTS / (assumed + mean[..., None])
     total = total if missing is None else total + mean * missing
@@ -98,7 +112,9 @@ def _log_error(
     assumed: float | None,
     missing: FloatArray,
 ) -> FloatArray:
-    """Logarithm of what bounds the chance of so few excursions (c,) where ``mean`` is true; arguments of `upper_limits`."""
+    """Logarithm of what bounds the chance of so few excursions (c,) where ``mean`` is true;
+    arguments of `upper_limits`.
+    """
     if assumed is not None:
         return -log_e_below(flights, total, mean, dispersion, assumed, missing)
     kappa = (dispersion + mean)[..., None]
@@ -118,8 +134,8 @@ def dispersion_that_allows(
     assumed: float | None = None,
     missing: FloatArray | None = None,
 ) -> FloatArray:
-    """Largest dispersions (c,) with which the upper limit of the mean count per flight is at most ``mean``; arguments of
-    `upper_limits`. 0 where no dispersion does."""
+    """Largest dispersions (c,) with which the upper limit of the mean count per flight is at most
+    ``mean``; arguments of `upper_limits`. 0 where no dispersion does."""
     flights, total = np.asarray(flights, float), np.asarray(total, float)
     absent = np.zeros_like(total) if missing is None else np.asarray(missing, float)
     means = np.full_like(total, mean)
@@ -140,15 +156,16 @@ def upper_limits(
     assumed: float | None = None,
     missing: FloatArray | None = None,
 ) -> FloatArray:
-    """Upper limits (c,) of the mean count per flight, each missed with probability ``error`` at most; inf without flights.
+    """Upper limits (c,) of the mean count per flight, each missed with probability ``error`` at
+    most; inf without flights.
 
-    For a number of flights fixed beforehand, by Chernoff's bound. With the dispersion ``assumed`` before the first flight: valid at
-    whatever moment the flying was stopped, by the mixture over tilts.
+    For a number of flights fixed beforehand, by Chernoff's bound. With the dispersion ``assumed``
+    before the first flight: valid at whatever moment the flying was stopped, by the mixture over
+    tilts.
 
-    ``missing`` (c,): sums over flights of the share of its time that a flight did not fly. Limits are then of the count per
-    flight's length *flown*, with ``dispersion`` at least the largest count of a flight that ended early (module's text). inf where
-    too little was flown to say.
-    """
+    ``missing`` (c,): sums over flights of the share of its time that a flight did not fly. Limits
+    are then of the count per flight's length *flown*, with ``dispersion`` at least the largest
+    count of a flight that ended early (module's text). inf where too little was flown to say."""
     flights, total, dispersion = (np.asarray(item, float) for item in (flights, total, dispersion))
     absent = np.zeros_like(total) if missing is None else np.asarray(missing, float)
 
@@ -172,9 +189,9 @@ def upper_limits(
 
 
 def share_upper(events: FloatArray, flights: FloatArray, error: float) -> FloatArray:
-    """Upper limits (c,) of the share of flights with an event, each missed with probability ``error`` at most (Clopper and Pearson
-    1934): only that flights are independent is assumed. 1 without flights.
-    """
+    """Upper limits (c,) of the share of flights with an event, each missed with probability
+    ``error`` at most (Clopper and Pearson 1934): only that flights are independent is assumed. 1
+    without flights."""
     events, flights = np.asarray(events, float), np.asarray(flights, float)
     some = events < flights
     found: FloatArray = np.where(
@@ -188,9 +205,9 @@ def share_upper(events: FloatArray, flights: FloatArray, error: float) -> FloatA
 
 
 def lower_limits(counts: FloatArray, error: float) -> FloatArray:
-    """Lower limits (c,) of the mean count per flight from counts (c, n), NaN marking none, each missed with probability ``error``
-    at most, at whatever moment the flying was stopped. 0 where nothing was counted.
-    """
+    """Lower limits (c,) of the mean count per flight from counts (c, n), NaN marking none, each
+    missed with probability ``error`` at most, at whatever moment the flying was stopped. 0 where
+    nothing was counted."""
     values, number = _tally(counts)
     some = (values > 0) & (number > 0)
     at = np.flatnonzero(some.any(axis=-1))
@@ -214,7 +231,9 @@ def lower_limits(counts: FloatArray, error: float) -> FloatArray:
 
 
 def _tally(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Different counts (c, v) of each row and how many flights have them: the limits do not depend on the flights' order."""
+    """Different counts (c, v) of each row and how many flights have them: the limits do not depend
+    on the flights' order.
+    """
     rows = [np.unique(row[np.isfinite(row)], return_counts=True) for row in counts]
     width = max((values.size for values, _ in rows), default=0)
     values, number = np.zeros((len(rows), max(width, 1))), np.zeros((len(rows), max(width, 1)))
@@ -233,11 +252,14 @@ def _tally(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
 # arrays in, arrays out.
 
 _QUIET_TILT, _QUIET_TILT_ANYTIME, _QUIET_WEIGHT_ANYTIME = 30.0, 6.0, 0.75
-"""What a corner without an excursion is judged by: the largest tilt of ``upper_limits``, the first of its mixture."""
+"""What a corner without an excursion is judged by: the largest tilt of ``upper_limits``, the first
+of its mixture.
+"""
 
 
 def dispersion_limits(counts: FloatArray, error: float) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper limits (c,) of variance over mean from counts (c, n), NaN marking none; each fails with about ``error``.
+    """Lower and upper limits (c,) of variance over mean from counts (c, n), NaN marking none; each
+    fails with about ``error``.
 
     0 and inf where nothing was counted. The upper limit is never below 1.
     """
@@ -267,7 +289,8 @@ def dispersion_limits(counts: FloatArray, error: float) -> tuple[FloatArray, Flo
 
 
 def quiet_flights(mean: float, dispersion: float, error: float, anytime: bool) -> int:
-    """Flights without an excursion after which the upper limit of the mean count per flight is ``mean`` at most.
+    """Flights without an excursion after which the upper limit of the mean count per flight is
+    ``mean`` at most.
 
     ``anytime``: the limit that holds whenever the flying was stopped.
     """

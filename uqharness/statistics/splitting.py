@@ -1,16 +1,19 @@
-"""Multilevel splitting: the probability of a rare event from paths that are copied where they come near to it.
+"""Multilevel splitting: the probability of a rare event from paths that are copied where they come
+near to it.
 
-All paths go from one checkpoint to the next together. A score says how near a path is; levels are scores s1 < s2 < ... A path that
-rises to level k goes on as ``copies`` paths for each level that it has risen, each of weight copies^-k; those that were made at a
-level end when they fall below it, and the one that was copied goes on with the weight of the level to which it falls. A weighted
-count of events is unbiased whatever the levels and the score (RESTART: Villen-Altamirano 1991; Garvels 2000, chapter 2): they
-decide its spread alone. Levels come from a pilot, whose paths are not counted. A path keeps its level until it falls below the one
-beneath, so that one that moves about a level is not copied again and again.
+All paths go from one checkpoint to the next together. A score says how near a path is; levels are
+scores s1 < s2 < ... A path that rises to level k goes on as ``copies`` paths for each level that it
+has risen, each of weight copies^-k; those that were made at a level end when they fall below it,
+and the one that was copied goes on with the weight of the level to which it falls. A weighted count
+of events is unbiased whatever the levels and the score (RESTART: Villen-Altamirano 1991; Garvels
+2000, chapter 2): they decide its spread alone. Levels come from a pilot, whose paths are not
+counted. A path keeps its level until it falls below the one beneath, so that one that moves about a
+level is not copied again and again.
 
-An event is a first excursion, and each that follows it on the same path. Both are counted: P is the probability that a path of
-fixed length has one, N the mean number of events of a path, N/P the events of a path that has one. Intervals come from independent
-replicates: t on the logarithm of their mean, whose standard error is that of the mean over the mean. Pure: no file, no clock.
-"""
+An event is a first excursion, and each that follows it on the same path. Both are counted: P is the
+probability that a path of fixed length has one, N the mean number of events of a path, N/P the
+events of a path that has one. Intervals come from independent replicates: t on the logarithm of
+their mean, whose standard error is that of the mean over the mean. Pure: no file, no clock."""
 
 from __future__ import annotations
 
@@ -27,26 +30,34 @@ from sysid.arrays import FloatArray
 from sysid.distributions import student_quantile
 
 COPIES = 3
-"""Paths that go on for one that rises a level: between 2 and 4 the cost differs by some per cent."""
+"""Paths that go on for one that rises a level: between 2 and 4 the cost differs by some per
+cent.
+"""
 SHARE = 0.1
-"""Share of its time that a path spends above the first level: the time above a level is then flown ``COPIES * SHARE`` times."""
+"""Share of its time that a path spends above the first level: the time above a level is then flown
+``COPIES * SHARE`` times.
+"""
 LEAST_SEEN = 200
-"""Checkpoints of paths above a score from which the pilot takes a level: fewer are too few clusters."""
+"""Checkpoints of paths above a score from which the pilot takes a level: fewer are too few
+clusters.
+"""
 MOST_PATHS = 50_000
 _ROUNDS, _PATIENCE = 30, 4
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Scores of the levels (k,), each above the one before; a path at level k has the weight ``copies``^-k."""
+    """Scores of the levels (k,), each above the one before; a path at level k has the weight
+    ``copies``^-k.
+    """
 
     scores: tuple[float, ...]
     copies: int = COPIES
 
     @property
     def floors(self) -> tuple[float, ...]:
-        """The score of each level (k,) below which a path loses it: the level beneath, for the first one as far below as the second
-        is above."""
+        """The score of each level (k,) below which a path loses it: the level beneath, for the
+        first one as far below as the second is above."""
         if len(self.scores) < 2:
             return self.scores
         return (2.0 * self.scores[0] - self.scores[1], *self.scores[:-1])
@@ -61,7 +72,9 @@ class Levels:
 
 @dataclass(frozen=True)
 class Seen:
-    """Paths at a checkpoint: score (n,), events since the last one (n, kinds), and which have ended (n,)."""
+    """Paths at a checkpoint: score (n,), events since the last one (n, kinds), and which have ended
+    (n,).
+    """
 
     score: FloatArray
     events: NDArray[np.int64]
@@ -78,12 +91,17 @@ class Paths(Protocol):
         """Go on to the next checkpoint; None behind the last."""
 
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
-        """Go on with copies of these paths, in that order. Level 0: the path itself; else a branch made at that level."""
+        """Go on with copies of these paths, in that order.
+
+        Level 0: the path itself; else a branch made at that level.
+        """
 
 
 @dataclass(frozen=True)
 class Occupancy:
-    """Of each score of a grid (g,): the share of time above it, by weights, and how many checkpoints of paths were seen there."""
+    """Of each score of a grid (g,): the share of time above it, by weights, and how many
+    checkpoints of paths were seen there.
+    """
 
     grid: FloatArray
     share: FloatArray
@@ -92,9 +110,10 @@ class Occupancy:
 
 @dataclass(frozen=True)
 class Replicate:
-    """One run of ``roots`` paths. probability, events: of each kind (kinds,), per path, weighted; ended: weighted share of paths
-    that ended early; steps: checkpoints of paths that were flown; most: paths side by side at most; highest: level reached.
-    probability_by_root, events_by_root: the same of each root and what branched from it (roots, kinds); roots are independent."""
+    """One run of ``roots`` paths. probability, events: of each kind (kinds,), per path, weighted;
+    ended: weighted share of paths that ended early; steps: checkpoints of paths that were flown;
+    most: paths side by side at most; highest: level reached. probability_by_root, events_by_root:
+    the same of each root and what branched from it (roots, kinds); roots are independent."""
 
     roots: int
     probability: FloatArray
@@ -111,7 +130,8 @@ class Replicate:
 def run(
     paths: Paths, roots: int, levels: Levels, kinds: int, grid: FloatArray | None = None
 ) -> Replicate:
-    """Fly ``roots`` paths to their end. An ended path counts one event of each kind that it has not had.
+    """Fly ``roots`` paths to their end. An ended path counts one event of each kind that it has not
+    had.
 
     Raises ValueError where more than MOST_PATHS would go on side by side: the levels lie too close.
     """
@@ -153,7 +173,8 @@ def run(
         parents, made_at = _descendants(level, now, goes_on, levels.copies)
         if parents.size > MOST_PATHS:
             raise ValueError(
-                f"{parents.size} paths would go on side by side, {MOST_PATHS} at most can: the levels lie too close"
+                f"{parents.size} paths would go on side by side, {MOST_PATHS} at most can: the"
+                " levels lie too close"
             )
         level, had, root = now[parents], had[parents], root[parents]
         born = np.where(made_at > 0, made_at, born[parents])
@@ -170,7 +191,9 @@ def run(
 def _descendants(
     level: NDArray[np.intp], now: NDArray[np.intp], goes_on: NDArray[np.bool_], copies: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Parents of the paths that go on, and the level at which each was made (0: the parent itself)."""
+    """Parents of the paths that go on, and the level at which each was made (0: the parent
+    itself).
+    """
     parents, made_at = [np.flatnonzero(goes_on)], [np.zeros(int(goes_on.sum()), np.intp)]
     for path in np.flatnonzero(goes_on & (now > level)):
         number = copies - 1
@@ -190,13 +213,15 @@ def pilot(
     share: float = SHARE,
     plain: Occupancy | None = None,
 ) -> Levels:
-    """Levels up to the score ``top``: a path is above the first a ``share`` of its time, above each next a ``COPIES``-th of that.
+    """Levels up to the score ``top``: a path is above the first a ``share`` of its time, above each
+    next a ``COPIES``-th of that.
 
-    ``plain``: occupancy of paths that were not split, where they are there: the first levels come from it.
+    ``plain``: occupancy of paths that were not split, where they are there: the first levels come
+    from it.
 
-    ``start`` gives the paths of each round; rounds with the same levels are pooled and add levels as far as enough was seen. Raises
-    ValueError where four rounds add none short of ``top``: longer or more paths are needed.
-    """
+    ``start`` gives the paths of each round; rounds with the same levels are pooled and add levels
+    as far as enough was seen. Raises ValueError where four rounds add none short of ``top``: longer
+    or more paths are needed."""
     levels, known = Levels(()), list[Occupancy]()
     if plain is not None:
         levels, whole = more_levels(plain, levels, top, share)
@@ -216,21 +241,24 @@ def pilot(
             levels, known = found, []
         elif len(known) == _PATIENCE:
             raise ValueError(
-                f"{_PATIENCE} rounds of the pilot found no level above {levels.scores[-1] if levels.scores else 0:g}, {top:g} is "
-                f"asked for: fly more or longer paths than {roots} in the pilot"
+                f"{_PATIENCE} rounds of the pilot found no level above"
+                f" {levels.scores[-1] if levels.scores else 0:g}, {top:g} is asked for: fly more or"
+                f" longer paths than {roots} in the pilot"
             )
     raise ValueError(
-        f"the pilot has not reached the score {top:g} in {_ROUNDS} rounds: fly more paths than {roots} in it"
+        f"the pilot has not reached the score {top:g} in {_ROUNDS} rounds: fly more paths than"
+        f" {roots} in it"
     )
 
 
 def more_levels(
     occupancy: Occupancy, known: Levels, top: float, share: float = SHARE
 ) -> tuple[Levels, bool]:
-    """``known`` levels and those that follow them as far as LEAST_SEEN checkpoints were seen; whether the next is above ``top``.
+    """``known`` levels and those that follow them as far as LEAST_SEEN checkpoints were seen;
+    whether the next is above ``top``.
 
-    A path is above the first level a ``share`` of its time, above each further one a COPIES-th of that.
-    """
+    A path is above the first level a ``share`` of its time, above each further one a COPIES-th of
+    that."""
     enough = (occupancy.seen >= LEAST_SEEN) & (occupancy.share > 0.0)
     grid, logs = occupancy.grid[enough], -np.log(occupancy.share[enough])
     # Where neighbouring scores have equal shares, the last of them.
@@ -249,7 +277,8 @@ def more_levels(
         if score > top:
             return Levels(tuple(scores)), True
         scores.append(score)
-    # The next level lies above the top where a path is above that more than a COPIES-th of its time above the last level.
+    # The next level lies above the top where a path is above that more than a COPIES-th of its time
+    # above the last level.
     place = int(np.searchsorted(occupancy.grid, top - 1e-9))
     near = bool(scores) and occupancy.seen[place] * COPIES >= LEAST_SEEN and grid.size > 1
     within = near and -math.log(occupancy.share[place]) < float(
@@ -270,7 +299,8 @@ class Interval:
 
 
 def interval(values: Sequence[float] | FloatArray, confidence: float = 0.95) -> Interval:
-    """Mean of positive replicates (n,) and its limits: mean times exp(+-t s / (mean sqrt(n))), t with n - 1 degrees of freedom.
+    """Mean of positive replicates (n,) and its limits: mean times exp(+-t s / (mean sqrt(n))), t
+    with n - 1 degrees of freedom.
 
     NaN with a reason where a replicate reached nothing, or where there are fewer than two.
     """
