@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import Residuals, together
+from sysid.aerodynamics import Residuals, combine_flights
 from sysid.aerodynamics.coefficients import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.model_form.components import WALK_CUTOFF_HZ
@@ -98,7 +98,7 @@ def _rows(
     rate = 1.0 / noisy[0].residuals.dt_s
     form = form_of(fitted, rate)
     measured = [n.knowing(n.sizes[1.0]) for n in noisy]
-    whole = coverage(form, together(measured)) if way == "default" else {}
+    whole = coverage(form, combine_flights(measured)) if way == "default" else {}
     out = []
     for speed, q, m in zip(SPEEDS, quiet, measured, strict=True):
         third = coverage(form, m) if way == "default" else {}

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from sysid.aerodynamics.residuals import Cutoffs, Residuals, together
+from sysid.aerodynamics.residuals import Cutoffs, Residuals, combine_flights
 from sysid.model_form.components import WALK_CUTOFF_HZ
 from sysid.model_form.fit import FitOptions, fit_bounds
 from sysid.model_form.information_gain import Width
@@ -80,7 +80,7 @@ CASES = (
 def form_from(residuals: Sequence[Residuals], designs: object = None) -> ModelForm:
     """Bounds from flights, without what does not bear on widths."""
     model = find_aircraft(MODEL)
-    merged = together(residuals)
+    merged = combine_flights(residuals)
     fitted = fit_bounds(merged, designs, FitOptions())  # type: ignore[arg-type]
     used = tuple(
         FlightUsed(
@@ -166,7 +166,9 @@ class Study:
         designs = designs_of(form)
         redone = widths_over(form_from([made, new], designs), self.mission)
         again = widths_over(form_from([made, *repeated], designs), self.mission)
-        naive = prospects(form, self.mission, together(repeated), 1.0, self.tried[case.seconds][0])
+        naive = prospects(
+            form, self.mission, combine_flights(repeated), 1.0, self.tried[case.seconds][0]
+        )
         return [
             _row(case, seed, c, plan, redone[c], naive[c].redone, again[c])
             for c in form.coefficients

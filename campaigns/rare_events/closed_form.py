@@ -22,7 +22,7 @@ import numpy as np
 
 from campaigns.rare_events.rates import shown
 from uqharness.files import write_bytes
-from uqharness.statistics import Seen, interval, pilot, run
+from uqharness.statistics import Checkpoint, interval, pilot, run
 from uqharness.statistics.splitting import Interval
 from uqharness.text_tables import csv_text
 
@@ -54,7 +54,7 @@ class Crossings:
         self._x = rng.standard_normal(roots)
         self._outside = np.zeros((roots, len(thresholds)), bool)
 
-    def advance(self) -> Seen | None:
+    def advance(self) -> Checkpoint | None:
         """Go on by ``each`` steps."""
         if self._left == 0:
             return None
@@ -69,7 +69,7 @@ class Crossings:
             self._outside = beyond | (
                 self._outside & (self._x[:, None] >= self._thresholds - self._rearm)
             )
-        return Seen(self._x, events, np.zeros(self._x.size, bool))
+        return Checkpoint(self._x, events, np.zeros(self._x.size, bool))
 
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
         """Go on with these paths."""

@@ -207,7 +207,7 @@ class Study:
         core_s = time.process_time() - begun
         flown_s = found.steps * size.step_s
         return Counted(
-            size.roots, probability, events, nothing, found.ended, flown_s, found.most, core_s
+            size.roots, probability, events, nothing, found.ended, flown_s, found.max_paths, core_s
         ), paths.hits
 
     def plain(self, number: int) -> Counted:

@@ -70,7 +70,7 @@ CHANNELS = (
 ROLLING = "p_h"
 """Name of the rolling gusts among the channels of a piece's noise."""
 _SCALE_M = 100.0
-_SPREAD = 0.35
+_SIZE_ERROR = 0.35
 """Of the rolling gusts' size: L from 20 to 533 m moves the root of (3) from 0.76 to 1.32 of that at
 100 m; form not counted.
 """
@@ -92,7 +92,7 @@ class AirPiece:
 
 
 @dataclass(frozen=True)
-class AirFound:
+class AirRotation:
     """share: of the rotation by (1), (2), with its standard error; level: of the vertical gusts'
     gradient, [rad2/s2] a sample.
     """
@@ -111,17 +111,19 @@ def air_pieces(
     record = steady_airspeed(record, airspeed_hz)
     out = []
     for piece in pieces:
-        said = model(record, piece)
-        moved = [
+        prediction = model(record, piece)
+        offset_coefficients = [
             model(record.with_columns({c: record[c] + _OFFSET_RADPS}), piece).coefficients
             for c in RATES
         ]
-        slopes = np.stack([(m - said.coefficients) / _OFFSET_RADPS for m in moved], axis=1)
-        out.append(AirPiece(_channels(record, piece), slopes, said.mass.b))
+        slopes = np.stack(
+            [(m - prediction.coefficients) / _OFFSET_RADPS for m in offset_coefficients], axis=1
+        )
+        out.append(AirPiece(_channels(record, piece), slopes, prediction.mass.b))
     return out
 
 
-def as_measured(
+def with_channels_of(
     air: Sequence[AirPiece], record: FlightRecord, pieces: Sequence[Piece], airspeed_hz: float
 ) -> list[AirPiece]:
     """The same pieces with another record's channels: a model's slopes hardly depend on noise."""
@@ -135,27 +137,27 @@ def _channels(record: FlightRecord, piece: Piece) -> dict[str, FloatArray]:
 
 def without_air_rotation(
     residuals: Residuals, air: Sequence[AirPiece], arm_m: Sequence[float], std: Mapping[str, float]
-) -> tuple[Residuals, AirFound]:
+) -> tuple[Residuals, AirRotation]:
     """One flight's residuals without the air's rotation, its rolling among their noise, and what
     was found.
 
     residuals  with noise, of the pieces of ``air`` that are longer than the filter     std  channel
     -> of its white noise Raises ValueError where the pieces are not the same."""
-    least = 2 * half_width(residuals.dt_s, residuals.cutoffs.all_hz) + 3
-    kept = [a for a in air if len(a.slopes) >= least]
+    min_rows = 2 * half_width(residuals.dt_s, residuals.cutoffs.all_hz) + 3
+    long_pieces = [a for a in air if len(a.slopes) >= min_rows]
     arm = np.asarray(arm_m, dtype=float)
-    gusts = [_gust_rates(a.channels, arm, residuals.dt_s, residuals.cutoffs) for a in kept]
-    level, signal_share = _level(kept, gusts, arm, residuals, std)
+    gusts = [_gust_rates(a.channels, arm, residuals.dt_s, residuals.cutoffs) for a in long_pieces]
+    level, signal_share = _gradient_level(long_pieces, gusts, arm, residuals, std)
     rotations = [
-        signal_share * _inner(_rotation(a, g, residuals.dt_s), len(p))
-        for a, g, p in zip(kept, gusts, residuals.pieces, strict=True)
+        signal_share * _central_rows(_rotation_residual(a, g, residuals.dt_s), len(p))
+        for a, g, p in zip(long_pieces, gusts, residuals.pieces, strict=True)
     ]
-    share, error = _share(residuals, rotations)
+    share, error = _rotation_share(residuals, rotations)
     pieces = tuple(
         _corrected(p, share * r, a, level, residuals)
-        for p, r, a in zip(residuals.pieces, rotations, kept, strict=True)
+        for p, r, a in zip(residuals.pieces, rotations, long_pieces, strict=True)
     )
-    return replace(residuals, pieces=pieces), AirFound(share, error, level)
+    return replace(residuals, pieces=pieces), AirRotation(share, error, level)
 
 
 def _gust_rates(
@@ -165,8 +167,8 @@ def _gust_rates(
     hz = cutoffs.all_hz
     V, alpha, beta = c["V_mps"], c["alpha_rad"], c["beta_rad"]
     rates = np.column_stack([c[n] for n in RATES])
-    felt = np.column_stack([c["ax_mps2"], c["ay_mps2"], c["az_mps2"]])
-    force = at_cg(felt, rates, smooth(rates, dt_s, hz, derivative=1), arm)
+    specific_force = np.column_stack([c["ax_mps2"], c["ay_mps2"], c["az_mps2"]])
+    force = at_cg(specific_force, rates, smooth(rates, dt_s, hz, derivative=1), arm)
     sp, cp, st, ct = (
         np.sin(c["phi_rad"]),
         np.cos(c["phi_rad"]),
@@ -177,15 +179,15 @@ def _gust_rates(
     u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
     velocity = np.column_stack([u, v, w])
     change = force + weight - np.cross(rates, velocity)
-    along = (velocity * change).sum(axis=1) / V
+    V_dot = (velocity * change).sum(axis=1) / V
     alpha_dot = (u * change[:, 2] - w * change[:, 0]) / (u * u + w * w)
-    beta_dot = (change[:, 1] - np.sin(beta) * along) / (V * np.cos(beta))
+    beta_dot = (change[:, 1] - np.sin(beta) * V_dot) / (V * np.cos(beta))
     a = smooth(alpha, dt_s, hz, derivative=1) - smooth(alpha_dot, dt_s, hz)
     b = smooth(beta, dt_s, hz, derivative=1) - smooth(beta_dot, dt_s, hz)
     return np.column_stack([cp * a + sp * b, sp * a - cp * b])  # (1), (2)
 
 
-def _rotation(air: AirPiece, gusts: FloatArray, dt_s: float) -> FloatArray:
+def _rotation_residual(air: AirPiece, gusts: FloatArray, dt_s: float) -> FloatArray:
     """(N, 6) what the whole rotation by (1), (2) adds to the residual coefficients."""
     c = air.channels
     V = float(np.mean(c["V_mps"]))
@@ -196,23 +198,23 @@ def _rotation(air: AirPiece, gusts: FloatArray, dt_s: float) -> FloatArray:
 
 
 def _lagged(x: FloatArray, time_s: float, dt_s: float) -> FloatArray:
-    keep = float(np.exp(-dt_s / time_s))
-    return first_order((1.0 - keep) * x, keep)
+    decay = float(np.exp(-dt_s / time_s))
+    return first_order((1.0 - decay) * x, decay)
 
 
-def _inner(x: FloatArray, n: int) -> FloatArray:
+def _central_rows(x: FloatArray, n: int) -> FloatArray:
     m = (len(x) - n) // 2
     return x[m : m + n]
 
 
-def _share(residuals: Residuals, rotations: Sequence[FloatArray]) -> tuple[float, float]:
+def _rotation_share(residuals: Residuals, rotations: Sequence[FloatArray]) -> tuple[float, float]:
     """Of the rotation that all coefficients together show, held by a normal prior of unit deviation
     about nothing.
     """
     information, moment = np.ones(1), np.zeros(1)
     for j in range(6):
-        y = np.concatenate([_waves(p.delta[:, j], residuals) for p in residuals.pieces])
-        x = np.concatenate([_waves(r[:, j], residuals) for r in rotations])
+        y = np.concatenate([_cosines_in_band(p.delta[:, j], residuals) for p in residuals.pieces])
+        x = np.concatenate([_cosines_in_band(r[:, j], residuals) for r in rotations])
         variance = float(y @ y) / len(y)
         if variance > 0.0:
             information = information + x @ x / variance
@@ -220,7 +222,7 @@ def _share(residuals: Residuals, rotations: Sequence[FloatArray]) -> tuple[float
     return float((moment / information)[0]), float(information[0] ** -0.5)
 
 
-def _waves(x: FloatArray, residuals: Residuals) -> FloatArray:
+def _cosines_in_band(x: FloatArray, residuals: Residuals) -> FloatArray:
     """Cosine waves of one piece's (n,) or (n, ...) samples within the band, without the mean."""
     n = len(x)
     return np.asarray(
@@ -230,7 +232,7 @@ def _waves(x: FloatArray, residuals: Residuals) -> FloatArray:
     )
 
 
-def _level(
+def _gradient_level(
     air: Sequence[AirPiece],
     gusts: Sequence[FloatArray],
     arm: FloatArray,
@@ -240,12 +242,12 @@ def _level(
     """Mean square of the gradient's waves beyond twice what sensors put there (their noise may be
     understated), and its share.
     """
-    seen, noise = [], []
+    power, noise = [], []
     for a, g, p in zip(air, gusts, residuals.pieces, strict=True):
         n = len(p)
-        seen.append(_waves(_inner(g[:, 0], n), residuals) ** 2)
-        hz = np.arange(1, len(seen[-1]) + 1) / (2.0 * n * residuals.dt_s)
-        own = (2.0 * np.pi * hz * std.get("alpha_rad", 0.0)) ** 2
+        power.append(_cosines_in_band(_central_rows(g[:, 0], n), residuals) ** 2)
+        hz = np.arange(1, len(power[-1]) + 1) / (2.0 * n * residuals.dt_s)
+        noise_power = (2.0 * np.pi * hz * std.get("alpha_rad", 0.0)) ** 2
         for channel in (c for c in CHANNELS if c in std and c != "alpha_rad"):
             step = 1e-3 * max(1.0, float(np.abs(a.channels[channel]).max()))
             moved = _gust_rates(
@@ -254,9 +256,11 @@ def _level(
                 residuals.dt_s,
                 residuals.cutoffs,
             )
-            own = own + float(np.mean(((moved - g)[:, 0] / step * std[channel]) ** 2))
-        noise.append(own)
-    total = float(np.concatenate(seen).mean())
+            noise_power = noise_power + float(
+                np.mean(((moved - g)[:, 0] / step * std[channel]) ** 2)
+            )
+        noise.append(noise_power)
+    total = float(np.concatenate(power).mean())
     level = max(0.0, total - 2.0 * float(np.concatenate(noise).mean()))
     return level, level / total if total > 0.0 else 0.0
 
@@ -271,7 +275,11 @@ def _corrected(
     )  # (3)
     weights = _rolling_weights(time_s, residuals.dt_s, residuals.cutoffs.all_hz)
     rolling = Passage(
-        ROLLING, "smoothed", -size * _inner(air.slopes[:, 0], len(piece)), weights, _SPREAD
+        ROLLING,
+        "smoothed",
+        -size * _central_rows(air.slopes[:, 0], len(piece)),
+        weights,
+        _SIZE_ERROR,
     )
     passages = (*piece.noise.passages, rolling) if level > 0.0 else piece.noise.passages
     return replace(
@@ -281,8 +289,8 @@ def _corrected(
 
 def _rolling_weights(time_s: float, dt_s: float, cutoff_hz: float) -> tuple[float, ...]:
     """Of the lag of (3) and the smoother behind it, on white noise."""
-    keep = float(np.exp(-dt_s / time_s))
-    lag = (1.0 - keep) * keep ** np.arange(int(12.0 * time_s / dt_s) + 1)
+    decay = float(np.exp(-dt_s / time_s))
+    lag = (1.0 - decay) * decay ** np.arange(int(12.0 * time_s / dt_s) + 1)
     return tuple(np.convolve(lag, kernel(half_width(dt_s, cutoff_hz), dt_s)).tolist())
 
 
@@ -363,9 +371,9 @@ class GustStates(NamedTuple):
         return turning(self, x, trig or sines(x))
 
     def rates(
-        self, x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig | None = None
+        self, x: Any, state_rates: tuple[Any, Any, Any, Any, Any], trig: Trig | None = None
     ) -> tuple[Any, ...]:
         """d/dt of the five states, given the deterministic rates of V, alpha, beta (`turning`
         included), phi and theta.
         """
-        return gust_rates(self, x, rated, trig or sines(x))
+        return gust_rates(self, x, state_rates, trig or sines(x))

@@ -103,10 +103,10 @@ def kernel(m: int, dt_s: float, derivative: int = 0) -> FloatArray:
     square = float(np.sum(at**2))
     if derivative:
         return at / (square * dt_s)
-    far = np.abs(at)
+    distance = np.abs(at)
     # Sum of j over j > |i|, and half of |i|: what the pairs (j, -j) give sample i when the
     # derivative is summed by trapezia.
-    weight = 0.5 * (m * (m + 1) - far * (far + 1)) + 0.5 * far
+    weight = 0.5 * (m * (m + 1) - distance * (distance + 1)) + 0.5 * distance
     return np.asarray(weight / square)
 
 
@@ -118,8 +118,8 @@ def at_cg(
     """
     if not np.any(arm_m):
         return specific_force
-    felt = np.cross(rates_dot, arm_m) + np.cross(rates, np.cross(rates, arm_m))
-    return np.asarray(specific_force - felt)
+    lever_acceleration = np.cross(rates_dot, arm_m) + np.cross(rates, np.cross(rates, arm_m))
+    return np.asarray(specific_force - lever_acceleration)
 
 
 def demanded(

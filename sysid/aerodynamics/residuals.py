@@ -54,7 +54,7 @@ class Piece:
     end_s: float
 
 
-def cut(
+def cut_pieces(
     record: FlightRecord, needed: Sequence[str], min_s: float = MIN_S, max_s: float = MAX_S
 ) -> tuple[list[Piece], str]:
     """Pieces in order of time, and one sentence saying how they were found.
@@ -65,61 +65,68 @@ def cut(
     """
     if "manoeuvre" in record and any(record["manoeuvre"]):
         labels = np.asarray(record["manoeuvre"], dtype=object)
-        how = "manoeuvres as labelled in the record"
+        method = "manoeuvres as labelled in the record"
     else:
         excited = _excited(record)
         if excited.any():
             labels = np.where(excited, "excited", "").astype(object)
-            how = "no manoeuvre is labelled: stretches in which a surface was moved on purpose"
+            method = "no manoeuvre is labelled: stretches in which a surface was moved on purpose"
         else:
             labels = np.full(len(record), "flight", dtype=object)
-            how = (
+            method = (
                 "no manoeuvre is labelled and no surface was moved on purpose: the whole flight in"
                 " pieces"
             )
     time = record["time_s"]
     pieces = []
-    for whole in record.segments(tuple(needed), min_s):
-        inside = labels[whole]
-        edges = [0, *(np.flatnonzero(inside[1:] != inside[:-1]) + 1).tolist(), len(inside)]
+    for segment in record.segments(tuple(needed), min_s):
+        segment_labels = labels[segment]
+        edges = [
+            0,
+            *(np.flatnonzero(segment_labels[1:] != segment_labels[:-1]) + 1).tolist(),
+            len(segment_labels),
+        ]
         for a, b in itertools.pairwise(edges):
-            if not inside[a] or time[whole.start + b - 1] - time[whole.start + a] < min_s:
+            if (
+                not segment_labels[a]
+                or time[segment.start + b - 1] - time[segment.start + a] < min_s
+            ):
                 continue
             parts = max(1, int(np.ceil((b - a) * record.dt_s / max_s - 1e-6)))
-            marks = np.linspace(whole.start + a, whole.start + b, parts + 1).astype(int)
+            marks = np.linspace(segment.start + a, segment.start + b, parts + 1).astype(int)
             for first, last in itertools.pairwise(marks.tolist()):
                 pieces.append(
                     Piece(
-                        str(inside[a]),
+                        str(segment_labels[a]),
                         slice(first, last),
                         float(time[first]),
                         float(time[last - 1]),
                     )
                 )
-    return pieces, how
+    return pieces, method
 
 
 def _excited(record: FlightRecord) -> NDArray[np.bool_]:
     from scipy.ndimage import median_filter
 
-    found = np.zeros(len(record), dtype=bool)
+    moved = np.zeros(len(record), dtype=bool)
     width = max(3, round(_MEDIAN_S / record.dt_s)) | 1
     for name in SURFACES:
         if name not in record:
             continue
         values = np.nan_to_num(record[name])
-        found |= (
+        moved |= (
             np.abs(values - median_filter(values, size=min(width, len(values) | 1), mode="nearest"))
             > _EXCITED_DEG
         )
-    before, after = round(_BEFORE_S / record.dt_s), round(_AFTER_S / record.dt_s)
-    at = np.flatnonzero(found)
+    rows_before, rows_after = round(_BEFORE_S / record.dt_s), round(_AFTER_S / record.dt_s)
+    at = np.flatnonzero(moved)
     out = np.zeros(len(record), dtype=bool)
     if at.size:
         # Close the pauses within a manoeuvre, then add what comes before and after it.
-        breaks = np.flatnonzero(np.diff(at) > before + after)
+        breaks = np.flatnonzero(np.diff(at) > rows_before + rows_after)
         for group in np.split(at, breaks + 1):
-            out[max(0, group[0] - before) : group[-1] + after + 1] = True
+            out[max(0, group[0] - rows_before) : group[-1] + rows_after + 1] = True
     return out
 
 
@@ -132,8 +139,8 @@ def as_logged(record: FlightRecord, name: str, rows: slice) -> FloatArray:
     rate = record.metadata.native_hz.get(name, 0.0)
     stride = max(1, round(1.0 / (record.dt_s * rate))) if rate > 0 else 1
     if stride > 1:
-        kept = (np.arange(rows.start, rows.stop) % stride) == 0
-        values[~kept] = np.nan
+        logged = (np.arange(rows.start, rows.stop) % stride) == 0
+        values[~logged] = np.nan
     return values
 
 
@@ -188,7 +195,7 @@ class Passage:
     way: Way
     gain: FloatArray
     weights: tuple[float, ...]
-    spread: float
+    relative_std: float
 
 
 @dataclass(frozen=True)
@@ -313,7 +320,7 @@ def residual_rows(
     rows = piece.rows
     dt_s, m = _filter_of(record["time_s"][rows], cutoff_hz)
     rates = np.column_stack([record[f"{a}_radps"][rows] for a in "pqr"])
-    flown = demanded(
+    demanded_coefficients = demanded(
         np.column_stack([record[f"a{a}_mps2"][rows] for a in "xyz"]),
         rates,
         prediction.qbar,
@@ -324,7 +331,9 @@ def residual_rows(
         np.asarray(arm_m, dtype=float),
         cutoff_hz,
     )
-    delta = flown - smooth(prediction.coefficients, dt_s, cutoff_hz)  # (2.11)-(2.16)
+    delta = demanded_coefficients - smooth(
+        prediction.coefficients, dt_s, cutoff_hz
+    )  # (2.11)-(2.16)
     return np.asarray(delta[m : len(delta) - m])
 
 
@@ -347,13 +356,15 @@ def residual_coefficients(
     """
     cutoffs = cutoffs or Cutoffs()
     record = steady_airspeed(record, cutoffs.airspeed_hz)
-    found = [residual_piece(record, p, model(record, p), arm_m, cutoffs.all_hz) for p in pieces]
-    kept = tuple(f for f in found if f is not None)
-    if not kept:
+    residual_pieces = [
+        residual_piece(record, p, model(record, p), arm_m, cutoffs.all_hz) for p in pieces
+    ]
+    long_pieces = tuple(f for f in residual_pieces if f is not None)
+    if not long_pieces:
         raise ValueError(
             f"no piece is longer than the filter at {cutoffs.all_hz:g} Hz; raise the cut-off"
         )
-    return Residuals(kept, record.dt_s, cutoffs)
+    return Residuals(long_pieces, record.dt_s, cutoffs)
 
 
 def steady_airspeed(record: FlightRecord, cutoff_hz: float) -> FlightRecord:
@@ -366,7 +377,7 @@ def steady_airspeed(record: FlightRecord, cutoff_hz: float) -> FlightRecord:
     return record.with_columns({"V_mps": airspeed})
 
 
-def together(parts: Sequence[Residuals]) -> Residuals:
+def combine_flights(parts: Sequence[Residuals]) -> Residuals:
     """Several flights' residuals as one, pieces numbered by flight.
 
     Raises ValueError when they have passed different filters.

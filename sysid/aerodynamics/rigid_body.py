@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.flight_equations import Along, Body, flow_rates, loops, sines
+from sysid.aerodynamics.flight_equations import Body, ReferenceFlight, flow_rates, loops, sines
 from sysid.arrays import FloatArray
 from sysid.units import G0_MPS2
 
@@ -100,30 +100,30 @@ def linearise(
     rest.
     """
     n, h = len(reference.x), reference.dt_s
-    wide = whole_states(reference.x, gusts)
-    size = wide.shape[1]
-    model = _Rigid(reference, mass, gravity, gusts)
-    by_state, by_load = model.slopes(wide)
+    states = with_gust_states(reference.x, gusts)
+    size = states.shape[1]
+    model = _RigidBody(reference, mass, gravity, gusts)
+    by_state, by_load = model.slopes(states)
     by_load *= (
         reference.qbar[:, None] * mass.S * np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
     )[:, None, :]
     phi, (g0, g1) = np.empty((n - 1, size, size)), np.zeros((2, n - 1, size, 6))
-    loops().stepped(by_state, by_load, h, phi, g0, g1)
+    loops().discretise(by_state, by_load, h, phi, g0, g1)
     H, D = np.ascontiguousarray(by_state[:, size:]), np.ascontiguousarray(by_load[:, size:])
-    rate, y_ref = model(wide, 0.0)
+    rate, y_ref = model(states, 0.0)
     defect = np.zeros((n - 1, size))
     if not reference.consistent:
         bend = np.zeros((2, n - 1, 6)) if reference.bend is None else reference.bend
-        defect = _advance(model, wide, rate, bend, h) - wide[1:]
+        defect = _runge_kutta_step(model, states, rate, bend, h) - states[1:]
     start = np.empty((size, 8))
     for j in range(8):
         first = reference.x[:1].astype(complex)
         first[:, j] += 1e-20j
-        start[:, j] = whole_states(first, gusts)[0].imag / 1e-20
+        start[:, j] = with_gust_states(first, gusts)[0].imag / 1e-20
     return Steps(h, phi, g0, g1, defect, H, D, y_ref, start)
 
 
-def whole_states(x: NDArray[Any], gusts: GustStates | None) -> NDArray[Any]:
+def with_gust_states(x: NDArray[Any], gusts: GustStates | None) -> NDArray[Any]:
     """(n, 8) STATES with those of still air, (n, 13); as they are without gusts."""
     if gusts is None:
         return x
@@ -139,7 +139,7 @@ def rates(
 ) -> FloatArray:
     """dx/dt (n, 8 or 13) at whole states x of the reference's times, but for what gusts will add:
     forces linear about the reference, surfaces where they stand there."""
-    return _Rigid(reference, mass, gravity, gusts)(x, 0.0)[0]
+    return _RigidBody(reference, mass, gravity, gusts)(x, 0.0)[0]
 
 
 def unforced(x: NDArray[Any], gravity: float = G0_MPS2) -> NDArray[Any]:
@@ -147,13 +147,13 @@ def unforced(x: NDArray[Any], gravity: float = G0_MPS2) -> NDArray[Any]:
     weight.
     """
     states = x.T
-    nothing = np.zeros(len(x))
+    zero_force = np.zeros(len(x))
     return np.stack(
-        flow_rates(states, (nothing, nothing, nothing), sines(states), gravity)[1:], axis=1
+        flow_rates(states, (zero_force, zero_force, zero_force), sines(states), gravity)[1:], axis=1
     )
 
 
-class _Rigid:
+class _RigidBody:
     """The equations of motion along a reference, forces linear about it."""
 
     def __init__(
@@ -164,7 +164,7 @@ class _Rigid:
         flow = r.by_flow is not None
         by_flow = np.zeros((n, 6, 2)) if r.by_flow is None else r.by_flow
         load = np.hstack([r.force, r.moment])
-        self.along = Along(
+        self.along = ReferenceFlight(
             *(
                 np.ascontiguousarray(v, dtype=np.float64)
                 for v in (r.x[:, :8], load, r.slopes, by_flow)
@@ -178,19 +178,21 @@ class _Rigid:
         self.body = Body(float(mass.mass), J, K, arm, float(gravity), gusts is not None, air, flow)
 
     def __call__(
-        self, x: FloatArray, later: float, extra: FloatArray | None = None
+        self, x: FloatArray, step_fraction: float, extra: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """dx/dt and outputs (n, 11) at states x (n, 8 or 13), the first at the reference's first
         sample, or a share of a step later; extra (n, 6) force and moment besides."""
-        along = self.along
-        if later:
-            along = Along(*(v[:-1] + later * (v[1:] - v[:-1]) for v in along))
-        along = Along(*(v[: len(x)] for v in along))
-        rate, seen = np.empty(x.shape), np.empty((len(x), len(OUTPUTS)))
+        reference = self.along
+        if step_fraction:
+            reference = ReferenceFlight(
+                *(v[:-1] + step_fraction * (v[1:] - v[:-1]) for v in reference)
+            )
+        reference = ReferenceFlight(*(v[: len(x)] for v in reference))
+        rate, outputs = np.empty(x.shape), np.empty((len(x), len(OUTPUTS)))
         # What is added is the model's own, with all that follows from it.
-        along = along if extra is None else along._replace(load=along.load + extra)
-        loops().rated(np.ascontiguousarray(x), self.body, along, along.load, rate, seen)
-        return rate, seen
+        reference = reference if extra is None else reference._replace(load=reference.load + extra)
+        loops().rates(np.ascontiguousarray(x), self.body, reference, reference.load, rate, outputs)
+        return rate, outputs
 
     def slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Slopes of both, rates first, by the states (n, x + 11, x) and by force and moment (n, x +
@@ -205,8 +207,8 @@ class _Rigid:
         return by_state, by_load
 
 
-def _advance(
-    model: _Rigid, x: FloatArray, rate: FloatArray, bend: FloatArray, h: float
+def _runge_kutta_step(
+    model: _RigidBody, x: FloatArray, rate: FloatArray, bend: FloatArray, h: float
 ) -> FloatArray:
     """(n - 1, 8 or 13) one Runge-Kutta step from every sample, whose rates are given."""
     start, k1 = x[:-1], rate[:-1]

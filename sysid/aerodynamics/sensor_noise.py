@@ -38,10 +38,10 @@ from sysid.record import FlightRecord
 
 ACCELERATIONS = ("ax_mps2", "ay_mps2", "az_mps2")
 RATES = ("p_radps", "q_radps", "r_radps")
-FORCED = ("V_mps", "alpha_rad", "beta_rad", *RATES)
-REACHING = (*FORCED, *ACCELERATIONS)
+FORCE_CHANNELS = ("V_mps", "alpha_rad", "beta_rad", *RATES)
+NOISY_CHANNELS = (*FORCE_CHANNELS, *ACCELERATIONS)
 """Channels whose noise reaches a residual coefficient."""
-_KEPT = 4096  # spectra: of a long flight's stretches at every time constant; each some 10 kB
+_CACHE_SIZE = 4096  # spectra: of a long flight's stretches at every time constant; each some 10 kB
 _OFFSETS = {"V_mps": 0.1}
 _OFFSET = 1e-3  # of the others: small against what a flight has, large against rounding
 
@@ -55,7 +55,7 @@ def autocorrelation(weights: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(float(w[lag:] @ w[: len(w) - lag]) for lag in range(len(w)))
 
 
-@lru_cache(_KEPT)
+@lru_cache(_CACHE_SIZE)
 def cosine_variance(n: int, correlation: tuple[float, ...]) -> FloatArray:
     """(n,) variances of the orthonormal DCT-II of a stationary series with autocovariance
     ``correlation`` at lags 0, 1, ...
@@ -69,17 +69,17 @@ def cosine_variance(n: int, correlation: tuple[float, ...]) -> FloatArray:
     """
     lags = np.zeros(n)
     lags[: len(correlation)] = correlation[:n]
-    apart = 2.0 * np.arange(n, 0, -1) * lags
-    apart[0] *= 0.5
+    lag_terms = 2.0 * np.arange(n, 0, -1) * lags
+    lag_terms[0] *= 0.5
     # W_s: every second lag to either side of 0 (or -1 and 1), as far as i and j reach.
     sums = np.empty(n)
     sums[::2] = 2.0 * np.cumsum(lags[::2]) - lags[0]
     sums[1::2] = 2.0 * np.cumsum(lags[1::2])
-    both = np.concatenate([apart, np.zeros(n)])
-    both[1 : n + 1] += sums
-    both[n + 1 :] += sums[-2::-1]
-    out = np.asarray(fft.rfft(both).real[:n] / n)
-    out[0] = 0.5 * both.sum() / n
+    sequence = np.concatenate([lag_terms, np.zeros(n)])
+    sequence[1 : n + 1] += sums
+    sequence[n + 1 :] += sums[-2::-1]
+    out = np.asarray(fft.rfft(sequence).real[:n] / n)
+    out[0] = 0.5 * sequence.sum() / n
     out.flags.writeable = False
     return out
 
@@ -91,7 +91,7 @@ def with_sensor_noise(
     model: Model,
     arm_m: Sequence[float],
     std: Mapping[str, float],
-    spread: Mapping[str, float] | None = None,
+    relative_std: Mapping[str, float] | None = None,
 ) -> Residuals:
     """The residuals of a flight with the sensor noise of each piece; ``pieces`` and ``model`` as
     they were made with.
@@ -101,8 +101,11 @@ def with_sensor_noise(
     cutoffs = residuals.cutoffs
     record = steady_airspeed(record, cutoffs.airspeed_hz)
     sizes = {c: s for c, s in std.items() if np.isfinite(s) and s > 0.0}
-    found = (_of_piece(record, p, model, arm_m, cutoffs, sizes, dict(spread or {})) for p in pieces)
-    of_pieces = [noise for noise in found if noise is not None]
+    piece_noises = (
+        _piece_noise(record, p, model, arm_m, cutoffs, sizes, dict(relative_std or {}))
+        for p in pieces
+    )
+    of_pieces = [noise for noise in piece_noises if noise is not None]
     with_noise = tuple(
         replace(p, noise=noise) for p, noise in zip(residuals.pieces, of_pieces, strict=True)
     )
@@ -114,46 +117,48 @@ def offset_records(record: FlightRecord, cutoffs: Cutoffs) -> list[FlightRecord]
     forces depend on.
     """
     steady = steady_airspeed(record, cutoffs.airspeed_hz)
-    return [_offset(steady, c) for c in FORCED]
+    return [_offset(steady, c) for c in FORCE_CHANNELS]
 
 
 def _offset(record: FlightRecord, channel: str) -> FlightRecord:
     return record.with_columns({channel: record[channel] + _OFFSETS.get(channel, _OFFSET)})
 
 
-def _of_piece(
+def _piece_noise(
     record: FlightRecord,
     piece: Piece,
     model: Model,
     arm: Sequence[float],
     cutoffs: Cutoffs,
     std: Mapping[str, float],
-    spread: Mapping[str, float],
+    relative_std: Mapping[str, float],
 ) -> PieceNoise | None:
     prediction = model(record, piece)
-    plain = residual_piece(record, piece, prediction, arm, cutoffs.all_hz)
-    if plain is None:
+    residual = residual_piece(record, piece, prediction, arm, cutoffs.all_hz)
+    if residual is None:
         return None
-    m = (piece.rows.stop - piece.rows.start - len(plain)) // 2
+    m = (piece.rows.stop - piece.rows.start - len(residual)) // 2
     filters = _Filters(record.dt_s, m, cutoffs.airspeed_hz)
     passages = []
-    for channel in (c for c in REACHING if c in std):
-        offset, moved = _OFFSETS.get(channel, _OFFSET), _offset(record, channel)
-        said = model(moved, piece) if channel in FORCED else prediction
-        other = residual_rows(moved, piece, said, arm, cutoffs.all_hz)
-        gain = std[channel] / offset * (other - plain.delta)
+    for channel in (c for c in NOISY_CHANNELS if c in std):
+        offset, offset_record = _OFFSETS.get(channel, _OFFSET), _offset(record, channel)
+        offset_prediction = model(offset_record, piece) if channel in FORCE_CHANNELS else prediction
+        offset_residual = residual_rows(
+            offset_record, piece, offset_prediction, arm, cutoffs.all_hz
+        )
+        gain = std[channel] / offset * (offset_residual - residual.delta)
         passages.append(
             Passage(
                 channel,
                 "smoothed",
                 gain,
                 filters.weights(channel, "smoothed"),
-                spread.get(channel, 0.0),
+                relative_std.get(channel, 0.0),
             )
         )
     for channel in (c for c in RATES if c in std):
         for way, gain in _differentiated(
-            prediction, np.asarray(arm, dtype=float), slice(m, m + len(plain)), channel
+            prediction, np.asarray(arm, dtype=float), slice(m, m + len(residual)), channel
         ):
             passages.append(
                 Passage(
@@ -161,11 +166,13 @@ def _of_piece(
                     way,
                     std[channel] * gain,
                     filters.weights(channel, way),
-                    spread.get(channel, 0.0),
+                    relative_std.get(channel, 0.0),
                 )
             )
-    states = {c: (s, filters.weights(c, "smoothed")) for c, s in std.items() if c in plain.states}
-    return PieceNoise(tuple(passages), states, len(plain))
+    states = {
+        c: (s, filters.weights(c, "smoothed")) for c, s in std.items() if c in residual.states
+    }
+    return PieceNoise(tuple(passages), states, len(residual))
 
 
 @dataclass(frozen=True)
@@ -215,9 +222,9 @@ def with_noise_of(residuals: Residuals, other: Residuals) -> Residuals:
     Both have the record's step. Raises ValueError where the pieces are not the same.
     """
     pieces = []
-    for piece, known in zip(residuals.pieces, other.pieces, strict=True):
-        assert known.noise is not None
-        more = (len(piece) - len(known)) // 2
+    for piece, other_piece in zip(residuals.pieces, other.pieces, strict=True):
+        assert other_piece.noise is not None
+        extra_rows = (len(piece) - len(other_piece)) // 2
         filters = _Filters(
             other.dt_s,
             half_width(residuals.dt_s, residuals.cutoffs.all_hz),
@@ -226,23 +233,25 @@ def with_noise_of(residuals: Residuals, other: Residuals) -> Residuals:
         passages = tuple(
             replace(
                 p,
-                gain=_resized(p.gain, more, len(piece)),
+                gain=_resized(p.gain, extra_rows, len(piece)),
                 weights=filters.weights(p.channel, p.way),
             )
-            for p in known.noise.passages
+            for p in other_piece.noise.passages
         )
         states = {
-            c: (s, filters.weights(c, "smoothed")) for c, (s, _) in known.noise.states.items()
+            c: (s, filters.weights(c, "smoothed")) for c, (s, _) in other_piece.noise.states.items()
         }
         pieces.append(replace(piece, noise=PieceNoise(passages, states, len(piece))))
     return replace(residuals, pieces=tuple(pieces))
 
 
-def _resized(gain: FloatArray, more: int, n: int) -> FloatArray:
-    """The gain with ``more`` rows at either end (fewer where negative), n in all."""
-    if more < 0:
-        gain, more = gain[-more:], 0
-    return np.asarray(np.pad(gain, ((more, max(0, n - len(gain) - more)), (0, 0)), mode="edge")[:n])
+def _resized(gain: FloatArray, extra_rows: int, n: int) -> FloatArray:
+    """The gain with ``extra_rows`` rows at either end (fewer where negative), n in all."""
+    if extra_rows < 0:
+        gain, extra_rows = gain[-extra_rows:], 0
+    return np.asarray(
+        np.pad(gain, ((extra_rows, max(0, n - len(gain) - extra_rows)), (0, 0)), mode="edge")[:n]
+    )
 
 
 def noise_variance(noise: PieceNoise) -> FloatArray:
@@ -258,14 +267,16 @@ def noise_cosines(noise: PieceNoise) -> tuple[FloatArray, FloatArray]:
     (6,) their relative spread.
     """
     out = np.zeros((noise.n, 6))
-    spread: dict[str, FloatArray] = {}
+    size_errors: dict[str, FloatArray] = {}
     for p in noise.passages:
-        added = cosine_variance(noise.n, autocorrelation(p.weights))[:, None] * np.mean(
+        channel_variance = cosine_variance(noise.n, autocorrelation(p.weights))[:, None] * np.mean(
             p.gain**2, axis=0
         )
-        out += added
+        out += channel_variance
         # One figure's error is common to all ways of its channel; a variance is off by twice what a
         # standard deviation is.
-        spread[p.channel] = spread.get(p.channel, np.zeros(6)) + 2.0 * p.spread * added.sum(axis=0)
+        size_errors[p.channel] = size_errors.get(
+            p.channel, np.zeros(6)
+        ) + 2.0 * p.relative_std * channel_variance.sum(axis=0)
     total = np.maximum(out.sum(axis=0), np.finfo(float).tiny)
-    return out, np.sqrt(sum((v / total) ** 2 for v in spread.values()) + np.zeros(6))
+    return out, np.sqrt(sum((v / total) ** 2 for v in size_errors.values()) + np.zeros(6))

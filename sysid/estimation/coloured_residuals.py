@@ -42,9 +42,9 @@ def autocovariance(segments: list[FloatArray], max_lag: int) -> FloatArray:
     products, pairs, complete = np.zeros(max_lag + 1), np.zeros(max_lag + 1), np.zeros(max_lag + 1)
     for series in segments:
         size = 1 << int(2 * series.size - 1).bit_length()
-        there = np.isfinite(series)
-        value = np.fft.rfft(np.where(there, series, 0.0), size)
-        mask = np.fft.rfft(there.astype(float), size)
+        finite = np.isfinite(series)
+        value = np.fft.rfft(np.where(finite, series, 0.0), size)
+        mask = np.fft.rfft(finite.astype(float), size)
         lags = min(max_lag + 1, series.size)
         products[:lags] += np.fft.irfft(np.abs(value) ** 2, size)[:lags]
         pairs[:lags] += np.round(np.fft.irfft(np.abs(mask) ** 2, size)[:lags])
@@ -105,12 +105,12 @@ def _cross_covariance(parts: list[FloatArray], max_lag: int) -> tuple[FloatArray
     m = parts[0].shape[1]
     total, pairs = np.zeros((max_lag + 1, m, m)), np.zeros((max_lag + 1, m, m))
     for part in parts:
-        there = np.isfinite(part).astype(float)
-        value = np.where(there > 0, part, 0.0)
+        finite = np.isfinite(part).astype(float)
+        value = np.where(finite > 0, part, 0.0)
         for lag in range(min(max_lag + 1, part.shape[0])):
             stop = part.shape[0] - lag
             total[lag] += value[lag:].T @ value[:stop]
-            pairs[lag] += there[lag:].T @ there[:stop]
+            pairs[lag] += finite[lag:].T @ finite[:stop]
     return total, pairs
 
 
@@ -154,10 +154,12 @@ def coloured_information(
         n = sum(part.shape[0] for part in residual)
         lags = min(CROSS_LAGS, n // 10, min(part.shape[0] for part in residual) - 1)
         total, pairs = _cross_covariance([_innovations(part, models) for part in residual], lags)
-        own = np.sqrt(np.diagonal(total[0] / np.maximum(pairs[0], 1.0)))
+        innovation_std = np.sqrt(np.diagonal(total[0] / np.maximum(pairs[0], 1.0)))
         with np.errstate(divide="ignore", invalid="ignore"):
             correlation = np.where(
-                pairs > 20, total / np.maximum(pairs, 1.0) / np.outer(own, own), 0.0
+                pairs > 20,
+                total / np.maximum(pairs, 1.0) / np.outer(innovation_std, innovation_std),
+                0.0,
             )
         correlation[~np.isfinite(correlation)] = 0.0
         off = ~np.eye(m, dtype=bool)
@@ -296,19 +298,21 @@ def _explained(residual: list[FloatArray], motion: list[FloatArray]) -> FloatArr
     does is."""
     stacked, outputs = np.concatenate(residual), np.concatenate(motion)
     m = outputs.shape[1]
-    spread = outputs.std(axis=0)
-    base = (outputs[:, spread > 0] - outputs[:, spread > 0].mean(axis=0)) / spread[spread > 0]
+    motion_std = outputs.std(axis=0)
+    base = (outputs[:, motion_std > 0] - outputs[:, motion_std > 0].mean(axis=0)) / motion_std[
+        motion_std > 0
+    ]
     columns = [base, base**2]
     if base.shape[1] <= 6:
         columns += [base[:, [i]] * base[:, i + 1 :] for i in range(base.shape[1] - 1)]
     design = np.column_stack([np.ones(len(outputs)), *columns])
     share = np.full(m, np.nan)
     for channel in range(m):
-        there = np.isfinite(stacked[:, channel])
-        value = stacked[there, channel]
+        finite = np.isfinite(stacked[:, channel])
+        value = stacked[finite, channel]
         if value.size <= 3 * design.shape[1] or value.std() == 0.0:
             continue
-        fit = design[there] @ np.linalg.lstsq(design[there], value, rcond=1e-10)[0]
+        fit = design[finite] @ np.linalg.lstsq(design[finite], value, rcond=1e-10)[0]
         ratio = 1.0 - np.sum((value - fit) ** 2) / np.sum((value - value.mean()) ** 2)
         share[channel] = 1.0 - (1.0 - ratio) * (value.size - 1) / (value.size - design.shape[1])
     return share
@@ -336,7 +340,12 @@ def colour(residual: list[FloatArray], motion: list[FloatArray] | None = None) -
 
 
 def colour_warnings(
-    found: Colour, std: FloatArray, std_crb: FloatArray, method: str, *, calm_air: bool = False
+    residual_colour: Colour,
+    std: FloatArray,
+    std_crb: FloatArray,
+    method: str,
+    *,
+    calm_air: bool = False,
 ) -> list[str]:
     """One sentence of at most 60 words on residuals coloured enough to matter, [] when they are
     not.
@@ -344,19 +353,21 @@ def colour_warnings(
     Two conditions must meet: whiteness is rejected, and the colour is large enough to move the
     standard errors; so that long records do not cry at trifles. With ``calm_air`` process noise has
     been ruled out by another test and is not suspected."""
-    m = found.p_value.size
-    rejected = np.flatnonzero(found.p_value < WHITENESS_LEVEL / m)
+    m = residual_colour.p_value.size
+    rejected = np.flatnonzero(residual_colour.p_value < WHITENESS_LEVEL / m)
     ratio = std / std_crb
     ratio = ratio[np.isfinite(ratio)]
     median = float(np.median(ratio)) if ratio.size else float("nan")
     if rejected.size == 0 or ratio.size == 0:
         return []
-    strong = [c for c in rejected if found.predictable[c] > STRONG_SHARE]
+    strong = [c for c in rejected if residual_colour.predictable[c] > STRONG_SHARE]
     if not strong and median < STRONG_RATIO:
         return []
-    worst = rejected[np.argsort(-found.predictable[rejected])][:3]
-    evidence = ", ".join(f"{100 * found.predictable[c]:.0f} % of output {c}" for c in worst)
-    explained = found.explained[worst]
+    worst = rejected[np.argsort(-residual_colour.predictable[rejected])][:3]
+    evidence = ", ".join(
+        f"{100 * residual_colour.predictable[c]:.0f} % of output {c}" for c in worst
+    )
+    explained = residual_colour.explained[worst]
     explained = explained[np.isfinite(explained)]
     cure = {
         "output error": "Estimates may be biased: use filter error",

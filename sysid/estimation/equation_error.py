@@ -35,12 +35,12 @@ def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArr
             f"y has shape {response.shape}, X has {regressors.shape[0]} rows; give one y for each"
             " row of X"
         )
-    bad = ~np.isfinite(regressors).all(axis=1) | ~np.isfinite(response)
-    if bad.any():
+    not_finite = ~np.isfinite(regressors).all(axis=1) | ~np.isfinite(response)
+    if not_finite.any():
         raise ValueError(
-            f"{int(bad.sum())} of {bad.size} rows of X, y hold NaN or infinity, first row "
-            f"{int(np.flatnonzero(bad)[0])}; repair them, or drop them and pass "
-            "the lengths of the pieces as segments="
+            f"{int(not_finite.sum())} of {not_finite.size} rows of X, y hold NaN or infinity, first"
+            f" row {int(np.flatnonzero(not_finite)[0])}; repair them, or drop them and pass the"
+            " lengths of the pieces as segments="
         )
     n, k = regressors.shape
     if n <= k:
@@ -118,29 +118,32 @@ def equation_error(
         regressors / unit, axis=0
     )  # scaled first: no overflow, no underflow
     scale = np.where(length > 0.0, length, 1.0)
-    left, values, right = np.linalg.svd(regressors / scale, full_matrices=False)
-    kept = values > RANK * values[0] if values[0] > 0.0 else np.zeros(values.size, dtype=bool)
-    turned = left[:, kept].T @ response
-    weights = right[kept].T / values[kept]  # V S^-1
-    scaled_theta = weights @ turned
+    left_vectors, values, right_vectors = np.linalg.svd(regressors / scale, full_matrices=False)
+    resolved = values > RANK * values[0] if values[0] > 0.0 else np.zeros(values.size, dtype=bool)
+    projection = left_vectors[:, resolved].T @ response
+    weights = right_vectors[resolved].T / values[resolved]  # V S^-1
+    scaled_theta = weights @ projection
     residual = response - (regressors / scale) @ scaled_theta
     # One refinement with the residual recovers the digits that an ill-conditioned X costs.
-    scaled_theta += weights @ (left[:, kept].T @ residual)
+    scaled_theta += weights @ (left_vectors[:, resolved].T @ residual)
     theta = scaled_theta / scale
     residual = response - (regressors / scale) @ scaled_theta
 
-    rank = int(kept.sum())
+    rank = int(resolved.sum())
     s2 = float(residual @ residual) / (n - rank)
     inverse = weights @ weights.T / np.outer(scale, scale)
     vif = np.sum(weights**2, axis=1)
-    reason = _reasons(right, kept, labels, length)
+    reason = _reasons(right_vectors, resolved, labels, length)
     identified = np.array([not text for text in reason])
     vif[~identified] = np.inf
     white = masked_covariance(s2 * inverse, identified)
     cov = masked_covariance(
-        _coloured(left[:, kept], weights / scale[:, None], residual, s2, edges), identified
+        _coloured_covariance(
+            left_vectors[:, resolved], weights / scale[:, None], residual, s2, edges
+        ),
+        identified,
     )
-    r2 = _r_squared(regressors, scale, response, residual, left[:, kept])
+    r2 = _r_squared(regressors, scale, response, residual, left_vectors[:, resolved])
     std, std_white = np.sqrt(np.diagonal(cov)), np.sqrt(np.diagonal(white))
     return Regression(
         names=labels,
@@ -157,19 +160,23 @@ def equation_error(
         r2=r2,
         s2=s2,
         residual=residual,
-        warnings=_warnings(labels, reason, vif, right, kept, residual, edges, std, std_white),
+        warnings=_warnings(
+            labels, reason, vif, right_vectors, resolved, residual, edges, std, std_white
+        ),
     )
 
 
-def _coloured(
-    left: FloatArray, weights: FloatArray, residual: FloatArray, s2: float, edges: list[int]
+def _coloured_covariance(
+    left_vectors: FloatArray, weights: FloatArray, residual: FloatArray, s2: float, edges: list[int]
 ) -> FloatArray:
     """(MK) of coloured.py in the orthonormal columns of U, where D is the identity: cov = W [..] W'
     s2.
     """
     if not s2 > 0.0:
         return np.zeros((weights.shape[0], weights.shape[0]))
-    pieces = [(left[a:b, None, :], residual[a:b, None]) for a, b in itertools.pairwise(edges)]
+    pieces = [
+        (left_vectors[a:b, None, :], residual[a:b, None]) for a, b in itertools.pairwise(edges)
+    ]
     deviation = float(np.sqrt(residual @ residual / residual.size))
     bracket = coloured_information(
         [piece[0] for piece in pieces], [piece[1] / deviation for piece in pieces]
@@ -178,27 +185,30 @@ def _coloured(
 
 
 def _r_squared(
-    X: FloatArray, scale: FloatArray, y: FloatArray, residual: FloatArray, left: FloatArray
+    X: FloatArray, scale: FloatArray, y: FloatArray, residual: FloatArray, left_vectors: FloatArray
 ) -> float:
     """1 - SSR/SST, about the mean when a constant lies in the span of X."""
     ones = np.ones(y.size) / np.sqrt(y.size)
-    spans_constant = np.linalg.norm(ones - left @ (left.T @ ones)) < 1e-8
+    spans_constant = np.linalg.norm(ones - left_vectors @ (left_vectors.T @ ones)) < 1e-8
     total = float(np.sum((y - y.mean()) ** 2)) if spans_constant else float(y @ y)
     return 1.0 - float(residual @ residual) / total if total > 0.0 else float("nan")
 
 
 def _reasons(
-    right: FloatArray, kept: NDArray[np.bool_], names: tuple[str, ...], length: FloatArray
+    right_vectors: FloatArray,
+    resolved: NDArray[np.bool_],
+    names: tuple[str, ...],
+    length: FloatArray,
 ) -> list[str]:
     reason = ["" if size > 0.0 else "the regressor is zero throughout" for size in length]
-    for row in right[~kept]:
+    for row in right_vectors[~resolved]:
         group = [
             index for index in np.flatnonzero(np.abs(row) > PARTICIPATION) if length[index] > 0.0
         ]
         for member in group:
-            others = ", ".join(names[index] for index in group if index != member)
-            if others:
-                reason[member] = f"collinear with {others}: only a combination can be estimated"
+            partners = ", ".join(names[index] for index in group if index != member)
+            if partners:
+                reason[member] = f"collinear with {partners}: only a combination can be estimated"
     return reason
 
 
@@ -206,8 +216,8 @@ def _warnings(
     names: tuple[str, ...],
     reason: list[str],
     vif: FloatArray,
-    right: FloatArray,
-    kept: NDArray[np.bool_],
+    right_vectors: FloatArray,
+    resolved: NDArray[np.bool_],
     residual: FloatArray,
     edges: list[int],
     std: FloatArray,
@@ -222,7 +232,7 @@ def _warnings(
         if np.isfinite(vif[index]) and vif[index] > INFLATION_WARNING
     ]
     if high:
-        weakest = np.abs(right[kept][-1])
+        weakest = np.abs(right_vectors[resolved][-1])
         group = [names[i] for i in np.argsort(-weakest) if weakest[i] > 0.2 * weakest.max()]
         out.append(
             f"near-collinear: {', '.join(group)} (variance inflation up to {vif[high[0]]:.3g}); "

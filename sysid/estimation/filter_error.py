@@ -34,7 +34,7 @@ from sysid.arrays import (
     is_many,
 )
 from sysid.estimation.coloured_residuals import colour, colour_warnings, coloured_information
-from sysid.estimation.gauss_newton import Linearisation, Minimum, Told, minimise
+from sysid.estimation.gauss_newton import IterationCallback, Linearisation, Minimum, minimise
 from sysid.estimation.kalman import (
     Innovations,
     Model,
@@ -56,7 +56,7 @@ from sysid.estimation.results import (
 
 
 def read_record(
-    x0: Any, u: Any, z: Any, t: Any, held: bool, u_middle: Any = None
+    x0: Any, u: Any, z: Any, t: Any, zero_order_hold: bool, u_middle: Any = None
 ) -> tuple[Record, FloatArray]:
     """Padded record and initial states (nx, s). Raises ValueError where segments disagree."""
     outputs = as_segments(z, "z", dropouts=True)
@@ -75,10 +75,12 @@ def read_record(
                 f"t of segment {number} does not increase at every sample (or has fewer than 2);"
                 " sort or split it"
             )
-    each = (
+    one_per_segment = (
         is_many(x0) or np.ndim(x0) == 2
     )  # a vector a segment, be they arrays, lists or the rows of one array
-    starts = [as_parameters(part, "x0") for part in (x0 if each else [x0] * len(lengths))]
+    starts = [
+        as_parameters(part, "x0") for part in (x0 if one_per_segment else [x0] * len(lengths))
+    ]
     if len(starts) != len(lengths) or any(part.size != starts[0].size for part in starts):
         raise ValueError(
             f"x0 has {len(starts)} vectors of {[p.size for p in starts]}, z has {len(lengths)}"
@@ -94,21 +96,21 @@ def read_record(
         step = np.diff(times[index])
         # Padding repeats no dynamics: with dt = 0 the filter stands still behind a segment's end.
         dt[:, index] = np.concatenate([step, np.zeros(longest - length)])
-    middle = None if u_middle is None else _middle(u_middle, inputs, longest)
-    return Record(U, Z, dt, tuple(lengths), held, middle), np.column_stack(starts)
+    middle = None if u_middle is None else _middle_inputs(u_middle, inputs, longest)
+    return Record(U, Z, dt, tuple(lengths), zero_order_hold, middle), np.column_stack(starts)
 
 
-def _middle(u_middle: Any, inputs: list[FloatArray], longest: int) -> FloatArray:
+def _middle_inputs(u_middle: Any, inputs: list[FloatArray], longest: int) -> FloatArray:
     """Inputs half-way between samples, padded (longest - 1, nu, s)."""
-    found = as_segments(u_middle, "u_middle", dropouts=False)
-    wanted = [(part.shape[0] - 1, part.shape[1]) for part in inputs]
-    if [part.shape for part in found] != wanted:
+    parts = as_segments(u_middle, "u_middle", dropouts=False)
+    expected_shapes = [(part.shape[0] - 1, part.shape[1]) for part in inputs]
+    if [part.shape for part in parts] != expected_shapes:
         raise ValueError(
-            f"u_middle has segments of shape {[part.shape for part in found]}; half-way between the"
-            f" samples of u there are {wanted}"
+            f"u_middle has segments of shape {[part.shape for part in parts]}; half-way between the"
+            f" samples of u there are {expected_shapes}"
         )
     out = np.zeros((longest - 1, inputs[0].shape[1], len(inputs)))
-    for index, part in enumerate(found):
+    for index, part in enumerate(parts):
         out[: len(part), :, index], out[len(part) :, :, index] = part, inputs[index][-1]
     return out
 
@@ -127,18 +129,18 @@ def noisy_states(chosen: Any, nx: int) -> NDArray[np.intp]:
         raise ValueError(f"process_noise: {error}") from None
 
 
-def positive_vector(value: ArrayLike, size: int, what: str) -> FloatArray:
+def positive_vector(value: ArrayLike, size: int, label: str) -> FloatArray:
     """``value`` as a vector (size,) of finite positive numbers; one number serves all.
 
-    Raises ValueError that names ``what``.
+    Raises ValueError that names ``label``.
     """
-    vector = np.broadcast_to(as_array(value, what), (size,)).astype(float)
+    vector = np.broadcast_to(as_array(value, label), (size,)).astype(float)
     if not (np.isfinite(vector).all() and (vector > 0.0).all()):
-        raise ValueError(f"{what} is {vector.tolist()}; give {size} positive numbers")
+        raise ValueError(f"{label} is {vector.tolist()}; give {size} positive numbers")
     return vector
 
 
-def output_spread(record: Record) -> FloatArray:
+def output_scales(record: Record) -> FloatArray:
     """Standard deviation (m,) of each output, its size where it is constant."""
     flat = record.z.transpose(0, 2, 1).reshape(-1, record.z.shape[1])
     deviation, size = np.nanstd(flat, axis=0), np.nanmax(np.abs(flat), axis=0)
@@ -150,18 +152,18 @@ def measurement_noise(record: Record) -> FloatArray:
     sigma^2.
     """
     out = np.empty(record.z.shape[1])
-    spread = output_spread(record)
+    output_scale = output_scales(record)
     for channel in range(out.size):
         rough = np.diff(record.z[:, channel, :], n=3, axis=0)
         rough = rough[np.isfinite(rough)]
         out[channel] = (
-            np.sqrt(np.mean(rough**2) / 20.0) if rough.size > 10 else 0.1 * spread[channel]
+            np.sqrt(np.mean(rough**2) / 20.0) if rough.size > 10 else 0.1 * output_scale[channel]
         )
-    return np.maximum(out, 1e-4 * spread)
+    return np.maximum(out, 1e-4 * output_scale)
 
 
 def state_scale(
-    model: Model, record: Record, theta: FloatArray, initial: FloatArray, spread: FloatArray
+    model: Model, record: Record, theta: FloatArray, initial: FloatArray, output_scale: FloatArray
 ) -> FloatArray:
     """How far (nx,) each state may be off: the change that moves an output by its own spread; else
     its size, or 1.
@@ -176,7 +178,9 @@ def state_scale(
         shifted[index] += 1e-4 * size
         slope = np.abs(model.output(shifted, u, theta[:, None])[:, 0] - base) / (1e-4 * size)
         reach = [
-            spread[c] / slope[c] for c in range(base.size) if slope[c] * size > 1e-9 * spread[c]
+            output_scale[c] / slope[c]
+            for c in range(base.size)
+            if slope[c] * size > 1e-9 * output_scale[c]
         ]
         scale[index] = min(reach) if reach else max(float(np.abs(initial[index]).max()), 1.0)
     return scale
@@ -233,13 +237,13 @@ class Layout:
         return theta, q, r, x0
 
     def limits(
-        self, lower: FloatArray, upper: FloatArray, scale: FloatArray, spread: FloatArray
+        self, lower: FloatArray, upper: FloatArray, scale: FloatArray, output_scale: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Bounds of the whole vector: Q up to (a thousand states' scales)^2, r within 1e-5 and 10
         of the spread.
         """
-        low = [lower[self.columns], np.zeros(self.noisy.size), np.log(1e-5 * spread)]
-        high = [upper[self.columns], (1e3 * scale[self.noisy]) ** 2, np.log(1e1 * spread)]
+        low = [lower[self.columns], np.zeros(self.noisy.size), np.log(1e-5 * output_scale)]
+        high = [upper[self.columns], (1e3 * scale[self.noisy]) ** 2, np.log(1e1 * output_scale)]
         extra = [np.full(self.segments * self.states, np.inf)] if self.with_x0 else []
         return np.concatenate(low + [-part for part in extra]), np.concatenate(high + extra)
 
@@ -258,10 +262,10 @@ class Layout:
 # Fisher information.
 
 LANES = 600  # points x segments filtered side by side, bounded for memory
-CARRIED = 8  # secant updates before derivatives are differenced anew
+MAX_SECANT_UPDATES = 8  # secant updates before derivatives are differenced anew
 NEARBY = 0.1  # standard errors within which they need no renewal
 TARGET = 1e-3  # wanted rms change of the whitened innovations under a difference step
-ROUGHLY = (
+ACCEPTED_CHANGE = (
     1e-7,
     0.1,
 )  # a change outside this range is repeated with another step: a filter pass is dear
@@ -314,7 +318,7 @@ class FilterProblem:
     every: int
     state_scale: FloatArray
     step: FloatArray | None = None
-    told: Told | None = None
+    callback: IterationCallback | None = None
     runs: int = 0
     _last: Sensitivities | None = None
     _fresh: tuple[FloatArray, FloatArray] | None = None
@@ -339,13 +343,15 @@ class FilterProblem:
         self, theta: FloatArray, candidates: list[FloatArray], r: FloatArray
     ) -> FloatArray:
         """Of the candidate Q (nx,), all filtered side by side, the one with the lowest cost."""
-        found = self._filter([self.layout.pack(theta, q, r, self.initial) for q in candidates])
-        if found is None:
+        innovations = self._filter(
+            [self.layout.pack(theta, q, r, self.initial) for q in candidates]
+        )
+        if innovations is None:
             return candidates[-1]  # the most noise: the filter that trusts the model least
         costs = []
         for point in range(len(candidates)):
-            s = self._rows(found.s, point)
-            costs.append(_cost(self._rows(found.e, point) / np.sqrt(s), s))
+            s = self._rows(innovations.s, point)
+            costs.append(_cost(self._rows(innovations.e, point) / np.sqrt(s), s))
         return candidates[int(np.argmin(costs))]
 
     def _rows(self, values: FloatArray, point: int) -> FloatArray:
@@ -359,17 +365,19 @@ class FilterProblem:
 
     def evaluate(self, vector: FloatArray) -> tuple[float, State] | None:
         """J of filtererror.py, None where the filter fails."""
-        found = self._filter([vector])
-        if found is None:
+        innovations = self._filter([vector])
+        if innovations is None:
             return None
-        e, s = self._rows(found.e, 0), self._rows(found.s, 0)
+        e, s = self._rows(innovations.e, 0), self._rows(innovations.s, 0)
         white = e / np.sqrt(s)
-        return _cost(white, s), State(found, e, s, white)
+        return _cost(white, s), State(innovations, e, s, white)
 
-    def _points(self, vector: FloatArray, some: Iterable[int], central: bool) -> list[FloatArray]:
-        """Points a step up for each of `some`, in turn, and with ``central`` a step down."""
+    def _points(
+        self, vector: FloatArray, indices: Iterable[int], central: bool
+    ) -> list[FloatArray]:
+        """Points a step up for each of `indices`, in turn, and with ``central`` a step down."""
         points = []
-        for index in some:
+        for index in indices:
             for shift in self._shifts(vector, index)[: 2 if central else 1]:
                 point = vector.copy()
                 point[index] += shift
@@ -405,26 +413,28 @@ class FilterProblem:
 
         which costs no filter run; they are differenced anew, forwards, when that has been done
         CARRIED times, when the search nears its end and at a point asked for twice."""
-        near = self._carry(vector, state, central)
-        if near is None:
-            return self._anew(vector, state, False)
+        is_near = self._secant_update(vector, state, central)
+        if is_near is None:
+            return self._difference_and_linearise(vector, state, False)
         assert self._last is not None
-        line = self._line(state)
+        line = self._linearisation(state)
         self._last.metric = line.information
-        return replace(line, exact=near, fresh=False)
+        return replace(line, exact=is_near, fresh=False)
 
     def settle(self, vector: FloatArray, state: State) -> Linearisation:
         """The linearisation that bounds are computed from, by central differences."""
-        return self._anew(vector, state, True)
+        return self._difference_and_linearise(vector, state, True)
 
-    def _anew(self, vector: FloatArray, state: State, central: bool) -> Linearisation:
+    def _difference_and_linearise(
+        self, vector: FloatArray, state: State, central: bool
+    ) -> Linearisation:
         self._difference(vector, state, central)
         assert self._last is not None
-        line = self._line(state)
+        line = self._linearisation(state)
         self._last.metric, self._fresh = line.information, (vector.copy(), line.information)
         return line
 
-    def _line(self, state: State) -> Linearisation:
+    def _linearisation(self, state: State) -> Linearisation:
         assert self._last is not None
         size = self._last.vector.size
         state.sensitivity = self._last.dE / np.sqrt(state.s)[:, :, None]
@@ -439,25 +449,25 @@ class FilterProblem:
 
         return Linearisation(gradient, information, predict)
 
-    def _carry(self, vector: FloatArray, state: State, central: bool) -> bool | None:
+    def _secant_update(self, vector: FloatArray, state: State, central: bool) -> bool | None:
         """Derivatives carried on: True near where they were differenced, False far from there,
         None: not possible.
         """
         last = self._last
-        if last is None or self._fresh is None or self._updates >= CARRIED:
+        if last is None or self._fresh is None or self._updates >= MAX_SECANT_UPDATES:
             return None
         step = vector - last.vector
-        along = last.metric @ step
-        size = float(step @ along)
-        away = vector - self._fresh[0]
-        near = float(away @ self._fresh[1] @ away) < NEARBY**2
-        if not size > 0.0 or (central and not near):
+        metric_step = last.metric @ step
+        size = float(step @ metric_step)
+        displacement = vector - self._fresh[0]
+        is_near = float(displacement @ self._fresh[1] @ displacement) < NEARBY**2
+        if not size > 0.0 or (central and not is_near):
             return None
         for derivative, change in ((last.dE, state.e - last.e), (last.dS, state.s - last.s)):
-            derivative += (change - derivative @ step)[:, :, None] * (along / size)
+            derivative += (change - derivative @ step)[:, :, None] * (metric_step / size)
         last.vector, last.e, last.s = vector.copy(), state.e, state.s
         self._updates += 1
-        return near
+        return is_near
 
     def _difference(self, vector: FloatArray, state: State, central: bool) -> None:
         """Derivatives by differences of the filter, in blocks of lanes."""
@@ -473,44 +483,45 @@ class FilterProblem:
         )
         pending = list(range(size))
         for attempt in range(4):
-            again: list[int] = []
+            repeated: list[int] = []
             block = max(1, LANES // ((2 if central else 1) * self.record.z.shape[2]))
             for first in range(0, len(pending), block):
-                some = pending[first : first + block]
-                again += self._differences(new, some, central, attempt == 3)
-            pending = again
+                block_indices = pending[first : first + block]
+                repeated += self._differences(new, block_indices, central, attempt == 3)
+            pending = repeated
             if not pending:
                 break
         self._last, self._updates = new, 0
 
     def _differences(
-        self, new: Sensitivities, some: list[int], central: bool, last: bool
+        self, new: Sensitivities, indices: list[int], central: bool, last: bool
     ) -> list[int]:
-        """Fill the derivatives by the parameters `some`; return those whose step was bad."""
+        """Fill the derivatives by the parameters `indices`; return those whose step was bad."""
         assert self.step is not None
-        found = self._filter(self._points(new.vector, some, central))
-        if found is None:
-            if len(some) > 1:  # one bad point spoils the batch: find it
-                half = len(some) // 2
+        innovations = self._filter(self._points(new.vector, indices, central))
+        if innovations is None:
+            if len(indices) > 1:  # one bad point spoils the batch: find it
+                half = len(indices) // 2
                 return [
                     index
-                    for part in (some[:half], some[half:])
+                    for part in (indices[:half], indices[half:])
                     for index in self._differences(new, part, central, last)
                 ]
-            self.step[some[0]] *= 0.03
-            return list(some)
-        again = []
+            self.step[indices[0]] *= 0.03
+            return list(indices)
+        repeated = []
         logs = range(*self.layout.logs.indices(new.vector.size))
         deviation = np.sqrt(new.s)
-        for place, index in enumerate(some):
+        for place, index in enumerate(indices):
             up, down = self._shifts(new.vector, index)
             if central:
                 above, below = (
-                    tuple(self._rows(v, 2 * place + k) for v in (found.e, found.s)) for k in (0, 1)
+                    tuple(self._rows(v, 2 * place + k) for v in (innovations.e, innovations.s))
+                    for k in (0, 1)
                 )
             else:
                 above, below, down = (
-                    (self._rows(found.e, place), self._rows(found.s, place)),
+                    (self._rows(innovations.e, place), self._rows(innovations.s, place)),
                     (new.e, new.s),
                     0.0,
                 )
@@ -528,15 +539,15 @@ class FilterProblem:
                 limit = 1e2 * max(abs(new.vector[index]), 1.0)
                 if self.step[index] < limit and not last:
                     self.step[index] = min(1e3 * self.step[index], limit)
-                    again.append(index)
+                    repeated.append(index)
                 else:
                     new.dE[:, :, index], new.dS[:, :, index] = 0.0, 0.0
-            elif not ROUGHLY[0] < change < ROUGHLY[1] and not last:
+            elif not ACCEPTED_CHANGE[0] < change < ACCEPTED_CHANGE[1] and not last:
                 self.step[index] *= TARGET / change
-                again.append(index)
+                repeated.append(index)
             else:
                 self.step[index] *= float(np.clip(TARGET / change, 0.1, 10.0))
-        return again
+        return repeated
 
     def whitened(self, state: State) -> tuple[list[FloatArray], list[FloatArray]]:
         """Per segment: sensitivities of the innovations (n, m, K), zero where missing; white
@@ -549,9 +560,9 @@ class FilterProblem:
         white = state.white.reshape(segments, n, m)
         pieces, whites = [], []
         for index, length in enumerate(self.record.lengths):
-            there = np.isfinite(self.record.z[:length, :, index])
-            pieces.append(np.where(there[:, :, None], sensitivity[index, :length], 0.0))
-            whites.append(np.where(there, white[index, :length], np.nan))
+            finite = np.isfinite(self.record.z[:length, :, index])
+            pieces.append(np.where(finite[:, :, None], sensitivity[index, :length], 0.0))
+            whites.append(np.where(finite, white[index, :length], np.nan))
         return pieces, whites
 
 
@@ -569,14 +580,14 @@ def assemble(
 ) -> FilterErrorFit:
     """Bounds, gate and warnings at the optimum."""
     layout = problem.layout
-    again = problem.evaluate(best.theta)
-    assert again is not None
-    line = problem.settle(best.theta, again[1])
-    held = outward(best.theta, line.gradient, low, high)
-    inside = np.flatnonzero(~held)
+    evaluation = problem.evaluate(best.theta)
+    assert evaluation is not None
+    line = problem.settle(best.theta, evaluation[1])
+    at_limit = outward(best.theta, line.gradient, low, high)
+    inside = np.flatnonzero(~at_limit)
     every_name = layout.names(labels)
     gate = assess(line.information[np.ix_(inside, inside)], tuple(every_name[i] for i in inside))
-    pieces, whites = problem.whitened(again[1])
+    pieces, whites = problem.whitened(evaluation[1])
     # (MK) of coloured.py for the innovations' share of the information; the covariances' share is
     # left as it is.
     sensitivities = [piece[:, :, inside] for piece in pieces]
@@ -602,7 +613,7 @@ def assemble(
     reason = [""] * total
     for position, index in enumerate(inside.tolist()):
         reason[index] = gate.reason[position]
-    for index in np.flatnonzero(held).tolist():
+    for index in np.flatnonzero(at_limit).tolist():
         reason[index] = at_bound(best.theta[index], low[index], high[index])
     for index in range(k_free):
         reason[index] = reason[index] or idle_bound(
@@ -613,42 +624,45 @@ def assemble(
 
     theta, q, r, x0 = layout.unpack(best.theta, problem.initial)
     k = theta.size
-    spread_cov, spread_crb, spread_vif = (
+    full_cov, full_crb, full_vif = (
         np.full((k, k), np.nan),
         np.full((k, k), np.nan),
         np.full(k, np.inf),
     )
     block = np.ix_(layout.columns, layout.columns)
-    spread_cov[block], spread_crb[block] = cov[:k_free, :k_free], crb[:k_free, :k_free]
-    spread_vif[layout.columns] = vif[:k_free]
-    status, why = dict.fromkeys(labels, "fixed"), dict.fromkeys(labels, "held at theta0 (free=)")
+    full_cov[block], full_crb[block] = cov[:k_free, :k_free], crb[:k_free, :k_free]
+    full_vif[layout.columns] = vif[:k_free]
+    status, reasons = (
+        dict.fromkeys(labels, "fixed"),
+        dict.fromkeys(labels, "held at theta0 (free=)"),
+    )
     warnings = [note for note in gate.notes if any(name in note for name in labels)]
     for position, index in enumerate(layout.columns):
         status[labels[index]] = "not-identified" if reason[position] else "identified"
-        why[labels[index]] = reason[position]
+        reasons[labels[index]] = reason[position]
         if reason[position]:
             warnings.append(f"{labels[index]} not identified: {reason[position]}")
     if not best.converged:
         warnings.insert(0, f"not converged: {best.message}")
-    found = colour(whites)
+    residual_colour = colour(whites)
     ratio = np.sqrt(np.diagonal(cov)[:k_free]), np.sqrt(np.diagonal(crb)[:k_free])
-    warnings += colour_warnings(found, *ratio, "filter error")
-    innovation = [again[1].base.raw[:length, :, s] for s, length in enumerate(record.lengths)]
+    warnings += colour_warnings(residual_colour, *ratio, "filter error")
+    innovation = [evaluation[1].base.raw[:length, :, s] for s, length in enumerate(record.lengths)]
     q_std = np.full(q.size, np.nan)
     q_std[layout.noisy] = np.sqrt(np.diagonal(cov)[k_free : k_free + layout.noisy.size])
     return FilterErrorFit(
         names=labels,
         theta=theta,
-        std=np.sqrt(np.diagonal(spread_cov)),
-        std_crb=np.sqrt(np.diagonal(spread_crb)),
-        cov=spread_cov,
-        cov_crb=spread_crb,
+        std=np.sqrt(np.diagonal(full_cov)),
+        std_crb=np.sqrt(np.diagonal(full_crb)),
+        cov=full_cov,
+        cov_crb=full_crb,
         status=status,
-        reason=why,
-        vif=spread_vif,
+        reason=reasons,
+        vif=full_vif,
         noise_cov=np.diag(r**2),
         residual=innovation if many else innovation[0],
-        whiteness=found.p_value,
+        whiteness=residual_colour.p_value,
         converged=best.converged,
         warnings=warnings,
         iterations=best.iterations,
@@ -661,7 +675,7 @@ def assemble(
     )
 
 
-NEAR_NOISE = 0.1  # how far the logarithm of R may move while theta is far off
+LOG_NOISE_RANGE = 0.1  # how far the logarithm of R may move while theta is far off
 FIRST_NOISE = (
     1e-3,
     1e-2,
@@ -692,7 +706,7 @@ def filter_error(
     jacobian_every: int = 4,
     max_iterations: int = 60,
     tolerance: float = 1e-2,
-    told: Told | None = None,
+    told: IterationCallback | None = None,
 ) -> FilterErrorFit:
     """Estimate theta (k,) of dx/dt = f(x, u, theta) + w, z = g(x, u, theta) + v from flights in
     turbulence.
@@ -786,13 +800,13 @@ def filter_error(
     model = make_model(f, g, initial[:, 0], record.u[0, :, 0], theta, m)
     noisy = noisy_states(process_noise, nx)
 
-    spread = output_spread(record)
+    output_scale = output_scales(record)
     measurement = (
         positive_vector(noise_start, m, "noise_start")
         if noise_start is not None
         else measurement_noise(record)
     )
-    scale = state_scale(model, record, theta, initial, spread)
+    scale = state_scale(model, record, theta, initial, output_scale)
     deviation = (
         positive_vector(x0_std, nx, "x0_std")
         if x0_std is not None
@@ -808,27 +822,33 @@ def filter_error(
         difference=1e-5 * np.maximum(scale, np.abs(initial).max(axis=1)),
         every=jacobian_every,
         state_scale=scale,
-        told=told,
+        callback=told,
     )
     process = (
         positive_vector(process_noise_start, nx, "process_noise_start")
         if process_noise_start is not None
         else None
     )
-    tried = [(factor * scale) ** 2 for factor in FIRST_NOISE]
-    q = process**2 if process is not None else problem.best_process_noise(theta, tried, measurement)
+    candidate_noise = [(factor * scale) ** 2 for factor in FIRST_NOISE]
+    q = (
+        process**2
+        if process is not None
+        else problem.best_process_noise(theta, candidate_noise, measurement)
+    )
     start_point = layout.pack(theta, q, measurement, initial)
-    low, high = layout.limits(lower, upper, scale, spread)
+    low, high = layout.limits(lower, upper, scale, output_scale)
     start_point = np.clip(start_point, low, high)
     if problem.evaluate(start_point) is None:
         raise ValueError(
             "the filter diverges at theta0; start from other values, or from a larger noise_start"
         )
-    best = _from(problem, start_point, low, high, tolerance, max_iterations)
+    best = _minimise_from(problem, start_point, low, high, tolerance, max_iterations)
     fit = assemble(problem, best, labels, low, high, record, is_many(z))
     if best.converged and not any(text.startswith("coloured") for text in fit.warnings):
         return fit
-    other = _from_high_gain(problem, start_point, low, high, tried[-1], tolerance, max_iterations)
+    other = _minimise_from_high_gain(
+        problem, start_point, low, high, candidate_noise[-1], tolerance, max_iterations
+    )
     return (
         fit
         if other is None or not other.cost < best.cost
@@ -836,7 +856,7 @@ def filter_error(
     )
 
 
-def _from(
+def _minimise_from(
     problem: FilterProblem,
     point: FloatArray,
     low: FloatArray,
@@ -850,10 +870,10 @@ def _from(
     then looks no further. With R held near what the data's third differences show, the filter stays
     with the data and theta comes near first."""
     logs = problem.layout.logs
-    near_low, near_high = low.copy(), high.copy()
-    near_low[logs] = np.maximum(low[logs], point[logs] - NEAR_NOISE)
-    near_high[logs] = np.minimum(high[logs], point[logs] + NEAR_NOISE)
-    first = _descend(problem, point, near_low, near_high, 0.3, max_iterations)
+    narrow_low, narrow_high = low.copy(), high.copy()
+    narrow_low[logs] = np.maximum(low[logs], point[logs] - LOG_NOISE_RANGE)
+    narrow_high[logs] = np.minimum(high[logs], point[logs] + LOG_NOISE_RANGE)
+    first = _descend(problem, point, narrow_low, narrow_high, 0.3, max_iterations)
     best = _descend(problem, first.theta, low, high, tolerance, max_iterations)
     return replace(
         best,
@@ -862,7 +882,7 @@ def _from(
     )
 
 
-def _from_high_gain(
+def _minimise_from_high_gain(
     problem: FilterProblem,
     point: FloatArray,
     low: FloatArray,
@@ -879,13 +899,13 @@ def _from_high_gain(
     layout = problem.layout
     noisy = point.copy()
     noisy[layout.process] = np.clip(q[layout.noisy], low[layout.process], high[layout.process])
-    held_low, held_high = low.copy(), high.copy()
+    fixed_low, fixed_high = low.copy(), high.copy()
     for part in (layout.process, layout.logs):
-        held_low[part] = held_high[part] = noisy[part]
+        fixed_low[part] = fixed_high[part] = noisy[part]
     if problem.evaluate(noisy) is None:
         return None
-    near = _descend(problem, noisy, held_low, held_high, 0.3, max_iterations).theta
-    return _from(problem, near, low, high, tolerance, max_iterations)
+    one_step_optimum = _descend(problem, noisy, fixed_low, fixed_high, 0.3, max_iterations).theta
+    return _minimise_from(problem, one_step_optimum, low, high, tolerance, max_iterations)
 
 
 def _descend(
@@ -907,4 +927,5 @@ def _descend(
         tolerance=tolerance,
         max_iterations=max_iterations,
         always_central=False,
+        callback=problem.callback,
     )

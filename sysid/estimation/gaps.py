@@ -25,8 +25,8 @@ NOISE_FLOOR = 1.15
 
 def rms(values: FloatArray) -> float:
     """Root mean square of the finite values; NaN when there are none."""
-    good = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(good**2))) if good.size else float("nan")
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
 def white_noise(pieces: Sequence[FloatArray]) -> float:
@@ -48,11 +48,11 @@ def quantum(pieces: Sequence[FloatArray]) -> float:
     moves.
     """
     steps = [np.abs(np.diff(p[np.isfinite(p)])) for p in pieces]
-    together = np.concatenate(steps) if steps else np.zeros(0)
-    moving = together[together > 0.0]
-    if moving.size < 2 or moving.size > _REPEATS * together.size:
+    changes = np.concatenate(steps) if steps else np.zeros(0)
+    nonzero = changes[changes > 0.0]
+    if nonzero.size < 2 or nonzero.size > _REPEATS * changes.size:
         return 0.0
-    return float(np.quantile(moving, 0.01))
+    return float(np.quantile(nonzero, 0.01))
 
 
 _REPEATS = (
@@ -73,7 +73,7 @@ def channel_noise(
     out = {}
     for k, name in enumerate(channels):
         pieces = [block[:, k] for block in data]
-        sizes = [float(np.abs(good).max()) for p in pieces if (good := p[np.isfinite(p)]).size]
+        sizes = [float(np.abs(finite).max()) for p in pieces if (finite := p[np.isfinite(p)]).size]
         if not sizes:
             out[name] = float("nan")
             continue
@@ -99,21 +99,23 @@ def quiet_share(
     1 is what turbulence gives, which does not wait for manoeuvres; 0 what a wrong model or a late
     surface gives. The halves are those of the simulated motion's speed of change, all channels
     together."""
-    spread = np.concatenate(list(motion)).std(axis=0)
-    spread = np.where(spread > 0.0, spread, 1.0)
+    motion_std = np.concatenate(list(motion)).std(axis=0)
+    motion_std = np.where(motion_std > 0.0, motion_std, 1.0)
     speed = np.concatenate(
-        [np.sqrt(np.mean((np.gradient(y, axis=0) / spread) ** 2, axis=1)) for y in motion]
+        [np.sqrt(np.mean((np.gradient(y, axis=0) / motion_std) ** 2, axis=1)) for y in motion]
     )
-    quiet = speed <= np.median(speed)
+    slow = speed <= np.median(speed)
     stacked = np.concatenate(list(residual))
     with np.errstate(invalid="ignore", divide="ignore"):
-        still, moving = (
-            np.nanmean(stacked[part] ** 2, axis=0) - noise**2 for part in (quiet, ~quiet)
+        slow_power, fast_power = (
+            np.nanmean(stacked[part] ** 2, axis=0) - noise**2 for part in (slow, ~slow)
         )
-        return np.asarray(np.where(moving > 0.2 * noise**2, np.maximum(still, 0.0) / moving, 0.0))
+        return np.asarray(
+            np.where(fast_power > 0.2 * noise**2, np.maximum(slow_power, 0.0) / fast_power, 0.0)
+        )
 
 
-def process_noise_shown(
+def shows_process_noise(
     residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray
 ) -> bool:
     """True when residuals are coloured, are no function of the simulated motion and are there in
@@ -121,13 +123,13 @@ def process_noise_shown(
 
     One channel may be a function of the motion in gusty air as well, where a sensor's scale is
     wrong, or a force is: then half of all channels must be as turbulence leaves them."""
-    found = colour(list(residual), list(motion))
-    strong = (found.p_value < WHITENESS_LEVEL / len(found.p_value)) & (
-        found.predictable > STRONG_SHARE
+    residual_colour = colour(list(residual), list(motion))
+    strong = (residual_colour.p_value < WHITENESS_LEVEL / len(residual_colour.p_value)) & (
+        residual_colour.predictable > STRONG_SHARE
     )
-    formed = strong & (found.explained > FORM_SHARE)
-    gusty = strong & ~formed & (quiet_share(residual, motion, noise) > QUIET_SHARE)
-    return bool(gusty.any() if not formed.any() else 2 * np.count_nonzero(gusty) >= gusty.size)
+    form_error = strong & (residual_colour.explained > FORM_SHARE)
+    gusty = strong & ~form_error & (quiet_share(residual, motion, noise) > QUIET_SHARE)
+    return bool(gusty.any() if not form_error.any() else 2 * np.count_nonzero(gusty) >= gusty.size)
 
 
 @dataclass(frozen=True)
@@ -147,8 +149,8 @@ def theil(measured: FloatArray, modelled: FloatArray) -> Theil:
 
     Theil, "Economic Forecasts and Policy" (1961); Jategaonkar (2015), ch. 11.
     """
-    good = np.isfinite(measured) & np.isfinite(modelled)
-    z, y = measured[good], modelled[good]
+    finite = np.isfinite(measured) & np.isfinite(modelled)
+    z, y = measured[finite], modelled[finite]
     error = float(np.mean((z - y) ** 2)) if z.size else float("nan")
     size = np.sqrt(np.mean(z**2)) + np.sqrt(np.mean(y**2)) if z.size else float("nan")
     if not error > 0.0:
@@ -172,7 +174,7 @@ def time_shift(
     measured: Sequence[FloatArray],
     modelled: Sequence[FloatArray],
     dt_s: float,
-    at_most_s: float = 0.2,
+    max_shift_s: float = 0.2,
 ) -> Shift:
     """Delay tau that makes modelled(t - tau) fit measured(t) best, by Gauss-Newton on the model's
     slope, offset left free.
@@ -181,38 +183,38 @@ def time_shift(
     not move."""
     tau = 0.0
     for _ in range(8):
-        top = bottom = 0.0
-        left: list[FloatArray] = []
+        score = information = 0.0
+        residuals: list[FloatArray] = []
         slopes: list[FloatArray] = []
         for z, y in zip(measured, modelled, strict=True):
             if len(y) < 8 or not np.isfinite(y).all():
                 continue
             at = np.arange(len(y))
-            moved = np.interp(at - tau / dt_s, at, y)
-            slope = -np.gradient(moved, dt_s)
-            good = np.isfinite(z)
-            if good.sum() < 8:
+            shifted = np.interp(at - tau / dt_s, at, y)
+            slope = -np.gradient(shifted, dt_s)
+            finite = np.isfinite(z)
+            if finite.sum() < 8:
                 continue
-            e = z[good] - moved[good]
-            s = slope[good] - slope[good].mean()
+            e = z[finite] - shifted[finite]
+            s = slope[finite] - slope[finite].mean()
             e = e - e.mean()
-            top, bottom = top + float(s @ e), bottom + float(s @ s)
-            left.append(e)
+            score, information = score + float(s @ e), information + float(s @ s)
+            residuals.append(e)
             slopes.append(s)
-        if not bottom > 0.0:
+        if not information > 0.0:
             return Shift(float("nan"), float("nan"))
-        step = float(np.clip(top / bottom, -0.05, 0.05))
-        tau = float(np.clip(tau + step, -at_most_s, at_most_s))
+        step = float(np.clip(score / information, -0.05, 0.05))
+        tau = float(np.clip(tau + step, -max_shift_s, max_shift_s))
         if abs(step) < 1e-5:
             break
-    variance = sum(float(e @ e) for e in left) / max(1, sum(e.size for e in left) - 2)
-    return Shift(tau, float(np.sqrt(variance * integral_time(left) / bottom)))
+    variance = sum(float(e @ e) for e in residuals) / max(1, sum(e.size for e in residuals) - 2)
+    return Shift(tau, float(np.sqrt(variance * integral_time(residuals) / information)))
 
 
-def worst(
-    residual: FloatArray, time_s: FloatArray, noise: float, count: int, apart_s: float
+def largest_residuals(
+    residual: FloatArray, time_s: FloatArray, noise: float, count: int, min_separation_s: float
 ) -> list[tuple[float, float]]:
-    """(time, residual) of the ``count`` largest residuals in units of noise, at least ``apart_s``
+    """(time, residual) of the ``count`` largest residuals in units of noise, at least ``min_separation_s``
     from one another.
     """
     size = np.where(np.isfinite(residual), np.abs(residual), -1.0) / (noise if noise > 0 else 1.0)
@@ -220,6 +222,6 @@ def worst(
     for k in np.argsort(-size):
         if len(out) == count or size[k] < 0:
             break
-        if all(abs(time_s[k] - t) >= apart_s for t, _ in out):
+        if all(abs(time_s[k] - t) >= min_separation_s for t, _ in out):
             out.append((float(time_s[k]), float(residual[k])))
     return out

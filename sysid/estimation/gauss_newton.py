@@ -20,9 +20,11 @@ from sysid.units import significant
 
 S = TypeVar("S")
 
-LOST = 1e-10  # eigenvalues of the scaled information below this share of the largest get no step
+EIGENVALUE_TOLERANCE = (
+    1e-10  # eigenvalues of the scaled information below this share of the largest get no step
+)
 DAMPING = 1e-4  # first lambda: nearly Gauss-Newton
-NEAR = 0.3
+STATIONARY_STEP = 0.3
 """Expected step, in standard errors, that counts as converged where no step lowers the cost.
 
 An imprecise simulation leaves a slope at its minimum. An estimate that is off by .3 standard errors
@@ -49,7 +51,7 @@ class Linearisation:
     fresh: bool = True
 
 
-Told = Callable[[int, float], None]
+IterationCallback = Callable[[int, float], None]
 """Is told each iteration: its number, and how many standard errors long the next step would be."""
 
 
@@ -107,9 +109,9 @@ def damped_step(
         right = gradient[index] - information[np.ix_(index, np.flatnonzero(fixed))] @ step[fixed]
         scale = np.sqrt(np.diagonal(information)[index])
         values, vectors = np.linalg.eigh(information[np.ix_(index, index)] / np.outer(scale, scale))
-        kept = values > LOST * values[-1]
-        turned = vectors[:, kept].T @ (right / scale)
-        trial = vectors[:, kept] @ (turned / (values[kept] + damping)) / scale
+        resolved = values > EIGENVALUE_TOLERANCE * values[-1]
+        rotated = vectors[:, resolved].T @ (right / scale)
+        trial = vectors[:, resolved] @ (rotated / (values[resolved] + damping)) / scale
         over, under = trial > up[index], trial < -down[index]
         step[index] = trial
         if not (over | under).any():
@@ -130,6 +132,7 @@ def minimise(
     tolerance: float,
     max_iterations: int,
     always_central: bool,
+    callback: IterationCallback | None = None,
 ) -> Minimum:
     """From theta0 (k,), whose evaluation is `start`, to where the undamped step is `tolerance`
     standard errors long.
@@ -140,7 +143,6 @@ def minimise(
     central, stalled = True, 0
     decrement, message, converged = float("inf"), "", False
     iteration, renewed = 0, True
-    told: Told | None = getattr(problem, "told", None)
     while iteration < max_iterations:
         iteration += 1
         line = problem.linearise(theta, state, central or always_central)
@@ -159,19 +161,19 @@ def minimise(
             allowed,
         )
         decrement = float(np.sqrt(np.maximum(free_step @ information @ free_step, 0.0)))
-        if told is not None:
-            told(iteration, decrement)
+        if callback is not None:
+            callback(iteration, decrement)
         if decrement < tolerance and line.exact:
             converged, message = (
                 True,
                 f"converged: the next step is {significant(decrement)} standard errors long",
             )
-            last = np.clip(
+            final_theta = np.clip(
                 theta + free_step, lower, upper
             )  # taken all the same, if it does no harm: it is nearly free
-            answer = problem.evaluate(last)
-            if answer is not None and answer[0] <= cost:
-                theta, (cost, state) = last, answer
+            evaluation = problem.evaluate(final_theta)
+            if evaluation is not None and evaluation[0] <= cost:
+                theta, (cost, state) = final_theta, evaluation
                 history.append(cost)
             break
         accepted = False
@@ -182,18 +184,18 @@ def minimise(
             trial = np.asarray(np.clip(theta + step, lower, upper))
             if np.array_equal(trial, theta):
                 break
-            answer = problem.evaluate(trial)
-            if answer is None:
+            evaluation = problem.evaluate(trial)
+            if evaluation is None:
                 failed += 1
-            elif np.isfinite(answer[0]) and answer[0] < cost:
+            elif np.isfinite(evaluation[0]) and evaluation[0] < cost:
                 expected = cost - line.predict(trial - theta)
-                gain = (cost - answer[0]) / expected if expected > 0.0 else 0.5
+                gain = (cost - evaluation[0]) / expected if expected > 0.0 else 0.5
                 damping = max(
                     damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12
                 )  # Nielsen eq. (2.21)
                 growth = 2.0
-                stalled = stalled + 1 if cost - answer[0] < 1e-12 * max(1.0, abs(cost)) else 0
-                theta, (cost, state) = trial, answer
+                stalled = stalled + 1 if cost - evaluation[0] < 1e-12 * max(1.0, abs(cost)) else 0
+                theta, (cost, state) = trial, evaluation
                 history.append(cost)
                 accepted = True
                 break
@@ -211,10 +213,10 @@ def minimise(
                 continue
             # With an imprecise simulation the slope never vanishes: close enough in standard errors
             # is converged.
-            converged = decrement < NEAR
+            converged = decrement < STATIONARY_STEP
             message = (
                 f"no step lowers the cost; the expected step is {significant(decrement)} standard "
-                f"errors long (converged below {NEAR:g})"
+                f"errors long (converged below {STATIONARY_STEP:g})"
             )
             break
         central = decrement < 0.5

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from sysid.estimation.kalman_loops import STARTS, Acting, Gains, Seen
+from sysid.estimation.kalman_loops import START_COLUMNS, ColumnInputs, Gains, MeasuredSystem
 
-_AT_ONCE = 96
+_COLUMN_BLOCK = 96
 """Columns that go through the gains together: what stays in a processor's first cache."""
 
 
@@ -44,28 +44,31 @@ class Process:
 
 
 def gains(
-    seen: Seen, noise: FloatArray, air: tuple[FloatArray, FloatArray] | None, every: bool = True
+    system: MeasuredSystem,
+    noise: FloatArray,
+    air: tuple[FloatArray, FloatArray] | None,
+    with_prior_variance: bool = True,
 ) -> Gains:
     """Gains of a flight in an air.
 
     noise (m,) standard deviations of the sensors; air: variances (13,) per second of the states'
     noise, and (13,) of the air at the start; None for calm air, in which the state is not
-    corrected: output error. Without ``every`` the whole variances are left out. Raises LinAlgError
+    corrected: output error. Without ``with_prior_variance`` the whole variances are left out. Raises LinAlgError
     where a variance is below zero or an unstable flight outgrows numbers."""
     if air is None:
-        spread = np.where(seen.there, noise**2, 1.0)
-        return Gains(np.zeros(seen.H.shape), spread, spread)
+        variance = np.where(system.is_measured, noise**2, 1.0)
+        return Gains(np.zeros(system.H.shape), variance, variance)
     variances, begin = air
     if min(variances.min(), begin.min()) < 0.0:
         raise np.linalg.LinAlgError("a variance below zero")
-    found = Gains(*_loops().follow(seen, noise**2, variances, begin, every))
-    if not np.isfinite(found.spread).all():
+    result = Gains(*_loops().filter_gains(system, noise**2, variances, begin, with_prior_variance))
+    if not np.isfinite(result.variance).all():
         raise np.linalg.LinAlgError("the covariance of the states is no number")
-    return found
+    return result
 
 
-def slopes(
-    seen: Seen, by: Gains, innovations: FloatArray, variances: FloatArray
+def variance_gradient(
+    system: MeasuredSystem, filter_gains: Gains, innovations: FloatArray, variances: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Slopes of minus twice the log likelihood with variances: of the sensors (2, m), of the
     states' noise per second (2, 13), zero where there is none, and of the start (2, 13); first
@@ -73,10 +76,10 @@ def slopes(
 
     innovations (n, m), whitened, the start fitted; by and variances (13,) of `gains`.
     """
-    found: tuple[FloatArray, FloatArray, FloatArray] = _loops().backward(
-        seen, by, innovations * np.sqrt(by.spread), variances
+    gradient: tuple[FloatArray, FloatArray, FloatArray] = _loops().backward(
+        system, filter_gains, innovations * np.sqrt(filter_gains.variance), variances
     )
-    return found
+    return gradient
 
 
 def _loops() -> ModuleType:
@@ -98,64 +101,80 @@ class Whitened:
     path: FloatArray
 
 
-def carried(
-    seen: Seen,
-    by: Gains,
+def whiten_innovations(
+    system: MeasuredSystem,
+    filter_gains: Gains,
     names: Sequence[str] = (),
     inputs: Mapping[str, tuple[int, FloatArray]] | None = None,
     outputs: Mapping[str, FloatArray] | None = None,
     ends: Mapping[str, FloatArray] | None = None,
-    felt: Mapping[str, FloatArray] | None = None,
-    alone: Whitened | None = None,
+    feedthrough: Mapping[str, FloatArray] | None = None,
+    without_columns: Whitened | None = None,
 ) -> Whitened:
     """What was measured, and the columns ``names``, through the gains.
 
     inputs, outputs, ends, felt: of `Acting.of`; alone: the same without columns, where it is known.
     """
-    n, m, size = seen.H.shape
-    if alone is None:
-        path, first = np.zeros((n, size)), np.zeros((n, m, 1 + STARTS))
-        _through(
-            seen,
-            by,
-            np.hstack([np.zeros((size, 1)), seen.start]),
-            Acting.of((), {}, {}, n, m),
-            first,
+    n, m, size = system.H.shape
+    if without_columns is None:
+        path, start_out = np.zeros((n, size)), np.zeros((n, m, 1 + START_COLUMNS))
+        _run_columns(
+            system,
+            filter_gains,
+            np.hstack([np.zeros((size, 1)), system.start]),
+            ColumnInputs.of((), {}, {}, n, m),
+            start_out,
             path,
         )
-        alone = Whitened(first[..., 0], first[..., 1:], np.zeros((n, m, 0), dtype=np.float32), path)
+        without_columns = Whitened(
+            start_out[..., 0], start_out[..., 1:], np.zeros((n, m, 0), dtype=np.float32), path
+        )
     if not names:
-        return alone
-    columns, again = np.zeros((n, m, len(names)), dtype=np.float32), np.empty_like(alone.path)
-    for begin in range(0, len(names), _AT_ONCE):
-        some = names[begin : begin + _AT_ONCE]
-        acting = Acting.of(some, inputs or {}, outputs or {}, n, m, ends, felt)
-        out = np.zeros((n, m, 1 + len(some)), dtype=np.float32)
-        _through(seen, by, np.zeros((size, 1 + len(some))), acting, out, again)
-        columns[:, :, begin : begin + len(some)] = out[:, :, 1:]
-    return replace(alone, columns=columns)
+        return without_columns
+    columns, scratch_path = (
+        np.zeros((n, m, len(names)), dtype=np.float32),
+        np.empty_like(without_columns.path),
+    )
+    for begin in range(0, len(names), _COLUMN_BLOCK):
+        block = names[begin : begin + _COLUMN_BLOCK]
+        column_inputs = ColumnInputs.of(block, inputs or {}, outputs or {}, n, m, ends, feedthrough)
+        out = np.zeros((n, m, 1 + len(block)), dtype=np.float32)
+        _run_columns(
+            system, filter_gains, np.zeros((size, 1 + len(block))), column_inputs, out, scratch_path
+        )
+        columns[:, :, begin : begin + len(block)] = out[:, :, 1:]
+    return replace(without_columns, columns=columns)
 
 
-def path_from(seen: Seen, by: Gains, begin: FloatArray) -> FloatArray:
+def predicted_path(system: MeasuredSystem, filter_gains: Gains, begin: FloatArray) -> FloatArray:
     """(n, x) predicted states less the reference, from what was measured before, of a flight that
     begins at ``begin`` (x,).
     """
-    n, m, size = seen.H.shape
-    path, left = np.zeros((n, size)), np.zeros((n, m, 1))
+    n, m, size = system.H.shape
+    path, innovations = np.zeros((n, size)), np.zeros((n, m, 1))
     # The state goes through the gains less itself.
-    _through(seen, by, -np.reshape(begin, (size, 1)), Acting.of((), {}, {}, n, m), left, path)
+    _run_columns(
+        system,
+        filter_gains,
+        -np.reshape(begin, (size, 1)),
+        ColumnInputs.of((), {}, {}, n, m),
+        innovations,
+        path,
+    )
     return path
 
 
-def _through(
-    seen: Seen,
-    by: Gains,
+def _run_columns(
+    system: MeasuredSystem,
+    filter_gains: Gains,
     X: FloatArray,
-    acting: Acting,
+    column_inputs: ColumnInputs,
     out: NDArray[np.floating],
     path: FloatArray,
 ) -> None:
-    _loops().carry(seen, by.gain, 1.0 / np.sqrt(by.spread), X, acting, out, path)
+    _loops().whiten_columns(
+        system, filter_gains.gain, 1.0 / np.sqrt(filter_gains.variance), X, column_inputs, out, path
+    )
 
 
 # Extended Kalman filter over many lanes at once: perturbed parameters and segments run side by
@@ -205,16 +224,16 @@ class Model:
         self,
         x: FloatArray,
         k1: FloatArray,
-        middle: FloatArray,
+        u_middle: FloatArray,
         u1: FloatArray,
         theta: FloatArray,
         dt: FloatArray,
     ) -> FloatArray:
-        """Runge-Kutta 4 from x, whose rate is k1, through inputs `middle`, half a step later, to
+        """Runge-Kutta 4 from x, whose rate is k1, through inputs `u_middle`, half a step later, to
         u1.
         """
-        k2 = self.rate(x + 0.5 * dt * k1, middle, theta)
-        k3 = self.rate(x + 0.5 * dt * k2, middle, theta)
+        k2 = self.rate(x + 0.5 * dt * k1, u_middle, theta)
+        k3 = self.rate(x + 0.5 * dt * k2, u_middle, theta)
         k4 = self.rate(x + dt * k3, u1, theta)
         return np.asarray(x + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
 
@@ -260,13 +279,13 @@ def make_model(
         theta[:, None] * shift,
     )
     looped = Model(f, g, x.size, outputs, False)
-    together = Model(f, g, x.size, outputs, True)
+    batched = Model(f, g, x.size, outputs, True)
     try:
         with np.errstate(all="ignore"):
             same = all(
-                np.shape(whole := getattr(together, kind)(xs, us, thetas)) == (rows, lanes)
+                np.shape(batched_value := getattr(batched, kind)(xs, us, thetas)) == (rows, lanes)
                 and np.allclose(
-                    whole,
+                    batched_value,
                     getattr(looped, kind)(xs, us, thetas),
                     rtol=1e-10,
                     atol=1e-13,
@@ -278,7 +297,7 @@ def make_model(
         Exception
     ):  # whatever a function written for vectors does with a lane axis, it means: not vectorised
         same = False
-    return together if same else looped
+    return batched if same else looped
 
 
 @dataclass(frozen=True)
@@ -293,7 +312,7 @@ class Record:
     z: FloatArray
     dt: FloatArray
     lengths: tuple[int, ...]
-    held: bool
+    zero_order_hold: bool
     middle: FloatArray | None = None
 
 
@@ -346,23 +365,23 @@ def run_filter(
         function: Callable[[FloatArray, FloatArray, FloatArray], FloatArray], u: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """(value (rows, lanes), Jacobian (rows, nx, lanes)) of a function at x in every lane."""
-        spread = (x[:, None, :] + offsets[:, :, None]).reshape(nx, -1)
-        blocks = function(spread, np.tile(u, nx + 1), wide_theta).reshape(-1, nx + 1, lanes)
+        perturbed = (x[:, None, :] + offsets[:, :, None]).reshape(nx, -1)
+        blocks = function(perturbed, np.tile(u, nx + 1), wide_theta).reshape(-1, nx + 1, lanes)
         return blocks[:, 0], (blocks[:, 1:] - blocks[:, :1]) / difference[None, :, None]
 
     with np.errstate(all="ignore"):
         for k in range(n):
-            fresh = k % every == 0
+            renew_jacobians = k % every == 0
             u = np.tile(record.u[k], points)
-            if fresh:
+            if renew_jacobians:
                 y, H = jacobian(model.output, u)
             else:
                 y = model.output(x, u, lane_theta)
             raw[k] = np.tile(record.z[k], points) - y
-            moved = np.zeros_like(x)
+            correction = np.zeros_like(x)
             for j in range(m):
                 h = H[j]
-                e = raw[k, j] - np.einsum("aw,aw->w", h, moved)
+                e = raw[k, j] - np.einsum("aw,aw->w", h, correction)
                 PH = np.einsum("abw,bw->aw", P, h)
                 s = np.einsum("aw,aw->w", h, PH) + R[j]
                 gain = PH / s
@@ -376,20 +395,22 @@ def run_filter(
                         np.where(missing, 0.0, gain),
                     )
                 e_all[k, j], s_all[k, j] = e, s
-                moved += gain * e
+                correction += gain * e
                 P -= np.multiply(gain[:, None], PH[None], out=work)
-            x = x + moved
+            x = x + correction
             if k == n - 1:
                 break
-            u1 = u if record.held else np.tile(record.u[k + 1], points)
-            between = 0.5 * (u + u1) if record.middle is None else np.tile(record.middle[k], points)
+            u1 = u if record.zero_order_hold else np.tile(record.u[k + 1], points)
+            u_middle = (
+                0.5 * (u + u1) if record.middle is None else np.tile(record.middle[k], points)
+            )
             dt = np.tile(record.dt[k], points)
-            if fresh:
+            if renew_jacobians:
                 rate, A = jacobian(model.rate, u)
                 phi = _transition(A * dt)
             else:
                 rate = model.rate(x, u, lane_theta)
-            x = model.step(x, rate, between, u1, lane_theta, dt)
+            x = model.step(x, rate, u_middle, u1, lane_theta, dt)
             # The noise of a step, int Phi(s) Q Phi(s)' ds by Simpson with Phi(dt/2) = (1 + Phi)/2.
             third = Q * (dt / 3.0)
             P[diagonal, diagonal] += third

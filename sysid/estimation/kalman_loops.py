@@ -23,38 +23,38 @@ from sysid.linalg import compiled
 
 
 @compiled
-def follow(seen, r, q, begin, every):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Gains along a flight ``seen``, as `Gains` has them: variances r (m,) of the sensors, q (13,)
-    per second of the states' noise, begin (13,) of the start. The whole variances with ``every``.
+def filter_gains(system, r, q, begin, with_prior_variance):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Gains along a flight ``system``, as `Gains` has them: variances r (m,) of the sensors, q (13,)
+    per second of the states' noise, begin (13,) of the start. The whole variances with ``with_prior_variance``.
     """
-    n, m = seen.there.shape
-    gain, spread, whole = np.zeros((n, m, NX)), np.ones((n, m)), np.ones((n, m))
+    n, m = system.is_measured.shape
+    gain, variance, prior_variance = np.zeros((n, m, NX)), np.ones((n, m)), np.ones((n, m))
     noisy = np.flatnonzero(q)
     # Rows of V are columns of U.
     V, D, f = np.eye(NX), begin.copy(), np.empty(NX)
     W, weight = np.empty((NX + 3 * len(noisy), NX)), np.empty(NX + 3 * len(noisy))
     for k in range(n):
-        if every:
+        if with_prior_variance:
             for j in range(m):
-                if seen.there[k, j]:
-                    _felt(V, seen.H[k, j], f)
-                    whole[k, j] = r[j]
+                if system.is_measured[k, j]:
+                    _project(V, system.H[k, j], f)
+                    prior_variance[k, j] = r[j]
                     for i in range(NX):
-                        whole[k, j] += D[i] * f[i] * f[i]
+                        prior_variance[k, j] += D[i] * f[i] * f[i]
         for j in range(m):
-            if seen.there[k, j]:
-                _felt(V, seen.H[k, j], f)
-                spread[k, j] = _measured(V, D, f, r[j], gain[k, j])
+            if system.is_measured[k, j]:
+                _project(V, system.H[k, j], f)
+                variance[k, j] = _measurement_update(V, D, f, r[j], gain[k, j])
         if k < n - 1:
-            _moved(seen.phi[k], V, W)
-            _noise_added(seen.phi[k], seen.dt_s, q, noisy, W, weight)
+            _propagate_factor(system.phi[k], V, W)
+            _add_process_noise(system.phi[k], system.dt_s, q, noisy, W, weight)
             weight[:NX] = D
-            _factored(W, weight, V, D)
-    return gain, spread, whole
+            _weighted_gram_schmidt(W, weight, V, D)
+    return gain, variance, prior_variance
 
 
 @compiled
-def _felt(V, h, f):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _project(V, h, f):  # type: ignore[no-untyped-def]  # pragma: no cover
     """U'h into ``f``; most channels see few states."""
     f[:] = 0.0
     for e in range(NX):
@@ -64,7 +64,7 @@ def _felt(V, h, f):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
-def _measured(V, D, f, variance, gain):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _measurement_update(V, D, f, variance, gain):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Bierman's update of U and D by a channel, f = U'h: its innovation's variance, and its gain
     (13,) into ``gain``.
     """
@@ -72,11 +72,11 @@ def _measured(V, D, f, variance, gain):  # type: ignore[no-untyped-def]  # pragm
     for i in range(NX):
         if f[i] == 0.0:
             continue
-        before, v = alpha, D[i] * f[i]
+        alpha_before, v = alpha, D[i] * f[i]
         alpha += v * f[i]
-        D[i] *= before / alpha
+        D[i] *= alpha_before / alpha
         gain[i] = v
-        back = -f[i] / before
+        back = -f[i] / alpha_before
         for e in range(i):
             old = V[i, e]
             V[i, e] = old + gain[e] * back
@@ -87,7 +87,7 @@ def _measured(V, D, f, variance, gain):  # type: ignore[no-untyped-def]  # pragm
 
 
 @compiled
-def _moved(phi, V, W):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _propagate_factor(phi, V, W):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Phi U, turned, into the first rows of ``W``."""
     for c in range(NX):
         for i in range(NX):
@@ -100,7 +100,7 @@ def _moved(phi, V, W):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
-def _noise_added(  # type: ignore[no-untyped-def]  # pragma: no cover
+def _add_process_noise(  # type: ignore[no-untyped-def]  # pragma: no cover
     phi, dt_s, q, noisy, W, weight
 ):
     """The other rows of ``W`` and their weights: the noise of a step, which acts while the step
@@ -108,7 +108,7 @@ def _noise_added(  # type: ignore[no-untyped-def]  # pragma: no cover
     half a step late, and every sensor would look early."""
     w = len(noisy)
     halves = W[NX : NX + w]
-    _halves(phi, noisy, halves)
+    _half_step_columns(phi, noisy, halves)
     for c in range(w):
         at = noisy[c]
         for i in range(NX):
@@ -120,26 +120,26 @@ def _noise_added(  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
-def _halves(phi, noisy, halves):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _half_step_columns(phi, noisy, halves):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Columns ``noisy`` of the transition over half a step, one a row of ``halves``: the root to
     second order of that over a whole one, 1 + A/2 - A^2/8 with A = Phi - 1."""
-    away = np.empty((NX, NX))
+    increment = np.empty((NX, NX))
     for i in range(NX):
         for e in range(NX):
-            away[e, i] = phi[i, e]
-        away[i, i] -= 1.0
+            increment[e, i] = phi[i, e]
+        increment[i, i] -= 1.0
     for c in range(len(noisy)):
         at = noisy[c]
         for i in range(NX):
-            halves[c, i] = 0.5 * away[at, i]
+            halves[c, i] = 0.5 * increment[at, i]
         halves[c, at] += 1.0
         for e in range(NX):
             for i in range(NX):
-                halves[c, i] -= 0.125 * away[at, e] * away[e, i]
+                halves[c, i] -= 0.125 * increment[at, e] * increment[e, i]
 
 
 @compiled
-def _factored(W, weight, V, D):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _weighted_gram_schmidt(W, weight, V, D):  # type: ignore[no-untyped-def]  # pragma: no cover
     """U and D of W' weight W by weighted Gram-Schmidt, the last state first. Destroys W."""
     share = np.empty(NX)
     for i in range(NX - 1, -1, -1):
@@ -160,22 +160,22 @@ def _factored(W, weight, V, D):  # type: ignore[no-untyped-def]  # pragma: no co
 
 
 @compiled
-def carry(  # type: ignore[no-untyped-def]  # pragma: no cover
-    seen, gain, scale, X, acting, out, path
+def whiten_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
+    system, gain, scale, X, column_inputs, out, path
 ):
-    """Innovations of a flight ``seen`` and what columns do to them, through given gains (n, m, x).
+    """Innovations of a flight ``system`` and what columns do to them, through given gains (n, m, x).
 
     X (x, c) at the start: less the state, then columns, overwritten; scale (n, m) what innovations
     are multiplied by; acting: what the columns do. Fills out (n, m, c) and path (n, x), the state.
     """
-    n, m = seen.there.shape
+    n, m = system.is_measured.shape
     row, Y = np.empty(X.shape[1]), np.empty_like(X)
     for k in range(n):
         for i in range(len(X)):
             path[k, i] = -X[i, 0]
         for j in range(m):
-            if seen.there[k, j]:
-                _output(seen, acting, k, j, X, row)
+            if system.is_measured[k, j]:
+                _innovation_row(system, column_inputs, k, j, X, row)
                 for c in range(len(row)):
                     out[k, j, c] = row[c] * scale[k, j]
                 for i in range(len(X)):
@@ -184,35 +184,37 @@ def carry(  # type: ignore[no-untyped-def]  # pragma: no cover
                         for c in range(len(row)):
                             X[i, c] -= g * row[c]
         if k < n - 1:
-            _next(seen, acting, k, X, Y)
+            _propagate_columns(system, column_inputs, k, X, Y)
             X, Y = Y, X
 
 
 @compiled
-def _output(seen, acting, k, j, X, row):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _innovation_row(system, column_inputs, k, j, X, row):  # type: ignore[no-untyped-def]  # pragma: no cover
     """The innovation of channel j of sample k, and what the columns do there, into ``row``."""
     row[:] = 0.0
-    row[0] = seen.z[k, j]
+    row[0] = system.z[k, j]
     for i in range(len(X)):
-        h = seen.H[k, j, i]
+        h = system.H[k, j, i]
         if h != 0.0:
             for c in range(len(row)):
                 row[c] += h * X[i, c]
-    if seen.D[k, j].any():
-        for e in range(len(acting.own)):
-            row[acting.own[e]] += seen.D[k, j, acting.coefficient[e]] * acting.felt[k, e]
-    for e in range(len(acting.direct)):
-        row[acting.direct[e]] += acting.added[k, j, e]
+    if system.D[k, j].any():
+        for e in range(len(column_inputs.column)):
+            row[column_inputs.column[e]] += (
+                system.D[k, j, column_inputs.coefficient[e]] * column_inputs.feedthrough[k, e]
+            )
+    for e in range(len(column_inputs.direct)):
+        row[column_inputs.direct[e]] += column_inputs.added[k, j, e]
 
 
 @compiled
-def _next(seen, acting, k, X, Y):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _propagate_columns(system, column_inputs, k, X, Y):  # type: ignore[no-untyped-def]  # pragma: no cover
     """The states of sample k + 1 by those of sample k, into ``Y``: four at a time, for reading and
     writing ``Y`` takes longer than its sums."""
-    size, phi = len(X), seen.phi[k]
+    size, phi = len(X), system.phi[k]
     for i in range(size):
         Y[i, :] = 0.0
-        Y[i, 0] = -seen.defect[k, i]
+        Y[i, 0] = -system.defect[k, i]
         e = 0
         while e + 3 < size:
             p, q, r, s = phi[i, e], phi[i, e + 1], phi[i, e + 2], phi[i, e + 3]
@@ -227,59 +229,59 @@ def _next(seen, acting, k, X, Y):  # type: ignore[no-untyped-def]  # pragma: no 
             for c in range(X.shape[1]):
                 Y[i, c] += phi[i, e] * X[e, c]
             e += 1
-    for e in range(len(acting.own)):
-        a, own = acting.coefficient[e], acting.own[e]
-        now, then = acting.values[k, e], acting.ends[k + 1, e]
+    for e in range(len(column_inputs.column)):
+        a, column = column_inputs.coefficient[e], column_inputs.column[e]
+        at_start, at_end = column_inputs.values[k, e], column_inputs.ends[k + 1, e]
         for i in range(size):
-            Y[i, own] += seen.g0[k, i, a] * now + seen.g1[k, i, a] * then
+            Y[i, column] += system.g0[k, i, a] * at_start + system.g1[k, i, a] * at_end
 
 
 @compiled
-def backward(seen, by, innovation, q):  # type: ignore[no-untyped-def]  # pragma: no cover
+def backward(system, gains, innovation, q):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Slopes of minus twice the log likelihood with variances, innovations (n, m) as they are with
-    the start fitted, the gains ``by``: what its logarithm and what its sum of squares has, each of
+    the start fitted, the gains ``gains``: what its logarithm and what its sum of squares has, each of
     the sensors (2, m), per second of the states' noise (2, 13), zero where q (13,) is, and at the
     start (2, 13).
 
     Equations (2) and (3) of `sysid.effects.turbulence`.
     """
-    n, m = seen.there.shape
+    n, m = system.is_measured.shape
     by_noise, by_process, by_start = np.zeros((2, m)), np.zeros((2, NX)), np.zeros((2, NX))
     noisy = np.flatnonzero(q)
     r, N, a = np.zeros(NX), np.zeros((NX, NX)), np.empty(NX)
     halves = np.empty((len(noisy), NX))
-    sixth = seen.dt_s / 6.0
+    sixth = system.dt_s / 6.0
     for k in range(n - 1, -1, -1):
         if k < n - 1:
             # As `follow` adds the noise of a step: Simpson's rule over its end, middle and
             # beginning.
-            _halves(seen.phi[k], noisy, halves)
-            _ends(r, N, noisy, sixth, by_process)
-            _middles(r, N, noisy, halves, 4.0 * sixth, by_process)
-            _turned(seen.phi[k], r, N)
-            _ends(r, N, noisy, sixth, by_process)
+            _half_step_columns(system.phi[k], noisy, halves)
+            _add_end_point(r, N, noisy, sixth, by_process)
+            _add_midpoint(r, N, noisy, halves, 4.0 * sixth, by_process)
+            _propagate_back(system.phi[k], r, N)
+            _add_end_point(r, N, noisy, sixth, by_process)
         for j in range(m - 1, -1, -1):
-            if not seen.there[k, j]:
+            if not system.is_measured[k, j]:
                 continue
-            h, g = seen.H[k, j], by.gain[k, j]
+            h, g = system.H[k, j], gains.gain[k, j]
             a[:] = 0.0
             for e in range(NX):
                 for i in range(NX):
                     a[i] += g[e] * N[e, i]
-            u, slope = innovation[k, j] / by.spread[k, j], 1.0 / by.spread[k, j]
+            u, slope = innovation[k, j] / gains.variance[k, j], 1.0 / gains.variance[k, j]
             for i in range(NX):
                 u -= g[i] * r[i]
                 slope += g[i] * a[i]  # (2)
             by_noise[0, j] += slope
             by_noise[1, j] += u * u  # (3)
-            _behind(h, a, u, slope, r, N)
+            _update_back(h, a, u, slope, r, N)
     for i in range(NX):
         by_start[0, i], by_start[1, i] = N[i, i], r[i] ** 2
     return by_noise, by_process, by_start
 
 
 @compiled
-def _ends(r, N, noisy, weight, by_process):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _add_end_point(r, N, noisy, weight, by_process):  # type: ignore[no-untyped-def]  # pragma: no cover
     for c in range(len(noisy)):
         at = noisy[c]
         by_process[0, at] += weight * N[at, at]
@@ -287,26 +289,26 @@ def _ends(r, N, noisy, weight, by_process):  # type: ignore[no-untyped-def]  # p
 
 
 @compiled
-def _middles(  # type: ignore[no-untyped-def]  # pragma: no cover
+def _add_midpoint(  # type: ignore[no-untyped-def]  # pragma: no cover
     r, N, noisy, halves, weight, by_process
 ):
-    turned = np.empty(NX)
+    rotated = np.empty(NX)
     for c in range(len(noisy)):
         at = noisy[c]
-        turned[:] = 0.0
+        rotated[:] = 0.0
         for e in range(NX):
             for i in range(NX):
-                turned[i] += halves[c, e] * N[e, i]
-        square, along = 0.0, 0.0
+                rotated[i] += halves[c, e] * N[e, i]
+        square, projection = 0.0, 0.0
         for i in range(NX):
-            square += turned[i] * halves[c, i]
-            along += r[i] * halves[c, i]
+            square += rotated[i] * halves[c, i]
+            projection += r[i] * halves[c, i]
         by_process[0, at] += weight * square
-        by_process[1, at] += weight * along**2
+        by_process[1, at] += weight * projection**2
 
 
 @compiled
-def _turned(phi, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _propagate_back(phi, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Phi'r and Phi'N Phi in the places of r and N."""
     a, T = np.zeros(NX), np.zeros((NX, NX))
     for e in range(NX):
@@ -324,7 +326,7 @@ def _turned(phi, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
-def _behind(h, a, u, slope, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _update_back(h, a, u, slope, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
     """r and N before a channel by those behind it, a = N K."""
     for e in range(NX):
         if h[e] != 0.0:
@@ -339,16 +341,16 @@ def _behind(h, a, u, slope, r, N):  # type: ignore[no-untyped-def]  # pragma: no
 # What the loops of the linear filter work on: named tuples, which compiled code takes as they
 # are.
 
-STARTS = 8
+START_COLUMNS = 8
 """Columns of the start state."""
 
 
-class Seen(NamedTuple):
+class MeasuredSystem(NamedTuple):
     """A segment's linear system with what was measured of it: there (n, m), z (n, m) less the
     reference's outputs, H (n, m, x), D (n, m, 6); phi, defect, g0, g1, dt_s and start (x, 8) as in
     `Steps`. Where nothing was measured z is zero."""
 
-    there: NDArray[np.bool_]
+    is_measured: NDArray[np.bool_]
     z: FloatArray
     H: FloatArray
     D: FloatArray
@@ -360,11 +362,11 @@ class Seen(NamedTuple):
     start: FloatArray
 
     @classmethod
-    def of(cls, steps: Steps, measured: FloatArray, which: Sequence[int]) -> Seen:
+    def of(cls, steps: Steps, measured: FloatArray, output_rows: Sequence[int]) -> MeasuredSystem:
         """which: rows of OUTPUTS that ``measured`` (n, m) holds, NaN where nothing is."""
-        rows = list(which)
-        there = np.isfinite(measured)
-        z = np.where(there, measured - steps.y_ref[:, rows], 0.0)
+        rows = list(output_rows)
+        is_measured = np.isfinite(measured)
+        z = np.where(is_measured, measured - steps.y_ref[:, rows], 0.0)
         H, D, phi, defect, g0, g1 = (
             np.ascontiguousarray(part)
             for part in (
@@ -376,8 +378,8 @@ class Seen(NamedTuple):
                 steps.g1,
             )
         )
-        start = np.eye(H.shape[2], STARTS) if steps.start is None else steps.start
-        return cls(there, z, H, D, phi, defect, g0, g1, float(steps.dt_s), start)
+        start = np.eye(H.shape[2], START_COLUMNS) if steps.start is None else steps.start
+        return cls(is_measured, z, H, D, phi, defect, g0, g1, float(steps.dt_s), start)
 
 
 class Gains(NamedTuple):
@@ -386,26 +388,26 @@ class Gains(NamedTuple):
     measured."""
 
     gain: FloatArray
-    spread: FloatArray
-    whole: FloatArray
+    variance: FloatArray
+    prior_variance: FloatArray
 
     @property
     def logdet(self) -> float:
         """Sum of the logarithms of the innovations' deviations."""
-        return 0.5 * float(np.log(self.spread).sum())
+        return 0.5 * float(np.log(self.variance).sum())
 
 
-class Acting(NamedTuple):
+class ColumnInputs(NamedTuple):
     """What columns do: column own[e] has values[:, e] (n, e) of the coefficient coefficient[e],
     ends[:, e] just before each row and felt[:, e] of what the channels of that row have seen;
     column direct[e] has added[:, :, e] (n, m, e) of the channels. Columns count from 1: before them
     stands the state."""
 
-    own: NDArray[np.intp]
+    column: NDArray[np.intp]
     coefficient: NDArray[np.intp]
     values: FloatArray
     ends: FloatArray
-    felt: FloatArray
+    feedthrough: FloatArray
     direct: NDArray[np.intp]
     added: FloatArray
 
@@ -418,37 +420,45 @@ class Acting(NamedTuple):
         n: int,
         m: int,
         ends: Mapping[str, FloatArray] | None = None,
-        felt: Mapping[str, FloatArray] | None = None,
-    ) -> Acting:
+        feedthrough: Mapping[str, FloatArray] | None = None,
+    ) -> ColumnInputs:
         """inputs: column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6))
         for all six; outputs: column -> (n, m) added to the measured channels; ends, felt: column ->
         the values just before each row, and what the row's channels have seen of them, of the same
         shape, where these are others than the values themselves."""
-        own: list[int] = []
+        columns: list[int] = []
         coefficient: list[int] = []
         values = [np.zeros((n, 0))]
-        others: list[list[FloatArray]] = [[np.zeros((n, 0))], [np.zeros((n, 0))]]
+        overrides: list[list[FloatArray]] = [[np.zeros((n, 0))], [np.zeros((n, 0))]]
         for k, name in enumerate(names, 1):
             if name in inputs:
-                index, found = inputs[name]
-                which = list(range(6)) if index < 0 else [index]
-                own += [k] * len(which)
-                coefficient += which
-                values.append(np.reshape(found, (n, len(which))))
-                for made, given in zip(others, (ends, felt), strict=True):
-                    made.append(np.reshape((given or {}).get(name, found), values[-1].shape))
+                index, column_values = inputs[name]
+                indices = list(range(6)) if index < 0 else [index]
+                columns += [k] * len(indices)
+                coefficient += indices
+                values.append(np.reshape(column_values, (n, len(indices))))
+                for blocks, override in zip(overrides, (ends, feedthrough), strict=True):
+                    blocks.append(
+                        np.reshape((override or {}).get(name, column_values), values[-1].shape)
+                    )
         direct = [k for k, name in enumerate(names, 1) if name in outputs]
         added = (
             np.stack([outputs[names[k - 1]] for k in direct], axis=2)
             if direct
             else np.zeros((n, m, 0))
         )
-        places = [np.array(some, dtype=np.intp) for some in (own, coefficient, direct)]
+        places = [np.array(some, dtype=np.intp) for some in (columns, coefficient, direct)]
         at_rows = np.hstack(values)
-        before, seen = (
-            np.hstack(made) if given else at_rows
-            for made, given in zip(others, (ends, felt), strict=True)
+        end_rows, feedthrough_rows = (
+            np.hstack(blocks) if override else at_rows
+            for blocks, override in zip(overrides, (ends, feedthrough), strict=True)
         )
         return cls(
-            places[0], places[1], at_rows, before, seen, places[2], np.ascontiguousarray(added)
+            places[0],
+            places[1],
+            at_rows,
+            end_rows,
+            feedthrough_rows,
+            places[2],
+            np.ascontiguousarray(added),
         )

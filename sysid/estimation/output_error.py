@@ -29,9 +29,9 @@ from sysid.arrays import (
     is_many,
 )
 from sysid.estimation.gaps import white_noise
-from sysid.estimation.gauss_newton import Linearisation, Minimum, Told, minimise
-from sysid.estimation.noise import Noise, concentrated, residual_noise
-from sysid.estimation.results import Findings, OutputErrorFit, judge, split, unjudged
+from sysid.estimation.gauss_newton import IterationCallback, Linearisation, Minimum, minimise
+from sysid.estimation.noise import Noise, concentrated_cost, residual_noise
+from sysid.estimation.results import Findings, OutputErrorFit, assess_fit, split, unassessed_fit
 from sysid.linalg import Blocks, Index
 
 # Output sensitivities by finite differences of a simulation that may fail.
@@ -65,77 +65,82 @@ class Shift:
     rows: tuple[slice, ...]
 
 
-def rows_moved(simulate: Any, index: int, edges: Sequence[int]) -> tuple[slice, ...]:
+def rows_affected(simulate: Any, index: int, edges: Sequence[int]) -> tuple[slice, ...]:
     """Rows (start and end in ``edges``) of the segments that a parameter moves. One slice of all
     rows, unless the simulation has a method ``moved(index)`` that gives numbers of segments; its
     None means all as well."""
-    asked = getattr(simulate, "moved", None)
-    some = None if asked is None else asked(index)
-    if some is None:
+    moved_segments = getattr(simulate, "moved", None)
+    numbers = None if moved_segments is None else moved_segments(index)
+    if numbers is None:
         return (slice(edges[0], edges[-1]),)
     every = [slice(a, b) for a, b in pairwise(edges)]
-    return tuple(every[number] for number in some)
+    return tuple(every[number] for number in numbers)
 
 
-def grouped(shifts: Sequence[Shift]) -> list[list[Shift]]:
+def group_shifts(shifts: Sequence[Shift]) -> list[list[Shift]]:
     """Shifts that have no row in common together, each in the first group that has room for it."""
     groups: list[list[Shift]] = []
-    taken: list[list[tuple[int, int]]] = []
+    occupied: list[list[tuple[int, int]]] = []
     for shift in shifts:
-        own = [(rows.start, rows.stop) for rows in shift.rows]
-        for members, rows in zip(groups, taken, strict=True):
-            if not any(a < d and c < b for a, b in own for c, d in rows):
+        intervals = [(rows.start, rows.stop) for rows in shift.rows]
+        for members, rows in zip(groups, occupied, strict=True):
+            if not any(a < d and c < b for a, b in intervals for c, d in rows):
                 members.append(shift)
-                rows += own
+                rows += intervals
                 break
         else:
             groups.append([shift])
-            taken.append(own)
+            occupied.append(intervals)
     return groups
 
 
-def answers(
+def simulate_shifts(
     run: Run, theta: FloatArray, shifts: Sequence[Shift]
 ) -> Iterator[tuple[Shift, float, Answer]]:
     """Each shift, as the machine has it, and what it gives; those of a group that fails together
     are run again one by one.
     """
-    alone: list[Shift] = []
-    groups = grouped(shifts)
-    for members, found in zip(
-        groups, run([_moved(theta, members) for members in groups]), strict=True
+    retries: list[Shift] = []
+    groups = group_shifts(shifts)
+    for members, outputs in zip(
+        groups, run([_shifted_theta(theta, members) for members in groups]), strict=True
     ):
-        if isinstance(found, str) and len(members) > 1:
-            alone += members
+        if isinstance(outputs, str) and len(members) > 1:
+            retries += members
         else:
-            yield from _shared_out(theta, members, found)
-    for shift, found in zip(
-        alone, run([_moved(theta, [shift]) for shift in alone]) if alone else (), strict=True
+            yield from _split_outputs(theta, members, outputs)
+    for shift, outputs in zip(
+        retries,
+        run([_shifted_theta(theta, [shift]) for shift in retries]) if retries else (),
+        strict=True,
     ):
-        yield from _shared_out(theta, [shift], found)
+        yield from _split_outputs(theta, [shift], outputs)
 
 
-def _moved(theta: FloatArray, members: Sequence[Shift]) -> FloatArray:
+def _shifted_theta(theta: FloatArray, members: Sequence[Shift]) -> FloatArray:
     out = theta.copy()
     for shift in members:
         out[shift.index] += shift.by
     return out
 
 
-def _shared_out(
-    theta: FloatArray, members: Sequence[Shift], found: FloatArray | str
+def _split_outputs(
+    theta: FloatArray, members: Sequence[Shift], outputs: FloatArray | str
 ) -> Iterator[tuple[Shift, float, Answer]]:
     for shift in members:
         # The step as the machine sees it: (theta + h) - theta.
         by = float((theta[shift.index] + shift.by) - theta[shift.index])
-        if isinstance(found, str):
-            yield shift, by, found
+        if isinstance(outputs, str):
+            yield shift, by, outputs
         else:
             # Copies where several share: a view would keep all rows in memory.
             yield (
                 shift,
                 by,
-                [found[rows] if len(members) == 1 else found[rows].copy() for rows in shift.rows],
+                [
+                    outputs[rows] if len(members) == 1 else outputs[rows].copy()
+                    for rows in shift.rows
+                ],
             )
 
 
@@ -145,7 +150,10 @@ TARGETS = (
     3e-5,
     3e-2,
 )  # range of wanted changes: truncation ~ target^2, rounding ~ roughness / target
-WITHIN = (3e-3, 30.0)  # a change outside this range of the wanted one is repeated with another step
+ACCEPTED_RATIO = (
+    3e-3,
+    30.0,
+)  # a change outside this range of the wanted one is repeated with another step
 NO_EFFECT = 1e-11  # a smaller change at the largest step tried is rounding, not an effect
 SMALLEST = 1e-12  # of a parameter's value: the shortest step
 HUGE = 1e100  # outputs beyond this are a diverged simulation; their squares must not overflow
@@ -184,14 +192,14 @@ class SafeSimulation:
         except (TypeError, ValueError) as error:
             return f"simulate returned something not numeric: {error}"
         parts = [part[:, None] if part.ndim == 1 else part for part in parts]
-        shapes, wanted = (
+        shapes, expected_shapes = (
             [part.shape for part in parts],
             [(length, self.outputs) for length in self.lengths],
         )
-        if shapes != wanted:
+        if shapes != expected_shapes:
             return (
-                f"simulate returned shapes {shapes}, measured has {wanted}; return the outputs at"
-                " the measured samples"
+                f"simulate returned shapes {shapes}, measured has {expected_shapes}; return the"
+                " outputs at the measured samples"
             )
         out = np.concatenate(parts)
         sound = np.abs(out) < HUGE  # False for NaN too
@@ -205,11 +213,11 @@ class SafeSimulation:
 
 
 def run_all(
-    simulation: SafeSimulation, thetas: Sequence[FloatArray], map_: MapLike | None
+    simulation: SafeSimulation, thetas: Sequence[FloatArray], map_fn: MapLike | None
 ) -> Iterator[FloatArray | str]:
     """Every theta simulated, in order, through the injected map if there is one; one after the
     other, where that is how it gives them."""
-    yield from (map_ or map)(simulation, thetas)
+    yield from (map_fn or map)(simulation, thetas)
 
 
 @dataclass(frozen=True)
@@ -237,10 +245,10 @@ def sensitivities(
     step: FloatArray,
     columns: Sequence[int],
     limits: tuple[FloatArray, FloatArray],
-    spread: FloatArray,
+    output_scale: FloatArray,
     *,
     central: bool,
-    map_: MapLike | None,
+    map_fn: MapLike | None,
     target: float = TARGET,
 ) -> Differences:
     """d(outputs)/d(theta) at `theta`, whose outputs are `base` (N, m).
@@ -256,12 +264,12 @@ def sensitivities(
     out: list[list[FloatArray | None]] = [[None] * (len(edges) - 1) for _ in columns]
     effect = np.zeros(len(columns), dtype=bool)
     pending, runs = list(range(len(columns))), 0
-    rows = [rows_moved(simulation.simulate, j, edges) for j in columns]
+    rows = [rows_affected(simulation.simulate, j, edges) for j in columns]
 
     def run(points: Sequence[FloatArray]) -> Iterator[FloatArray | str]:
         nonlocal runs
         runs += len(points)
-        return run_all(simulation, points, map_)
+        return run_all(simulation, points, map_fn)
 
     for attempt in range(6):
         # Below this a step is lost in the parameter's own rounding, and shrinking it further would
@@ -272,24 +280,24 @@ def sensitivities(
             for k in pending
             for s in _shifts(k, columns[k], theta, step, limits, central, rows[k])
         ]
-        again = []
-        for position, sides in _by_position(answers(run, theta, shifts), shifts):
+        repeated_positions = []
+        for position, sides in _by_position(simulate_shifts(run, theta, shifts), shifts):
             j = columns[position]
             sound = [
                 (by, answer) for by, answer in sides if not isinstance(answer, str) and by != 0.0
             ]
             if not sound:
                 step[j] *= 0.03
-                again.append(position)
+                repeated_positions.append(position)
                 continue
             column = _column(sound, base, rows[position])
             used = max(abs(by) for by, _ in sound)
             with np.errstate(over="ignore", invalid="ignore"):
                 square = sum(np.sum(part**2, axis=0) for part in column) / len(base)
-                change = float(np.max(np.sqrt(square) * used / spread))
+                change = float(np.max(np.sqrt(square) * used / output_scale))
             if not np.isfinite(change):
                 step[j] *= 1e-4
-                again.append(position)
+                repeated_positions.append(position)
                 continue
             effect[position] = change > NO_EFFECT
             out[position] = (
@@ -301,8 +309,8 @@ def sensitivities(
                 step[j], change, target, max(abs(theta[j]), 1.0), upper[j] - lower[j], attempt == 5
             )
             if repeated:
-                again.append(position)
-        pending = sorted(again)
+                repeated_positions.append(position)
+        pending = sorted(repeated_positions)
         if not pending:
             break
     return Differences(Blocks.gathered(out, base.shape[1], edges), step, effect, runs)
@@ -313,7 +321,7 @@ def forward_differences(
     theta: FloatArray,
     steps: FloatArray,
     shape: tuple[Sequence[int], int],
-    map_: MapLike | None = None,
+    map_fn: MapLike | None = None,
 ) -> Blocks | None:
     """d(outputs)/d(theta) (N, m, k) by one step of each parameter, ``steps`` (k,); None where a
     simulation fails.
@@ -328,10 +336,10 @@ def forward_differences(
     edges = [0, *np.cumsum(lengths).tolist()]
     out: list[list[FloatArray | None]] = [[None] * len(lengths) for _ in theta]
     shifts = [
-        Shift(k, k, float(step), rows_moved(simulate, k, edges)) for k, step in enumerate(steps)
+        Shift(k, k, float(step), rows_affected(simulate, k, edges)) for k, step in enumerate(steps)
     ]
-    for shift, _, answer in answers(
-        lambda points: run_all(simulation, points, map_), theta, shifts
+    for shift, _, answer in simulate_shifts(
+        lambda points: run_all(simulation, points, map_fn), theta, shifts
     ):
         if isinstance(answer, str):
             return None
@@ -362,15 +370,15 @@ def _shifts(
 
 
 def _by_position(
-    found: Iterable[tuple[Shift, float, Answer]], shifts: Sequence[Shift]
+    results: Iterable[tuple[Shift, float, Answer]], shifts: Sequence[Shift]
 ) -> Iterator[tuple[int, list[tuple[float, Answer]]]]:
     """Columns as soon as all their sides are there, upwards first: nothing is kept longer."""
-    wanted = Counter(shift.position for shift in shifts)
+    side_counts = Counter(shift.position for shift in shifts)
     sides: dict[int, list[tuple[float, Answer]]] = {}
-    for shift, by, answer in found:
-        own = sides.setdefault(shift.position, [])
-        own.append((by, answer))
-        if len(own) == wanted[shift.position]:
+    for shift, by, answer in results:
+        column_sides = sides.setdefault(shift.position, [])
+        column_sides.append((by, answer))
+        if len(column_sides) == side_counts[shift.position]:
             yield shift.position, sorted(sides.pop(shift.position), key=lambda side: -side[0])
 
 
@@ -378,33 +386,34 @@ def _column(
     sides: Sequence[tuple[float, Any]], base: FloatArray, rows: tuple[slice, ...]
 ) -> list[FloatArray]:
     """Differences (n, m) over one step or two, of each of the rows."""
-    (by, first), *others = sides
-    if others:
-        other_by, other = others[0]
+    (by, first), *other_sides = sides
+    if other_sides:
+        other_by, other = other_sides[0]
         return [(a - b) / (by - other_by) for a, b in zip(first, other, strict=True)]
-    return [(part - base[own]) / by for part, own in zip(first, rows, strict=True)]
+    return [(part - base[row_slice]) / by for part, row_slice in zip(first, rows, strict=True)]
 
 
 def _by_segment(
     column: Sequence[FloatArray], rows: tuple[slice, ...], edges: Sequence[int]
 ) -> list[FloatArray | None]:
     """Of each segment what moves in it, None where nothing does."""
-    cut = {
-        own.start + a: part[a:b]
-        for part, own in zip(column, rows, strict=True)
-        for a, b in _inside(own, edges)
+    segment_parts = {
+        row_slice.start + a: part[a:b]
+        for part, row_slice in zip(column, rows, strict=True)
+        for a, b in _segments_within(row_slice, edges)
     }
     return [
-        part.copy() if (part := cut.get(a)) is not None and part.any() else None for a in edges[:-1]
+        part.copy() if (part := segment_parts.get(a)) is not None and part.any() else None
+        for a in edges[:-1]
     ]
 
 
-def _inside(own: slice, edges: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """Where segments begin and end, counted from the first of the rows ``own``."""
+def _segments_within(rows: slice, edges: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """Where segments begin and end, counted from the first of the rows ``rows``."""
     return (
-        (a - own.start, b - own.start)
+        (a - rows.start, b - rows.start)
         for a, b in pairwise(edges)
-        if own.start <= a and b <= own.stop
+        if rows.start <= a and b <= rows.stop
     )
 
 
@@ -416,10 +425,10 @@ def _next_step(
         if step < 99.0 * unit and not last:
             return (unit if step < 0.5 * unit else 100.0 * unit), True
         return 1e-4 * unit, False
-    if not WITHIN[0] <= change / target <= WITHIN[1] and not last:
-        wanted = step * target / change
-        wanted = min(wanted, 0.01 * room) if np.isfinite(room) else wanted
-        return (step, False) if 0.5 < wanted / step < 2.0 else (wanted, True)
+    if not ACCEPTED_RATIO[0] <= change / target <= ACCEPTED_RATIO[1] and not last:
+        new_step = step * target / change
+        new_step = min(new_step, 0.01 * room) if np.isfinite(room) else new_step
+        return (step, False) if 0.5 < new_step / step < 2.0 else (new_step, True)
     return step * float(np.clip(target / change, 0.1, 10.0)), False
 
 
@@ -427,10 +436,10 @@ def roughness(
     simulation: SafeSimulation,
     theta: FloatArray,
     base: FloatArray,
-    small: FloatArray,
+    steps: FloatArray,
     limits: tuple[FloatArray, FloatArray],
-    spread: FloatArray,
-    map_: MapLike | None,
+    output_scale: FloatArray,
+    map_fn: MapLike | None,
 ) -> tuple[float, int]:
     """How far the outputs are from smooth in theta, in their spread (rms), and the simulations it
     took to find out.
@@ -439,20 +448,20 @@ def roughness(
     differences, rounding, iterated trims and printed decimals do. More, J. J. and Wild, S. M., SIAM
     J. Sci. Comput. 33 (2011), eq. (2.4)."""
     lower, upper = limits
-    inward = np.where(theta + 7.0 * small > upper, -small, small)
+    inward = np.where(theta + 7.0 * steps > upper, -steps, steps)
     points = [theta + count * inward for count in range(1, 7)]
     points = [np.clip(point, lower, upper) for point in points]
-    answers = list(run_all(simulation, points, map_))
+    answers = list(run_all(simulation, points, map_fn))
     if any(isinstance(answer, str) for answer in answers):
         return 0.0, len(points)
     table = np.stack([base, *(answer for answer in answers if not isinstance(answer, str))])
-    found = []
+    noise_levels = []
     for order in range(1, 6):
         table = np.diff(table, axis=0)
         if order >= 4:
             factor = math.factorial(order) ** 2 / math.factorial(2 * order)
-            found.append(np.sqrt(factor * np.mean(table**2, axis=(0, 1))) / spread)
-    return float(np.min(found, axis=0).max()), len(points)
+            noise_levels.append(np.sqrt(factor * np.mean(table**2, axis=(0, 1))) / output_scale)
+    return float(np.min(noise_levels, axis=0).max()), len(points)
 
 
 def target_for(rough: float) -> float:
@@ -465,7 +474,7 @@ def target_for(rough: float) -> float:
 # Output error's cost over the free parameters, with the sensitivities its steps need:
 # differenced anew, or carried on.
 
-CARRIED = 8  # secant updates before sensitivities are differenced anew
+MAX_SECANT_UPDATES = 8  # secant updates before sensitivities are differenced anew
 NEARBY = 0.5  # standard errors within which sensitivities need no renewal
 
 
@@ -480,12 +489,11 @@ class OutputErrorProblem:
     full_theta: FloatArray
     columns: list[int]
     limits: tuple[FloatArray, FloatArray]
-    spread: FloatArray
+    output_scale: FloatArray
     full: bool
-    map_: MapLike | None
+    map_fn: MapLike | None
     step: FloatArray
     secant: bool = False
-    told: Told | None = None
     runs: int = 0
     last_failure: str = ""
     sensitivity: Blocks = field(default_factory=lambda: Blocks((), (), 0))
@@ -494,7 +502,7 @@ class OutputErrorProblem:
     _metric: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     _updates: int = 0
     _target: float | None = None
-    _begun: bool = False
+    _differenced_before: bool = False
 
     @property
     def edges(self) -> list[int]:
@@ -504,9 +512,9 @@ class OutputErrorProblem:
     @property
     def floor(self) -> FloatArray:
         """Least noise (ny,) an output may have: rounding of its own spread."""
-        return 1e-9 * self.spread
+        return 1e-9 * self.output_scale
 
-    def whole(self, theta: FloatArray) -> FloatArray:
+    def full_vector(self, theta: FloatArray) -> FloatArray:
         """All parameters, with the free ones at ``theta`` and the fixed ones at their given
         values.
         """
@@ -523,11 +531,11 @@ class OutputErrorProblem:
         failed.
         """
         self.runs += 1
-        outputs = self.simulation(self.whole(theta))
+        outputs = self.simulation(self.full_vector(theta))
         if isinstance(outputs, str):
             self.last_failure = outputs
             return None
-        return concentrated(self.measured - outputs, self.noise(outputs)), outputs
+        return concentrated_cost(self.measured - outputs, self.noise(outputs)), outputs
 
     def linearise(self, theta: FloatArray, outputs: FloatArray, central: bool) -> Linearisation:
         """Gradient and information at theta (k,), whose outputs (N, m) are given.
@@ -540,15 +548,15 @@ class OutputErrorProblem:
         (segment by segment, where S is not zero: Schubert, Math. Comp. 24, 1970), which costs no
         simulation; they are differenced anew, forwards, when that has been done CARRIED times, when
         the search nears its end, and at a point asked for twice."""
-        carried = self._carry(theta, outputs, central) if self.secant else None
-        if carried is None:
+        secant_is_exact = self._secant_update(theta, outputs, central) if self.secant else None
+        if secant_is_exact is None:
             self._difference(theta, outputs, central and not self.secant)
-        line = self._line(outputs)
+        line = self._linearisation(outputs)
         self._metric, self._last = line.information, (theta.copy(), outputs)
-        if carried is None:
+        if secant_is_exact is None:
             self._fresh = (theta.copy(), self.sensitivity, line.information)
             return replace(line, exact=central or self.secant)
-        return replace(line, exact=carried, fresh=False)
+        return replace(line, exact=secant_is_exact, fresh=False)
 
     def settle(self, theta: FloatArray, outputs: FloatArray) -> Linearisation:
         """The linearisation that bounds are computed from: differences at theta itself, or a small
@@ -558,67 +566,73 @@ class OutputErrorProblem:
             self.sensitivity = self._fresh[1]
         else:
             self._difference(theta, outputs, not self.secant)
-        return self._line(outputs)
+        return self._linearisation(outputs)
 
     def _distance(self, theta: FloatArray) -> float:
         """Standard errors from where sensitivities were last differenced."""
         assert self._fresh is not None
-        away = theta - self._fresh[0]
-        return float(np.sqrt(np.maximum(away @ self._fresh[2] @ away, 0.0)))
+        displacement = theta - self._fresh[0]
+        return float(np.sqrt(np.maximum(displacement @ self._fresh[2] @ displacement, 0.0)))
 
-    def _carry(self, theta: FloatArray, outputs: FloatArray, central: bool) -> bool | None:
+    def _secant_update(self, theta: FloatArray, outputs: FloatArray, central: bool) -> bool | None:
         """Sensitivities carried on to theta: True near where they were differenced, False far from
         there, None: not possible.
         """
-        if self._last is None or self._updates >= CARRIED:
+        if self._last is None or self._updates >= MAX_SECANT_UPDATES:
             return None
         step = theta - self._last[0]
-        along = np.diagonal(self._metric) * step
-        near = self._distance(theta) < NEARBY
-        if not float(step @ along) > 0.0 or (central and not near):
+        metric_step = np.diagonal(self._metric) * step
+        is_near = self._distance(theta) < NEARBY
+        if not float(step @ metric_step) > 0.0 or (central and not is_near):
             return None
         change = outputs - self._last[1] - self.sensitivity.times(step)
 
         def updated(part: FloatArray, columns: Index, rows: slice) -> FloatArray:
-            size = float(step[columns] @ along[columns])
-            return part + change[rows, :, None] * (along[columns] / size) if size > 0.0 else part
+            size = float(step[columns] @ metric_step[columns])
+            return (
+                part + change[rows, :, None] * (metric_step[columns] / size) if size > 0.0 else part
+            )
 
         self.sensitivity = self.sensitivity.each(updated)
         self._updates += 1
-        return near
+        return is_near
 
     def _difference(self, theta: FloatArray, outputs: FloatArray, central: bool) -> None:
         """Sensitivities by differences; the second time, how small their steps may be as well: a
         fit that begins where it ends asks once."""
-        if self._begun and self._target is None:
-            small = np.zeros_like(self.step)
-            small[self.columns] = 1e-3 * self.step[self.columns]
+        if self._differenced_before and self._target is None:
+            small_steps = np.zeros_like(self.step)
+            small_steps[self.columns] = 1e-3 * self.step[self.columns]
             rough, runs = roughness(
                 self.simulation,
-                self.whole(theta),
+                self.full_vector(theta),
                 outputs,
-                small,
+                small_steps,
                 self.limits,
-                self.spread,
-                self.map_,
+                self.output_scale,
+                self.map_fn,
             )
             self._target, self.runs = target_for(rough), self.runs + runs
-        found = sensitivities(
+        differences = sensitivities(
             self.simulation,
-            self.whole(theta),
+            self.full_vector(theta),
             outputs,
             self.step,
             self.columns,
             self.limits,
-            self.spread,
+            self.output_scale,
             central=central,
-            map_=self.map_,
+            map_fn=self.map_fn,
             target=self._target or TARGET,
         )
-        self.step, self.runs, self._begun = found.step, self.runs + found.runs, True
-        self.sensitivity, self._updates = found.sensitivity, 0
+        self.step, self.runs, self._differenced_before = (
+            differences.step,
+            self.runs + differences.runs,
+            True,
+        )
+        self.sensitivity, self._updates = differences.sensitivity, 0
 
-    def _line(self, outputs: FloatArray) -> Linearisation:
+    def _linearisation(self, outputs: FloatArray) -> Linearisation:
         sensitivity, residual, noise = (
             self.sensitivity,
             self.measured - outputs,
@@ -635,14 +649,14 @@ class OutputErrorProblem:
 
         def predict(delta: FloatArray) -> float:
             expected = residual - sensitivity.times(delta)
-            return concentrated(expected, residual_noise(expected, self.floor, self.full))
+            return concentrated_cost(expected, residual_noise(expected, self.floor, self.full))
 
         # M = sum S' R^-1 S,  g = sum S' R^-1 v: one Gauss-Newton step is M^-1 g
         return Linearisation(gradient, information, predict)
 
 
-POORLY = 0.3  # share of an output's variance left over that counts as nothing explained
-FAR_OFF, WORTH = (
+UNEXPLAINED_SHARE = 0.3  # share of an output's variance left over that counts as nothing explained
+LARGE_RESIDUAL, RELEVANT_SHARE = (
     5.0,
     0.01,
 )  # left over: so many times the noise, such a share of the variance, to look for another minimum
@@ -663,7 +677,7 @@ def output_error(
     max_iterations: int = 100,
     tolerance: float = 1e-5,
     errors: bool = True,
-    told: Told | None = None,
+    told: IterationCallback | None = None,
 ) -> OutputErrorFit:
     """Estimate theta (k,) such that simulate(theta) comes closest to what was measured.
 
@@ -747,9 +761,11 @@ def output_error(
             " free fewer"
         )
     with np.errstate(invalid="ignore"):
-        spread = np.nanstd(stacked, axis=0)
+        output_scale = np.nanstd(stacked, axis=0)
     size = np.nanmax(np.abs(stacked), axis=0)
-    spread = np.where(spread > 1e-12 * size, spread, np.where(size > 0.0, size, 1.0))
+    output_scale = np.where(
+        output_scale > 1e-12 * size, output_scale, np.where(size > 0.0, size, 1.0)
+    )
 
     simulation = SafeSimulation(
         simulate, tuple(part.shape[0] for part in segments), stacked.shape[1]
@@ -760,12 +776,11 @@ def output_error(
         theta,
         columns,
         (lower, upper),
-        spread,
+        output_scale,
         noise == "full",
         map,
         first_steps(theta, lower, upper),
         differences == "secant",
-        told,
     )
     start = problem.evaluate(theta[columns])
     if start is None:
@@ -787,30 +802,38 @@ def output_error(
             tolerance=length,
             max_iterations=iterations,
             always_central=differences == "central",
+            callback=told,
         )
 
     best = descend(theta[columns], start, max_iterations, tolerance)
-    if _lost(problem, best, edges):
+    if _may_be_local_minimum(problem, best, edges):
         other = _from_short_horizons(
             problem, theta[columns], edges, descend, max_iterations, tolerance
         )
         best = other if other is not None and other.cost < best.cost else best
 
-    again = problem.evaluate(best.theta)
-    assert again is not None
-    residual = stacked - again[1]
+    evaluation = problem.evaluate(best.theta)
+    assert evaluation is not None
+    residual = stacked - evaluation[1]
     if not errors:
-        said = unjudged(problem.noise(again[1]), len(columns))
+        unassessed = unassessed_fit(problem.noise(evaluation[1]), len(columns))
         return _assemble(
-            theta, columns, labels, best, problem, said, split(residual, edges), is_many(measured)
+            theta,
+            columns,
+            labels,
+            best,
+            problem,
+            unassessed,
+            split(residual, edges),
+            is_many(measured),
         )
-    line = problem.settle(best.theta, again[1])
-    findings = judge(
+    line = problem.settle(best.theta, evaluation[1])
+    findings = assess_fit(
         theta=best.theta,
         gradient=line.gradient,
         sensitivity=problem.sensitivity,
         residual=residual,
-        motion=again[1],
+        motion=evaluation[1],
         edges=edges,
         names=tuple(labels[index] for index in columns),
         bounds=(lower[columns], upper[columns]),
@@ -823,19 +846,19 @@ def output_error(
     )
 
 
-def _lost(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
+def _may_be_local_minimum(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
     """Perhaps not the minimum that was meant: no output explained even to 70 %, or not converged,
     or, where simulations are cheap, an output left much further off than its white noise. Where
     they are dear, a descent that has not converged but explains every output to 70 % is no longer
     far off: another start would end in the same valley."""
-    found = problem.evaluate(best.theta)
-    if found is None or not (best.converged or problem.secant):
+    evaluation = problem.evaluate(best.theta)
+    if evaluation is None or not (best.converged or problem.secant):
         return True
-    residual = problem.measured - found[1]
-    left = np.nanmean(residual**2, axis=0)
+    residual = problem.measured - evaluation[1]
+    mean_square = np.nanmean(residual**2, axis=0)
     if problem.secant:
-        share = left / problem.spread**2
-        return bool((share.min() if best.converged else share.max()) > POORLY)
+        share = mean_square / problem.output_scale**2
+        return bool((share.min() if best.converged else share.max()) > UNEXPLAINED_SHARE)
     noise = np.array(
         [
             white_noise([problem.measured[a:b, k] for a, b in pairwise(edges)])
@@ -843,8 +866,10 @@ def _lost(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
         ]
     )
     with np.errstate(invalid="ignore"):
-        far = (left > FAR_OFF**2 * noise**2) & (left > WORTH * problem.spread**2)
-    return bool((left / problem.spread**2).min() > POORLY or far.any())
+        is_large = (mean_square > LARGE_RESIDUAL**2 * noise**2) & (
+            mean_square > RELEVANT_SHARE * problem.output_scale**2
+        )
+    return bool((mean_square / problem.output_scale**2).min() > UNEXPLAINED_SHARE or is_large.any())
 
 
 def _from_short_horizons(

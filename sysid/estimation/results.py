@@ -196,22 +196,22 @@ def assess(
         scale = length[index]
         scaled = information[np.ix_(index, index)] / np.outer(scale, scale)
         values, vectors = np.linalg.eigh(scaled)
-        lost = values < tolerance * max(1.0, values[-1])
-        kept = vectors[:, ~lost] / np.sqrt(values[~lost])
-        part = kept @ kept.T
+        singular = values < tolerance * max(1.0, values[-1])
+        scaled_vectors = vectors[:, ~singular] / np.sqrt(values[~singular])
+        part = scaled_vectors @ scaled_vectors.T
         inverse[np.ix_(index, index)] = part / np.outer(scale, scale)
         vif[index] = np.diagonal(part)
-        for column in np.flatnonzero(lost):
+        for column in np.flatnonzero(singular):
             share = np.abs(vectors[:, column])
             group = np.flatnonzero(share > PARTICIPATION)
             for member in group:
-                others = [names[index[other]] for other in group if other != member]
+                partners = [names[index[other]] for other in group if other != member]
                 reason[index[member]] = (
-                    f"collinear with {', '.join(others)}: only a combination can be estimated"
+                    f"collinear with {', '.join(partners)}: only a combination can be estimated"
                 )
         vif[[i for i in range(k) if reason[i]]] = np.inf
         notes += _inflation_notes(
-            values[~lost], vectors[:, ~lost], part, [names[i] for i in index], reason, index
+            values[~singular], vectors[:, ~singular], part, [names[i] for i in index], reason, index
         )
     identified = np.array([not text for text in reason])
     return Identifiability(identified, tuple(reason), vif, inverse, tuple(notes))
@@ -302,24 +302,24 @@ def idle_bound(std: float, width: float) -> str:
     return ""
 
 
-def unknown_noise(counts: NDArray[np.intp], spent: FloatArray, reach: FloatArray) -> list[str]:
+def unknown_noise(counts: NDArray[np.intp], dof_used: FloatArray, reach: FloatArray) -> list[str]:
     """Reasons (k,) for parameters informed by an output that has no degree of freedom left: its
     noise is unknown.
 
     counts, spent (m,) samples and degrees of freedom spent of each output; reach (m, k) its largest
     sensitivities."""
     out = [""] * reach.shape[1]
-    for a in np.flatnonzero(counts - spent < 1.0 - 1e-6):
+    for a in np.flatnonzero(counts - dof_used < 1.0 - 1e-6):
         text = (
             f"output {a} has {int(counts[a])} samples, of which the parameters use up"
-            f" {spent[a]:.1f}: its noise, and so any bound, is unknown"
+            f" {dof_used[a]:.1f}: its noise, and so any bound, is unknown"
         )
         for k in np.flatnonzero(reach[a] > 0.0):
             out[k] = out[k] or text
     return out
 
 
-def unresolved(theta: FloatArray, reach: FloatArray, spread: FloatArray) -> list[str]:
+def unresolved(theta: FloatArray, reach: FloatArray, output_size: FloatArray) -> list[str]:
     """Reasons (k,) for parameters whose last digits decide the outputs, as in a simulation that
     diverges.
 
@@ -330,8 +330,10 @@ def unresolved(theta: FloatArray, reach: FloatArray, spread: FloatArray) -> list
     out = [""] * theta.size
     with np.errstate(invalid="ignore", over="ignore"):
         moved = RESOLVED * np.abs(theta) * reach
-        lost = ~(moved <= np.where(spread > 0.0, spread, np.inf)[:, None]) | ~np.isfinite(reach)
-    for a, k in zip(*np.nonzero(lost), strict=True):
+        undetermined = ~(
+            moved <= np.where(output_size > 0.0, output_size, np.inf)[:, None]
+        ) | ~np.isfinite(reach)
+    for a, k in zip(*np.nonzero(undetermined), strict=True):
         out[k] = out[k] or (
             f"a change of one part in {1.0 / RESOLVED:.0e} moves output {a} by its own size: the"
             " simulation diverges, and no standard error can be computed; use shorter segments or"
@@ -340,7 +342,7 @@ def unresolved(theta: FloatArray, reach: FloatArray, spread: FloatArray) -> list
     return out
 
 
-def unjudged(noise: Noise, free: int) -> Findings:
+def unassessed_fit(noise: Noise, free: int) -> Findings:
     """What is said of ``free`` parameters whose estimates alone were asked for: nothing, as NaN;
     all count as identified.
     """
@@ -358,7 +360,7 @@ def unjudged(noise: Noise, free: int) -> Findings:
     )
 
 
-def judge(
+def assess_fit(
     *,
     theta: FloatArray,
     gradient: FloatArray,
@@ -376,29 +378,29 @@ def judge(
     and motion (N, m), their edges, gradient (k,) of minus the cost, which distinguishes an active
     bound from one merely touched."""
     lower, upper = bounds
-    held = outward(theta, gradient, lower, upper)
-    inside = np.flatnonzero(~held)
-    there = np.isfinite(residual)
+    at_limit = outward(theta, gradient, lower, upper)
+    inside = np.flatnonzero(~at_limit)
+    finite = np.isfinite(residual)
     sensitivity = sensitivity.taken(inside).each(
-        lambda part, _, rows: np.where(there[rows, :, None], part, 0.0)
+        lambda part, _, rows: np.where(finite[rows, :, None], part, 0.0)
     )
 
     # Degrees of freedom: each output has spent its share of the leverage, sum_i S_a D S_a'/R_aa;
     # one output: k.
     noise = residual_noise(residual, floor, full)
-    within = tuple(names[index] for index in inside)
+    free_names = tuple(names[index] for index in inside)
     scaled = _scaled(noise, residual, sensitivity)
-    spent = leverage(scaled, assess(information(scaled), within).inverse)
-    noise = residual_noise(residual, floor, full, spent)
+    dof_used = leverage(scaled, assess(information(scaled), free_names).inverse)
+    noise = residual_noise(residual, floor, full, dof_used)
     scaled = _scaled(noise, residual, sensitivity)
-    gate = assess(information(scaled), within)
+    gate = assess(information(scaled), free_names)
     white, _ = noise.whiten(residual)
-    marked = np.where(there, white, np.nan)
-    counts = there.sum(axis=0)
+    white_or_nan = np.where(finite, white, np.nan)
+    counts = finite.sum(axis=0)
     inflate = np.sqrt(
-        counts / np.maximum(counts - spent, 1.0)
+        counts / np.maximum(counts - dof_used, 1.0)
     )  # the autocovariance divides by N, R by N minus the share
-    bracket = coloured_information(scaled, split(marked * inflate, edges))
+    bracket = coloured_information(scaled, split(white_or_nan * inflate, edges))
     crb, coloured = gate.inverse, gate.inverse @ bracket @ gate.inverse  # (MK) in coloured.py
 
     k = theta.size
@@ -411,29 +413,29 @@ def judge(
         reason[index] = gate.reason[position]
     warnings = list(gate.notes)
     for index in range(k):
-        if held[index]:
+        if at_limit[index]:
             reason[index] = at_bound(theta[index], lower[index], upper[index])
         else:
             reason[index] = reason[index] or idle_bound(
                 float(np.sqrt(cov[index, index])), upper[index] - lower[index]
             )
     with np.errstate(invalid="ignore"):
-        spread = np.nanmax(np.abs(np.where(there, residual + motion, np.nan)), axis=0)
-    diverges = unresolved(theta[inside], sensitivity.largest(), spread)
+        output_size = np.nanmax(np.abs(np.where(finite, residual + motion, np.nan)), axis=0)
+    diverges = unresolved(theta[inside], sensitivity.largest(), output_size)
     for position, index in enumerate(inside.tolist()):
         reason[index] = diverges[position] or reason[index]
-    unknown = unknown_noise(counts, spent, scaled.largest())
+    unknown = unknown_noise(counts, dof_used, scaled.largest())
     for position, index in enumerate(inside.tolist()):
         reason[index] = reason[index] or unknown[position]
     identified = np.array([not text for text in reason])
     cov, cov_crb = masked_covariance(cov, identified), masked_covariance(cov_crb, identified)
     warnings += [f"{names[i]} not identified: {reason[i]}" for i in range(k) if reason[i]]
 
-    found = colour(split(residual, edges), split(motion, edges))
+    residual_colour = colour(split(residual, edges), split(motion, edges))
     warnings += colour_warnings(
-        found, np.sqrt(np.diagonal(cov)), np.sqrt(np.diagonal(cov_crb)), method
+        residual_colour, np.sqrt(np.diagonal(cov)), np.sqrt(np.diagonal(cov_crb)), method
     )
-    return Findings(cov, cov_crb, identified, tuple(reason), vif, noise, found, warnings)
+    return Findings(cov, cov_crb, identified, tuple(reason), vif, noise, residual_colour, warnings)
 
 
 def _scaled(noise: Noise, residual: FloatArray, sensitivity: Blocks) -> Blocks:

@@ -97,7 +97,7 @@ def stepwise(
     data = _Data(regressors, response, labels, segments)
     candidates = max(k - len(set(keep)), 1)
     chosen, history = sorted(set(keep)), list[SelectionStep]()
-    seen = {tuple(chosen)}
+    visited = {tuple(chosen)}
     limit = min(max_terms if max_terms is not None else k, n - 1)
     while True:
         freedom = max(n - len(chosen) - 1, 1)
@@ -126,9 +126,9 @@ def stepwise(
                 break
             chosen = [other for other in chosen if other != weakest]
             history.append(data.step("remove", weakest, partial, effective, remove, chosen))
-        if tuple(chosen) in seen:
+        if tuple(chosen) in visited:
             break
-        seen.add(tuple(chosen))
+        visited.add(tuple(chosen))
     final = data.fit(chosen) if chosen else None
     return Selection(
         names=tuple(labels[index] for index in chosen),
@@ -170,8 +170,8 @@ class _Data:
         best.
         """
         q = self.basis(chosen)
-        rest = self.y - q @ (q.T @ self.y)
-        ssr = float(rest @ rest)
+        residual = self.y - q @ (q.T @ self.y)
+        ssr = float(residual @ residual)
         if ssr <= 1e-24 * float(self.y @ self.y):
             return None
         partial = np.full(self.X.shape[1], -np.inf)
@@ -179,23 +179,23 @@ class _Data:
             size = float(np.linalg.norm(self.X[:, index]))
             if index in chosen or size == 0.0:
                 continue
-            own = self.X[:, index] / size
-            own = own - q @ (q.T @ own)
-            own = own - q @ (q.T @ own)
-            length = float(np.linalg.norm(own))
+            candidate = self.X[:, index] / size
+            candidate = candidate - q @ (q.T @ candidate)
+            candidate = candidate - q @ (q.T @ candidate)
+            length = float(np.linalg.norm(candidate))
             if length < TOLERANCE:
                 continue
-            gain = float(own @ rest / length) ** 2
+            gain = float(candidate @ residual / length) ** 2
             partial[index] = gain * (self.y.size - len(chosen) - 1) / max(ssr - gain, 1e-30 * ssr)
         order = [int(i) for i in np.argsort(-partial, kind="stable") if np.isfinite(partial[i])][
             :SHORTLIST
         ]
         first: tuple[int, float, float] | None = None
         for index in order:
-            judged = (index, float(partial[index]), self.effective([*chosen, index], index))
-            first = first or judged
-            if judged[2] > threshold:
-                return judged
+            entry = (index, float(partial[index]), self.effective([*chosen, index], index))
+            first = first or entry
+            if entry[2] > threshold:
+                return entry
         return first
 
     def effective(self, chosen: list[int], index: int) -> float:

@@ -60,7 +60,7 @@ from sysid.model_form.model_form import CoefficientBounds, Outside
 IntArray = NDArray[np.intp]
 BLOCK_S = 10.0
 """About how long a stretch counts as one manoeuvre where a flight has no shorter pieces [s]."""
-_KEPT = 1024  # spectra of first-order processes: one a length of block and correlation time
+_CACHE_SIZE = 1024  # spectra of first-order processes: one a length of block and correlation time
 MOTION = 1.0 / 3.0
 """Share of the filter's cut-off below which an aircraft moves."""
 
@@ -73,7 +73,7 @@ class Blocks:
     block (n,)      number of the block       wave (n,)   number of the frequency, 0 the mean
     lengths         samples of each block     flight      number of each block's flight       dt_s
     between samples
-    noise_spread    relative standard deviation of the noise's variance
+    noise_relative_std    relative standard deviation of the noise's variance
     """
 
     y: FloatArray
@@ -84,7 +84,7 @@ class Blocks:
     lengths: tuple[int, ...]
     flight: tuple[int, ...]
     dt_s: float
-    noise_spread: float
+    noise_relative_std: float
 
     @property
     def constant(self) -> FloatArray:
@@ -99,8 +99,8 @@ class Blocks:
         numbers = sorted(set(self.flight))
         if len(numbers) < 2:
             return np.zeros((len(self.y), 0))
-        own = np.array(self.flight)[self.block][:, None] == np.array(numbers)[None, :]
-        return np.where(own, np.sqrt(self.constant)[:, None], 0.0)
+        is_of_flight = np.array(self.flight)[self.block][:, None] == np.array(numbers)[None, :]
+        return np.where(is_of_flight, np.sqrt(self.constant)[:, None], 0.0)
 
     def coloured(self, time_s: float) -> FloatArray:
         """(n,) variance that a first-order process of unit variance and correlation time ``time_s``
@@ -113,7 +113,7 @@ class Blocks:
         return out
 
 
-@lru_cache(_KEPT)
+@lru_cache(_CACHE_SIZE)
 def _first_order(n: int, step: float) -> FloatArray:
     """(n,) variances of a block's waves in a first-order process of unit variance, samples ``step``
     correlation times apart.
@@ -122,16 +122,17 @@ def _first_order(n: int, step: float) -> FloatArray:
     return cosine_variance(n, tuple(np.exp(-lags[lags < 12.0]).tolist()))
 
 
-def stretches(residuals: Residuals) -> Residuals:
+def split_long_pieces(residuals: Residuals) -> Residuals:
     """The same with pieces much longer than BLOCK_S cut into equal stretches of about that
     length.
     """
     return replace(
-        residuals, pieces=tuple(part for p in residuals.pieces for part in _cut(p, residuals.dt_s))
+        residuals,
+        pieces=tuple(part for p in residuals.pieces for part in _split_piece(p, residuals.dt_s)),
     )
 
 
-def _cut(piece: ResidualPiece, dt_s: float) -> Iterator[ResidualPiece]:
+def _split_piece(piece: ResidualPiece, dt_s: float) -> Iterator[ResidualPiece]:
     parts = max(1, round(len(piece) * dt_s / BLOCK_S))
     edges = np.linspace(0, len(piece), parts + 1).round().astype(int)
     for low, high in itertools.pairwise(edges):
@@ -145,27 +146,27 @@ def _cut(piece: ResidualPiece, dt_s: float) -> Iterator[ResidualPiece]:
         )
 
 
-def blocks_of(residuals: Residuals, coefficient: str, regressors: Sequence[FloatArray]) -> Blocks:
+def make_blocks(residuals: Residuals, coefficient: str, regressors: Sequence[FloatArray]) -> Blocks:
     """Blocks of one coefficient: one a piece, with regressors [(n, m)] piece by piece.
 
     Every piece needs its noise.
     """
     column = COEFFICIENTS.index(coefficient)
-    y, X, noise, block, wave, spreads, weights = [], [], [], [], [], [], []
+    y, X, noise, block, wave, relative_stds, weights = [], [], [], [], [], [], []
     for number, (piece, x) in enumerate(zip(residuals.pieces, regressors, strict=True)):
         assert piece.noise is not None
         n = len(piece)
-        most = min(n, int(2.0 * n * residuals.dt_s * MOTION * residuals.cutoffs.all_hz) + 1)
-        size, spread = noise_cosines(piece.noise)
-        y.append(fft.dct(piece.delta[:, column], norm="ortho")[:most])
-        X.append(fft.dct(x, axis=0, norm="ortho")[:most])
-        noise.append(size[:most, column])
-        spreads.append(spread[column])
+        n_waves = min(n, int(2.0 * n * residuals.dt_s * MOTION * residuals.cutoffs.all_hz) + 1)
+        size, relative_std = noise_cosines(piece.noise)
+        y.append(fft.dct(piece.delta[:, column], norm="ortho")[:n_waves])
+        X.append(fft.dct(x, axis=0, norm="ortho")[:n_waves])
+        noise.append(size[:n_waves, column])
+        relative_stds.append(relative_std[column])
         weights.append(float(noise[-1].sum()))
-        block.append(np.full(most, number))
-        wave.append(np.arange(most))
+        block.append(np.full(n_waves, number))
+        wave.append(np.arange(n_waves))
     total = sum(weights)
-    mean_spread = float(np.dot(spreads, weights) / total) if total > 0.0 else 0.0
+    mean_relative_std = float(np.dot(relative_stds, weights) / total) if total > 0.0 else 0.0
     return Blocks(
         np.concatenate(y),
         np.vstack(X),
@@ -175,7 +176,7 @@ def blocks_of(residuals: Residuals, coefficient: str, regressors: Sequence[Float
         tuple(len(p) for p in residuals.pieces),
         tuple(p.flight for p in residuals.pieces),
         residuals.dt_s,
-        mean_spread,
+        mean_relative_std,
     )
 
 
@@ -187,13 +188,13 @@ def blocks_of(residuals: Residuals, coefficient: str, regressors: Sequence[Float
 # 135). Points are a scrambled Sobol sequence of a fixed seed: the same data give the same
 # answer.
 
-FIRST = 256
-LATER = 128
-ENOUGH = 150.0
+FIRST_ROUND_POINTS = 256
+ROUND_POINTS = 128
+TARGET_EFFECTIVE = 150.0
 """Independent draws that the points must be worth; posterior means are then known to a tenth of the
 posterior's own spread.
 """
-LEAST_ROUNDS, MOST_ROUNDS = 2, 30
+MIN_ROUNDS, MAX_ROUNDS = 2, 30
 _DOF = 5
 # that a distribution is fitted to; with fewer effective ones the likelihood is flattened first
 _LEAST_POINTS = 25.0
@@ -201,7 +202,7 @@ _EDGE = 1e-7
 
 
 @dataclass(frozen=True)
-class Weighted:
+class WeightedPoints:
     """Points (n, d) of the unit cube, weights (n,) that sum to 1, and the logarithm of the
     likelihood's mean over the prior.
     """
@@ -216,14 +217,14 @@ class Weighted:
         return float(1.0 / np.sum(self.weights**2))
 
 
-def sample(log_likelihood: Callable[[FloatArray], FloatArray], dimensions: int) -> Weighted:
+def sample(log_likelihood: Callable[[FloatArray], FloatArray], dimensions: int) -> WeightedPoints:
     """Points that stand for the posterior under a uniform prior; ``log_likelihood`` takes points
     (n, d) and gives (n,).
     """
-    rows, found, log_weights = np.zeros((0, dimensions)), np.zeros(0), np.zeros(0)
+    rows, log_likelihoods, log_weights = np.zeros((0, dimensions)), np.zeros(0), np.zeros(0)
     sources: list[_Source] = []
     densities = np.zeros((0, 0))  # of every point, from every source
-    for number in range(MOST_ROUNDS):
+    for number in range(MAX_ROUNDS):
         z = _deviates(dimensions, number)
         source = _Source(len(z))
         if number > 0:
@@ -234,25 +235,32 @@ def sample(log_likelihood: Callable[[FloatArray], FloatArray], dimensions: int) 
         sources.append(source)
         of_new = np.column_stack([each.log_density(z) for each in sources])
         densities = np.vstack([np.column_stack([densities, source.log_density(rows)]), of_new])
-        rows, found = np.vstack([rows, z]), np.concatenate([found, log_likelihood(expit(z))])
-        prior = densities[:, 0] - np.log(FIRST)
-        log_weights = found + prior - (np.logaddexp.reduce(densities, axis=1) - np.log(len(rows)))
+        rows, log_likelihoods = (
+            np.vstack([rows, z]),
+            np.concatenate([log_likelihoods, log_likelihood(expit(z))]),
+        )
+        prior = densities[:, 0] - np.log(FIRST_ROUND_POINTS)
+        log_weights = (
+            log_likelihoods + prior - (np.logaddexp.reduce(densities, axis=1) - np.log(len(rows)))
+        )
         total = np.logaddexp.reduce(log_weights)
-        answer = Weighted(
+        answer = WeightedPoints(
             expit(rows), np.exp(log_weights - total), float(total - np.log(len(rows)))
         )
-        if number >= LEAST_ROUNDS and answer.effective >= ENOUGH:
+        if number >= MIN_ROUNDS and answer.effective >= TARGET_EFFECTIVE:
             break
     return answer
 
 
-@lru_cache(2 * MOST_ROUNDS)
+@lru_cache(2 * MAX_ROUNDS)
 def _deviates(dimensions: int, number: int) -> FloatArray:
     """What a round's points are made of, the same whatever the data: logits of uniform points
     (FIRST, d) in the first, then Student deviates (LATER, d)."""
     from scipy.stats import qmc
 
-    u = qmc.Sobol(dimensions + 1, seed=number).random(FIRST if number == 0 else LATER)
+    u = qmc.Sobol(dimensions + 1, seed=number).random(
+        FIRST_ROUND_POINTS if number == 0 else ROUND_POINTS
+    )
     u = np.clip(u, _EDGE, 1.0 - _EDGE)
     if number == 0:
         out = logit(u[:, :dimensions])
@@ -278,10 +286,12 @@ class _Source:
         if not self.mean.size:
             return np.log(self.count) + np.sum(-z - 2.0 * np.log1p(np.exp(-z)), axis=1)
         d = len(self.mean)
-        away = solve_triangular(self.root, (z - self.mean).T, lower=True)
+        standardised = solve_triangular(self.root, (z - self.mean).T, lower=True)
         size = gammaln(0.5 * (_DOF + d)) - gammaln(0.5 * _DOF) - 0.5 * d * np.log(_DOF * np.pi)
         size += np.log(self.count) - np.sum(np.log(np.diag(self.root)))
-        return np.asarray(size - 0.5 * (_DOF + d) * np.log1p(np.sum(away**2, axis=0) / _DOF))
+        return np.asarray(
+            size - 0.5 * (_DOF + d) * np.log1p(np.sum(standardised**2, axis=0) / _DOF)
+        )
 
 
 def _moments(z: FloatArray, log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -296,15 +306,15 @@ def _moments(z: FloatArray, log_weights: FloatArray) -> tuple[FloatArray, FloatA
             break
         power *= 0.7
     mean = weights @ z
-    spread = (z - mean).T @ ((z - mean) * weights[:, None])
-    return mean, 1.3 * spread + 1e-9 * np.eye(z.shape[1])
+    covariance = (z - mean).T @ ((z - mean) * weights[:, None])
+    return mean, 1.3 * covariance + 1e-9 * np.eye(z.shape[1])
 
 
 TIMES_S = np.geomspace(0.08, 4.0, 12)
 """Correlation times of the transient part: above them it is constant through a block, below them
 the filter takes it away.
 """
-LEAST_SPREAD = 0.2
+MIN_NOISE_STD = 0.2
 """Of the noise's variance: filter, formula and the assumption of white noise are no better known
 than that.
 """
@@ -316,16 +326,18 @@ PRIOR_SCALE = 3.0
 """Half-Cauchy scale of the model error's rms, in rms of the residual: a handful of manoeuvres may
 all have been lucky ones.
 """
-MOST_POINTS = 200
+MAX_POINTS = 200
 """Of the posterior, that count when a block is left out."""
-_NOTHING = 1e-14  # of the residual's variance: what a part has at least, that its logarithm exists
-_TOGETHER = (
+_MIN_VARIANCE = (
+    1e-14  # of the residual's variance: what a part has at least, that its logarithm exists
+)
+_BLOCK_SIZE = (
     200_000  # numbers of an array that is computed at once: more leave the processor's cache
 )
 
 
 @dataclass(frozen=True)
-class Uncertain:
+class UncertainVariance:
     """A variance as the data leave it: values (n,) with weights (n,) that sum to 1."""
 
     values: FloatArray
@@ -352,10 +364,10 @@ class Uncertain:
         """
         ratio = np.sqrt(self.mean / np.maximum(self.values, 1e-12 * self.mean))
 
-        def beyond(limit: float) -> float:
+        def excess_probability(limit: float) -> float:
             return float(2.0 * self.weights @ ndtr(-limit * ratio)) - (1.0 - confidence)
 
-        return float(brentq(beyond, 0.0, 100.0))
+        return float(brentq(excess_probability, 0.0, 100.0))
 
 
 @dataclass(frozen=True)
@@ -378,8 +390,8 @@ class Components:
     transient: float
     time_s: float
     noise_factor: float
-    lasting: Uncertain
-    whole: Uncertain
+    persistent_variance: UncertainVariance
+    total_variance: UncertainVariance
     tail: float
     not_above: float
     log_odds: float
@@ -401,12 +413,12 @@ class _Points:
     def __len__(self) -> int:
         return len(self.block)
 
-    def taken(self, some: NDArray[np.intp] | slice) -> _Points:
+    def subset(self, indices: NDArray[np.intp] | slice) -> _Points:
         """Some of them."""
-        return _Points(*(getattr(self, item.name)[some] for item in fields(self)))
+        return _Points(*(getattr(self, item.name)[indices] for item in fields(self)))
 
     @staticmethod
-    def joined(parts: Sequence[_Points]) -> _Points:
+    def concatenate(parts: Sequence[_Points]) -> _Points:
         """All of some sets, in order."""
         return _Points(
             *(
@@ -427,7 +439,7 @@ class _Solved:
     covariance: FloatArray
 
     @staticmethod
-    def joined(parts: Sequence[_Solved]) -> _Solved:
+    def concatenate(parts: Sequence[_Solved]) -> _Solved:
         """Of all points, in order."""
         return _Solved(
             *(
@@ -455,51 +467,51 @@ class _Problem:
         return self.blocks.X.shape[1]
 
     @property
-    def several(self) -> bool:
+    def has_several_flights(self) -> bool:
         return self.X.shape[1] > self.terms
 
     @property
     def dimensions(self) -> int:
-        return 6 if self.several else 5
+        return 6 if self.has_several_flights else 5
 
     @property
-    def spread(self) -> float:
-        return max(self.blocks.noise_spread, LEAST_SPREAD)
+    def log_noise_std(self) -> float:
+        return max(self.blocks.noise_relative_std, MIN_NOISE_STD)
 
     def only(self, numbers: Sequence[int]) -> _Problem:
         """The same problem, priors and all, with the data of some blocks alone."""
-        kept = np.isin(self.blocks.block, numbers)
+        rows = np.isin(self.blocks.block, numbers)
         b = self.blocks
         blocks = replace(
-            b, y=b.y[kept], X=b.X[kept], noise=b.noise[kept], block=b.block[kept], wave=b.wave[kept]
+            b, y=b.y[rows], X=b.X[rows], noise=b.noise[rows], block=b.block[rows], wave=b.wave[rows]
         )
         return replace(
             self,
             blocks=blocks,
-            X=self.X[kept],
-            constant=self.constant[kept],
-            colours=self.colours[:, kept],
+            X=self.X[rows],
+            constant=self.constant[rows],
+            colours=self.colours[:, rows],
         )
 
     def points(self, u: FloatArray) -> _Points:
         """The variances at points (p, 5) or (p, 6) of the unit cube."""
-        whole = PRIOR_SCALE**2 * self.scale2 * np.tan(0.5 * np.pi * u[:, 0]) ** 2
+        total = PRIOR_SCALE**2 * self.scale2 * np.tan(0.5 * np.pi * u[:, 0]) ** 2
         # Sticks of a uniform distribution over three shares: the first is Beta(1, 2), the second of
         # what is left uniform.
         polynomial = 1.0 - np.sqrt(1.0 - u[:, 1])
-        lasting, transient = (
-            (1.0 - polynomial) * u[:, 2] * whole,
-            (1.0 - polynomial) * (1.0 - u[:, 2]) * whole,
+        persistent, transient = (
+            (1.0 - polynomial) * u[:, 2] * total,
+            (1.0 - polynomial) * (1.0 - u[:, 2]) * total,
         )
-        flights = u[:, 5] if self.several else np.zeros(len(u))
-        least = _NOTHING * self.scale2
+        flights = u[:, 5] if self.has_several_flights else np.zeros(len(u))
+        minimum = _MIN_VARIANCE * self.scale2
         return _Points(
-            np.maximum(polynomial * whole, least) / float(np.trace(self.gram)),
-            np.maximum((1.0 - flights) * lasting, least),
-            np.maximum(flights * lasting, least),
-            np.maximum(transient, least),
+            np.maximum(polynomial * total, minimum) / float(np.trace(self.gram)),
+            np.maximum((1.0 - flights) * persistent, minimum),
+            np.maximum(flights * persistent, minimum),
+            np.maximum(transient, minimum),
             u[:, 3] * (len(TIMES_S) - 1),
-            np.exp(self.spread * ndtri(u[:, 4])),
+            np.exp(self.log_noise_std * ndtri(u[:, 4])),
         )
 
     def variance(self, p: _Points) -> FloatArray:
@@ -515,9 +527,9 @@ class _Problem:
 
     def solve(self, p: _Points) -> _Solved:
         """(2) and (3) at all points."""
-        at_once = max(1, _TOGETHER // max(1, len(self.blocks.y)))
-        parts = [self._solve(p.taken(slice(k, k + at_once))) for k in range(0, len(p), at_once)]
-        return parts[0] if len(parts) == 1 else _Solved.joined(parts)
+        at_once = max(1, _BLOCK_SIZE // max(1, len(self.blocks.y)))
+        parts = [self._solve(p.subset(slice(k, k + at_once))) for k in range(0, len(p), at_once)]
+        return parts[0] if len(parts) == 1 else _Solved.concatenate(parts)
 
     def _solve(self, p: _Points) -> _Solved:
         variance = self.variance(p)
@@ -528,18 +540,18 @@ class _Problem:
         information = sums[:, :m, :m] + np.eye(m) / prior[:, :, None]
         covariance: FloatArray = np.asarray(np.linalg.inv(information), dtype=float)
         beta = np.einsum("pij,pj->pi", covariance, sums[:, :m, m])  # (2)
-        left = sums[:, m, m] - np.einsum("pi,pij,pj->p", beta, information, beta)
+        quadratic = sums[:, m, m] - np.einsum("pi,pij,pj->p", beta, information, beta)
         determinants = (
             np.log(variance).sum(axis=1)
             + np.log(prior).sum(axis=1)
             + np.linalg.slogdet(information)[1]
         )
-        return _Solved(-0.5 * (determinants + left), beta, covariance)  # (3)
+        return _Solved(-0.5 * (determinants + quadratic), beta, covariance)  # (3)
 
     def noise_alone(self) -> float:
         """Logarithm of the mean likelihood without any model error."""
-        factors = np.exp(self.spread * ndtri((np.arange(64) + 0.5) / 64))
-        variance = factors[:, None] * self.blocks.noise + _NOTHING * self.scale2
+        factors = np.exp(self.log_noise_std * ndtri((np.arange(64) + 0.5) / 64))
+        variance = factors[:, None] * self.blocks.noise + _MIN_VARIANCE * self.scale2
         each = -0.5 * np.sum(np.log(variance) + self.blocks.y**2 / variance, axis=1)
         return float(each.max() + np.log(np.mean(np.exp(each - each.max()))))
 
@@ -565,7 +577,7 @@ def _weighted_sums(columns: FloatArray, weights: FloatArray) -> FloatArray:
     time: there are c^2 / 2 products."""
     n, c = columns.shape
     low, high = np.triu_indices(c)
-    at_once = max(1, _TOGETHER // len(low))
+    at_once = max(1, _BLOCK_SIZE // len(low))
     sums = np.zeros((len(weights), len(low)))
     for k in range(0, n, at_once):
         rows = columns[k : k + at_once]
@@ -582,31 +594,35 @@ class Separation:
     """
 
     problem: _Problem
-    found: Weighted
+    posterior: WeightedPoints
     points: _Points
     rows: _Solved
 
     def components(self) -> Components:
         """Of all blocks."""
-        return _summary(self.problem, self.found, self.points, self.rows)
+        return _summary(self.problem, self.posterior, self.points, self.rows)
 
-    def without(self, left_out: Sequence[int]) -> Components:
+    def excluding(self, left_out: Sequence[int]) -> Components:
         """What the other blocks say. The points are those of all the data, weighted anew."""
-        kept = [k for k in range(len(self.problem.blocks.lengths)) if k not in left_out]
-        problem = self.problem.only(kept)
-        best = np.argsort(-self.found.weights)[:MOST_POINTS]
-        points = self.points.taken(best)
+        retained = [k for k in range(len(self.problem.blocks.lengths)) if k not in left_out]
+        problem = self.problem.only(retained)
+        best = np.argsort(-self.posterior.weights)[:MAX_POINTS]
+        points = self.points.subset(best)
         rows = problem.solve(points)
         log_weights = (
-            np.log(self.found.weights[best]) + rows.log_likelihood - self.rows.log_likelihood[best]
+            np.log(self.posterior.weights[best])
+            + rows.log_likelihood
+            - self.rows.log_likelihood[best]
         )
         weights = np.exp(log_weights - log_weights.max())
-        found = Weighted(self.found.points[best], weights / weights.sum(), float("nan"))
-        return _summary(problem, found, points, rows)
+        posterior = WeightedPoints(
+            self.posterior.points[best], weights / weights.sum(), float("nan")
+        )
+        return _summary(problem, posterior, points, rows)
 
 
 def separate(blocks: Blocks) -> Separation:
-    """Take one coefficient's residuals apart, the noise's size as sure as ``blocks.noise_spread``
+    """Take one coefficient's residuals apart, the noise's size as sure as ``blocks.noise_relative_std``
     says.
     """
     problem = _problem(blocks)
@@ -618,24 +634,26 @@ def separate(blocks: Blocks) -> Separation:
         rows.append(problem.solve(points[-1]))
         return rows[-1].log_likelihood
 
-    found = sample(log_likelihood, problem.dimensions)
-    return Separation(problem, found, _Points.joined(points), _Solved.joined(rows))
+    posterior = sample(log_likelihood, problem.dimensions)
+    return Separation(problem, posterior, _Points.concatenate(points), _Solved.concatenate(rows))
 
 
-def _summary(problem: _Problem, found: Weighted, points: _Points, rows: _Solved) -> Components:
-    w, m = found.weights, problem.terms
+def _summary(
+    problem: _Problem, posterior: WeightedPoints, points: _Points, rows: _Solved
+) -> Components:
+    w, m = posterior.weights, problem.terms
     betas, covariances = rows.beta[:, :m], rows.covariance[:, :m, :m]
     beta = w @ betas
     covariance = np.einsum("i,ijk->jk", w, covariances) + (betas - beta).T @ (
         (betas - beta) * w[:, None]
     )
-    flight = points.flight if problem.several else np.zeros(len(points))
+    flight = points.flight if problem.has_several_flights else np.zeros(len(points))
     persistent = points.block + flight
     transient = points.transient
-    known = np.einsum("ijk,jk->i", covariances, problem.gram)
+    polynomial_variance = np.einsum("ijk,jk->i", covariances, problem.gram)
     error = np.sqrt(
         np.einsum("ij,jk,ik->i", betas, problem.gram, betas, optimize=True)
-        + known
+        + polynomial_variance
         + persistent
         + transient
     )
@@ -669,17 +687,17 @@ def _summary(problem: _Problem, found: Weighted, points: _Points, rows: _Solved)
         beta=beta,
         covariance=0.5 * (covariance + covariance.T),
         persistent=float(w @ persistent),
-        flight=float(w @ flight) if problem.several else float("nan"),
+        flight=float(w @ flight) if problem.has_several_flights else float("nan"),
         transient=float(w @ transient),
         time_s=time,
         noise_factor=float(np.sqrt(noise)),
-        lasting=Uncertain(known + persistent, w),
-        whole=Uncertain(known + persistent + transient, w),
+        persistent_variance=UncertainVariance(polynomial_variance + persistent, w),
+        total_variance=UncertainVariance(polynomial_variance + persistent + transient, w),
         tail=_tail(problem, middle),
         not_above=float(
             error[order][np.searchsorted(np.cumsum(w[order]), 0.95).clip(max=len(order) - 1)]
         ),
-        log_odds=found.log_evidence - problem.noise_alone(),
+        log_odds=posterior.log_evidence - problem.noise_alone(),
     )
 
 
@@ -691,16 +709,16 @@ def _tail(problem: _Problem, p: _Points) -> float:
     beyond two deviations than a normal distribution of that variance."""
     blocks = problem.blocks
     total, noise = problem.variance(p)[0], p.noise[0] * blocks.noise
-    own = total - noise
-    estimate = own / total * (blocks.y - problem.X @ problem.solve(p).beta[0])
-    lacking = own * noise / total
+    model_variance = total - noise
+    estimate = model_variance / total * (blocks.y - problem.X @ problem.solve(p).beta[0])
+    conditional_variance = model_variance * noise / total
     means, variances = [], []
     for number in np.unique(blocks.block):
         n, of_block = blocks.lengths[number], blocks.block == number
         waves = np.zeros(n)
         waves[: int(of_block.sum())] = estimate[of_block]
         means.append(fft.idct(waves, norm="ortho"))
-        variances.append(np.full(n, lacking[of_block].sum() / n))
+        variances.append(np.full(n, conditional_variance[of_block].sum() / n))
     mean, std = np.concatenate(means), np.sqrt(np.concatenate(variances)) + np.finfo(float).tiny
     root = float(np.sqrt(np.mean(mean**2 + std**2)))
 
@@ -793,10 +811,10 @@ def _changes(
     """(n,) changes of level over ``step_s``, starting step_s apart at most, by straight lines
     between samples.
     """
-    found = [np.zeros(0)]
+    changes = [np.zeros(0)]
     for time, y, width in levels:
         start = np.arange(time[0], time[-1] - step_s + 1e-9, min(step_s, STEP_S))
         if len(start) and np.all(width > 0.0):
             change = np.interp(start + step_s, time, y) - np.interp(start, time, y)  # (3.37)
-            found.append(change / np.interp(start + 0.5 * step_s, time, width))
-    return np.concatenate(found)
+            changes.append(change / np.interp(start + 0.5 * step_s, time, width))
+    return np.concatenate(changes)

@@ -14,13 +14,13 @@ import numpy as np
 from sysid.aerodynamics import COEFFICIENTS, ResidualPiece, Residuals, noise_variance
 from sysid.arrays import FloatArray
 from sysid.estimation import effective_samples, integral_time
-from sysid.model_form.components import stretches
+from sysid.model_form.components import split_long_pieces
 from sysid.model_form.fit import (
     Design,
     FitOptions,
     FittedBounds,
     fit_bounds,
-    quiet,
+    remove_state_noise,
     with_components,
 )
 from sysid.model_form.model_form import CoefficientBounds, ModelForm, Outside
@@ -29,11 +29,11 @@ from sysid.model_form.model_form import CoefficientBounds, ModelForm, Outside
 # manoeuvre, and whether they hold.
 
 Verdict = Literal["holds", "fails", "inconclusive"]
-HOLDS_FROM = 0.85
+MIN_SHARE_INSIDE = 0.85
 """Share of a new flight that 95 % bounds must contain, whatever its standard error: single flights
 scatter by 0.02 to 0.04.
 """
-SURE_TO = 0.02
+MAX_SHARE_ERROR = 0.02
 """Standard error above which a share says neither that bounds hold nor that they do not."""
 _ONE_SIDED = 1.6448536269514722  # standard normal quantile of 95 %
 _BINS = 3
@@ -71,23 +71,23 @@ def verdict(share: float, error: float, level: float) -> Verdict:
 
     ``fails`` where the share's upper 95 % limit lies below the level, or the share below
     HOLDS_FROM; ``inconclusive`` where the standard error exceeds SURE_TO or is not known."""
-    if not share >= HOLDS_FROM or share + _ONE_SIDED * error < level:
+    if not share >= MIN_SHARE_INSIDE or share + _ONE_SIDED * error < level:
         return "fails"
-    return "holds" if error <= SURE_TO else "inconclusive"
+    return "holds" if error <= MAX_SHARE_ERROR else "inconclusive"
 
 
 def bins(residuals: Residuals, state: str, inside: Sequence[FloatArray]) -> tuple[Bin, ...]:
     """Thirds of the samples by a state, and the share inside in each; ``inside`` 0 or 1 for each
     sample, piece by piece.
     """
-    values, within = residuals.states.get(state), np.concatenate(list(inside))
+    values, is_inside = residuals.states.get(state), np.concatenate(list(inside))
     if values is None:
         return ()
     edges = np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1))
     out = []
     for k in range(_BINS):
         of_bin = (values >= edges[k]) & ((values < edges[k + 1]) | (k == _BINS - 1))
-        share = float(within[of_bin].mean()) if of_bin.any() else float("nan")
+        share = float(is_inside[of_bin].mean()) if of_bin.any() else float("nan")
         out.append(Bin(float(edges[k]), float(edges[k + 1]), share, int(of_bin.sum())))
     return tuple(out)
 
@@ -154,11 +154,13 @@ def coverage(
     Samples are measured: where the form keeps noise apart, that of the flight's own sensors is
     added to the interval."""
     if any(b.parts is not None for b in form.coefficients.values()):
-        residuals = quiet(residuals)
-    return {c: _of(c, b, form.outside, residuals, levels) for c, b in form.coefficients.items()}
+        residuals = remove_state_noise(residuals)
+    return {
+        c: _coverage(c, b, form.outside, residuals, levels) for c, b in form.coefficients.items()
+    }
 
 
-def _of(
+def _coverage(
     coefficient: str,
     bounds: CoefficientBounds,
     outside: Outside,
@@ -199,7 +201,7 @@ def _of(
         speeds=bins(residuals, "V_mps", inside[0.95]) if 0.95 in inside else (),
         incidences=bins(residuals, "alpha_rad", inside[0.95]) if 0.95 in inside else (),
         conformal=conformal(
-            told_apart(residuals).pieces,
+            with_distinct_labels(residuals).pieces,
             [_stretch(bounds, coefficient, p, outside) for p in residuals.pieces],
         ),
     )
@@ -247,7 +249,7 @@ def share_error(inside: Sequence[FloatArray]) -> float:
     return float(np.sqrt(p * (1.0 - p) * integral_time([v - p for v in inside]) / len(values)))
 
 
-def told_apart(residuals: Residuals) -> Residuals:
+def with_distinct_labels(residuals: Residuals) -> Residuals:
     """The same; pieces that all have one name are given names by the stretch of the flight they lie
     in.
     """
@@ -255,12 +257,12 @@ def told_apart(residuals: Residuals) -> Residuals:
     if len(residuals.labels) != 1 or n < 2:
         return residuals
     blocks = [block for block in np.array_split(np.arange(n), min(BLOCKS, n)) if len(block)]
-    named = []
+    labelled = []
     for block in blocks:
         first, last = residuals.pieces[block[0]], residuals.pieces[block[-1]]
         name = f"{first.label}, {first.time_s[0]:.0f} to {last.time_s[-1]:.0f} s"
-        named += [replace(residuals.pieces[k], label=name) for k in block]
-    return replace(residuals, pieces=tuple(named))
+        labelled += [replace(residuals.pieces[k], label=name) for k in block]
+    return replace(residuals, pieces=tuple(labelled))
 
 
 def leave_one_out(
@@ -278,35 +280,37 @@ def leave_one_out(
     the flight stand for manoeuvres; empty for a single piece. fitted: what `fit_bounds` made of the
     same residuals."""
     out: dict[str, dict[str, float]] = {}
-    residuals = told_apart(residuals)
+    residuals = with_distinct_labels(residuals)
     if len(residuals.labels) < 2:
         return out
-    whole = dict(fitted) if fitted is not None else fit_bounds(residuals, designs, options)
-    blocks = [p.label for p in stretches(residuals).pieces]
+    fits = dict(fitted) if fitted is not None else fit_bounds(residuals, designs, options)
+    blocks = [p.label for p in split_long_pieces(residuals).pieces]
     for label in residuals.labels:
         left_out = residuals.only([label])
         try:
-            others = {
-                c: _without(f, [k for k, name in enumerate(blocks) if name == label])
-                for c, f in whole.items()
+            other_bounds = {
+                c: _bounds_without(f, [k for k, name in enumerate(blocks) if name == label])
+                for c, f in fits.items()
             }
-            if not all(others.values()):
-                rest = residuals.only([other for other in residuals.labels if other != label])
-                others = {c: f.bounds for c, f in fit_bounds(rest, designs, options).items()}
+            if not all(other_bounds.values()):
+                remaining = residuals.only([other for other in residuals.labels if other != label])
+                other_bounds = {
+                    c: f.bounds for c, f in fit_bounds(remaining, designs, options).items()
+                }
         except ValueError:
             out[label] = dict.fromkeys(designs, float("nan"))
             continue
         out[label] = {
-            c: _of(c, b, outside, left_out, [options.confidence]).share[options.confidence]
-            for c, b in others.items()
+            c: _coverage(c, b, outside, left_out, [options.confidence]).share[options.confidence]
+            for c, b in other_bounds.items()
             if b
         }
     return out
 
 
-def _without(fitted: FittedBounds, blocks: Sequence[int]) -> CoefficientBounds | None:
+def _bounds_without(fitted: FittedBounds, blocks: Sequence[int]) -> CoefficientBounds | None:
     """The interval of the other blocks; None where only another fit tells."""
     if fitted.separation is None or fitted.bounds.parts is None:
         return None
     presumed = fitted.bounds.parts.noise / fitted.bounds.parts.noise_scale
-    return with_components(fitted.bounds, fitted.separation.without(blocks), presumed)
+    return with_components(fitted.bounds, fitted.separation.excluding(blocks), presumed)

@@ -72,26 +72,26 @@ def information(
     return Information(weight * (z.T @ z), weight * len(z), x.min(axis=0), x.max(axis=0))
 
 
-def after(
-    bounds: CoefficientBounds, more: Sequence[Information], scatter: float = 1.0
+def with_more_data(
+    bounds: CoefficientBounds, additional: Sequence[Information], scatter: float = 1.0
 ) -> CoefficientBounds:
-    """The interval as it will be with ``more`` data, but for beta, which nobody knows yet.
+    """The interval as it will be with ``additional`` data, but for beta, which nobody knows yet.
 
     scatter: residual variance of the further data over that of the data behind ``bounds``; the
     pooled one is expected. The envelope box grows with the data; its largest leverage is not known
     without the samples and stays."""
-    if not more:
+    if not additional:
         return bounds
-    C = np.linalg.inv(np.linalg.inv(bounds.XtX_inv) + sum(item.ZtZ for item in more))  # (1)
-    added = sum(item.n for item in more)
+    C = np.linalg.inv(np.linalg.inv(bounds.XtX_inv) + sum(item.ZtZ for item in additional))  # (1)
+    added = sum(item.n for item in additional)
     n = bounds.n + added
     n_effective = n / bounds.leverage_factor
     dof = n_effective - len(bounds.terms)  # (2)
     low, high = (
-        np.min([bounds.hull.low, *(item.low for item in more)], axis=0),
-        np.max([bounds.hull.high, *(item.high for item in more)], axis=0),
+        np.min([bounds.hull.low, *(item.low for item in additional)], axis=0),
+        np.max([bounds.hull.high, *(item.high for item in additional)], axis=0),
     )
-    more_known = replace(
+    updated = replace(
         bounds,
         XtX_inv=0.5 * (C + C.T),
         n=round(n),
@@ -101,12 +101,12 @@ def after(
     if bounds.parts is not None:
         # What persists and how sure that is are the model's; samples alone do not change them, and
         # noise is in no width.
-        return more_known
+        return updated
     t = float(student_quantile(0.5 + 0.5 * bounds.confidence, dof))
-    return replace(more_known, s2=bounds.s2 * (bounds.n + scatter * added) / n, dof=dof, t=t)
+    return replace(updated, s2=bounds.s2 * (bounds.n + scatter * added) / n, dof=dof, t=t)
 
 
-def for_ever(bounds: CoefficientBounds) -> CoefficientBounds:
+def asymptotic(bounds: CoefficientBounds) -> CoefficientBounds:
     """The limit of endless data: no parameter part left, all else as it is."""
     if bounds.parts is not None:
         return replace(bounds, XtX_inv=np.zeros_like(bounds.XtX_inv))
@@ -143,18 +143,18 @@ def belief(bounds: CoefficientBounds) -> tuple[FloatArray, FloatArray]:
     values = np.maximum(values, 0.0)
     b = vectors.T @ bounds.beta_hat
 
-    def unlikely(log_v: float) -> float:
+    def neg2_log_likelihood(log_v: float) -> float:
         total = np.exp(log_v) + values
         return float(np.sum(np.log(total) + b**2 / total))
 
     top = float(np.log(max(float(b @ b), 1e-300)))
     # The likelihood may have two maxima: the best of a grid, then refined beside it.
     grid = np.linspace(top - 30.0, top, 121)
-    best = float(grid[int(np.argmin([unlikely(g) for g in grid]))])
+    best = float(grid[int(np.argmin([neg2_log_likelihood(g) for g in grid]))])
     v = float(
         np.exp(
             optimize.minimize_scalar(
-                unlikely, bounds=(best - 0.25, best + 0.25), method="bounded"
+                neg2_log_likelihood, bounds=(best - 0.25, best + 0.25), method="bounded"
             ).x
         )
     )
@@ -163,41 +163,41 @@ def belief(bounds: CoefficientBounds) -> tuple[FloatArray, FloatArray]:
 
 
 def expected_width(
-    now: CoefficientBounds,
-    then: CoefficientBounds,
+    current: CoefficientBounds,
+    future: CoefficientBounds,
     states: Mapping[str, FloatArray],
     outside: Outside = "grow",
     draws: int = DRAWS,
     seed: int = 1,
 ) -> Width:
-    """Mean widths that ``then`` (from `after` or `for_ever`) will have, over states and over what
+    """Mean widths that ``future`` (from `after` or `for_ever`) will have, over states and over what
     may be learnt of beta.
     """
-    kept = thinned(states, now.states, _MAX_STATES)
-    z = then.normalised(kept, outside)
-    X = regressors(z, then.terms)
-    half = then.half_width(then.leverage(z), then.t)
-    mean, covariance = belief(now)
-    if then.XtX_inv.any():
-        M = np.linalg.inv(now.XtX_inv)
-        K, C = np.linalg.inv(then.XtX_inv) - M, then.XtX_inv
-        covariance = C @ (K @ covariance @ K + now.leverage_factor * now.s2 * K) @ C  # (3)
-        mean = C @ (M @ now.beta_hat + K @ mean)
+    thinned_states = thinned(states, current.states, _MAX_STATES)
+    z = future.normalised(thinned_states, outside)
+    X = regressors(z, future.terms)
+    half = future.half_width(future.leverage(z), future.t)
+    mean, covariance = belief(current)
+    if future.XtX_inv.any():
+        M = np.linalg.inv(current.XtX_inv)
+        K, C = np.linalg.inv(future.XtX_inv) - M, future.XtX_inv
+        covariance = C @ (K @ covariance @ K + current.leverage_factor * current.s2 * K) @ C  # (3)
+        mean = C @ (M @ current.beta_hat + K @ mean)
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     noise = np.random.default_rng(seed).standard_normal((len(mean), draws))
     # Antithetic: the draws have the mean that they should.
     y = X @ (mean[:, None] + root @ np.hstack([noise, -noise]))
     total = np.maximum(y + half[:, None], 0.0) - np.minimum(y - half[:, None], 0.0)
-    return Width(float(np.mean(total)), width(then, states, outside).parameter)
+    return Width(float(np.mean(total)), width(future, states, outside).parameter)
 
 
 def thinned(
-    states: Mapping[str, FloatArray], names: Sequence[str], most: int
+    states: Mapping[str, FloatArray], names: Sequence[str], max_states: int
 ) -> dict[str, FloatArray]:
-    """At most ``most`` of the states, evenly chosen."""
+    """At most ``max_states`` of the states, evenly chosen."""
     n = len(states[names[0]])
-    rows = np.linspace(0, n - 1, min(n, most)).round().astype(int)
+    rows = np.linspace(0, n - 1, min(n, max_states)).round().astype(int)
     return {name: np.asarray(states[name])[rows] for name in names}
 
 
@@ -218,16 +218,20 @@ def speed_power(speeds_mps: FloatArray, variances: FloatArray, counts: FloatArra
     Noise of a sensor becomes noise of a coefficient through the dynamic pressure: b is -4 in still
     air; gusts make it less steep. 0 where the speeds do not tell: fewer than three, within 5 %, or
     a standard error above 1."""
-    good = (variances > 0.0) & (counts > 0.0) & np.isfinite(variances)
-    if good.sum() < 3:
+    valid = (variances > 0.0) & (counts > 0.0) & np.isfinite(variances)
+    if valid.sum() < 3:
         return 0.0
-    x, y, w = np.log(speeds_mps[good]), np.log(variances[good]), counts[good] / counts[good].sum()
+    x, y, w = (
+        np.log(speeds_mps[valid]),
+        np.log(variances[valid]),
+        counts[valid] / counts[valid].sum(),
+    )
     x, y = x - w @ x, y - w @ y
     sxx = float(w @ x**2)
     if np.ptp(x) < np.log(1.05) or not sxx > 0.0:
         return 0.0
     b = float(w @ (x * y)) / sxx
-    error = np.sqrt(float(w @ (y - b * x) ** 2) / sxx / max(good.sum() - 2, 1))
+    error = np.sqrt(float(w @ (y - b * x) ** 2) / sxx / max(valid.sum() - 2, 1))
     return b if error <= 1.0 else 0.0
 
 
@@ -264,7 +268,7 @@ class Offer:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class Choice:
     """One choice: index of the offer, seconds with the transition that it needs, mean half-width
     once it is flown.
     """
@@ -281,35 +285,40 @@ def choose(
     budget_s: float,
     transition_s: float,
     outside: Outside = "grow",
-) -> list[Chosen]:
+) -> list[Choice]:
     """Offers to fly within ``budget_s`` seconds, best first; an offer may be taken several times.
 
     transition_s: what the first offer of a group costs besides. Empty when no offer fits, or none
     narrows anything."""
-    kept = thinned(states, bounds.states, _FLIGHT_CHOICE_MAX_STATES)
-    X = regressors(bounds.normalised(kept, outside), bounds.terms)
+    thinned_states = thinned(states, bounds.states, _FLIGHT_CHOICE_MAX_STATES)
+    X = regressors(bounds.normalised(thinned_states, outside), bounds.terms)
     M: FloatArray = np.asarray(np.linalg.inv(bounds.XtX_inv), dtype=np.float64)
     n = float(bounds.n)
-    found: list[Chosen] = []
-    now, left, begun = _half_width(bounds, X, M, n), budget_s, set[str]()
+    choices: list[Choice] = []
+    half_width, remaining_s, visited_groups = _half_width(bounds, X, M, n), budget_s, set[str]()
     while True:
-        best: tuple[float, Chosen] | None = None
+        best: tuple[float, Choice] | None = None
         for index, offer in enumerate(offers):
-            seconds = offer.seconds + (0.0 if offer.group in begun else transition_s)
-            if seconds > left + 1e-9:
+            seconds = offer.seconds + (0.0 if offer.group in visited_groups else transition_s)
+            if seconds > remaining_s + 1e-9:
                 continue
             more = offer.information
             half = _half_width(bounds, X, M + more.ZtZ, n + more.n)
-            rate = (now - half) / seconds
+            rate = (half_width - half) / seconds
             if best is None or rate > best[0]:
-                best = rate, Chosen(index, seconds, half)
+                best = rate, Choice(index, seconds, half)
         if best is None or not best[0] > 0.0:
-            return found
-        taken = best[1]
-        more = offers[taken.index].information
-        M, n, now, left = M + more.ZtZ, n + more.n, taken.half_width, left - taken.seconds
-        begun.add(offers[taken.index].group)
-        found.append(taken)
+            return choices
+        choice = best[1]
+        more = offers[choice.index].information
+        M, n, half_width, remaining_s = (
+            M + more.ZtZ,
+            n + more.n,
+            choice.half_width,
+            remaining_s - choice.seconds,
+        )
+        visited_groups.add(offers[choice.index].group)
+        choices.append(choice)
 
 
 def _half_width(bounds: CoefficientBounds, X: FloatArray, M: FloatArray, n: float) -> float:

@@ -172,11 +172,11 @@ class CoefficientBounds:
         """
         if confidence == self.confidence:
             return t
-        asked, known = (
+        t_requested, t_of_form = (
             float(student_quantile(0.5 + 0.5 * level, dof))
             for level in (confidence, self.confidence)
         )
-        return asked if self.parts is None else t * asked / known
+        return t_requested if self.parts is None else t * t_requested / t_of_form
 
     def interval(
         self,
@@ -224,8 +224,10 @@ class CoefficientBounds:
             )
         p = self.parts
         t = p.total_t if confidence is None else self._quantile(confidence, p.total_t, p.total_dof)
-        known = self.s2 * self.leverage_factor * self.leverage(z)
-        return y, np.asarray(t * np.sqrt(known + p.persistent**2 + p.transient**2 + noise_variance))
+        polynomial_variance = self.s2 * self.leverage_factor * self.leverage(z)
+        return y, np.asarray(
+            t * np.sqrt(polynomial_variance + p.persistent**2 + p.transient**2 + noise_variance)
+        )
 
     def bounds(
         self,
@@ -245,8 +247,8 @@ class CoefficientBounds:
         width = np.where(self.hull.high > self.hull.low, self.hull.high - self.hull.low, 1.0)
         box = np.max(np.maximum(self.hull.low - x, x - self.hull.high) / width, axis=1)
         ellipse = np.sqrt(self.leverage(self.normalised(states)) / self.hull.leverage) - 1.0
-        far = np.maximum(box, ellipse)
-        return np.where(far > _ROUNDING, far, 0.0)
+        excess = np.maximum(box, ellipse)
+        return np.where(excess > _ROUNDING, excess, 0.0)
 
 
 @dataclass(frozen=True)
@@ -414,10 +416,14 @@ def read_model_form(path: Path) -> ModelForm:
             str(error), path, None if error.line is None else f"line {error.line}"
         ) from None
     if not isinstance(document, dict) or document.get("format") not in (FORMAT, WITHOUT_PARTS):
-        found = document.get("format") if isinstance(document, dict) else type(document).__name__
+        file_format = (
+            document.get("format") if isinstance(document, dict) else type(document).__name__
+        )
         read = f"'{FORMAT}' and '{WITHOUT_PARTS}' are read"
         raise LogError(
-            f"is no model form: format is {found!r}, {read}; make one with `uqharness bounds`", path
+            f"is no model form: format is {file_format!r}, {read}; make one with `uqharness"
+            " bounds`",
+            path,
         )
     where = ""
     try:

@@ -18,7 +18,7 @@ from sysid.arrays import FloatArray
 from uqharness.batch import Branch, Course, ready
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec, Split, record_stride, row_counts
-from uqharness.statistics import Seen
+from uqharness.statistics import Checkpoint
 
 DISTANCE = "cross_track"
 
@@ -111,7 +111,7 @@ class LoiterPaths:
         self._numbers: dict[tuple[int, int], int] = {}
         self.hits: list[Hit] = []
 
-    def advance(self) -> Seen | None:
+    def advance(self) -> Checkpoint | None:
         """Fly to the next checkpoint; None behind the last."""
         course = self._course
         if course.frame >= course.last:
@@ -131,7 +131,7 @@ class LoiterPaths:
         closing = (distance[:, -1] - distance[:, -2]) / self._row_s
         watched = {name: course.watched(name) for name in self._watch.score.properties}
         score = self._watch.score.of(watched, distance[:, -1], closing)
-        return Seen(np.where(ended, -np.inf, score), events, ended)
+        return Checkpoint(np.where(ended, -np.inf, score), events, ended)
 
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
         """Go on with these paths in that order; those with a level branch here."""

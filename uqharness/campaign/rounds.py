@@ -23,7 +23,7 @@ from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.flight import FlightSpec
-from uqharness.statistics import Evidence, Question, add, begin, close, look, upper_limits
+from uqharness.statistics import Evidence, Question, add, begin, close, decide_cell, upper_limits
 from uqharness.text_tables import csv_rows
 
 # Flights that were aborted: loss of control, ground contact, divergence, or a flight that ended
@@ -295,7 +295,7 @@ class _Cell:
                 lost[row, column], missing[row, column] = aborted_flight(outcome, case.flight)
                 low[row, column], high[row, column] = _counts(outcome, self._column)
         high = np.fmax(high, np.where(lost > 0.0, 1.0, high))
-        self.evidence = look(
+        self.evidence = decide_cell(
             add(self.evidence, self._question, low, high, lost, missing), self._question
         )
 

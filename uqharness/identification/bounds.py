@@ -12,14 +12,14 @@ import numpy as np
 
 from sysid.aerodynamics import (
     COEFFICIENTS,
-    AirFound,
     AirPiece,
+    AirRotation,
     Cutoffs,
     Residuals,
     air_pieces,
+    combine_flights,
     noise_variance,
     offset_records,
-    together,
     with_noise_of,
     with_sensor_noise,
     without_air_rotation,
@@ -28,7 +28,7 @@ from sysid.errors import LogError
 from sysid.estimation import NoiseSize, noise_size
 from sysid.foreign.regular_files import parse_json, read_regular
 from sysid.model_form import (
-    NOISY,
+    SENSOR_CHANNELS,
     WALK_CUTOFF_HZ,
     AircraftReference,
     CoefficientBounds,
@@ -46,9 +46,9 @@ from sysid.model_form import (
     fit_bounds,
     leave_one_out,
     read_model_form,
-    told_apart,
     variation,
     verdict,
+    with_distinct_labels,
     with_walk_rates,
 )
 from sysid.model_form.coverage import coverage
@@ -72,7 +72,7 @@ def noise_sizes(
     """
     record = flight.record
     out = {}
-    for name in NOISY:
+    for name in SENSOR_CHANNELS:
         if name not in record:
             continue
         pieces = [np.asarray(record[name][p.rows], dtype=float) for p in flight.pieces]
@@ -116,7 +116,7 @@ class NoisyFlight:
             model,
             arm,
             std,
-            {c: found.spread for c, found in sizes.items()},
+            {c: found.relative_std for c, found in sizes.items()},
         )
         felt = not set(VANES) & set(flight.record.metadata.estimates)
         air = (
@@ -126,7 +126,7 @@ class NoisyFlight:
         )
         return NoisyFlight(noisy, std, air, arm)
 
-    def in_still_air(self, residuals: Residuals) -> tuple[Residuals, AirFound | None]:
+    def in_still_air(self, residuals: Residuals) -> tuple[Residuals, AirRotation | None]:
         """Residuals of the flight behind any filter, with noise, without the rotation of the air."""
         return (
             (residuals, None)
@@ -143,7 +143,7 @@ def noisy_residuals(
     return noisy.in_still_air(noisy.residuals)[0]
 
 
-def said_of_air(flight: Flight, air: AirFound) -> str:
+def said_of_air(flight: Flight, air: AirRotation) -> str:
     """What was taken for the air's."""
     return (
         f"{flight.name}: {100.0 * air.share:.0f} ± {100.0 * air.std:.0f} % of the rotation that frozen gusts have is in the "
@@ -259,7 +259,7 @@ def make_bounds(
             if options.fit.noise == "apart"
             else [(n.residuals, None) for n in noisy]
         )
-        residuals = together([r for r, _ in still])
+        residuals = combine_flights([r for r, _ in still])
         say("model error apart from noise" if options.fit.noise == "apart" else "intervals")
         fitted = _fit(residuals, options.designs, options.fit)
         table = []
@@ -304,7 +304,7 @@ def make_bounds(
         baseline=_baseline(residuals, options),
         variations=walks,
         widths=mean_widths(form, residuals),
-        noise=_forced(together([n.residuals for n in noisy])),
+        noise=_forced(combine_flights([n.residuals for n in noisy])),
         left_out=left_out,
         cutoffs=tuple(table),
         notes=(
@@ -388,7 +388,7 @@ def _other(
         ]
         if options.fit.noise == "apart":
             parts = [u.in_still_air(r)[0] for u, r in zip(used, parts, strict=True)]
-        residuals = together(parts)
+        residuals = combine_flights(parts)
         fitted = fit_bounds(residuals, options.designs, options.fit)
     except (ValueError, BadInputError):
         return CutoffRow(cutoffs, dict.fromkeys(options.designs, float("nan")))
@@ -406,7 +406,7 @@ def mean_left_out(
     """Share inside when manoeuvres are left out, over all samples; NaN without a second manoeuvre."""
     if not left_out:
         return dict.fromkeys(COEFFICIENTS, float("nan"))
-    named = told_apart(residuals)
+    named = with_distinct_labels(residuals)
     n = {label: sum(named.only([label]).lengths) for label in left_out}
     names = next(iter(left_out.values()))
     return {
@@ -417,7 +417,7 @@ def mean_left_out(
 
 def _used(flight: Flight, residuals: Residuals, sha256: str) -> FlightUsed:
     seconds = sum(p.time_s[-1] - p.time_s[0] for p in residuals.pieces)
-    estimates = tuple(c for c in flight.record.metadata.estimates if c in NOISY)
+    estimates = tuple(c for c in flight.record.metadata.estimates if c in SENSOR_CHANNELS)
     return FlightUsed(
         flight.name, sha256, round(float(seconds), 6), sum(residuals.lengths), estimates
     )
@@ -445,7 +445,7 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
     out = []
     for flight in flights:
         record = flight.record
-        estimated = [c for c in record.metadata.estimates if c in NOISY]
+        estimated = [c for c in record.metadata.estimates if c in SENSOR_CHANNELS]
         if estimated:
             out.append(
                 f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor: its errors are in the intervals"
@@ -453,7 +453,7 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
         slow = [
             c
             for c, hz in record.metadata.native_hz.items()
-            if c in NOISY and hz < 2.5 * cutoffs.all_hz and c != "V_mps"
+            if c in SENSOR_CHANNELS and hz < 2.5 * cutoffs.all_hz and c != "V_mps"
         ]
         if slow:
             out.append(
@@ -614,7 +614,7 @@ def validate(
     flights = [f.with_commands_as_felt() for f in flights] if ideal_servos else flights
     with prediction_of(aircraft, measured, ideal_servos, values) as pair:
         parts = [flight_residuals(pair, f, arm, cutoffs) for f in flights]
-        residuals = together(
+        residuals = combine_flights(
             [noisy_residuals(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)]
         )
     missing = [s for s in form.states if s not in residuals.states]

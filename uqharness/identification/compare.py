@@ -16,9 +16,18 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from sysid.estimation import NOISE_FLOOR, Shift, Theil, channel_noise, rms, theil, time_shift, worst
+from sysid.estimation import (
+    NOISE_FLOOR,
+    Shift,
+    Theil,
+    channel_noise,
+    largest_residuals,
+    rms,
+    theil,
+    time_shift,
+)
 from sysid.logs import Relation, relate
-from sysid.model_form import floor_of
+from sysid.model_form import noise_floor
 from uqharness.errors import BadInputError
 from uqharness.identification.replay_fit import (
     BIASES,
@@ -471,7 +480,7 @@ def _coefficients(
     every = [states(flight, piece) for piece in flight.pieces]
     found = coefficient_gaps(model, straight, cut, every, noise, rng, late_s=late_s)
     demand, said, change = (list(part) for part in zip(*found, strict=True))
-    return demand, said, floor_of([np.concatenate(change)])
+    return demand, said, noise_floor([np.concatenate(change)])
 
 
 def _control_delay_s(names: Sequence[str], theta: FloatArray) -> float:
@@ -547,7 +556,7 @@ def _moments(
     found = []
     for segment, gap in zip(cut, gaps, strict=True):
         for channel in judged:
-            for at, size in worst(
+            for at, size in largest_residuals(
                 gap[:, list(present).index(channel)], segment.time_s, noise[channel], 3, 1.0
             ):
                 found.append(Moment(at, channel, segment.label, size, abs(size) / noise[channel]))

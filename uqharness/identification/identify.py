@@ -20,8 +20,8 @@ from sysid.estimation import (
     channel_noise,
     colour,
     colour_warnings,
-    process_noise_shown,
     rms,
+    shows_process_noise,
 )
 from uqharness.errors import BadInputError
 from uqharness.identification.excitation import excited_alone
@@ -138,7 +138,7 @@ def _why_withdrawn(found: Identification) -> str:
 
 @dataclass
 class Descent:
-    """Told each iteration (`sysid.estimation.gauss_newton.Told`), tells ``on_stage`` a sentence.
+    """Told each iteration (`sysid.estimation.gauss_newton.IterationCallback`), tells ``on_stage`` a sentence.
 
     Steps become shorter by about a constant factor from one iteration to the next: the time left is that of the iterations until
     they are ``tolerance`` standard errors long, at most of all that are allowed (``most``). Descents that follow one another count
@@ -254,7 +254,7 @@ def identify(
         speed = Speed(fit.n_simulations / taken, flown_s / taken, process_count(workers), bare)
         found = _assemble(aircraft, names, initial, fitted, observed, noise, notes, seconds, speed)
         found = replace(found, warnings=(*misplaced(flights, cut, found.nuisance), *found.warnings))
-        gusty = process_noise_shown(*_sensed(found))
+        gusty = shows_process_noise(*_sensed(found))
         if method == "output-error" or (method == "auto" and not gusty):
             if tell is not None:
                 tell(_why_it_stays(method, gusty))

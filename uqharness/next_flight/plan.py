@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.aerodynamics import COEFFICIENTS, Cutoffs, Residuals, together
+from sysid.aerodynamics import COEFFICIENTS, Cutoffs, Residuals, combine_flights
 from sysid.arrays import FloatArray
 from sysid.digests import file_sha256
 from sysid.model_form import (
@@ -25,11 +25,10 @@ from sysid.model_form import (
     ModelForm,
     Offer,
     Width,
-    after,
+    asymptotic,
     choose,
     expected_width,
     fit_bounds,
-    for_ever,
     information,
     mean_power,
     missing_terms,
@@ -37,6 +36,7 @@ from sysid.model_form import (
     speed_power,
     weighted_quartiles,
     width,
+    with_more_data,
 )
 from sysid.units import percent
 from uqharness.errors import BadInputError
@@ -122,8 +122,13 @@ def prospects(
             bounds.hull.low,
             bounds.hull.high,
         )
-        repeated = after(bounds, [same]) if math.isfinite(share) else bounds
-        then = after(bounds, told), after(bounds, told, scatter[c]), repeated, for_ever(bounds)
+        repeated = with_more_data(bounds, [same]) if math.isfinite(share) else bounds
+        then = (
+            with_more_data(bounds, told),
+            with_more_data(bounds, told, scatter[c]),
+            repeated,
+            asymptotic(bounds),
+        )
         out[c] = Prospect(
             width(bounds, states, form.outside),
             *(expected_width(bounds, b, states, form.outside) for b in then),
@@ -411,7 +416,7 @@ def plan_from(
         refused=(*refused, *lost),
         tried=len(trials) + len(refused),
         states=flown.states,
-        bounds_then=after(bounds, [information(bounds, flown.states, weight)]),
+        bounds_then=with_more_data(bounds, [information(bounds, flown.states, weight)]),
     )
 
 
@@ -529,7 +534,7 @@ def missing_in(
 ) -> list[MissingTerm]:
     """Terms that the flights show to be missing in a coefficient's polynomial. Raises BadInputError."""
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
-    residuals = together(residuals_of(aircraft, flights, cutoffs))
+    residuals = combine_flights(residuals_of(aircraft, flights, cutoffs))
     try:
         return missing_terms(residuals, coefficient, form.coefficients[coefficient])
     except ValueError as error:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut
+from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut_pieces
 from sysid.arrays import FloatArray
 from sysid.digests import file_sha256
 from sysid.errors import LogError
@@ -440,7 +440,7 @@ def prepare(
         )
     record, moved = _aligned(record, align or bool(record.metadata.native_hz))
     notes += [f"{name}: {text}" for text in moved]
-    pieces, how = cut(record, (*_NEEDED, *columns), min_s, max_s)
+    pieces, how = cut_pieces(record, (*_NEEDED, *columns), min_s, max_s)
     if not pieces:
         raise BadInputError(
             f"{name}: no stretch of {min_s:g} s has all of {', '.join((*_NEEDED, *columns))} without a gap"

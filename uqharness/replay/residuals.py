@@ -17,7 +17,7 @@ from sysid.aerodynamics import (
     Piece,
     Prediction,
     Residuals,
-    cut,
+    cut_pieces,
     demanded,
     half_width,
     residual_coefficients,
@@ -445,7 +445,7 @@ def recut(flight: Flight, measured: Sequence[str]) -> Flight:
             f"{flight.name}: the record has no {', '.join(missing)}; residual coefficients need {', '.join(NEEDED)}. "
             "Without vanes an autopilot's estimate will do (uqharness log import makes alpha and beta from EKF and wind)"
         )
-    pieces, how = cut(flight.record, (*NEEDED, *control_columns(measured)))
+    pieces, how = cut_pieces(flight.record, (*NEEDED, *control_columns(measured)))
     if not pieces:
         raise BadInputError(
             f"{flight.name}: no stretch of two seconds has all of {', '.join(NEEDED)} without a gap"

@@ -221,7 +221,7 @@ def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
 def _average(results: Sequence[MethodResult]) -> MethodResult:
     first = results[0]
     indices: dict[str, Index | PairRange] = {}
-    spread = []
+    stds = []
     for name in first.indices:
         same = [result.indices[name] for result in results]
         pairs = [item for item in same if isinstance(item, PairRange)]
@@ -232,8 +232,8 @@ def _average(results: Sequence[MethodResult]) -> MethodResult:
             indices[name] = PairRange(low, high)
         else:
             indices[name], std = _mean(single)
-        spread.append(std)
-    details = dict(first.details) | {"repeats": len(results), "std_of_one_run": np.array(spread)}
+        stds.append(std)
+    details = dict(first.details) | {"repeats": len(results), "std_of_one_run": np.array(stds)}
     runs = sum(result.runs for result in results)
     return replace(first, runs=runs, indices=indices, details=details)
 

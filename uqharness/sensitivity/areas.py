@@ -38,42 +38,42 @@ def pair_areas(ordered: FloatArray, d: int) -> FloatArray:
 
     ``ordered`` (2^d, ..., A) has its draws sorted along the last axis and corners in the order of
     ``problem.corners``."""
-    found = np.empty((d, 2 ** (d - 1), *ordered.shape[1:-1]))
+    areas = np.empty((d, 2 ** (d - 1), *ordered.shape[1:-1]))
     for i in range(d):
         halves = ordered.reshape(2**i, 2, -1, *ordered.shape[1:])
-        apart = halves[:, 1] - halves[:, 0]
-        np.abs(apart, out=apart)
-        found[i] = apart.mean(axis=-1).reshape(found[i].shape)
-    return np.moveaxis(found, (0, 1), (-2, -1))
+        differences = halves[:, 1] - halves[:, 0]
+        np.abs(differences, out=differences)
+        areas[i] = differences.mean(axis=-1).reshape(areas[i].shape)
+    return np.moveaxis(areas, (0, 1), (-2, -1))
 
 
 def envelope_areas(ordered: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
     """Areas (...) of the envelope of all corners, and (..., d, 2) of those with one parameter fixed
     at its lower, then at its upper bound; ``ordered`` as above."""
-    rest = ordered.shape[1:]
-    found = np.empty((d, 2, *rest[:-1]))
+    shape = ordered.shape[1:]
+    areas = np.empty((d, 2, *shape[:-1]))
     # Largest and smallest over the parameters before the i-th are kept for the ones that follow:
     # 2^d steps in place of d 2^d.
-    most = least = ordered
+    largest = smallest = ordered
     for i in range(d):
-        most, least = (ends.reshape(2, -1, *rest) for ends in (most, least))
+        largest, smallest = (ends.reshape(2, -1, *shape) for ends in (largest, smallest))
         for end in (0, 1):
-            found[i, end] = (most[end].max(axis=0) - least[end].min(axis=0)).mean(axis=-1)
-        most, least = np.maximum(most[0], most[1]), np.minimum(least[0], least[1])
-    return (most[0] - least[0]).mean(axis=-1), np.moveaxis(found, (0, 1), (-2, -1))
+            areas[i, end] = (largest[end].max(axis=0) - smallest[end].min(axis=0)).mean(axis=-1)
+        largest, smallest = np.maximum(largest[0], largest[1]), np.minimum(smallest[0], smallest[1])
+    return (largest[0] - smallest[0]).mean(axis=-1), np.moveaxis(areas, (0, 1), (-2, -1))
 
 
-def beyond_corners(corners: FloatArray, interior: FloatArray, area: float) -> float:
+def excess_over_corners(corners: FloatArray, interior: FloatArray, area: float) -> float:
     """Area by which the worst of ``interior`` (n, A) leaves the envelope of ``corners`` (m, A),
     over ``area``.
 
     inf where something leaves an envelope without area.
     """
     ordered, inside = np.sort(corners, axis=-1), np.sort(interior, axis=-1)
-    beyond = np.maximum(inside - ordered.max(axis=0), 0.0) + np.maximum(
+    excess = np.maximum(inside - ordered.max(axis=0), 0.0) + np.maximum(
         ordered.min(axis=0) - inside, 0.0
     )
-    worst = float(beyond.mean(axis=-1).max())
+    worst = float(excess.mean(axis=-1).max())
     return worst / area if area > 0.0 else (float("inf") if worst > 0.0 else 0.0)
 
 
@@ -99,7 +99,7 @@ _BIAS_SEEN = 1.0 / (2.0**0.5 - 1.0)
 # Of noise s in the sample a resample has sqrt(2) s; a bias in proportion to s shows only the
 # difference, 0.41 of itself.
 SWAPS = 50
-TOGETHER = 200_000
+BLOCK_VALUES = 200_000
 """Values that are resampled at once."""
 MIN_DRAWS = 8
 """Fewer aleatory draws than these say nothing of their own spread."""
@@ -179,25 +179,25 @@ def pair_band(
     two equal corners is no evidence that they differ. With fewer than MIN_DRAWS draws, no
     resamples, or a resample without any width, the band is NaN; without ``chance`` the one column's
     numbers are exact and it is closed."""
-    whole, index = _indices(np.sort(y, axis=-1), d)
-    area, draws = float(whole), y.shape[1]
+    envelope_area, index = _indices(np.sort(y, axis=-1), d)
+    area, draws = float(envelope_area), y.shape[1]
     if not chance and draws == 1:
         return _without_band(index, area, 0.0)
     if draws < MIN_DRAWS or resamples == 0:
         return _without_band(index, area, np.nan)
     rng = np.random.default_rng(seed)
-    again = np.empty((resamples, index.size))
+    resampled = np.empty((resamples, index.size))
     areas = np.empty(resamples)
-    for some in _portions(resamples, y.size):
-        drawn = rng.integers(draws, size=(some.stop - some.start, draws))
-        areas[some], found = _indices(np.sort(np.take(y, drawn, axis=1), axis=-1), d)
-        again[some] = found.reshape(len(drawn), -1)
-    if np.isnan(again).any():
+    for portion in _portions(resamples, y.size):
+        columns = rng.integers(draws, size=(portion.stop - portion.start, draws))
+        areas[portion], indices = _indices(np.sort(np.take(y, columns, axis=1), axis=-1), d)
+        resampled[portion] = indices.reshape(len(columns), -1)
+    if np.isnan(resampled).any():
         return _without_band(index, area, np.nan)
     flat = index.ravel()
-    std, bias = again.std(axis=0, ddof=1), _BIAS_SEEN * (again.mean(axis=0) - flat)
+    std, bias = resampled.std(axis=0, ddof=1), _BIAS_SEEN * (resampled.mean(axis=0) - flat)
     moving = std > 1e-12
-    deviation = np.abs(again - again.mean(axis=0))[:, moving] / std[moving]
+    deviation = np.abs(resampled - resampled.mean(axis=0))[:, moving] / std[moving]
     # Few draws: the bootstrap's spread is that of a variance divided by A in place of A-1, and its
     # tails are Student's.
     point = 0.5 + 0.5 * confidence
@@ -211,25 +211,25 @@ def pair_band(
     # Where no pair is shown to differ, no shrinkage is shown either.
     low[np.all(low[:, :-2] == 0.0, axis=1), -2:] = 0.0
     high = np.minimum(1.0, flat - np.minimum(bias, 0.0) + reach * std)
-    spread = small * float(normal_quantile(point)) * float(areas.std(ddof=1))
-    area_low = area - max(0.0, _BIAS_SEEN * (float(areas.mean()) - area)) - spread
-    lead = _lead(index, again.reshape(resamples, *index.shape), reach)
-    return PairBand(index, low, high.reshape(index.shape), area, area_low, area + spread, lead)
+    area_reach = small * float(normal_quantile(point)) * float(areas.std(ddof=1))
+    area_low = area - max(0.0, _BIAS_SEEN * (float(areas.mean()) - area)) - area_reach
+    lead = _lead(index, resampled.reshape(resamples, *index.shape), reach)
+    return PairBand(index, low, high.reshape(index.shape), area, area_low, area + area_reach, lead)
 
 
-def _lead(index: FloatArray, again: FloatArray, reach: float) -> FloatArray:
+def _lead(index: FloatArray, resampled: FloatArray, reach: float) -> FloatArray:
     """(d, d) lower limits, ``reach`` standard deviations of the difference below it.
 
     The band's ``reach`` grows with what the draws show of skewness and outliers. Student's quantile
     does not: of ties between a constant and a log-normal gust (unit log variance, 8 draws, 300
     repeats) it called 15 % certain, this one 7 %. The smallest of noisy shares is biased down and
     the largest up, so chance makes a lead look shorter, never longer."""
-    pairs, resampled = index[:, :-2], again[:, :, :-2]
+    pairs, resampled_pairs = index[:, :-2], resampled[:, :, :-2]
     lead = pairs.min(axis=1)[:, None] - pairs.max(axis=1)[None, :]
-    spread = (resampled.min(axis=2)[:, :, None] - resampled.max(axis=2)[:, None, :]).std(
-        axis=0, ddof=1
-    )
-    return np.asarray(lead - reach * spread)
+    difference_std = (
+        resampled_pairs.min(axis=2)[:, :, None] - resampled_pairs.max(axis=2)[:, None, :]
+    ).std(axis=0, ddof=1)
+    return np.asarray(lead - reach * difference_std)
 
 
 def _chance_areas(y: FloatArray, d: int, rng: np.random.Generator, reach: float) -> FloatArray:
@@ -240,7 +240,7 @@ def _chance_areas(y: FloatArray, d: int, rng: np.random.Generator, reach: float)
     noise that the draws do not share. ``reach`` standard deviations above the mean of SWAPS such
     areas."""
     draws = y.shape[1]
-    found = np.empty((d, 2 ** (d - 1)))
+    chance_areas = np.empty((d, 2 ** (d - 1)))
     for i in range(d):
         halves = y.reshape(2**i, 2, -1, draws)
         low, high = (halves[:, end].reshape(-1, draws) for end in (0, 1))
@@ -250,24 +250,22 @@ def _chance_areas(y: FloatArray, d: int, rng: np.random.Generator, reach: float)
             swap = rng.random((some.stop - some.start, 1, draws)) < 0.5
             one, other = np.where(swap, high, low), np.where(swap, low, high)
             areas[some] = np.abs(np.sort(one, axis=-1) - np.sort(other, axis=-1)).mean(axis=-1)
-        found[i] = areas.mean(axis=0) + reach * areas.std(axis=0, ddof=1)
-    return found
+        chance_areas[i] = areas.mean(axis=0) + reach * areas.std(axis=0, ddof=1)
+    return chance_areas
 
 
 def _portions(repeats: int, values: int) -> Iterator[slice]:
     """Slices of ``repeats`` that are computed together, of ``values`` each: as many as the
     processor's cache holds.
     """
-    at_once = max(1, TOGETHER // values)
+    at_once = max(1, BLOCK_VALUES // values)
     return (slice(begin, min(begin + at_once, repeats)) for begin in range(0, repeats, at_once))
 
 
-def _without_band(index: FloatArray, area: float, nothing: float) -> PairBand:
+def _without_band(index: FloatArray, area: float, offset: float) -> PairBand:
     pairs = index[:, :-2]
-    lead = pairs.min(axis=1)[:, None] - pairs.max(axis=1)[None, :] + nothing
-    return PairBand(
-        index, index + nothing, index + nothing, area, area + nothing, area + nothing, lead
-    )
+    lead = pairs.min(axis=1)[:, None] - pairs.max(axis=1)[None, :] + offset
+    return PairBand(index, index + offset, index + offset, area, area + offset, area + offset, lead)
 
 
 def _indices(ordered: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:

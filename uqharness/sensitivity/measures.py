@@ -10,8 +10,8 @@ from uqharness.sensitivity.areas import (
     OUTSIDE_ALLOWED,
     RESAMPLES,
     Z,
-    beyond_corners,
     box_area,
+    excess_over_corners,
     is_flat,
     log_area,
     pair_band,
@@ -56,13 +56,13 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
 
     # Twice the same output: for one output of one parameter scipy squeezes its result to a scalar
     # and fails on it.
-    twice = {
+    duplicated = {
         "f_A": np.stack([f_A] * 2),
         "f_B": np.stack([f_B] * 2),
         "f_AB": np.stack([f_AB] * 2, axis=1),
     }
-    found = stats.sobol_indices(func=twice, n=samples)
-    total, order_one = found.total_order.reshape(2, -1)[0], found.first_order.reshape(2, -1)[0]
+    sobol = stats.sobol_indices(func=duplicated, n=samples)
+    total, order_one = sobol.total_order.reshape(2, -1)[0], sobol.first_order.reshape(2, -1)[0]
     low = high = np.full_like(total, np.nan)
     if intervals:
         by_draws = std_by_draws(
@@ -79,10 +79,10 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         name: Index(float(value), float(lo), float(hi))
         for name, value, lo, hi in zip(study.names, total, low, high, strict=True)
     }
-    together = float(total.sum())
+    total_sum = float(total.sum())
     above = [name for name, index in indices.items() if index.value > 1.0]
     statement = (
-        f"total effects add up to {together:.2f} (1 without interactions); they assume uniform"
+        f"total effects add up to {total_sum:.2f} (1 without interactions); they assume uniform"
         " distributions, which were not measured, and divide variance, not width"
     )
     if above:
@@ -95,7 +95,7 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         indices,
         not above,
         statement,
-        {"first_order": order_one, "total_sum": together},
+        {"first_order": order_one, "total_sum": total_sum},
     )
 
 
@@ -113,9 +113,9 @@ def _bootstrap(
     """Percentile limits (d,) over resampled rows."""
     rng = np.random.default_rng(seed)
     rows = rng.integers(f_A.size, size=(_RESAMPLES, f_A.size))
-    again = np.array([_total(f_A[k], f_B[k], f_AB[:, k]) for k in rows])
+    resampled = np.array([_total(f_A[k], f_B[k], f_AB[:, k]) for k in rows])
     tail = 0.5 * (1.0 - CONFIDENCE)
-    low, high = np.quantile(again, [tail, 1.0 - tail], axis=0)
+    low, high = np.quantile(resampled, [tail, 1.0 - tail], axis=0)
     return low, high
 
 
@@ -155,10 +155,10 @@ def corner_pairs(
     indices = {}
     for i, name in enumerate(study.names):
         index, low, high = band.index[i, :-2], band.low[i, :-2], band.high[i, :-2]
-        why = _no_interval(y.shape[1], intervals) if np.isnan(low).any() else ""
+        no_interval_reason = _no_interval(y.shape[1], intervals) if np.isnan(low).any() else ""
         indices[name] = PairRange(
-            Index(float(index.min()), float(low.min()), float(high.min()), why),
-            Index(float(index.max()), float(low.max()), float(high.max()), why),
+            Index(float(index.min()), float(low.min()), float(high.min()), no_interval_reason),
+            Index(float(index.max()), float(low.max()), float(high.max()), no_interval_reason),
             tuple(index.tolist()),
         )
     holds, statement, outside = _smoothness(y, interior, band.area)
@@ -181,8 +181,8 @@ def corner_pairs(
     return MethodResult(CORNER_PAIRS_METHOD, y.size, indices, holds, statement, details)
 
 
-def _no_interval(draws: int, wanted: bool) -> str:
-    if not wanted:
+def _no_interval(draws: int, requested: bool) -> str:
+    if not requested:
         return ""
     if draws < MIN_DRAWS:
         return f"no interval from {draws} aleatory draws: at least {MIN_DRAWS} are needed"
@@ -210,7 +210,7 @@ def _smoothness(
             ),
             float("nan"),
         )
-    worst = beyond_corners(corners, interior, area)
+    worst = excess_over_corners(corners, interior, area)
     holds = worst <= OUTSIDE_ALLOWED
     text = (
         f"of {len(interior)} interior samples the worst leaves the corners' envelope by"
@@ -294,16 +294,16 @@ def _linearity(
     """
     corner_area = box_area(corners)
     holds = not flat and corner_area > 0.0 and abs(predicted / corner_area - 1.0) <= LINEAR_WITHIN
-    beyond = 0.0
+    excess = 0.0
     if interior is not None and not missing_values(interior=interior):
-        beyond = beyond_corners(corners, interior, corner_area)
-    holds = holds and beyond <= OUTSIDE_ALLOWED
+        excess = excess_over_corners(corners, interior, corner_area)
+    holds = holds and excess <= OUTSIDE_ALLOWED
     verdict = (
         "linearity holds roughly"
         if holds
         else "not linear over the intervals, so do not rely on it"
     )
-    if beyond > OUTSIDE_ALLOWED:
+    if excess > OUTSIDE_ALLOWED:
         verdict = "samples between the corners leave it; " + verdict
     return (
         holds,
@@ -352,9 +352,9 @@ def pinching(
 
     def shares(e: np.ndarray, a: np.ndarray) -> np.ndarray:
         part = np.ix_(e, a)
-        whole = box_area(free[part])
+        full_area = box_area(free[part])
         return np.array(
-            [1.0 - box_area(y[part]) / whole if whole > 0.0 else np.nan for y in pinned]
+            [1.0 - box_area(y[part]) / full_area if full_area > 0.0 else np.nan for y in pinned]
         )
 
     value = shares(np.arange(free.shape[0]), np.arange(free.shape[1]))
@@ -369,8 +369,8 @@ def pinching(
     )
     if runs.corners is not None and not missing_values(corners=runs.corners):
         corner_area = box_area(runs.corners)
-        beyond = beyond_corners(runs.corners, free, corner_area)
-        filled, inside = area >= FILLED * corner_area, beyond <= OUTSIDE_ALLOWED
+        excess = excess_over_corners(runs.corners, free, corner_area)
+        filled, inside = area >= FILLED * corner_area, excess <= OUTSIDE_ALLOWED
         holds = filled and inside
         statement = (
             f"the sampled p-box is {area:.4g} wide, the corners' one {corner_area:.4g}"

@@ -120,8 +120,8 @@ def longitudinal_modes(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
     unsorted = np.linalg.eigvals(A)
     values = np.take_along_axis(unsorted, np.argsort(np.abs(unsorted), axis=-1), axis=-1)
     # Conjugates differ in modulus by rounding only, so a cut pair shows on both sides of the cut.
-    cut = (values[..., 0].imag == 0) & (values[..., 1].imag != 0)
-    values = np.where(cut[..., None], np.nan, values)
+    is_split = (values[..., 0].imag == 0) & (values[..., 1].imag != 0)
+    values = np.where(is_split[..., None], np.nan, values)
     slow, fast = values[..., :2], values[..., 2:]
     return *_damping(-slow.sum(axis=-1).real, slow.prod(axis=-1).real), *_damping(
         -fast.sum(axis=-1).real, fast.prod(axis=-1).real
@@ -150,18 +150,18 @@ def modes_of(matrix: SystemMatrix) -> tuple[FloatArray, FloatArray, FloatArray, 
     with np.errstate(all="ignore"):
         r, s = c1 / c2, c0 / c2
         for _ in range(12):
-            before = r
+            previous_r = r
             m = c3 - r
             n = c2 - s - r * m
             s = c0 / n
             r = (c1 - s * m) / n
         m = c3 - r
         n = c2 - s - r * m
-        settled = (np.abs(r - before) <= 1e-13 * np.abs(m)) & (np.abs(s) < np.abs(n))
-    found = np.array([*_damping(r, s), *_damping(m, n)])
-    if not np.all(settled):
-        found[:, ~settled] = np.array(longitudinal_modes(matrix.dense()))[:, ~settled]
-    return found[0], found[1], found[2], found[3]
+        has_converged = (np.abs(r - previous_r) <= 1e-13 * np.abs(m)) & (np.abs(s) < np.abs(n))
+    modes = np.array([*_damping(r, s), *_damping(m, n)])
+    if not np.all(has_converged):
+        modes[:, ~has_converged] = np.array(longitudinal_modes(matrix.dense()))[:, ~has_converged]
+    return modes[0], modes[1], modes[2], modes[3]
 
 
 def modal_model(reading: Reading) -> Callable[..., dict[str, FloatArray]]:
@@ -212,10 +212,10 @@ def modal_sensitivity(
     """Mean over independent repeats of the chapter's study, each index with the interval of the
     mean.
     """
-    found = []
+    results = []
     for k, stream in enumerate(np.random.SeedSequence(seed).spawn(repeats)):
         number = int(stream.generate_state(1)[0])
-        found.append(analyse(run_modal_study(reading, seed=number), intervals=False))
+        results.append(analyse(run_modal_study(reading, seed=number), intervals=False))
         if on_progress is not None:
             on_progress(k + 1, repeats)
-    return average(found)
+    return average(results)

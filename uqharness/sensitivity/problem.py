@@ -103,18 +103,21 @@ def _check_interval(name: str, interval: Any) -> None:
 
 
 def _over(
-    names: tuple[str, ...], given: Mapping[str, float] | None, default: FloatArray, what: str
+    names: tuple[str, ...], overrides: Mapping[str, float] | None, default: FloatArray, label: str
 ) -> FloatArray:
-    unknown = sorted(set(given or {}) - set(names))
+    unknown = sorted(set(overrides or {}) - set(names))
     if unknown:
         raise BadInputError(
-            f"{what}: {', '.join(unknown)} not among the epistemic parameters {', '.join(names)}"
+            f"{label}: {', '.join(unknown)} not among the epistemic parameters {', '.join(names)}"
         )
     values = np.array(
-        [float((given or {}).get(name, other)) for name, other in zip(names, default, strict=True)]
+        [
+            float((overrides or {}).get(name, other))
+            for name, other in zip(names, default, strict=True)
+        ]
     )
     if not np.all(np.isfinite(values)):
-        raise BadInputError(f"{what}: must be finite numbers, received {values.tolist()}")
+        raise BadInputError(f"{label}: must be finite numbers, received {values.tolist()}")
     return values
 
 
@@ -154,8 +157,8 @@ def corners(lower: FloatArray, upper: FloatArray) -> FloatArray:
 # Arrays of a .npz that may come from anybody: nothing is unpickled, and no more memory is taken
 # than the file is said to need.
 
-MOST_FILE_BYTES = 500_000_000
-MOST_BYTES = 1_000_000_000
+MAX_FILE_BYTES = 500_000_000
+MAX_BYTES = 1_000_000_000
 """Of all arrays together, unpacked: a study of 12 parameters, 8192 samples and 100 draws has 200 MB
 an output.
 """
@@ -185,16 +188,16 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     Raises BadInputError for anything else, and for more than MOST_BYTES of them.
     """
     try:
-        content = read_regular(path, MOST_FILE_BYTES)
+        content = read_regular(path, MAX_FILE_BYTES)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
             size = sum(member.file_size for member in members)
-            if size > MOST_BYTES:
+            if size > MAX_BYTES:
                 raise ValueError(
-                    f"its arrays would take {in_words(size)}, at most {in_words(MOST_BYTES)} are"
+                    f"its arrays would take {in_words(size)}, at most {in_words(MAX_BYTES)} are"
                     " read"
                 )
             return {

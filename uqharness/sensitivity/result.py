@@ -28,11 +28,11 @@ class Index:
 
     def as_dict(self) -> dict[str, Any]:
         """Value, interval and, where it is undefined, the reason, as plain JSON types."""
-        found: dict[str, Any] = {
+        document: dict[str, Any] = {
             "value": number(self.value),
             "interval": [number(self.low), number(self.high)],
         }
-        return found | ({"reason": self.reason} if self.reason else {})
+        return document | ({"reason": self.reason} if self.reason else {})
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,11 @@ class PairRange:
 
     def as_dict(self) -> dict[str, Any]:
         """The interval runs from the low end of the smallest to the high end of the largest."""
-        found: dict[str, Any] = {"value": [number(self.minimum.value), number(self.maximum.value)]}
-        found["interval"] = [number(self.minimum.low), number(self.maximum.high)]
-        return found | ({"reason": self.reason} if self.reason else {})
+        document: dict[str, Any] = {
+            "value": [number(self.minimum.value), number(self.maximum.value)]
+        }
+        document["interval"] = [number(self.minimum.low), number(self.maximum.high)]
+        return document | ({"reason": self.reason} if self.reason else {})
 
 
 @dataclass(frozen=True)
@@ -106,9 +108,9 @@ def all_undefined(method: str, names: Iterable[str], reason: str, runs: int = 0)
 def missing_values(**stages: np.ndarray) -> str:
     """Why no index can be had: which runs gave no finite value. Empty if all did."""
     for stage, y in stages.items():
-        bad = int(np.count_nonzero(~np.isfinite(y)))
-        if bad:
-            return f"{bad} of {y.size} {stage} runs gave no finite value"
+        n_missing = int(np.count_nonzero(~np.isfinite(y)))
+        if n_missing:
+            return f"{n_missing} of {y.size} {stage} runs gave no finite value"
     return ""
 
 
@@ -127,10 +129,10 @@ class Ranking:
     by_ranges: tuple[str, ...] = ()
     by_sampling: tuple[str, ...] = ()
     certain: bool = False
-    shown: bool = True
+    has_effect: bool = True
 
 
-def rank(result: MethodResult, lost: int = 0) -> Ranking:
+def rank(result: MethodResult, n_lost: int = 0) -> Ranking:
     """The largest share by the middle of its range, and those that may exceed it: whose largest
     share reaches its smallest.
     """
@@ -138,20 +140,27 @@ def rank(result: MethodResult, lost: int = 0) -> Ranking:
     if not ranges or any(math.isnan(item.maximum.value) for item in ranges.values()):
         return Ranking("")
     first = max(ranges, key=lambda name: ranges[name].minimum.value + ranges[name].maximum.value)
-    mine, others = ranges[first], {name: item for name, item in ranges.items() if name != first}
+    first_range, other_ranges = (
+        ranges[first],
+        {name: item for name, item in ranges.items() if name != first},
+    )
     by_ranges = tuple(
-        name for name, item in others.items() if not item.maximum.value < mine.minimum.value
+        name
+        for name, item in other_ranges.items()
+        if not item.maximum.value < first_range.minimum.value
     )
     names = list(result.indices)
     lead = result.details["lead"][names.index(first)]
     # Without an interval nothing is shown, so a comparison with NaN must keep the other in.
-    reach = tuple(name for name in others if not lead[names.index(name)] > 0.0)
+    reach = tuple(name for name in other_ranges if not lead[names.index(name)] > 0.0)
     by_sampling = tuple(name for name in reach if name not in by_ranges)
-    shown = bool(result.details["shrink_low"][names.index(first)] > 0.0)
-    return Ranking(first, by_ranges, by_sampling, shown and not reach and not lost, shown)
+    has_effect = bool(result.details["shrink_low"][names.index(first)] > 0.0)
+    return Ranking(
+        first, by_ranges, by_sampling, has_effect and not reach and not n_lost, has_effect
+    )
 
 
-def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flights: int) -> str:
+def words(result: MethodResult, metric: str, ranking: Ranking, n_lost: int, flights: int) -> str:
     """Which uncertainty to reduce first, what that brings, and whether it is certain."""
     if not ranking.first:
         return f"{metric}: {result.statement}"
@@ -159,32 +168,33 @@ def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flight
         f"{metric}: reduce {ranking.first} first."
         f" {_shrinkage(result, ranking.first, unit_of(metric))}"
     )
-    doubts = []
+    reservations = []
     if ranking.by_ranges:
-        doubts.append(
+        reservations.append(
             f"at some values of the other coefficients {_listed(ranking.by_ranges)} may matter as"
             " much"
         )
     if ranking.by_sampling:
-        doubts.append(
-            f"by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may"
-            " come first"
+        reservations.append(
+            f"by the sampling error of {flights - n_lost} flights {_listed(ranking.by_sampling)}"
+            " may come first"
         )
-    elif not ranking.shown:
-        doubts.append(
-            f"by the sampling error of {flights - lost} flights {ranking.first} may have no effect"
+    elif not ranking.has_effect:
+        reservations.append(
+            f"by the sampling error of {flights - n_lost} flights {ranking.first} may have no"
+            " effect"
         )
-    if doubts:
-        text += f" Not certain: {'; '.join(doubts)}."
+    if reservations:
+        text += f" Not certain: {'; '.join(reservations)}."
     if ranking.certain:
         text += (
             " Certain: it holds at every corner of the other coefficients and for the sampling"
             " error (95 %, same flights compared)."
         )
-    if lost:
+    if n_lost:
         text += (
-            f" {lost} of {flights} aleatory samples are left out, because a flight of theirs failed"
-            " in some corner; "
+            f" {n_lost} of {flights} aleatory samples are left out, because a flight of theirs"
+            " failed in some corner; "
         )
         text += "the result holds for the others only."
     return text

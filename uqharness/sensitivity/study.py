@@ -201,15 +201,15 @@ def run_study(
 
     total = sum(len(theta) * len(draw) for theta, draw in stages.values())
     done = 0
-    found: dict[str, dict[str, FloatArray]] = {}
+    stage_outputs: dict[str, dict[str, FloatArray]] = {}
     for stage, (theta, draw) in stages.items():
         values = _evaluate(model, problem, theta, draw, vectorised)
         done += len(theta) * len(draw)
         if on_progress is not None:
             on_progress(done, total)
         for output, y in values.items():
-            found.setdefault(output, {})[stage] = _shaped(stage, y, len(problem.names))
-    outputs = {output: Evaluations(**found[output]) for output in found}
+            stage_outputs.setdefault(output, {})[stage] = _shaped(stage, y, len(problem.names))
+    outputs = {output: Evaluations(**stage_outputs[output]) for output in stage_outputs}
     return Study(
         problem.names,
         problem.lower,
@@ -285,16 +285,16 @@ def _evaluate(
             raise BadInputError(f"the model gave outputs {sorted(called)} after {sorted(parts)}")
         for output, y in called.items():
             parts.setdefault(output, []).append(y.reshape(len(block), len(draws)))
-    return {output: np.concatenate(found) for output, found in parts.items()}
+    return {output: np.concatenate(blocks) for output, blocks in parts.items()}
 
 
-def _named(returned: Any) -> Mapping[str, Any]:
+def _as_mapping(returned: Any) -> Mapping[str, Any]:
     return returned if isinstance(returned, Mapping) else {"output": returned}
 
 
 def _call(model: Model, values: dict[str, FloatArray], n: int) -> dict[str, FloatArray]:
-    found = {}
-    for output, y in _named(model(**values)).items():
+    outputs = {}
+    for output, y in _as_mapping(model(**values)).items():
         y = np.asarray(y, dtype=float)
         if y.shape not in ((n,), ()):
             raise BadInputError(
@@ -302,13 +302,13 @@ def _call(model: Model, values: dict[str, FloatArray], n: int) -> dict[str, Floa
                 " number per value, or pass vectorised=False to have it called with floats"
             )
         # A model that depends on nothing may say so with one number.
-        found[str(output)] = np.broadcast_to(y, (n,)).copy()
-    return found
+        outputs[str(output)] = np.broadcast_to(y, (n,)).copy()
+    return outputs
 
 
 def _call_each(model: Model, values: dict[str, FloatArray]) -> dict[str, FloatArray]:
     rows = zip(*(column.tolist() for column in values.values()), strict=True)
-    results = [_named(model(**dict(zip(values, row, strict=True)))) for row in rows]
+    results = [_as_mapping(model(**dict(zip(values, row, strict=True)))) for row in rows]
     if any(set(item) != set(results[0]) for item in results):
         raise BadInputError(
             "the model names different outputs at different values; give every output a value, NaN"
@@ -389,7 +389,7 @@ def read_study(path: str | Path) -> Study:
         header = parse_json(arrays["header"].tobytes())
         names, outputs = list(map(_text, header["names"])), list(map(_text, header["outputs"]))
         d, samples = len(names), len(arrays["theta"])
-        found = {
+        by_output = {
             output: Evaluations(
                 **{
                     field.name: arrays[f"{k}/{field.name}"]
@@ -401,13 +401,15 @@ def read_study(path: str | Path) -> Study:
         }
         for name in _ARRAYS:
             _require(name, arrays[name], (samples, d) if name == "theta" else (d,))
-        for evaluations in found.values():
+        for evaluations in by_output.values():
             _check_evaluations(evaluations, d, samples)
-        kept: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
-        return Study(names=tuple(names), chance=header["chance"] is True, outputs=found, **kept)
+        stored: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
+        return Study(
+            names=tuple(names), chance=header["chance"] is True, outputs=by_output, **stored
+        )
     except (ValueError, KeyError, TypeError) as error:
-        what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise BadInputError(f"{path}: not a study written by uqharness: {what}") from None
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise BadInputError(f"{path}: not a study written by uqharness: {reason}") from None
 
 
 def _text(value: Any) -> str:
@@ -421,21 +423,21 @@ def _require(name: str, values: FloatArray, shape: tuple[int | None, ...]) -> No
         n is None or n == m for n, m in zip(shape, values.shape, strict=True)
     )
     if values.dtype != np.float64 or not fits:
-        wanted = " x ".join("any" if n is None else str(n) for n in shape)
+        expected = " x ".join("any" if n is None else str(n) for n in shape)
         raise ValueError(
-            f"{name} is {values.dtype} of shape {values.shape}; {wanted} numbers are needed"
+            f"{name} is {values.dtype} of shape {values.shape}; {expected} numbers are needed"
         )
 
 
-def _check_evaluations(found: Evaluations, d: int, samples: int) -> None:
+def _check_evaluations(evaluations: Evaluations, d: int, samples: int) -> None:
     """ValueError unless every stage has the shape that its docstring tells, with the same draws
     everywhere.
     """
-    given = {field.name: getattr(found, field.name) for field in fields(Evaluations)}
-    given = {name: values for name, values in given.items() if values is not None}
+    stages = {field.name: getattr(evaluations, field.name) for field in fields(Evaluations)}
+    stages = {name: values for name, values in stages.items() if values is not None}
     draws = {
         values.shape[-1]
-        for name, values in given.items()
+        for name, values in stages.items()
         if name not in ("nominal", "forward") and values.ndim
     }
     if len(draws) > 1:
@@ -450,5 +452,5 @@ def _check_evaluations(found: Evaluations, d: int, samples: int) -> None:
         "corners": (2**d if d < 64 else -1, None),
         "interior": (None, None),
     }
-    for name, values in given.items():
+    for name, values in stages.items():
         _require(name, values, shapes[name])

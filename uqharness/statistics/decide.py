@@ -66,7 +66,7 @@ class Evidence:
     squares: FloatArray
     bets: FloatArray
     bets_zone: FloatArray
-    lost: FloatArray
+    aborted: FloatArray
     bets_lost: FloatArray
     missing: FloatArray
     ended: FloatArray
@@ -84,9 +84,9 @@ class Evidence:
         """Observed variance over mean of each corner's counts."""
         n = np.maximum(self.flights, 2.0)
         mean = self.total / n
-        spread = np.maximum(self.squares - n * mean**2, 0.0) / (n - 1.0)
+        variance = np.maximum(self.squares - n * mean**2, 0.0) / (n - 1.0)
         return np.where(
-            (self.flights >= 2) & (mean > 0), spread / np.where(mean > 0, mean, 1.0), 1.0
+            (self.flights >= 2) & (mean > 0), variance / np.where(mean > 0, mean, 1.0), 1.0
         )
 
 
@@ -101,38 +101,38 @@ def add(
     question: Question,
     low: FloatArray,
     high: FloatArray,
-    lost: FloatArray | None = None,
+    aborted_flights: FloatArray | None = None,
     missing: FloatArray | None = None,
 ) -> Evidence:
     """Evidence with one round more: least and most excursions (c, k) of each flight of the open
     corners, NaN elsewhere.
 
-    ``lost`` (c, k) is 1 where a flight was aborted, ``missing`` (c, k) the share of its time that
+    ``aborted_flights`` (c, k) is 1 where a flight was aborted, ``missing`` (c, k) the share of its time that
     it did not fly; none by default."""
-    flown = np.isfinite(high)
-    counted, upper = np.where(flown, low, 0.0), np.where(flown, high, 0.0)
-    absent = np.where(flown, 0.0 if missing is None else missing, 0.0)
+    has_flown = np.isfinite(high)
+    counted, upper = np.where(has_flown, low, 0.0), np.where(has_flown, high, 0.0)
+    absent = np.where(has_flown, 0.0 if missing is None else missing, 0.0)
 
     def earned(counts: FloatArray, mean: float) -> FloatArray:
-        found: FloatArray = np.where(
-            flown[..., None], bet_logs(counts + mean * absent, mean), 0.0
+        log_earnings: FloatArray = np.where(
+            has_flown[..., None], bet_logs(counts + mean * absent, mean), 0.0
         ).sum(axis=1)
-        return found
+        return log_earnings
 
     bets, zone = earned(counted, question.threshold), earned(counted, question.zone[0])
-    aborted = np.where(flown, 0.0 if lost is None else lost, 0.0)
+    aborted = np.where(has_flown, 0.0 if aborted_flights is None else aborted_flights, 0.0)
     bets_lost = np.zeros_like(bets)
     if np.isfinite(question.loss_threshold):
         bets_lost = earned(aborted, question.loss_threshold)
     return replace(
         evidence,
-        lost=evidence.lost + aborted.sum(axis=1),
+        aborted=evidence.aborted + aborted.sum(axis=1),
         bets_lost=evidence.bets_lost + bets_lost,
         missing=evidence.missing + absent.sum(axis=1),
         ended=np.maximum(
             evidence.ended, np.where(absent > 0.0, upper, 0.0).max(axis=1, initial=0.0)
         ),
-        flights=evidence.flights + flown.sum(axis=1),
+        flights=evidence.flights + has_flown.sum(axis=1),
         total=evidence.total + upper.sum(axis=1),
         squares=evidence.squares + (upper**2).sum(axis=1),
         bets=evidence.bets + bets,
@@ -140,11 +140,11 @@ def add(
     )
 
 
-def look(evidence: Evidence, question: Question) -> Evidence:
+def decide_cell(evidence: Evidence, question: Question) -> Evidence:
     """Answer what the evidence settles: corners first, then the cell. A settled answer stays."""
     if evidence.cell:
         return evidence
-    wanted, doubly = -np.log(question.error_rate), -np.log(question.error_rate / 2.0)
+    threshold, halved_threshold = -np.log(question.error_rate), -np.log(question.error_rate / 2.0)
     # A flight that ended early counts as a cluster of what it had seen (rates.py).
     dispersion = np.maximum(np.maximum(evidence.dispersion, evidence.ended), question.dispersion)
 
@@ -158,30 +158,32 @@ def look(evidence: Evidence, question: Question) -> Evidence:
                 question.dispersion,
                 evidence.missing,
             )
-            >= doubly
+            >= halved_threshold
         )
 
     above = log_e_above(evidence.bets)
     acceptable = below(question.threshold)
     if np.isfinite(question.loss_threshold):
         # A flight is aborted once: its count clusters no more than independent ones do.
-        least, limit = np.ones_like(evidence.lost), question.loss_threshold
+        unit_dispersion, limit = np.ones_like(evidence.aborted), question.loss_threshold
         acceptable &= (
-            log_e_below(evidence.flights, evidence.lost, limit, least, 1.0, evidence.missing)
-            >= doubly
+            log_e_below(
+                evidence.flights, evidence.aborted, limit, unit_dispersion, 1.0, evidence.missing
+            )
+            >= halved_threshold
         )
         above = evidence_of_either(above, log_e_above(evidence.bets_lost))
-    marginal = below(question.zone[1]) & (log_e_above(evidence.bets_zone) >= wanted)
+    marginal = below(question.zone[1]) & (log_e_above(evidence.bets_zone) >= threshold)
     answers = list(evidence.answers)
     for corner in np.flatnonzero(evidence.open):
-        if question.every_corner and above[corner] >= wanted:
+        if question.every_corner and above[corner] >= threshold:
             answers[corner] = NO
         elif acceptable[corner]:
             answers[corner] = YES
         elif marginal[corner]:
             answers[corner] = OPEN
     some_above = (
-        float(np.logaddexp.reduce(above)) - np.log(above.size) >= wanted
+        float(np.logaddexp.reduce(above)) - np.log(above.size) >= threshold
         and not question.every_corner
     )
     cell = reason = ""
@@ -200,10 +202,10 @@ def evidence_of_either(excursions: FloatArray, losses: FloatArray) -> FloatArray
 
     Most of the weight lies on excursions, of which there are more.
     """
-    found: FloatArray = np.logaddexp(
+    log_e: FloatArray = np.logaddexp(
         excursions + np.log(1.0 - LOSS_WEIGHT), losses + np.log(LOSS_WEIGHT)
     )
-    return found
+    return log_e
 
 
 def close(evidence: Evidence) -> Evidence:

@@ -37,7 +37,7 @@ MIN_AIRS = 40
 RESAMPLES = 1000
 MIN_BEYOND = 20
 """Resamples that must lie beyond the wanted quantile."""
-MOST_FLIGHTS = 100_000
+MAX_FLIGHTS = 100_000
 """Flights of one p-box beyond which drawing again costs more than the width is worth."""
 _SEED = 20161224
 
@@ -47,9 +47,7 @@ def is_enough(airs: int, flights: int, confidence: float) -> bool:
     out.
     """
     return (
-        airs >= MIN_AIRS
-        and flights <= MOST_FLIGHTS
-        and (1.0 - confidence) * RESAMPLES >= MIN_BEYOND
+        airs >= MIN_AIRS and flights <= MAX_FLIGHTS and (1.0 - confidence) * RESAMPLES >= MIN_BEYOND
     )
 
 
@@ -61,47 +59,47 @@ def common_air_half_width(values: FloatArray, confidence: float, seed: int = _SE
     side. Two corrections of order 1/n: drawn distances scatter less than true ones by the root of
     (n - 1)/n, and are looked at after each step alone, so that up to 1/n is missing."""
     airs = values.shape[1]
-    more = _multiplicities(airs, seed) - 1
+    extra_draws = _multiplicities(airs, seed) - 1
     largest = np.zeros(RESAMPLES, dtype=np.int64)
     for row in values:
         unknown = np.isnan(row)
         sides = (np.inf, -np.inf) if unknown.any() else (np.inf,)
         for side in sides:
-            np.maximum(largest, _distances(np.where(unknown, side, row), more), out=largest)
+            np.maximum(largest, _distances(np.where(unknown, side, row), extra_draws), out=largest)
     # The smallest resampled distance with at most the wanted share above it, of one more than were
     # drawn.
     place = min(int(np.ceil(confidence * (RESAMPLES + 1))), RESAMPLES) - 1
-    wanted = float(np.sort(largest)[place]) / airs
-    return min(1.0, float(np.sqrt(airs / (airs - 1.0))) * wanted + 1.0 / airs)
+    quantile = float(np.sort(largest)[place]) / airs
+    return min(1.0, float(np.sqrt(airs / (airs - 1.0))) * quantile + 1.0 / airs)
 
 
 @lru_cache(8)
 def _multiplicities(airs: int, seed: int) -> NDArray[np.int32]:
     """(airs, resamples): how often each air was drawn."""
     rng = np.random.default_rng(seed)
-    drawn = rng.integers(0, airs, (RESAMPLES, airs))
+    air_indices = rng.integers(0, airs, (RESAMPLES, airs))
     offset = airs * np.arange(RESAMPLES)[:, None]
-    times = np.bincount((drawn + offset).ravel(), minlength=RESAMPLES * airs)
-    found = np.ascontiguousarray(times.reshape(RESAMPLES, airs).T.astype(np.int32))
-    found.flags.writeable = False
-    return found
+    times = np.bincount((air_indices + offset).ravel(), minlength=RESAMPLES * airs)
+    multiplicities = np.ascontiguousarray(times.reshape(RESAMPLES, airs).T.astype(np.int32))
+    multiplicities.flags.writeable = False
+    return multiplicities
 
 
-def _distances(row: FloatArray, more: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(resamples,) largest difference between counts at or below a value, drawn and flown; ``more``
+def _distances(row: FloatArray, extra_draws: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(resamples,) largest difference between counts at or below a value, drawn and flown; ``extra_draws``
     (airs, resamples): how much oftener than once each air was drawn. Air by air, all resamples at
     once: a cumulative sum would leave the processor's cache."""
     order = np.argsort(row, kind="stable")
     ordered = row[order]
     steps = np.append(ordered[1:] != ordered[:-1], True)
-    drawn, most, least = np.zeros((3, more.shape[1]), dtype=np.int32)
+    cumulative, largest, smallest = np.zeros((3, extra_draws.shape[1]), dtype=np.int32)
     for air, is_step in zip(order.tolist(), steps.tolist(), strict=True):
-        drawn += more[air]
+        cumulative += extra_draws[air]
         if is_step:
-            np.maximum(most, drawn, out=most)
-            np.minimum(least, drawn, out=least)
-    found: NDArray[np.int64] = np.maximum(most, -least).astype(np.int64)
-    return found
+            np.maximum(largest, cumulative, out=largest)
+            np.minimum(smallest, cumulative, out=smallest)
+    distances: NDArray[np.int64] = np.maximum(largest, -smallest).astype(np.int64)
+    return distances
 
 
 MAX_POINTS = 512
@@ -166,7 +164,7 @@ class PBox:
 
         Raises BadInputError for a probability that is none.
         """
-        return _first(self.value, self.upper, probability), _first(
+        return _first_reaching(self.value, self.upper, probability), _first_reaching(
             self.value, self.lower, probability
         )
 
@@ -176,29 +174,29 @@ class PBox:
 
         Raises BadInputError likewise.
         """
-        found = []
+        setters = []
         for end, names in zip(
             self.quantile(probability), (self.corner_upper, self.corner_lower), strict=True
         ):
-            found.append(str(names[np.searchsorted(self.value, end)]) if np.isfinite(end) else "")
-        return found[0], found[1]
+            setters.append(str(names[np.searchsorted(self.value, end)]) if np.isfinite(end) else "")
+        return setters[0], setters[1]
 
     def band_quantile(self, probability: float) -> tuple[float, float]:
         """The same for the band: -inf or inf where too few flights were flown to say.
 
         Raises BadInputError likewise.
         """
-        left = _first(self.value, self.band_upper, probability)
-        if left == self.value[0]:
-            left = -np.inf
-        return left, _first(self.value, self.band_lower, probability)
+        lower_end = _first_reaching(self.value, self.band_upper, probability)
+        if lower_end == self.value[0]:
+            lower_end = -np.inf
+        return lower_end, _first_reaching(self.value, self.band_lower, probability)
 
 
-def _first(value: FloatArray, probability: FloatArray, wanted: float) -> float:
-    wanted = number(
-        "probability", wanted, "a number from 0 to 1", lambda given: 0.0 <= given <= 1.0
+def _first_reaching(value: FloatArray, probability: FloatArray, target: float) -> float:
+    target = number(
+        "probability", target, "a number from 0 to 1", lambda share: 0.0 <= share <= 1.0
     )
-    reached = np.flatnonzero(probability >= wanted - 1e-12)
+    reached = np.flatnonzero(probability >= target - 1e-12)
     return float(value[reached[0]]) if reached.size else float("inf")
 
 
@@ -295,8 +293,8 @@ def _on_common_air(samples: Sequence[Sample], confidence: float) -> FloatArray |
     if len(samples) < 2 or samples[0].airs is None or not is_enough(size, flights, confidence):
         return None
     airs = np.unique(samples[0].airs)
-    found = np.full((len(samples), size), np.nan)
-    for row, sample in zip(found, samples, strict=True):
+    matrix = np.full((len(samples), size), np.nan)
+    for row, sample in zip(matrix, samples, strict=True):
         if (
             sample.size != size
             or sample.airs is None
@@ -304,7 +302,7 @@ def _on_common_air(samples: Sequence[Sample], confidence: float) -> FloatArray |
         ):
             return None
         row[np.searchsorted(airs, sample.airs[: sample.values.size])] = sample.values
-    return found
+    return matrix
 
 
 def envelope(samples: Sequence[Sample], at: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -379,10 +377,13 @@ def containment(
     value = np.unique(np.concatenate([sample.values for sample in (*inner, *outer)]))
     if value.size == 0:
         raise ValueError("a comparison needs at least one known value")
-    within, around = envelope(inner, value), envelope(outer, value)
-    beyond = {"lower": around[0] - within[0], "upper": within[1] - around[1]}
-    worst = {side: int(np.argmax(excess)) for side, excess in beyond.items()}
-    excess = {side: max(0.0, float(beyond[side][index])) for side, index in worst.items()}
+    inner_sides, outer_sides = envelope(inner, value), envelope(outer, value)
+    differences = {
+        "lower": outer_sides[0] - inner_sides[0],
+        "upper": inner_sides[1] - outer_sides[1],
+    }
+    worst = {side: int(np.argmax(excess)) for side, excess in differences.items()}
+    excess = {side: max(0.0, float(differences[side][index])) for side, index in worst.items()}
     at = {
         side: float(value[index]) if excess[side] > 0.0 else float("nan")
         for side, index in worst.items()
@@ -394,13 +395,14 @@ def containment(
     )
     chance = min(1.0, chance)
     widths = [
-        float(np.sum((upper - lower)[:-1] * np.diff(value))) for lower, upper in (within, around)
+        float(np.sum((upper - lower)[:-1] * np.diff(value)))
+        for lower, upper in (inner_sides, outer_sides)
     ]
     ratio = widths[0] / widths[1] if widths[1] > 0.0 else float("nan")
     return Containment(
         value,
-        within,
-        around,
+        inner_sides,
+        outer_sides,
         excess["lower"],
         excess["upper"],
         at["lower"],
@@ -542,10 +544,10 @@ def area_metric(box: PBox, values: FloatArray, confidence: float = 0.95) -> Area
     # Below the first value flown nothing is known but how few flights there were.
     open_band = np.concatenate([[box.band_upper[0]], box.band_upper])[row]
     chance = band_half_width(values.size, 1, confidence)
-    beyond = np.maximum(share - chance - open_band, 0.0) + np.maximum(
+    excess = np.maximum(share - chance - open_band, 0.0) + np.maximum(
         steps(box.band_lower) - share - chance, 0.0
     )
-    return AreaMetric(below + above, below, above, float(widths @ beyond), int(values.size))
+    return AreaMetric(below + above, below, above, float(widths @ excess), int(values.size))
 
 
 # Have enough flights been flown, and enough epistemic samples? Answered from what was flown, by
@@ -636,7 +638,7 @@ def growth(samples: Sequence[FloatArray], seed: int, draws: int = 40) -> list[Gr
     sizes = sorted(
         {*(2**power for power in range(1, count.bit_length()) if 2**power < count), count}
     )
-    found = []
+    rows = []
     for size in sizes:
         tries = 1 if size == count else draws
         areas = []
@@ -644,7 +646,7 @@ def growth(samples: Sequence[FloatArray], seed: int, draws: int = 40) -> list[Gr
             part = curves[generator.choice(count, size, replace=False)]
             areas.append(float(widths @ (part.max(axis=0) - part.min(axis=0))[:-1]))
         low, high = np.quantile(areas, [0.025, 0.975])
-        found.append(
+        rows.append(
             Growth(size, float(np.mean(areas)), float(low), float(high), 2.0 / (size + 1.0))
         )
-    return found
+    return rows

@@ -48,17 +48,17 @@ def observed_dispersion(counts: FloatArray) -> FloatArray:
     """Variance over mean of the counts (..., n), NaN marking none; 1 where it says nothing (fewer
     than 2 flights, or no count).
     """
-    known = np.isfinite(counts)
-    flights = known.sum(axis=-1)
-    values = np.where(known, counts, 0.0)
+    is_counted = np.isfinite(counts)
+    flights = is_counted.sum(axis=-1)
+    values = np.where(is_counted, counts, 0.0)
     mean = values.sum(axis=-1) / np.maximum(flights, 1)
-    spread = np.where(known, (values - mean[..., None]) ** 2, 0.0).sum(axis=-1) / np.maximum(
+    variance = np.where(is_counted, (values - mean[..., None]) ** 2, 0.0).sum(axis=-1) / np.maximum(
         flights - 1, 1
     )
-    found: FloatArray = np.where(
-        (flights >= 2) & (mean > 0.0), spread / np.where(mean > 0.0, mean, 1.0), 1.0
+    dispersion: FloatArray = np.where(
+        (flights >= 2) & (mean > 0.0), variance / np.where(mean > 0.0, mean, 1.0), 1.0
     )
-    return found
+    return dispersion
 
 
 def bet_logs(counts: FloatArray, mean: float | FloatArray) -> FloatArray:
@@ -75,8 +75,8 @@ def log_e_above(bets: FloatArray) -> FloatArray:
     """Logarithm of the evidence that the mean is above the tested one, from sums over flights of
     ``bet_logs`` (..., bets).
     """
-    found: FloatArray = logsumexp(bets, axis=-1) - np.log(_BETS.size)
-    return found
+    log_e: FloatArray = logsumexp(bets, axis=-1) - np.log(_BETS.size)
+    return log_e
 
 
 def log_e_below(
@@ -100,8 +100,8 @@ def log_e_below(
     logs = -s * total[..., None] - flights[..., None] * np.log1p(
         mean[..., None] * np.expm1(-s * kappa) / kappa
     )
-    found: FloatArray = logsumexp(logs, axis=-1, b=_TILT_WEIGHTS)
-    return found
+    log_e: FloatArray = logsumexp(logs, axis=-1, b=_TILT_WEIGHTS)
+    return log_e
 
 
 def _log_error(
@@ -173,17 +173,17 @@ def upper_limits(
         return _log_error(flights, total, mean, dispersion, assumed, absent)
 
     high = np.maximum(total / np.maximum(flights, 1.0), 1.0 / np.maximum(flights, 1.0))
-    wanted = np.log(error)
+    log_target = np.log(error)
     for _ in range(40 if absent.any() else 200):
-        short = (log_error(high) > wanted) & (flights > 0)
+        short = (log_error(high) > log_target) & (flights > 0)
         if not short.any():
             break
         high = np.where(short, 2.0 * high, high)
-    never = (log_error(high) > wanted) | (flights <= 0)
+    never = (log_error(high) > log_target) | (flights <= 0)
     low = np.zeros_like(high)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        rejected = log_error(middle) <= wanted
+        rejected = log_error(middle) <= log_target
         low, high = np.where(rejected, low, middle), np.where(rejected, middle, high)
     return np.where(never, np.inf, high)
 
@@ -194,14 +194,14 @@ def share_upper(events: FloatArray, flights: FloatArray, error: float) -> FloatA
     without flights."""
     events, flights = np.asarray(events, float), np.asarray(flights, float)
     some = events < flights
-    found: FloatArray = np.where(
+    limits: FloatArray = np.where(
         some,
         betaincinv(
             np.where(some, events + 1.0, 1.0), np.where(some, flights - events, 1.0), 1.0 - error
         ),
         1.0,
     )
-    return found
+    return limits
 
 
 def lower_limits(counts: FloatArray, error: float) -> FloatArray:
@@ -211,23 +211,23 @@ def lower_limits(counts: FloatArray, error: float) -> FloatArray:
     values, number = _tally(counts)
     some = (values > 0) & (number > 0)
     at = np.flatnonzero(some.any(axis=-1))
-    found = np.zeros(counts.shape[0])
+    limits = np.zeros(counts.shape[0])
     if at.size == 0:
-        return found
+        return limits
     values, number = values[at], number[at]
-    wanted = -np.log(error)
+    log_target = -np.log(error)
     high = (values * number).sum(axis=-1) / number.sum(axis=-1)
     start = low = high * 1e-9
     for _ in range(_BISECTIONS):
         middle = np.sqrt(low * high)
-        shown = (
+        is_rejected = (
             log_e_above((number[..., None] * bet_logs(values, middle[:, None])).sum(axis=-2))
-            >= wanted
+            >= log_target
         )
-        low, high = np.where(shown, middle, low), np.where(shown, high, middle)
+        low, high = np.where(is_rejected, middle, low), np.where(is_rejected, high, middle)
     # Where even the start was never shown to be too low, nothing is.
-    found[at] = np.where(low > start, low, 0.0)
-    return found
+    limits[at] = np.where(low > start, low, 0.0)
+    return limits
 
 
 def _tally(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -237,8 +237,8 @@ def _tally(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
     rows = [np.unique(row[np.isfinite(row)], return_counts=True) for row in counts]
     width = max((values.size for values, _ in rows), default=0)
     values, number = np.zeros((len(rows), max(width, 1))), np.zeros((len(rows), max(width, 1)))
-    for row, (found, times) in enumerate(rows):
-        values[row, : found.size], number[row, : found.size] = found, times
+    for row, (distinct, times) in enumerate(rows):
+        values[row, : distinct.size], number[row, : distinct.size] = distinct, times
     return values, number
 
 
@@ -263,28 +263,32 @@ def dispersion_limits(counts: FloatArray, error: float) -> tuple[FloatArray, Flo
 
     0 and inf where nothing was counted. The upper limit is never below 1.
     """
-    known = np.isfinite(counts)
-    values = np.where(known, counts, 0.0)
-    flights = known.sum(axis=1).astype(float)
+    is_counted = np.isfinite(counts)
+    values = np.where(is_counted, counts, 0.0)
+    flights = is_counted.sum(axis=1).astype(float)
     reach = -float(normal_quantile(error))
 
-    def of(more: FloatArray, sign: float) -> FloatArray:
+    def limit_with(more: FloatArray, sign: float) -> FloatArray:
         first, second, third, fourth = (
             (values**power).sum(axis=1) + more**power for power in (1, 2, 3, 4)
         )
         some = first > 0.0
         total = np.where(some, first, 1.0)
         ratio = second / total
-        spread = np.sqrt(np.maximum(fourth - 2.0 * ratio * third + ratio**2 * second, 0.0)) / total
-        number = np.maximum(flights + (more > 0.0), 1.0)
-        found: FloatArray = np.where(
-            some, ratio + sign * reach * spread - total / number, np.inf if sign > 0.0 else 0.0
+        standard_error = (
+            np.sqrt(np.maximum(fourth - 2.0 * ratio * third + ratio**2 * second, 0.0)) / total
         )
-        return found
+        number = np.maximum(flights + (more > 0.0), 1.0)
+        limit: FloatArray = np.where(
+            some,
+            ratio + sign * reach * standard_error - total / number,
+            np.inf if sign > 0.0 else 0.0,
+        )
+        return limit
 
     largest = values.max(axis=1)
-    return np.maximum(of(np.zeros_like(largest), -1.0), 0.0), np.maximum(
-        of(2.0 * largest, 1.0), 1.0
+    return np.maximum(limit_with(np.zeros_like(largest), -1.0), 0.0), np.maximum(
+        limit_with(2.0 * largest, 1.0), 1.0
     )
 
 

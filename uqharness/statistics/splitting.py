@@ -37,11 +37,11 @@ SHARE = 0.1
 """Share of its time that a path spends above the first level: the time above a level is then flown
 ``COPIES * SHARE`` times.
 """
-LEAST_SEEN = 200
+MIN_CHECKPOINTS = 200
 """Checkpoints of paths above a score from which the pilot takes a level: fewer are too few
 clusters.
 """
-MOST_PATHS = 50_000
+MAX_PATHS = 50_000
 _ROUNDS, _PATIENCE = 30, 4
 
 
@@ -71,7 +71,7 @@ class Levels:
 
 
 @dataclass(frozen=True)
-class Seen:
+class Checkpoint:
     """Paths at a checkpoint: score (n,), events since the last one (n, kinds), and which have ended
     (n,).
     """
@@ -87,7 +87,7 @@ class Paths(Protocol):
     Where all go on and none is copied, ``follow`` is not called.
     """
 
-    def advance(self) -> Seen | None:
+    def advance(self) -> Checkpoint | None:
         """Go on to the next checkpoint; None behind the last."""
 
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
@@ -105,7 +105,7 @@ class Occupancy:
 
     grid: FloatArray
     share: FloatArray
-    seen: FloatArray
+    count: FloatArray
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Replicate:
     events: FloatArray
     ended: float
     steps: int
-    most: int
+    max_paths: int
     highest: int
     occupancy: Occupancy
     probability_by_root: FloatArray
@@ -138,7 +138,7 @@ def run(
     grid = np.zeros(0) if grid is None else grid
     thresholds, floors = np.array(levels.scores), np.array(levels.floors)
     weights = float(levels.copies) ** -np.arange(len(levels.scores) + 1)
-    level, born, had = (
+    level, birth_level, had_event = (
         np.zeros(roots, np.intp),
         np.zeros(roots, np.intp),
         np.zeros((roots, kinds), bool),
@@ -150,58 +150,60 @@ def run(
         0.0,
     )
     share, seen_above, checkpoints = np.zeros(grid.size), np.zeros(grid.size), 0
-    steps, most, highest = 0, roots, 0
-    while (seen := paths.advance()) is not None:
+    steps, max_paths, highest = 0, roots, 0
+    while (checkpoint := paths.advance()) is not None:
         weight = weights[level]
-        counts = np.where(seen.ended[:, None] & ~had & (seen.events == 0), 1, seen.events)
-        first = ~had & (counts > 0)
+        counts = np.where(
+            checkpoint.ended[:, None] & ~had_event & (checkpoint.events == 0), 1, checkpoint.events
+        )
+        first = ~had_event & (counts > 0)
         happened = np.flatnonzero(counts.any(axis=1))
         np.add.at(probability, root[happened], weight[happened, None] * first[happened])
         np.add.at(events, root[happened], weight[happened, None] * counts[happened])
-        ended += float(weight @ seen.ended)
-        had |= first
+        ended += float(weight @ checkpoint.ended)
+        had_event |= first
         steps, checkpoints = steps + level.size, checkpoints + 1
         if grid.size:
-            above = seen.score[:, None] >= grid
+            above = checkpoint.score[:, None] >= grid
             share += weight @ above
             seen_above += above.sum(axis=0)
-        reached = np.searchsorted(thresholds, seen.score, side="right")
-        now = np.maximum(
-            reached, np.minimum(level, np.searchsorted(floors, seen.score, side="right"))
+        reached = np.searchsorted(thresholds, checkpoint.score, side="right")
+        new_level = np.maximum(
+            reached, np.minimum(level, np.searchsorted(floors, checkpoint.score, side="right"))
         )
-        goes_on = ~seen.ended & (now >= born)
-        parents, made_at = _descendants(level, now, goes_on, levels.copies)
-        if parents.size > MOST_PATHS:
+        goes_on = ~checkpoint.ended & (new_level >= birth_level)
+        parents, branch_level = _descendants(level, new_level, goes_on, levels.copies)
+        if parents.size > MAX_PATHS:
             raise ValueError(
-                f"{parents.size} paths would go on side by side, {MOST_PATHS} at most can: the"
+                f"{parents.size} paths would go on side by side, {MAX_PATHS} at most can: the"
                 " levels lie too close"
             )
-        level, had, root = now[parents], had[parents], root[parents]
-        born = np.where(made_at > 0, made_at, born[parents])
-        most, highest = max(most, parents.size), max(highest, int(now.max()))
+        level, had_event, root = new_level[parents], had_event[parents], root[parents]
+        birth_level = np.where(branch_level > 0, branch_level, birth_level[parents])
+        max_paths, highest = max(max_paths, parents.size), max(highest, int(new_level.max()))
         if not parents.size:
             break
-        if parents.size != seen.score.size or made_at.any():
-            paths.follow(parents.tolist(), made_at.tolist())
+        if parents.size != checkpoint.score.size or branch_level.any():
+            paths.follow(parents.tolist(), branch_level.tolist())
     occupancy = Occupancy(grid, share / max(roots * checkpoints, 1), seen_above)
     means = (probability.mean(axis=0), events.mean(axis=0), ended / roots)
-    return Replicate(roots, *means, steps, most, highest, occupancy, probability, events)
+    return Replicate(roots, *means, steps, max_paths, highest, occupancy, probability, events)
 
 
 def _descendants(
-    level: NDArray[np.intp], now: NDArray[np.intp], goes_on: NDArray[np.bool_], copies: int
+    level: NDArray[np.intp], new_level: NDArray[np.intp], goes_on: NDArray[np.bool_], copies: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Parents of the paths that go on, and the level at which each was made (0: the parent
     itself).
     """
-    parents, made_at = [np.flatnonzero(goes_on)], [np.zeros(int(goes_on.sum()), np.intp)]
-    for path in np.flatnonzero(goes_on & (now > level)):
+    parents, branch_level = [np.flatnonzero(goes_on)], [np.zeros(int(goes_on.sum()), np.intp)]
+    for path in np.flatnonzero(goes_on & (new_level > level)):
         number = copies - 1
-        for step in range(level[path] + 1, now[path] + 1):
+        for step in range(level[path] + 1, new_level[path] + 1):
             parents.append(np.full(number, path))
-            made_at.append(np.full(number, step))
+            branch_level.append(np.full(number, step))
             number *= copies
-    return np.concatenate(parents), np.concatenate(made_at)
+    return np.concatenate(parents), np.concatenate(branch_level)
 
 
 def pilot(
@@ -222,24 +224,24 @@ def pilot(
     ``start`` gives the paths of each round; rounds with the same levels are pooled and add levels
     as far as enough was seen. Raises ValueError where four rounds add none short of ``top``: longer
     or more paths are needed."""
-    levels, known = Levels(()), list[Occupancy]()
+    levels, occupancies = Levels(()), list[Occupancy]()
     if plain is not None:
-        levels, whole = more_levels(plain, levels, top, share)
-        if whole:
+        levels, is_complete = more_levels(plain, levels, top, share)
+        if is_complete:
             return levels
     for number in range(_ROUNDS):
-        known.append(run(start(number), roots, levels, kinds, grid).occupancy)
+        occupancies.append(run(start(number), roots, levels, kinds, grid).occupancy)
         pooled = Occupancy(
             grid,
-            np.mean([one.share for one in known], axis=0),
-            np.sum([one.seen for one in known], axis=0),
+            np.mean([one.share for one in occupancies], axis=0),
+            np.sum([one.count for one in occupancies], axis=0),
         )
-        found, whole = more_levels(pooled, levels, top, share)
-        if whole:
-            return found
-        if len(found.scores) > len(levels.scores):
-            levels, known = found, []
-        elif len(known) == _PATIENCE:
+        new_levels, is_complete = more_levels(pooled, levels, top, share)
+        if is_complete:
+            return new_levels
+        if len(new_levels.scores) > len(levels.scores):
+            levels, occupancies = new_levels, []
+        elif len(occupancies) == _PATIENCE:
             raise ValueError(
                 f"{_PATIENCE} rounds of the pilot found no level above"
                 f" {levels.scores[-1] if levels.scores else 0:g}, {top:g} is asked for: fly more or"
@@ -252,19 +254,19 @@ def pilot(
 
 
 def more_levels(
-    occupancy: Occupancy, known: Levels, top: float, share: float = SHARE
+    occupancy: Occupancy, existing: Levels, top: float, share: float = SHARE
 ) -> tuple[Levels, bool]:
-    """``known`` levels and those that follow them as far as LEAST_SEEN checkpoints were seen;
+    """``existing`` levels and those that follow them as far as LEAST_SEEN checkpoints were seen;
     whether the next is above ``top``.
 
     A path is above the first level a ``share`` of its time, above each further one a COPIES-th of
     that."""
-    enough = (occupancy.seen >= LEAST_SEEN) & (occupancy.share > 0.0)
+    enough = (occupancy.count >= MIN_CHECKPOINTS) & (occupancy.share > 0.0)
     grid, logs = occupancy.grid[enough], -np.log(occupancy.share[enough])
     # Where neighbouring scores have equal shares, the last of them.
     rising = np.append(np.diff(logs) > 0.0, True)[: grid.size]
     grid, logs = grid[rising], logs[rising]
-    scores = list(known.scores)
+    scores = list(existing.scores)
     while grid.size > 1:
         target = (
             float(np.interp(scores[-1], grid, logs)) + math.log(COPIES)
@@ -280,11 +282,13 @@ def more_levels(
     # The next level lies above the top where a path is above that more than a COPIES-th of its time
     # above the last level.
     place = int(np.searchsorted(occupancy.grid, top - 1e-9))
-    near = bool(scores) and occupancy.seen[place] * COPIES >= LEAST_SEEN and grid.size > 1
-    within = near and -math.log(occupancy.share[place]) < float(
+    last_is_reached = (
+        bool(scores) and occupancy.count[place] * COPIES >= MIN_CHECKPOINTS and grid.size > 1
+    )
+    top_is_reached = last_is_reached and -math.log(occupancy.share[place]) < float(
         np.interp(scores[-1], grid, logs)
     ) + math.log(COPIES)
-    return Levels(tuple(scores)), within
+    return Levels(tuple(scores)), top_is_reached
 
 
 @dataclass(frozen=True)
@@ -305,16 +309,20 @@ def interval(values: Sequence[float] | FloatArray, confidence: float = 0.95) -> 
     NaN with a reason where a replicate reached nothing, or where there are fewer than two.
     """
     values = np.asarray(values, dtype=float)
-    nothing, nan = int((values <= 0.0).sum()), math.nan
+    n_without_event, nan = int((values <= 0.0).sum()), math.nan
     if values.size < 2:
-        known = float(values[0]) if values.size else nan
+        estimate = float(values[0]) if values.size else nan
         return Interval(
-            known, nan, nan, values.size, f"{values.size} replicates: 2 at least are needed"
+            estimate, nan, nan, values.size, f"{values.size} replicates: 2 at least are needed"
         )
     mean = float(values.mean())
-    if nothing:
-        reason = f"{nothing} of {values.size} replicates have no event: fly more paths in each"
-        return Interval(mean if nothing < values.size else nan, nan, nan, values.size, reason)
+    if n_without_event:
+        reason = (
+            f"{n_without_event} of {values.size} replicates have no event: fly more paths in each"
+        )
+        return Interval(
+            mean if n_without_event < values.size else nan, nan, nan, values.size, reason
+        )
     error = float(values.std(ddof=1)) / math.sqrt(values.size) / mean
     factor = math.exp(float(student_quantile(0.5 + 0.5 * confidence, values.size - 1)) * error)
     return Interval(mean, mean / factor, mean * factor, values.size)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sysid.digests import sha256_hex
-from sysid.model_form import HOLDS_FROM
+from sysid.model_form import MIN_SHARE_INSIDE
 from sysid.units import counted, percent
 from uqharness.campaign import (
     CONFIDENCE,
@@ -731,7 +731,7 @@ def _coverage(out: Path, flights: Sequence[str], both: bool) -> Iterator[Sentenc
         text += f" the 95 % bounds{which}"
         verdicts = documents[when].get("verdicts", {})
         bad = [c for c, said in verdicts.items() if said == "fails"] or [
-            c for c in shares if not shares[c] >= HOLDS_FROM
+            c for c in shares if not shares[c] >= MIN_SHARE_INSIDE
         ]
         open_ = [c for c, said in verdicts.items() if said == "inconclusive"]
         if bad:

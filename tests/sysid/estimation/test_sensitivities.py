@@ -48,7 +48,7 @@ def differences(theta, model=decay, limits=FREE, central=True, columns=(0, 1), m
         limits,
         np.abs(base).max(axis=0),
         central=central,
-        map_=map_,
+        map_fn=map_,
     )
 
 

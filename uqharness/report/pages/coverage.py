@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sysid.model_form import HOLDS_FROM
+from sysid.model_form import MIN_SHARE_INSIDE
 from uqharness.replay import History, read_histories, shown_channel
 from uqharness.report.pages.model_form import COVERAGE, RESIDUALS, within_section
 from uqharness.report.parts import (
@@ -54,7 +54,8 @@ def coverage_page_of(
     ]
     sections.append(provenance(("Command", found.get("command") or "not recorded")))
     said = found.get("verdicts") or {
-        c: "holds" if row["0.95"] >= HOLDS_FROM else "fails" for c, row in found["coverage"].items()
+        c: "holds" if row["0.95"] >= MIN_SHARE_INSIDE else "fails"
+        for c, row in found["coverage"].items()
     }
     bad, unsure = ([c for c, v in said.items() if v == kind] for kind in ("fails", "inconclusive"))
     if bad:
@@ -83,7 +84,9 @@ def _coverage_section(found: Mapping[str, Any]) -> Section:
     rows = []
     for c, row in found["coverage"].items():
         level = _LEVELS[
-            found.get("verdicts", {}).get(c, "holds" if row["0.95"] >= HOLDS_FROM else "fails")
+            found.get("verdicts", {}).get(
+                c, "holds" if row["0.95"] >= MIN_SHARE_INSIDE else "fails"
+            )
         ]
         errors = found.get("errors", {}).get(c, {})
         first, second = (

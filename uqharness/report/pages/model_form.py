@@ -15,7 +15,7 @@ from sysid.aerodynamics import Residuals, term_name
 from sysid.arrays import FloatArray
 from sysid.distributions import normal_quantile
 from sysid.model_form import (
-    HOLDS_FROM,
+    MIN_SHARE_INSIDE,
     STEP_S,
     CoefficientBounds,
     ModelForm,
@@ -132,7 +132,7 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
     kept = {c: r["left_out_share"] for c, r in rows.items() if r.get("left_out_share") is not None}
     if kept:
         worst = min(kept, key=lambda c: kept[c])
-        level: Any = "good" if kept[worst] >= HOLDS_FROM else "warn"
+        level: Any = "good" if kept[worst] >= MIN_SHARE_INSIDE else "warn"
         text = f"Bounds made without a manoeuvre hold {100 * kept[worst]:.0f} % of its samples or more ({worst} least)."
         said.append(Say(text, level))
     most, name = max((len(b.states), c) for c, b in form.coefficients.items())
@@ -454,7 +454,8 @@ def _filter_section(form: ModelForm, details: Mapping[str, Any]) -> tuple[Sectio
 
 def _share(value: float | None) -> Cell:
     return Cell(
-        shown(value, ".2f"), "" if value is None else "good" if value >= HOLDS_FROM else "warn"
+        shown(value, ".2f"),
+        "" if value is None else "good" if value >= MIN_SHARE_INSIDE else "warn",
     )
 
 
