@@ -1,10 +1,12 @@
-"""Equations of a rigid aeroplane in moving air, for one state or for many, and the loops that
-linearise them along a flight.
+"""Equations of motion of a rigid aeroplane in moving air, and the loops that linearise them.
 
-x is V, alpha, beta, p, q, r, phi, theta and, in turbulence, the five states of
-`sysid.aerodynamics.air_motion`: a vector, or the rows of an array with a flight in its columns. The
-loops are compiled (`linearised` and `carried`), with everything in this one file: numba looks at no
-other when it decides whether what it kept is still what stands here."""
+The state x is V, alpha, beta, p, q, r, phi, theta and, in turbulence, the five air states of
+`sysid.aerodynamics.air_motion`. Functions take a vector or an array with states in rows and flights
+in columns. `sysid.aerodynamics.rigid_body` linearises flights with the compiled `loops`.
+
+All compiled functions stand in this one file, because numba invalidates its cache by the file of
+the outermost function only.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +17,15 @@ import numpy as np
 
 Trig = tuple[Any, Any, Any, Any, Any, Any, Any, Any]
 LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)
-"""T_p V, T_q V, T_r V in spans, MIL-F-8785C 3.7.5."""
+"""T_p V, T_q V, T_r V in spans [-], MIL-F-8785C 3.7.5."""
 _IMAGINARY = 1e-20
+"""Complex step."""
 _ORDERS = 5
+"""Terms of the Taylor series of exp(A h)."""
 
 
 def sines(x: Any) -> Trig:
-    """sin and cos of phi, theta, alpha and beta of a state x: computed once, they serve every
-    method.
-    """
+    """Compute sin and cos of phi, theta, alpha and beta of a state x once for all functions."""
     return (
         np.sin(x[6]),
         np.cos(x[6]),
@@ -37,8 +39,9 @@ def sines(x: Any) -> Trig:
 
 
 def complex_step_sines(real_trig: Trig, x: Any) -> Trig:
-    """The same of a complex state whose imaginary part is too small for a second order, ``real_trig``
-    being those of its real part.
+    """Return `sines` of a complex state x from those of its real part, ``real_trig``.
+
+    The imaginary part is a complex step, too small for second-order terms.
     """
     sf, cf, st, ct, sa, ca, sb, cb = real_trig
     phi, theta, alpha, beta = x[6].imag, x[7].imag, x[1].imag, x[2].imag
@@ -55,14 +58,15 @@ def complex_step_sines(real_trig: Trig, x: Any) -> Trig:
 
 
 def gust_lags_s(gusts: Any, V: Any) -> tuple[Any, Any, Any]:
-    """T_p, T_q, T_r [s] of `GustStates` at airspeed V."""
+    """Return the time constants T_p, T_q, T_r [s] of `GustStates` at airspeed V [m/s]."""
     unit = gusts.b / (gusts.passing_mps or V)
     return LENGTHS[0] * unit, LENGTHS[1] * unit, LENGTHS[2] * unit
 
 
 def heading(x: Any, trig: Trig) -> tuple[Any, Any, Any]:
-    """Velocity relative to the air in heading axes [m/s]: along the heading and level, to the
-    right, and down.
+    """Return the velocity relative to the air in heading axes [m/s].
+
+    Heading axes are level: forward along the heading, right, and down.
     """
     sf, cf, st, ct, sa, ca, sb, cb = trig
     ahead, right, below = x[0] * ca * cb, x[0] * sb, x[0] * sa * cb
@@ -73,7 +77,9 @@ def heading(x: Any, trig: Trig) -> tuple[Any, Any, Any]:
 def heading_rates(
     x: Any, state_rates: tuple[Any, Any, Any, Any, Any], trig: Trig
 ) -> tuple[Any, Any, Any]:
-    """Rates of change of `heading` [m/s2], given those of V, alpha, beta, phi, theta."""
+    """Return the time derivative of `heading` [m/s2], given the rates of V, alpha, beta, phi,
+    theta.
+    """
     dV, dalpha, dbeta, dphi, dtheta = state_rates
     sf, cf, st, ct, sa, ca, sb, cb = trig
     U, S, W = heading(x, trig)
@@ -86,7 +92,9 @@ def heading_rates(
 
 
 def level(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
-    """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x."""
+    """Return p_h, q_h, r_h [rad/s], the air's rotation in heading axes, at a state x of 13
+    elements.
+    """
     _, S, W = heading(x, trig)
     return (
         x[8],
@@ -96,7 +104,7 @@ def level(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
 
 
 def rotation(rotation_h: tuple[Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]:
-    """The air's rotation in body axes [rad/s] by that in heading axes."""
+    """Turn the air's rotation [rad/s] from heading axes into body axes."""
     p_h, q_h, r_h = rotation_h
     sf, cf, st, ct = trig[:4]
     upright = st * p_h + ct * r_h
@@ -104,8 +112,8 @@ def rotation(rotation_h: tuple[Any, Any, Any], trig: Trig) -> tuple[Any, Any, An
 
 
 def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
-    """What the turning of u_h, v_h with the heading adds to the acceleration relative to the air,
-    in body axes [m/s2].
+    """Return the apparent acceleration by gusts u_h, v_h that turn with the heading, body axes
+    [m/s2].
     """
     sf, cf, st, ct = trig[:4]
     U, S, _ = heading(x, trig)
@@ -117,8 +125,10 @@ def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
 def gust_rates(
     gusts: Any, x: Any, state_rates: tuple[Any, Any, Any, Any, Any], trig: Trig
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """d/dt of the five states of the air, given the deterministic rates of V, alpha, beta
-    (`turning` included), phi and theta.
+    """Return the time derivatives of the five air states.
+
+    ``state_rates`` are the deterministic rates of V, alpha, beta (`turning` included), phi and
+    theta.
     """
     dU, dS, dW = heading_rates(x, state_rates, trig)
     p_h, q_h, r_h = level(gusts, x, trig)
@@ -136,8 +146,9 @@ def gust_rates(
 def flow_rates(
     x: Any, specific_force: tuple[Any, Any, Any], trig: Trig, gravity: float
 ) -> tuple[Any, Any, Any]:
-    """Rates of V [m/s2], alpha and beta [rad/s] under a specific force [m/s2] in body axes, and
-    weight.
+    """Return the rates of V [m/s2], alpha and beta [rad/s] under a specific force and weight.
+
+    ``specific_force`` [m/s2] is in body axes, ``gravity`` [m/s2] positive.
     """
     V, p, q, r = x[0], x[3], x[4], x[5]
     sf, cf, st, ct, sa, ca, sb, cb = trig
@@ -150,9 +161,25 @@ def flow_rates(
 
 
 class Body(NamedTuple):
-    """What moves: mass [kg], inertia and its inverse (3, 3) [kg m2], arm (3,) of the accelerometers
-    [m], gravity [m/s2]; gusty: with the air's states, as ``gusts`` (GustStates) has them; by_flow:
-    forces go with what else than forces changes alpha and beta."""
+    """Properties of the aircraft that the equations need.
+
+    Attributes
+    ----------
+    mass : float
+        Mass [kg].
+    inertia, inverse : array (3, 3)
+        Inertia about the CG in body axes [kg m2], and its inverse.
+    arm : array (3,)
+        Accelerometers from the CG, body axes [m].
+    gravity : float
+        [m/s2].
+    gusty : bool
+        The state includes the five air states.
+    gusts : GustStates
+        Parameters of the air states.
+    by_flow : bool
+        Forces depend on the kinematic rates of alpha and beta as well.
+    """
 
     mass: float
     inertia: Any
@@ -165,8 +192,18 @@ class Body(NamedTuple):
 
 
 class ReferenceFlight(NamedTuple):
-    """Reference flight: x (n, 8), load (n, 6) force [N] and moment [N m], slopes (n, 6, 6) by V,
-    alpha, beta and the rates relative to the air, by_flow (n, 6, 2) by the rates of alpha and beta.
+    """Reference about which forces are linear: n samples, or one of them.
+
+    Attributes
+    ----------
+    x : array (n, 8)
+        States.
+    load : array (n, 6)
+        Force [N] and moment [N m], body axes, without gravity.
+    slopes : array (n, 6, 6)
+        Derivatives of the load with V, alpha, beta and the angular rates relative to the air.
+    by_flow : array (n, 6, 2)
+        Derivatives of the load with the kinematic rates of alpha and beta.
     """
 
     x: Any
@@ -178,12 +215,16 @@ class ReferenceFlight(NamedTuple):
 def motion(
     x: Any, trig: Trig, body: Any, reference: Any, load: Any, work: Any, rate: Any, outputs: Any
 ) -> None:
-    """dx/dt of one state into ``rate`` and the outputs into ``outputs`` (11,); forces linear about the
-    reference ``reference``, whose own are ``load`` (6,). trig: `sines` of x; work (12,) is written over.
+    """Compute dx/dt of one state and the outputs there, with forces linear about ``reference``.
+
+    Writes dx/dt into ``rate`` (8 or 13,) and the outputs into ``outputs`` (11,). ``load`` (6,) is
+    the load at the reference, which may differ from ``reference.load`` by a force that is unknown
+    to the model. ``trig`` are the `sines` of x; ``work`` (12,) is overwritten.
     """
     for i in range(6):
         work[i] = x[i] - reference.x[i]
     if body.gusty:
+        # Aerodynamic forces depend on the angular rates relative to the air.
         air = rotation(level(body.gusts, x, trig), trig)
         work[3] -= air[0]
         work[4] -= air[1]
@@ -193,10 +234,10 @@ def motion(
         for k in range(6):
             work[6 + i] += reference.slopes[i, k] * work[k]
     if body.gusty and body.by_flow:
-        # Rates of alpha and beta are the motion's own: air that rotates, and attitudes, are not in
-        # the slopes as they act.
+        # Kinematic rates of alpha and beta, by weight and an unmodelled force alone: rotating air
+        # and attitudes do not act through the slopes.
         zero = 0.0 * x[0]
-        # A force that the model does not know of changes them, too.
+        # A force unknown to the model changes them as well.
         extra_force = (
             (load[0] - reference.load[0]) / body.mass,
             (load[1] - reference.load[1]) / body.mass,
@@ -225,6 +266,7 @@ def motion(
             work[6 + i] += reference.by_flow[i, 0] * (
                 flow[1] - flow_reference[1]
             ) + reference.by_flow[i, 1] * (flow[2] - flow_reference[2])
+    # Angular momentum and Euler's equations.
     p, q, r = x[3], x[4], x[5]
     specific_force = (work[6] / body.mass, work[7] / body.mass, work[8] / body.mass)
     J, K = body.inertia, body.inverse
@@ -237,6 +279,7 @@ def motion(
         work[11] - (p * h1 - q * h0),
     )
     sf, cf, st, ct = trig[:4]
+    # Attitude kinematics.
     phid, thetad = p + st / ct * (q * sf + r * cf), q * cf - r * sf
     if body.gusty:
         turn_acceleration = turning(body.gusts, x, trig)
@@ -266,7 +309,7 @@ def motion(
     rate[6], rate[7] = phid, thetad
     a, b, c = body.arm[0], body.arm[1], body.arm[2]
     pd, qd, rd = rate[3], rate[4], rate[5]
-    # Felt at the arm: turning's rate times it, and what its turning itself adds.
+    # Accelerometers at the arm measure the angular acceleration and the centripetal term as well.
     (
         outputs[0],
         outputs[1],
@@ -293,6 +336,7 @@ def motion(
 
 
 def _rates(x, body, reference, load, rate, outputs):  # type: ignore[no-untyped-def]
+    """Compute `motion` at each of n states x (n, 8 or 13)."""
     work = np.empty(12)
     for k in range(len(x)):
         at = ReferenceFlight(
@@ -302,8 +346,11 @@ def _rates(x, body, reference, load, rate, outputs):  # type: ignore[no-untyped-
 
 
 def _slopes(x, body, reference, by_state, by_load):  # type: ignore[no-untyped-def]
-    """Slopes of rates and outputs by the states (n, x + 11, x) and by force and moment (n, x + 11,
-    6), by complex steps: exact to rounding."""
+    """Differentiate rates and outputs by complex steps, exact to rounding.
+
+    Writes the derivatives with the states into ``by_state`` (n, x + 11, x) and those with force and
+    moment into ``by_load`` (n, x + 11, 6).
+    """
     size = x.shape[1]
     work, state, load = (
         np.empty(12, dtype=np.complex128),
@@ -333,8 +380,10 @@ def _slopes(x, body, reference, by_state, by_load):  # type: ignore[no-untyped-d
 
 
 def _series(A, h, phi, to0, to1):  # type: ignore[no-untyped-def]
-    """exp(A h) of (x, x), and the weights of an input at a step's start and end, linear in
-    between.
+    """Compute exp(A h) and the weights of an input that is linear over the step, by Taylor series.
+
+    Writes exp(A h) into ``phi`` (x, x) and the weights of the input at the step's start and end
+    into ``to0`` and ``to1`` (x, x).
     """
     size = len(A)
     power, next_ = np.eye(size), np.empty((size, size))
@@ -345,7 +394,7 @@ def _series(A, h, phi, to0, to1):  # type: ignore[no-untyped-def]
         for i in range(size):
             for k in range(size):
                 a = power[i, k] * h
-                # Most states do not move most others, and the first power is a unit matrix.
+                # Most elements are zero, and the zeroth power is a unit matrix.
                 if a != 0.0:
                     for c in range(size):
                         next_[i, c] += a * A[k, c]
@@ -364,8 +413,9 @@ def _series(A, h, phi, to0, to1):  # type: ignore[no-untyped-def]
 
 
 def _discretise(by_state, by_load, h, phi, g0, g1):  # type: ignore[no-untyped-def]
-    """Transitions (n - 1, x, x) and what inputs at both ends of a step do (n - 1, x, 6): A is the
-    mean of a step's ends.
+    """Compute transitions (n - 1, x, x) and input matrices at both ends of a step (n - 1, x, 6).
+
+    A of a step is the mean of its ends.
     """
     size = phi.shape[1]
     A, to0, to1 = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
@@ -382,7 +432,7 @@ def _discretise(by_state, by_load, h, phi, g0, g1):  # type: ignore[no-untyped-d
 
 
 class Loops(NamedTuple):
-    """The compiled loops: `_rated`, `_slopes`, `_stepped`."""
+    """The compiled loops: `_rates`, `_slopes`, `_discretise`."""
 
     rates: Any
     slopes: Any
@@ -391,7 +441,7 @@ class Loops(NamedTuple):
 
 @cache
 def loops() -> Loops:
-    """Compiled when they are first called."""
+    """Compile the loops at the first call."""
     from sysid.linalg import compiled, within
 
     air = gust_lags_s, heading, heading_rates, level, rotation, turning, gust_rates

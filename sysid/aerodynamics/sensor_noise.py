@@ -1,14 +1,15 @@
-"""Sensor noise in residual coefficients: how white noise of each channel passes formula, filter and
-differentiator.
+"""Sensor noise in residual coefficients: white noise through formula, filter and differentiator.
 
-Gains vary slowly, so that noise of channel c adds to the residual of a coefficient
+Gains vary slowly, so that noise n_c of channel c adds to the residual of a coefficient
 
     e(k) = sum over c and its ways w of  g_cw(k) sum_j h_w(j) n_c(k - j)
 
-with h_w the smoother, the differentiator or both one after the other. Offsets pass the smoother as
-they are and the differentiator not at all, so the gains g of the smoothed ways are found by
-offsetting a channel; those of the differentiated rates are m arm/(qbar S) and I/(qbar S l). Noise
-of accelerometers therefore comes out as 1/qbar."""
+with h_w the smoother, the differentiator or both in series. An offset passes the smoother unchanged
+and the differentiator not at all, so the gains g of the smoothed ways are found by offsetting a
+channel; those of the differentiated rates are m arm/(qbar S) and I/(qbar S l). Noise of
+accelerometers therefore scales with 1/qbar. `sysid.model_form` separates model error from this
+noise.
+"""
 
 from __future__ import annotations
 
@@ -39,6 +40,7 @@ from sysid.record import FlightRecord
 ACCELERATIONS = ("ax_mps2", "ay_mps2", "az_mps2")
 RATES = ("p_radps", "q_radps", "r_radps")
 FORCE_CHANNELS = ("V_mps", "alpha_rad", "beta_rad", *RATES)
+"""Channels on which the model's forces depend."""
 NOISY_CHANNELS = (*FORCE_CHANNELS, *ACCELERATIONS)
 """Channels whose noise reaches a residual coefficient."""
 _CACHE_SIZE = 4096  # spectra: of a long flight's stretches at every time constant; each some 10 kB
@@ -48,8 +50,12 @@ _OFFSET = 1e-3  # of the others: small against what a flight has, large against 
 
 @cache
 def autocorrelation(weights: tuple[float, ...]) -> tuple[float, ...]:
-    """Of filtered white noise of unit variance, at lags 0, 1, ..., for a filter of these
-    weights.
+    """Compute the autocorrelation at lags 0, 1, ... of unit white noise after a filter.
+
+    Examples
+    --------
+    >>> autocorrelation((0.5, 0.5))
+    (0.5, 0.25)
     """
     w = np.array(weights)
     return tuple(float(w[lag:] @ w[: len(w) - lag]) for lag in range(len(w)))
@@ -57,15 +63,21 @@ def autocorrelation(weights: tuple[float, ...]) -> tuple[float, ...]:
 
 @lru_cache(_CACHE_SIZE)
 def cosine_variance(n: int, correlation: tuple[float, ...]) -> FloatArray:
-    """(n,) variances of the orthonormal DCT-II of a stationary series with autocovariance
-    ``correlation`` at lags 0, 1, ...
+    """Compute the variances (n,) of the orthonormal DCT-II of a stationary series.
 
     With T the autocovariance, 2 cos a cos b = cos(a - b) + cos(a + b) makes n times the variance of
     wave k > 0
 
         sum over d of (n - |d|) T_d cos(pi d k / n)  +  sum over s of W_s cos(pi s k / n)
 
-    with W_s the sum of T_(i - j) where i + j + 1 = s.
+    with W_s the sum of T_(i - j) over i + j + 1 = s. The result is read-only, as it is cached.
+
+    Parameters
+    ----------
+    n : int
+        Length of the series.
+    correlation : tuple of floats
+        Autocovariance at lags 0, 1, ...; zero beyond.
     """
     lags = np.zeros(n)
     lags[: len(correlation)] = correlation[:n]
@@ -93,11 +105,24 @@ def with_sensor_noise(
     std: Mapping[str, float],
     relative_std: Mapping[str, float] | None = None,
 ) -> Residuals:
-    """The residuals of a flight with the sensor noise of each piece; ``pieces`` and ``model`` as
-    they were made with.
+    """Add the sensor noise of each piece to a flight's residuals.
 
-    std: channel -> standard deviation of its white noise, in the record's unit; channels without a
-    figure are noise-free. spread: channel -> relative standard deviation of that figure."""
+    Parameters
+    ----------
+    residuals : Residuals
+        From `residual_coefficients`.
+    record, pieces, model, arm_m
+        As given to `residual_coefficients`.
+    std : mapping of str to float
+        White noise of each channel in its unit; channels without a figure are noise-free.
+    relative_std : mapping of str to float, optional
+        Relative standard deviation of each figure.
+
+    Returns
+    -------
+    Residuals
+        With ``noise`` in every piece.
+    """
     cutoffs = residuals.cutoffs
     record = steady_airspeed(record, cutoffs.airspeed_hz)
     sizes = {c: s for c, s in std.items() if np.isfinite(s) and s > 0.0}
@@ -113,14 +138,13 @@ def with_sensor_noise(
 
 
 def offset_records(record: FlightRecord, cutoffs: Cutoffs) -> list[FlightRecord]:
-    """The records at whose states `with_sensor_noise` asks the model, one for each channel that
-    forces depend on.
-    """
+    """Return the records at which `with_sensor_noise` calls the model, one per channel of forces."""
     steady = steady_airspeed(record, cutoffs.airspeed_hz)
     return [_offset(steady, c) for c in FORCE_CHANNELS]
 
 
 def _offset(record: FlightRecord, channel: str) -> FlightRecord:
+    """Add the difference step to one channel of a record."""
     return record.with_columns({channel: record[channel] + _OFFSETS.get(channel, _OFFSET)})
 
 
@@ -133,6 +157,7 @@ def _piece_noise(
     std: Mapping[str, float],
     relative_std: Mapping[str, float],
 ) -> PieceNoise | None:
+    """Compute the noise of one piece; None if it is shorter than the filter."""
     prediction = model(record, piece)
     residual = residual_piece(record, piece, prediction, arm, cutoffs.all_hz)
     if residual is None:
@@ -140,6 +165,7 @@ def _piece_noise(
     m = (piece.rows.stop - piece.rows.start - len(residual)) // 2
     filters = _Filters(record.dt_s, m, cutoffs.airspeed_hz)
     passages = []
+    # Smoothed ways: gains by offsetting each channel.
     for channel in (c for c in NOISY_CHANNELS if c in std):
         offset, offset_record = _OFFSETS.get(channel, _OFFSET), _offset(record, channel)
         offset_prediction = model(offset_record, piece) if channel in FORCE_CHANNELS else prediction
@@ -156,6 +182,7 @@ def _piece_noise(
                 relative_std.get(channel, 0.0),
             )
         )
+    # Differentiated ways of the angular rates: gains in closed form.
     for channel in (c for c in RATES if c in std):
         for way, gain in _differentiated(
             prediction, np.asarray(arm, dtype=float), slice(m, m + len(residual)), channel
@@ -177,15 +204,14 @@ def _piece_noise(
 
 @dataclass(frozen=True)
 class _Filters:
-    """Weights of the filters over m samples to either side, and of the airspeed's low-pass before
-    them.
-    """
+    """Filter weights over m samples to either side, with the airspeed's low-pass before them."""
 
     dt_s: float
     m: int
     airspeed_hz: float
 
     def weights(self, channel: str, way: Way) -> tuple[float, ...]:
+        """Return the weights of one way of a channel."""
         out = kernel(self.m, self.dt_s, derivative=0 if way == "smoothed" else 1)
         if way == "both":
             out = np.convolve(out, kernel(self.m, self.dt_s))
@@ -197,8 +223,9 @@ class _Filters:
 def _differentiated(
     prediction: Prediction, arm: FloatArray, inner: slice, channel: str
 ) -> list[tuple[Way, FloatArray]]:
-    """Gain (n, 6) of a rate's noise by way of its derivative: into moments, and into forces where
-    the sensors have an arm.
+    """Return gains (n, 6) of a rate's noise through its derivative.
+
+    The derivative enters moments, and forces where the sensors have an arm.
     """
     mass = prediction.mass
     axis = RATES.index(channel)
@@ -216,10 +243,10 @@ def _differentiated(
 
 
 def with_noise_of(residuals: Residuals, other: Residuals) -> Residuals:
-    """Residuals of the same pieces behind another filter with the noise of ``other``: gains hardly
-    depend on a filter.
+    """Give residuals the noise of ``other``, the same pieces behind another filter.
 
-    Both have the record's step. Raises ValueError where the pieces are not the same.
+    Gains hardly depend on the filter; weights are replaced. Both have the same step. Raises
+    ValueError where the pieces differ.
     """
     pieces = []
     for piece, other_piece in zip(residuals.pieces, other.pieces, strict=True):
@@ -246,7 +273,7 @@ def with_noise_of(residuals: Residuals, other: Residuals) -> Residuals:
 
 
 def _resized(gain: FloatArray, extra_rows: int, n: int) -> FloatArray:
-    """The gain with ``extra_rows`` rows at either end (fewer where negative), n in all."""
+    """Extend the gain by ``extra_rows`` at either end (shorten it if negative) to n rows."""
     if extra_rows < 0:
         gain, extra_rows = gain[-extra_rows:], 0
     return np.asarray(
@@ -255,7 +282,7 @@ def _resized(gain: FloatArray, extra_rows: int, n: int) -> FloatArray:
 
 
 def noise_variance(noise: PieceNoise) -> FloatArray:
-    """(n, 6) of the samples' noise."""
+    """Compute the noise variance (n, 6) of a piece's samples [-]."""
     out = np.zeros((noise.n, 6))
     for p in noise.passages:
         out += p.gain**2 * autocorrelation(p.weights)[0]
@@ -263,8 +290,10 @@ def noise_variance(noise: PieceNoise) -> FloatArray:
 
 
 def noise_cosines(noise: PieceNoise) -> tuple[FloatArray, FloatArray]:
-    """(n, 6) variances of the noise's cosine transform (orthonormal DCT-II), gains at their rms;
-    (6,) their relative spread.
+    """Compute the variances (n, 6) of the noise's cosine transform (orthonormal DCT-II).
+
+    Gains enter by their rms. Also returns the relative standard deviation (6,) of the total
+    variance.
     """
     out = np.zeros((noise.n, 6))
     size_errors: dict[str, FloatArray] = {}
@@ -273,8 +302,8 @@ def noise_cosines(noise: PieceNoise) -> tuple[FloatArray, FloatArray]:
             p.gain**2, axis=0
         )
         out += channel_variance
-        # One figure's error is common to all ways of its channel; a variance is off by twice what a
-        # standard deviation is.
+        # The error of a channel's figure is common to all its ways; the relative error of a
+        # variance is twice that of a standard deviation.
         size_errors[p.channel] = size_errors.get(
             p.channel, np.zeros(6)
         ) + 2.0 * p.relative_std * channel_variance.sum(axis=0)

@@ -1,5 +1,8 @@
-"""How far a model is from a flight: root mean squares against noise, Theil's inequality, time
-shifts, worst moments. Pure.
+"""Measures of the distance between a model and a flight.
+
+Root mean squares against noise, a test for process noise, Theil's inequality coefficient, time
+shifts and the largest residuals. Comparison and identification reports print them. All functions
+take arrays of one segment each and touch no file.
 """
 
 from __future__ import annotations
@@ -20,33 +23,48 @@ QUIET_SHARE = 0.5
 
 
 NOISE_FLOOR = 1.15
-"""A channel left at so many times its noise, or less, is at the noise."""
+"""A channel's residual of at most this many times its noise counts as noise alone."""
 
 
 def rms(values: FloatArray) -> float:
-    """Root mean square of the finite values; NaN when there are none."""
+    """Compute the root mean square of the finite values; NaN if there are none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rms(np.array([3.0, np.nan, -3.0]))
+    3.0
+    """
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
 def white_noise(pieces: Sequence[FloatArray]) -> float:
-    """Standard deviation of a channel's white noise, from third differences of its finite samples;
-    NaN below 8 samples.
+    """Estimate the standard deviation of a channel's white noise from third differences.
 
-    A third difference takes out any motion that is quadratic over four samples and multiplies the
-    noise's variance by 20."""
+    A third difference removes motion that is quadratic over four samples and multiplies the noise's
+    variance by 20.
+
+    Parameters
+    ----------
+    pieces : sequence of array (n,)
+        Segments of one channel; NaN are dropped.
+
+    Returns
+    -------
+    float
+        In the channel's unit; NaN below 8 samples.
+    """
     squares = [np.diff(p[np.isfinite(p)], 3) ** 2 for p in pieces if np.isfinite(p).sum() >= 8]
     if not squares:
         return float("nan")
-    # Median of squares: steps of surfaces and other sudden motion are few samples, and must not
-    # count as noise.
+    # The median of squares (0.455 times the mean for a normal distribution) ignores the few samples
+    # with sudden motion, such as steps of surfaces.
     return float(np.sqrt(np.median(np.concatenate(squares)) / 0.454936 / 20.0))
 
 
 def quantum(pieces: Sequence[FloatArray]) -> float:
-    """Size of the steps in which a channel's samples move; 0 for one that takes any value, or never
-    moves.
-    """
+    """Return the resolution of a channel's samples; 0 if it is fine or the channel never moves."""
     steps = [np.abs(np.diff(p[np.isfinite(p)])) for p in pieces]
     changes = np.concatenate(steps) if steps else np.zeros(0)
     nonzero = changes[changes > 0.0]
@@ -59,17 +77,32 @@ _REPEATS = (
     0.9  # share of samples that differ from the one before, above which a channel is not coarse
 )
 _RESOLUTION = 1e-6  # of a channel's size: what a record's numbers tell at best
+"""Relative resolution of a record's numbers."""
 
 
 def channel_noise(
     data: Sequence[FloatArray], channels: Sequence[str], card: Mapping[str, float]
 ) -> dict[str, float]:
-    """Noise of each channel: what its own samples show, what the card says of the sensor, and what
-    its steps hide: the largest.
+    """Estimate the noise of each channel as the largest of three figures.
 
-    Attitudes of an autopilot are filtered and look cleaner than they are true; there the card's
-    figure counts. Steps of size q hide an error of variance q^2/12. Nothing is known better than to
-    a millionth: no noise is zero. NaN for a channel without samples."""
+    They are the noise of its own samples, the sensor's card, and the resolution: steps of size q
+    hide an error of variance q^2/12. Attitudes of an autopilot are filtered and look cleaner than
+    they are; there the card counts. No noise is below a millionth of the channel's size.
+
+    Parameters
+    ----------
+    data : sequence of array (n, m)
+        Segments.
+    channels : sequence of str
+        m names.
+    card : mapping of str to float
+        Standard deviations of the sensors, in the channels' units.
+
+    Returns
+    -------
+    dict of str to float
+        NaN for a channel without samples.
+    """
     out = {}
     for k, name in enumerate(channels):
         pieces = [block[:, k] for block in data]
@@ -85,20 +118,29 @@ def channel_noise(
 
 
 _SMALLEST = 1e-2
-"""Size of a channel that stands at zero: of angles in rad, rates in rad/s and speeds in m/s
-alike.
-"""
+"""Size of a channel that is constantly zero [rad, rad/s or m/s]."""
 
 
 def quiet_share(
     residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray
 ) -> FloatArray:
-    """(m,) power beyond noise (m,) of each residual while the aircraft moves little, over that
-    while it moves much.
+    """Compare the residual power in quiet flight with that in motion.
 
-    1 is what turbulence gives, which does not wait for manoeuvres; 0 what a wrong model or a late
-    surface gives. The halves are those of the simulated motion's speed of change, all channels
-    together."""
+    Turbulence gives 1, as it does not wait for manoeuvres; a wrong model or a delayed surface gives
+    0. Samples are halved by the speed of change of the simulated motion, all channels together.
+
+    Parameters
+    ----------
+    residual, motion : sequence of array (n, m)
+        Residuals and simulated outputs, one a segment.
+    noise : array (m,)
+        Standard deviations of the sensors.
+
+    Returns
+    -------
+    array (m,)
+        Power beyond noise in the quiet half over that in the other half.
+    """
     motion_std = np.concatenate(list(motion)).std(axis=0)
     motion_std = np.where(motion_std > 0.0, motion_std, 1.0)
     speed = np.concatenate(
@@ -118,11 +160,24 @@ def quiet_share(
 def shows_process_noise(
     residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray
 ) -> bool:
-    """True when residuals are coloured, are no function of the simulated motion and are there in
-    quiet flight too: turbulence.
+    """Decide whether the residuals show process noise, that is, turbulence.
 
-    One channel may be a function of the motion in gusty air as well, where a sensor's scale is
-    wrong, or a force is: then half of all channels must be as turbulence leaves them."""
+    It does where residuals are coloured, no function of the simulated motion, and present in quiet
+    flight. If some channels are functions of the motion (a sensor's scale or a force may be wrong
+    in gusty air as well), half of all channels must look like turbulence.
+
+    Parameters
+    ----------
+    residual, motion : sequence of array (n, m)
+        Residuals and simulated outputs, one a segment.
+    noise : array (m,)
+        Standard deviations of the sensors.
+
+    Returns
+    -------
+    bool
+        True for turbulence.
+    """
     residual_colour = colour(list(residual), list(motion))
     strong = (residual_colour.p_value < WHITENESS_LEVEL / len(residual_colour.p_value)) & (
         residual_colour.predictable > STRONG_SHARE
@@ -134,8 +189,9 @@ def shows_process_noise(
 
 @dataclass(frozen=True)
 class Theil:
-    """Theil's inequality coefficient, 0 perfect to 1, and what it is made of (shares that add up to
-    1).
+    """Theil's inequality coefficient ``u`` from 0 (perfect) to 1, and its decomposition.
+
+    ``bias``, ``variance`` and ``covariance`` are shares that add up to 1.
     """
 
     u: float
@@ -162,9 +218,7 @@ def theil(measured: FloatArray, modelled: FloatArray) -> Theil:
 
 @dataclass(frozen=True)
 class Shift:
-    """How late the measured channel comes after the model's, s, its standard error, and whether
-    that is worth a word.
-    """
+    """Delay of the measured channel behind the model, and its standard error [s]."""
 
     seconds: float
     std: float
@@ -176,11 +230,25 @@ def time_shift(
     dt_s: float,
     max_shift_s: float = 0.2,
 ) -> Shift:
-    """Delay tau that makes modelled(t - tau) fit measured(t) best, by Gauss-Newton on the model's
-    slope, offset left free.
+    """Estimate the delay tau for which modelled(t - tau) fits measured(t) best.
 
-    The standard error allows for coloured residuals by their integral time. NaN when the model does
-    not move."""
+    Gauss-Newton on the model's slope, with a free offset. The standard error allows for coloured
+    residuals by their integral time.
+
+    Parameters
+    ----------
+    measured, modelled : sequence of array (n,)
+        One channel, segment by segment; NaN in ``measured`` is a dropout.
+    dt_s : float
+        Step [s].
+    max_shift_s : float
+        Largest delay considered [s].
+
+    Returns
+    -------
+    Shift
+        NaN if the model does not move.
+    """
     tau = 0.0
     for _ in range(8):
         score = information = 0.0
@@ -203,6 +271,7 @@ def time_shift(
             slopes.append(s)
         if not information > 0.0:
             return Shift(float("nan"), float("nan"))
+        # Gauss-Newton step, limited to 50 ms.
         step = float(np.clip(score / information, -0.05, 0.05))
         tau = float(np.clip(tau + step, -max_shift_s, max_shift_s))
         if abs(step) < 1e-5:
@@ -214,8 +283,9 @@ def time_shift(
 def largest_residuals(
     residual: FloatArray, time_s: FloatArray, noise: float, count: int, min_separation_s: float
 ) -> list[tuple[float, float]]:
-    """(time, residual) of the ``count`` largest residuals in units of noise, at least ``min_separation_s``
-    from one another.
+    """Return (time [s], residual) of the ``count`` largest residuals in units of noise.
+
+    They are at least ``min_separation_s`` apart.
     """
     size = np.where(np.isfinite(residual), np.abs(residual), -1.0) / (noise if noise > 0 else 1.0)
     out: list[tuple[float, float]] = []

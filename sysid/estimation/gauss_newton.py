@@ -1,10 +1,11 @@
-"""Damped Gauss-Newton (Fisher scoring) on a negative log-likelihood, with bounds, that only ever
-goes down.
+"""Damped Gauss-Newton (Fisher scoring) on a negative log likelihood, with bounds.
 
-Step: (M + lambda diag M) delta = g with M the information and g minus the gradient (Levenberg 1944,
-Marquardt 1963); lambda by gain ratio (Nielsen, IMM-REP-1999-05, Technical University of Denmark).
-Directions without information (identifiability.py) get no step. Parameters at a bound that the data
-push outwards are held there."""
+Output error and filter error call `minimise`. The step solves (M + lambda diag M) delta = g with M
+the information and g minus the gradient (Levenberg 1944, Marquardt 1963); lambda follows the gain
+ratio (Nielsen, IMM-REP-1999-05, Technical University of Denmark), and the cost never rises.
+Directions without information get no step. Parameters at a bound that the gradient pushes outwards
+stay there.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +24,7 @@ S = TypeVar("S")
 EIGENVALUE_TOLERANCE = (
     1e-10  # eigenvalues of the scaled information below this share of the largest get no step
 )
+"""Eigenvalues of the scaled information below this share of the largest get no step."""
 DAMPING = 1e-4  # first lambda: nearly Gauss-Newton
 STATIONARY_STEP = 0.3
 """Expected step, in standard errors, that counts as converged where no step lowers the cost.
@@ -38,11 +40,21 @@ TRIALS_CARRIED = (
 
 @dataclass(frozen=True)
 class Linearisation:
-    """gradient (k,) of minus the cost, information (k, k), predict(delta): the cost the linearised
-    model expects.
+    """A local model of the cost in k parameters.
 
-    exact: good enough to call convergence by; fresh: differenced at this very point, not carried on
-    from another."""
+    Attributes
+    ----------
+    gradient : array (k,)
+        Minus the gradient of the cost.
+    information : array (k, k)
+        Fisher information.
+    predict : callable
+        ``predict(delta)`` is the cost that the linearised model expects after a step.
+    exact : bool
+        Good enough to declare convergence.
+    fresh : bool
+        Differenced at this point, not updated by a secant formula.
+    """
 
     gradient: FloatArray
     information: FloatArray
@@ -52,31 +64,47 @@ class Linearisation:
 
 
 IterationCallback = Callable[[int, float], None]
-"""Is told each iteration: its number, and how many standard errors long the next step would be."""
+"""Called in each iteration with its number and the length of the next step in standard errors."""
 
 
 class Problem(Protocol[S]):
-    """A cost in k parameters; `evaluate` answers None where the model fails.
-
-    An attribute ``told`` is called as Told says.
-    """
+    """A cost in k parameters."""
 
     def evaluate(self, theta: FloatArray) -> tuple[float, S] | None:
-        """Cost at ``theta`` (k,) and the state that :meth:`linearise` needs; None where the model
-        cannot be run.
+        """Return the cost at ``theta`` (k,) and the state that :meth:`linearise` needs.
+
+        None where the model cannot be run.
         """
         ...
 
     def linearise(self, theta: FloatArray, state: S, central: bool) -> Linearisation:
-        """Gradient and information at ``theta``, by central or forward differences."""
+        """Return gradient and information at ``theta``, by central or forward differences."""
         ...
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """theta (k,), its cost, cost_history of accepted points, iterations, converged, decrement: the
-    last undamped step's expected length in standard errors; rejected: trial points refused; failed:
-    those of them where the model failed."""
+    """Where the search ended.
+
+    Attributes
+    ----------
+    theta : array (k,)
+        Parameters.
+    cost : float
+        Negative log likelihood there.
+    cost_history : list of float
+        Cost of each accepted point.
+    iterations : int
+        Linearisations made.
+    converged : bool
+        The next step is negligible.
+    decrement : float
+        Length of the last undamped step in standard errors.
+    rejected, failed : int
+        Trial points refused, and those of them at which the model failed.
+    message : str
+        Why the search ended.
+    """
 
     theta: FloatArray
     cost: float
@@ -97,8 +125,10 @@ def damped_step(
     up: FloatArray,
     allowed: NDArray[np.bool_],
 ) -> FloatArray:
-    """The damped step (k,) within [-down, up]; those that would leave are put on their bound, the
-    rest re-solved.
+    """Compute the damped step (k,) within [-down, up].
+
+    Parameters whose step would leave the limits are put on the limit, and the others are solved
+    again. ``allowed`` (k,) marks the parameters that may move.
     """
     k = gradient.size
     step, fixed = np.zeros(k), ~allowed
@@ -134,8 +164,31 @@ def minimise(
     always_central: bool,
     callback: IterationCallback | None = None,
 ) -> Minimum:
-    """From theta0 (k,), whose evaluation is `start`, to where the undamped step is `tolerance`
-    standard errors long.
+    """Minimise a cost from theta0 until the undamped step is ``tolerance`` standard errors long.
+
+    Parameters
+    ----------
+    problem : Problem
+        Cost and linearisation.
+    theta0 : array (k,)
+        Start.
+    start : tuple
+        ``problem.evaluate(theta0)``.
+    lower, upper : array (k,)
+        Bounds.
+    tolerance : float
+        In standard errors.
+    max_iterations : int
+        Limit of linearisations.
+    always_central : bool
+        Central differences in every iteration, not only in the first and the last ones.
+    callback : callable, optional
+        See IterationCallback.
+
+    Returns
+    -------
+    Minimum
+        The best point reached, converged or not.
     """
     theta, (cost, state) = theta0.copy(), start
     history, damping, growth = [cost], DAMPING, 2.0
@@ -145,13 +198,16 @@ def minimise(
     iteration, renewed = 0, True
     while iteration < max_iterations:
         iteration += 1
+        # A renewed linearisation begins with little damping again.
         line = problem.linearise(theta, state, central or always_central)
         if line.fresh and not renewed:
             damping, growth = DAMPING, 2.0
         renewed = line.fresh
         gradient, information = line.gradient, line.information
+        # Hold parameters at bounds towards which the cost falls.
         outward = ((theta >= upper) & (gradient > 0.0)) | ((theta <= lower) & (gradient < 0.0))
         allowed = ~outward
+        # The undamped step in standard errors measures convergence.
         free_step = damped_step(
             gradient,
             information,
@@ -176,6 +232,7 @@ def minimise(
                 theta, (cost, state) = final_theta, evaluation
                 history.append(cost)
             break
+        # Shorten the step until the cost falls.
         accepted = False
         for _ in range(TRIALS if line.fresh else TRIALS_CARRIED):
             step = damped_step(

@@ -1,5 +1,8 @@
-"""Measurement noise of m outputs from residuals with dropouts: covariance, whitening,
-likelihood.
+"""Measurement noise of m outputs: covariance, whitening, likelihood, and size from spectra.
+
+Output error takes the noise covariance from residuals with dropouts (`residual_noise`).
+`noise_size` estimates a channel's white noise from its high frequencies, with the data sheet as
+prior; bounds of the model form use it.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from sysid.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Noise:
-    """cov (m, m), diagonal or full; `whiten` divides by its square root."""
+    """Noise covariance ``cov`` (m, m), diagonal or ``full``; `whiten` divides by its square root."""
 
     cov: FloatArray
     full: bool
@@ -24,8 +27,10 @@ class Noise:
     def whiten(
         self, residual: FloatArray, sensitivity: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray | None]:
-        """R^-1/2 times residual (N, m), zero where it is NaN, and times sensitivity (N, m, k), with
-        those rows zero.
+        """Multiply residuals (N, m) and sensitivities (N, m, k) by R^-1/2.
+
+        Rows where the residual is NaN become zero. With a full covariance each pattern of missing
+        outputs has its own factor.
         """
         finite = np.isfinite(residual)
         if not self.full:
@@ -52,12 +57,23 @@ class Noise:
 def residual_noise(
     residual: FloatArray, floor: FloatArray, full: bool, dof_used: FloatArray | None = None
 ) -> Noise:
-    """Noise from residuals (N, m): maximum likelihood, or per output divided by N_a - spent_a
-    (degrees of freedom).
+    """Estimate the noise from residuals (N, m).
 
-    floor (m,): smallest standard deviation believed (an exact fit would make the likelihood
-    infinite). A full matrix is formed pairwise over the samples both outputs have, and made
-    positive definite."""
+    A full matrix is formed pairwise over the samples that both outputs have, and made positive
+    definite.
+
+    Parameters
+    ----------
+    residual : array (N, m)
+        NaN at dropouts.
+    floor : array (m,)
+        Smallest standard deviation accepted; an exact fit would make the likelihood infinite.
+    full : bool
+        Correlated outputs.
+    dof_used : array (m,), optional
+        Degrees of freedom spent by the parameters; variances divide by N_a - dof_used_a. Without it
+        the estimate is maximum likelihood.
+    """
     finite = np.isfinite(residual).astype(float)
     value = np.where(finite > 0, residual, 0.0)
     count = finite.sum(axis=0)
@@ -65,6 +81,7 @@ def residual_noise(
     variance = np.maximum((value**2).sum(axis=0) / freedom, floor**2)
     if not full:
         return Noise(np.diag(variance), False)
+    # Correlations from the pairs of samples that exist, projected on positive definite matrices.
     pairs = finite.T @ finite
     raw = np.where(pairs > 0, value.T @ value / np.maximum(pairs, 1.0), 0.0)
     deviation = np.sqrt(np.maximum(np.diagonal(raw), 1e-300))
@@ -78,10 +95,10 @@ def residual_noise(
 
 
 def concentrated_cost(residual: FloatArray, noise: Noise) -> float:
-    """Negative log-likelihood of the residuals at their own noise, constants dropped: sum_a N_a/2
-    ln R_aa if diagonal.
+    """Compute the negative log likelihood of residuals at their own noise, without constants.
 
-    Written out in full otherwise (dropouts, floor): 1/2 sum [v' R^-1 v + ln det R] - N_all/2.
+    It is sum_a N_a/2 ln R_aa for a diagonal covariance; otherwise (dropouts, floor)
+    1/2 sum [v' R^-1 v + ln det R] - N_all/2.
     """
     finite = np.isfinite(residual)
     white, _ = noise.whiten(residual)
@@ -100,24 +117,21 @@ def concentrated_cost(residual: FloatArray, noise: Noise) -> float:
     return 0.5 * (quadratic + logarithm - float(finite.sum()))
 
 
-# Size of a channel's white noise, from what its signal leaves at high frequencies, with the
-# sensor's data sheet as prior.
+# Size of a channel's white noise from its spectrum, with the sensor's data sheet as prior.
 #
 # Near half the sampling rate a flight's signal falls at least as the inverse square of the
-# frequency (gusts do; the aircraft's own motion falls faster), while white noise stays. The
-# spectrum of the signal's differences is therefore
+# frequency (gusts do; the aircraft's own motion falls faster), while white noise is flat. The
+# spectrum of the differenced channel is therefore
 #
-# S(w) = q + 2 std**2 (1 - cos w) w in radians a sample
+#     S(w) = q + 2 std**2 (1 - cos w)                 w in radians a sample
 #
-# with q of the signal, another in each piece: what is quiet tells most. The Whittle likelihood
-# of the periodogram above a frequency, times a log-normal prior about the card's figure, is
-# integrated over std and q on a grid (Whittle 1953; Harvey, "Forecasting, Structural Time
-# Series Models" (1989), 4.3).
+# with q of the signal, one per piece, so that quiet pieces inform most. The Whittle likelihood of the
+# periodogram above a frequency, times a log-normal prior about the card's figure, is integrated over
+# std and q on a grid (Whittle 1953; Harvey, "Forecasting, Structural Time Series Models" (1989),
+# 4.3).
 
 PRIOR_STD = float(np.log(2.0))
-"""Standard deviation of the logarithm of a noise's size about the card's figure: data sheets are
-wrong by a factor of two.
-"""
+"""Standard deviation of the log of a noise's size about the card's figure: a factor of two."""
 _CACHE_SIZE = 64  # channels of flights whose sizes are remembered
 _MIN_FREQUENCIES = 16  # frequencies below which a channel shows nothing of its noise
 _PRODUCT_LENGTH = 8  # frequencies whose variances are multiplied before their logarithm is taken
@@ -131,8 +145,14 @@ _SIGNALS = np.exp(
 
 @dataclass(frozen=True)
 class NoiseSize:
-    """Root mean square ``std`` of a channel's noise in its own unit, and the relative standard
-    deviation ``spread`` of std.
+    """Size of a channel's noise.
+
+    Attributes
+    ----------
+    std : float
+        Root mean square, in the channel's unit.
+    relative_std : float
+        Relative standard deviation of ``std``.
     """
 
     std: float
@@ -142,12 +162,24 @@ class NoiseSize:
 def noise_size(
     pieces: Sequence[FloatArray], dt_s: float, from_hz: float, stated: float | None = None
 ) -> NoiseSize | None:
-    """Size of white noise in a channel.
+    """Estimate the size of white noise in a channel.
 
-    pieces   [(n,)] of the channel without gaps, ``dt_s`` apart       from_hz   the signal's own
-    motion lies below stated   what the card says of the sensor, a prior; None: nothing None where
-    neither card nor samples tell: fewer than 16 frequencies above ``from_hz``, or a channel without
-    any noise."""
+    Parameters
+    ----------
+    pieces : sequence of array (n,)
+        The channel without gaps.
+    dt_s : float
+        Step [s].
+    from_hz : float
+        Frequency above which the signal's own motion has no power [Hz].
+    stated : float, optional
+        The card's figure, used as prior.
+
+    Returns
+    -------
+    NoiseSize or None
+        None without a prior if there are fewer than 16 frequencies above ``from_hz`` or no noise.
+    """
     return _cached_noise_size(
         tuple(np.asarray(x, dtype=float).tobytes() for x in pieces), dt_s, from_hz, stated
     )
@@ -157,7 +189,7 @@ def noise_size(
 def _cached_noise_size(
     pieces: tuple[bytes, ...], dt_s: float, from_hz: float, stated: float | None
 ) -> NoiseSize | None:
-    """`noise_size` of the pieces' bytes: several models are held against the same flights."""
+    """Compute `noise_size` from the pieces' bytes, cached because models share flights."""
     spectra = [
         spectrum
         for x in pieces
@@ -189,13 +221,14 @@ def _cached_noise_size(
 def _whittle_cost(
     power: FloatArray, shape: FloatArray, square: FloatArray, reference_variance: float
 ) -> FloatArray:
-    """Minus the Whittle likelihood of one piece by the noise's variance, square (s,), and by the
-    signal's (_SIGNALS of the piece's mean power): (s, 41). ``reference_variance`` is a variance that is not
-    zero.
+    """Compute minus the Whittle likelihood of one piece on a grid of noise and signal variances (s,
+    41).
 
-    Logarithms are taken of products of a few frequencies' variances, in units of the piece's own
-    power: no product leaves what a number can hold, and a logarithm costs ten times what a product
-    does."""
+    ``square`` (s,) are noise variances, signals are _SIGNALS times the piece's mean power,
+    ``reference_variance`` replaces a mean power of zero. Logarithms are taken of products of a few
+    variances in units of the piece's power: the products cannot overflow, and a logarithm costs ten
+    times a product.
+    """
     mean = float(np.mean(power))
     unit = mean or reference_variance
     noise, signal = square[:, None] / unit, _SIGNALS * (mean / unit)
@@ -216,17 +249,18 @@ def _whittle_cost(
 def _periodogram(
     x: FloatArray, dt_s: float, from_hz: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Power of a piece's differences above ``from_hz``, and 2 (1 - cos w) there; None where the
-    piece is too short.
+    """Return the power of a piece's differences above ``from_hz``, and 2 (1 - cos w) there.
+
+    None where the piece is too short.
     """
     steps = np.diff(np.asarray(x, dtype=float))
     n = len(steps)
     if n < 2 * _MIN_FREQUENCIES:
         return None
-    # A taper keeps the signal's low frequencies from leaking into the noise's.
+    # A taper keeps low frequencies of the signal from leaking to high ones.
     taper = np.hanning(n)
     power = np.abs(np.fft.rfft(steps * taper)) ** 2 / np.sum(taper**2)
     w = 2.0 * np.pi * np.arange(len(power)) / n
-    # Neighbours of a tapered periodogram say the same: every second one.
+    # Neighbouring frequencies of a tapered periodogram are correlated: take every second one.
     keep = np.flatnonzero(w / (2.0 * np.pi * dt_s) >= from_hz)[::2]
     return (power[keep], 2.0 * (1.0 - np.cos(w[keep]))) if len(keep) else None
