@@ -1,18 +1,18 @@
-"""Filter error: maximum likelihood for process and measurement noise, by the innovations of an
-extended Kalman filter.
+"""Filter error: maximum likelihood for process and measurement noise.
+
+The cost is that of the innovations e of an extended Kalman filter with covariances S,
 
     J = 1/2 sum_i [e(i)' S(i)^-1 e(i) + ln det S(i)]
 
-over theta, the process noise Q, the logarithm of the measurement noise and, if asked, the initial
-states, by Fisher scoring:
+over theta, the process noise Q, the logarithm of the measurement noise and, optionally, the initial
+states. It is minimised by Fisher scoring:
 
-    dJ/da   = sum e_a' S^-1 e + 1/2 tr(S^-1 S_a) - 1/2 e' S^-1 S_a S^-1 e
-    (gradient)
-    M_ab    = sum e_a' S^-1 e_b + 1/2 tr(S^-1 S_a S^-1 S_b)
-    (information)
+    dJ/da = sum e_a' S^-1 e + 1/2 tr(S^-1 S_a) - 1/2 e' S^-1 S_a S^-1 e      (gradient)
+    M_ab  = sum e_a' S^-1 e_b + 1/2 tr(S^-1 S_a S^-1 S_b)                    (information)
 
-Maine, R. E. and Iliff, K. W., NASA RP-1168 (1986), ch. 5-6; Jategaonkar (2015), ch. 5; Astrom,
-Automatica 16 (1980)."""
+`filter_error` is the estimator for flights in turbulence. Maine, R. E. and Iliff, K. W.,
+NASA RP-1168 (1986), ch. 5-6; Jategaonkar (2015), ch. 5; Astrom, Automatica 16 (1980).
+"""
 
 from __future__ import annotations
 
@@ -52,13 +52,17 @@ from sysid.estimation.results import (
     outward,
 )
 
-# Input of filter_error: padded records, and first guesses of noise and scale read off the data.
+# Input of `filter_error`: padded records, and first guesses of noise and scale from the data.
 
 
 def read_record(
     x0: Any, u: Any, z: Any, t: Any, zero_order_hold: bool, u_middle: Any = None
 ) -> tuple[Record, FloatArray]:
-    """Padded record and initial states (nx, s). Raises ValueError where segments disagree."""
+    """Check the data of `filter_error` and pad segments to one length.
+
+    Returns the padded record and the initial states (nx, s). Raises ValueError where segments
+    disagree.
+    """
     outputs = as_segments(z, "z", dropouts=True)
     times = [part[:, 0] for part in as_segments(t, "t", dropouts=False)]
     empty = [np.zeros((part.shape[0], 1)) for part in outputs]
@@ -101,7 +105,7 @@ def read_record(
 
 
 def _middle_inputs(u_middle: Any, inputs: list[FloatArray], longest: int) -> FloatArray:
-    """Inputs half-way between samples, padded (longest - 1, nu, s)."""
+    """Pad the inputs half-way between samples, (longest - 1, nu, s)."""
     parts = as_segments(u_middle, "u_middle", dropouts=False)
     expected_shapes = [(part.shape[0] - 1, part.shape[1]) for part in inputs]
     if [part.shape for part in parts] != expected_shapes:
@@ -116,7 +120,7 @@ def _middle_inputs(u_middle: Any, inputs: list[FloatArray], longest: int) -> Flo
 
 
 def noisy_states(chosen: Any, nx: int) -> NDArray[np.intp]:
-    """Indices of the states that process noise acts on; None chooses all. Raises ValueError."""
+    """Return indices of the states with process noise; None selects all. Raises ValueError."""
     if chosen is None:
         return np.arange(nx)
     try:
@@ -130,9 +134,9 @@ def noisy_states(chosen: Any, nx: int) -> NDArray[np.intp]:
 
 
 def positive_vector(value: ArrayLike, size: int, label: str) -> FloatArray:
-    """``value`` as a vector (size,) of finite positive numbers; one number serves all.
+    """Broadcast ``value`` to a vector (size,) of finite positive numbers.
 
-    Raises ValueError that names ``label``.
+    Raises ValueError that names the argument ``label``.
     """
     vector = np.broadcast_to(as_array(value, label), (size,)).astype(float)
     if not (np.isfinite(vector).all() and (vector > 0.0).all()):
@@ -141,15 +145,16 @@ def positive_vector(value: ArrayLike, size: int, label: str) -> FloatArray:
 
 
 def output_scales(record: Record) -> FloatArray:
-    """Standard deviation (m,) of each output, its size where it is constant."""
+    """Return the standard deviation (m,) of each output, or its size where it is constant."""
     flat = record.z.transpose(0, 2, 1).reshape(-1, record.z.shape[1])
     deviation, size = np.nanstd(flat, axis=0), np.nanmax(np.abs(flat), axis=0)
     return np.where(deviation > 1e-12 * size, deviation, np.where(size > 0.0, size, 1.0))
 
 
 def measurement_noise(record: Record) -> FloatArray:
-    """First guess (m,) from third differences, which smooth motion does not reach: var = 20
-    sigma^2.
+    """Guess the measurement noise (m,) from third differences: their variance is 20 sigma^2.
+
+    Smooth motion hardly contributes to third differences.
     """
     out = np.empty(record.z.shape[1])
     output_scale = output_scales(record)
@@ -165,8 +170,9 @@ def measurement_noise(record: Record) -> FloatArray:
 def state_scale(
     model: Model, record: Record, theta: FloatArray, initial: FloatArray, output_scale: FloatArray
 ) -> FloatArray:
-    """How far (nx,) each state may be off: the change that moves an output by its own spread; else
-    its size, or 1.
+    """Estimate how far (nx,) each state may be off.
+
+    It is the change that moves an output by ``output_scale`` (m,); else the state's size, or 1.
     """
     nx = model.states
     scale = np.empty(nx)
@@ -186,17 +192,30 @@ def state_scale(
     return scale
 
 
-# Order of filter error's unknowns in one vector: parameters, process noise, measurement noise,
-# initial states.
+# Order of the unknowns in one vector: parameters, process noise, measurement noise, initial states.
 
 
 @dataclass(frozen=True)
 class Layout:
     """Order of the vector: free theta, Q of noisy states, ln r, initial states segment by segment.
 
-    Q enters as a variance with zero as its bound: there its gradient tells whether the data want
-    any (as a logarithm it would run away along a flat valley), and Fisher scoring is nearly exact
-    in variances. R has no such bound."""
+    Q enters as a variance with the bound zero, where its gradient shows whether the data contain
+    process noise. A logarithm would drift along a flat valley, and Fisher scoring is nearly exact
+    in variances. R has no such bound.
+
+    Attributes
+    ----------
+    theta0 : array (k,)
+        Start, with the values of the fixed parameters.
+    columns : array
+        Indices of the free parameters.
+    noisy : array
+        Indices of the states with process noise.
+    outputs, states, segments : int
+        Numbers m, nx and s.
+    with_x0 : bool
+        Initial states are estimated.
+    """
 
     theta0: FloatArray
     columns: NDArray[np.intp]
@@ -208,17 +227,17 @@ class Layout:
 
     @property
     def process(self) -> slice:
-        """Where the process-noise variances stand."""
+        """Elements of the process-noise variances."""
         return slice(self.columns.size, self.columns.size + self.noisy.size)
 
     @property
     def logs(self) -> slice:
-        """Where the logarithms of the measurement noise stand."""
+        """Elements of the logarithms of the measurement noise."""
         return slice(self.process.stop, self.process.stop + self.outputs)
 
     def pack(self, theta: FloatArray, q: FloatArray, r: FloatArray, x0: FloatArray) -> FloatArray:
-        """The search's vector from parameters (k,), process noise (nx,), noise (ny,) and start
-        states (segments, nx).
+        """Pack theta (k,), q (nx,) variances, r (m,) standard deviations and x0 (nx, s) into a
+        vector.
         """
         parts = [theta[self.columns], q[self.noisy], np.log(r)]
         return np.concatenate([*parts, x0.T.ravel()] if self.with_x0 else parts)
@@ -226,7 +245,9 @@ class Layout:
     def unpack(
         self, vector: FloatArray, x0: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """theta (k,), Q (nx,) variances per second, r (m,) standard deviations, x0 (nx, s)."""
+        """Unpack theta (k,), Q (nx,) variances per second, r (m,) standard deviations and x0 (nx,
+        s).
+        """
         theta, q = self.theta0.copy(), np.zeros(self.states)
         a, b = self.columns.size, self.columns.size + self.noisy.size
         theta[self.columns] = vector[:a]
@@ -239,8 +260,10 @@ class Layout:
     def limits(
         self, lower: FloatArray, upper: FloatArray, scale: FloatArray, output_scale: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Bounds of the whole vector: Q up to (a thousand states' scales)^2, r within 1e-5 and 10
-        of the spread.
+        """Return the bounds of the vector.
+
+        Q is at most (a thousand state scales)^2, r lies within 1e-5 and 10 times ``output_scale``
+        (m,).
         """
         low = [lower[self.columns], np.zeros(self.noisy.size), np.log(1e-5 * output_scale)]
         high = [upper[self.columns], (1e3 * scale[self.noisy]) ** 2, np.log(1e1 * output_scale)]
@@ -248,7 +271,7 @@ class Layout:
         return np.concatenate(low + [-part for part in extra]), np.concatenate(high + extra)
 
     def names(self, labels: tuple[str, ...]) -> list[str]:
-        """Name of every entry of the search's vector, in its order."""
+        """Return the name of every element."""
         out = [labels[i] for i in self.columns] + [f"Q of state {i}" for i in self.noisy]
         out += [f"ln r of output {i}" for i in range(self.outputs)]
         if self.with_x0:
@@ -258,8 +281,7 @@ class Layout:
         return out
 
 
-# The innovations' likelihood as a function of one parameter vector: packing, cost, gradient,
-# Fisher information.
+# The innovations' likelihood as a function of one vector: cost, gradient, Fisher information.
 
 LANES = 600  # points x segments filtered side by side, bounded for memory
 MAX_SECANT_UPDATES = 8  # secant updates before derivatives are differenced anew
@@ -274,8 +296,11 @@ LOG_STEP = 1e-3
 
 @dataclass
 class State:
-    """Innovations at a point; e, s and e/sqrt(s) (N, m) by rows, N = n x segments, segment-major;
-    and, once linearised, the whitened derivatives of e (N, m, K)."""
+    """Innovations at a point.
+
+    ``e``, ``s`` and ``white`` = e/sqrt(s) are (N, m) by rows, N = n times segments, segment-major;
+    ``sensitivity`` (N, m, K) are the whitened derivatives of e, once linearised.
+    """
 
     base: Innovations
     e: FloatArray
@@ -286,8 +311,9 @@ class State:
 
 @dataclass
 class Sensitivities:
-    """Derivatives of e and s, dE and dS (N, m, K), at a point with its e and s; what the secant
-    updates hold on to.
+    """Derivatives dE and dS (N, m, K) of e and s at a point, as the secant updates keep them.
+
+    ``metric`` (K, K) is the information at that point.
     """
 
     vector: FloatArray
@@ -299,15 +325,13 @@ class Sensitivities:
 
 
 def _cost(white: FloatArray, s: FloatArray) -> float:
-    """1/2 sum [e^2/s + ln s] from e/sqrt(s) and s."""
+    """Compute 1/2 sum [e^2/s + ln s] from e/sqrt(s) and s."""
     return 0.5 * float(np.sum(white**2)) + 0.5 * float(np.sum(np.log(s)))
 
 
 @dataclass
 class FilterProblem:
-    """The cost over the packed vector; keeps the adapted difference steps and counts the filter
-    runs.
-    """
+    """The cost over the packed vector; keeps the adapted difference steps and counts filter runs."""
 
     model: Model
     record: Record
@@ -325,6 +349,7 @@ class FilterProblem:
     _updates: int = 0
 
     def _filter(self, vectors: list[FloatArray]) -> Innovations | None:
+        """Filter several vectors side by side."""
         parts = [self.layout.unpack(vector, self.initial) for vector in vectors]
         self.runs += len(vectors)
         return run_filter(
@@ -342,7 +367,7 @@ class FilterProblem:
     def best_process_noise(
         self, theta: FloatArray, candidates: list[FloatArray], r: FloatArray
     ) -> FloatArray:
-        """Of the candidate Q (nx,), all filtered side by side, the one with the lowest cost."""
+        """Return the candidate Q (nx,) with the lowest cost; all are filtered side by side."""
         innovations = self._filter(
             [self.layout.pack(theta, q, r, self.initial) for q in candidates]
         )
@@ -355,7 +380,7 @@ class FilterProblem:
         return candidates[int(np.argmin(costs))]
 
     def _rows(self, values: FloatArray, point: int) -> FloatArray:
-        """One point's lanes of e or s (n, m, W) as (N, m), segment-major."""
+        """Return one point's lanes of e or s (n, m, W) as (N, m), segment-major."""
         n, m, segments = self.record.z.shape
         return (
             values[:, :, point * segments : (point + 1) * segments]
@@ -364,7 +389,7 @@ class FilterProblem:
         )
 
     def evaluate(self, vector: FloatArray) -> tuple[float, State] | None:
-        """J of filtererror.py, None where the filter fails."""
+        """Return the cost and the innovations, None where the filter fails."""
         innovations = self._filter([vector])
         if innovations is None:
             return None
@@ -375,7 +400,7 @@ class FilterProblem:
     def _points(
         self, vector: FloatArray, indices: Iterable[int], central: bool
     ) -> list[FloatArray]:
-        """Points a step up for each of `indices`, in turn, and with ``central`` a step down."""
+        """Return a point one step up for each index and, if ``central``, one step down."""
         points = []
         for index in indices:
             for shift in self._shifts(vector, index)[: 2 if central else 1]:
@@ -385,7 +410,7 @@ class FilterProblem:
         return points
 
     def _shifts(self, vector: FloatArray, index: int) -> tuple[float, float]:
-        """Up and down a step; no variance is taken below zero."""
+        """Return the steps up and down; no variance becomes negative."""
         assert self.step is not None
         step = float(self.step[index])
         process = self.layout.process
@@ -393,6 +418,7 @@ class FilterProblem:
         return step, -down
 
     def _first_steps(self, vector: FloatArray) -> FloatArray:
+        """Return the first difference steps, by the kind of unknown."""
         step = 1e-4 * np.where(vector != 0.0, np.abs(vector), 1.0)
         step[self.layout.process] = 1e-3 * np.maximum(
             vector[self.layout.process], 1e-6 * self.state_scale[self.layout.noisy] ** 2
@@ -403,16 +429,16 @@ class FilterProblem:
         return step
 
     def linearise(self, vector: FloatArray, state: State, central: bool) -> Linearisation:
-        """Gradient and information of the module's equations at a point whose innovations are
-        given.
+        """Compute gradient and information at a point with known innovations.
 
-        The derivatives of e and s are those of the last point, carried on by Broyden's update
-        (Math. Comp. 19, 1965)
+        The derivatives of e and s are those of the last point, updated by Broyden's formula (Math.
+        Comp. 19, 1965)
 
             D += (dy - D d) (M d)' / (d' M d)
 
-        which costs no filter run; they are differenced anew, forwards, when that has been done
-        CARRIED times, when the search nears its end and at a point asked for twice."""
+        which needs no filter run. They are differenced again, forwards, after MAX_SECANT_UPDATES
+        updates, near the end of the search, and at a point that is linearised twice.
+        """
         is_near = self._secant_update(vector, state, central)
         if is_near is None:
             return self._difference_and_linearise(vector, state, False)
@@ -422,12 +448,13 @@ class FilterProblem:
         return replace(line, exact=is_near, fresh=False)
 
     def settle(self, vector: FloatArray, state: State) -> Linearisation:
-        """The linearisation that bounds are computed from, by central differences."""
+        """Compute the linearisation for standard errors, by central differences."""
         return self._difference_and_linearise(vector, state, True)
 
     def _difference_and_linearise(
         self, vector: FloatArray, state: State, central: bool
     ) -> Linearisation:
+        """Difference the filter at a point and linearise there."""
         self._difference(vector, state, central)
         assert self._last is not None
         line = self._linearisation(state)
@@ -435,6 +462,7 @@ class FilterProblem:
         return line
 
     def _linearisation(self, state: State) -> Linearisation:
+        """Build gradient and information of the module's equations from the derivatives."""
         assert self._last is not None
         size = self._last.vector.size
         state.sensitivity = self._last.dE / np.sqrt(state.s)[:, :, None]
@@ -450,8 +478,10 @@ class FilterProblem:
         return Linearisation(gradient, information, predict)
 
     def _secant_update(self, vector: FloatArray, state: State, central: bool) -> bool | None:
-        """Derivatives carried on: True near where they were differenced, False far from there,
-        None: not possible.
+        """Update the derivatives to a new point.
+
+        Returns True near the point where they were differenced, False far from it, None if an
+        update is not possible.
         """
         last = self._last
         if last is None or self._fresh is None or self._updates >= MAX_SECANT_UPDATES:
@@ -470,7 +500,7 @@ class FilterProblem:
         return is_near
 
     def _difference(self, vector: FloatArray, state: State, central: bool) -> None:
-        """Derivatives by differences of the filter, in blocks of lanes."""
+        """Difference the filter with every unknown, in blocks of lanes."""
         if self.step is None:
             self.step = self._first_steps(vector)
         size = vector.size
@@ -496,7 +526,7 @@ class FilterProblem:
     def _differences(
         self, new: Sensitivities, indices: list[int], central: bool, last: bool
     ) -> list[int]:
-        """Fill the derivatives by the parameters `indices`; return those whose step was bad."""
+        """Fill the derivatives with some unknowns and return those whose step was unsuitable."""
         assert self.step is not None
         innovations = self._filter(self._points(new.vector, indices, central))
         if innovations is None:
@@ -550,10 +580,10 @@ class FilterProblem:
         return repeated
 
     def whitened(self, state: State) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Per segment: sensitivities of the innovations (n, m, K), zero where missing; white
-        innovations, NaN there.
+        """Return sensitivities (n, m, K) and white innovations (n, m) of each segment.
 
-        The sign is that of a model output's sensitivity, minus the innovation's.
+        Sensitivities have the sign of a model output, minus the innovation's, and are zero where
+        outputs are missing; innovations are NaN there.
         """
         n, m, segments = self.record.z.shape
         sensitivity = -state.sensitivity.reshape(segments, n, m, -1)
@@ -566,7 +596,7 @@ class FilterProblem:
         return pieces, whites
 
 
-# From the filter's optimum to a FilterErrorFit: bounds, gate, warnings.
+# From the optimum to a FilterErrorFit: covariances, identifiability, warnings.
 
 
 def assemble(
@@ -578,8 +608,9 @@ def assemble(
     record: Record,
     many: bool,
 ) -> FilterErrorFit:
-    """Bounds, gate and warnings at the optimum."""
+    """Compute covariances, identifiability and warnings at the optimum."""
     layout = problem.layout
+    # Information at the optimum by central differences, without the unknowns at their bounds.
     evaluation = problem.evaluate(best.theta)
     assert evaluation is not None
     line = problem.settle(best.theta, evaluation[1])
@@ -588,8 +619,8 @@ def assemble(
     every_name = layout.names(labels)
     gate = assess(line.information[np.ix_(inside, inside)], tuple(every_name[i] for i in inside))
     pieces, whites = problem.whitened(evaluation[1])
-    # (MK) of coloured.py for the innovations' share of the information; the covariances' share is
-    # left as it is.
+    # (MK) of `coloured_residuals` corrects the innovations' part of the information; the part of
+    # the covariances stays.
     sensitivities = [piece[:, :, inside] for piece in pieces]
     plain = np.zeros((inside.size, inside.size))
     for piece in sensitivities:
@@ -610,6 +641,7 @@ def assemble(
     cov[at] = masked_covariance(gate.inverse @ bracket @ gate.inverse, gate.identified)
     crb[at] = masked_covariance(gate.inverse, gate.identified)
     vif[inside] = gate.vif
+    # Reasons why an unknown is not identified: collinear, at a bound, or no better than its bounds.
     reason = [""] * total
     for position, index in enumerate(inside.tolist()):
         reason[index] = gate.reason[position]
@@ -622,6 +654,7 @@ def assemble(
     identified = np.array([not text for text in reason])
     cov, crb = masked_covariance(cov, identified), masked_covariance(crb, identified)
 
+    # Expand from the free parameters to all of them.
     theta, q, r, x0 = layout.unpack(best.theta, problem.initial)
     k = theta.size
     full_cov, full_crb, full_vif = (
@@ -676,12 +709,14 @@ def assemble(
 
 
 LOG_NOISE_RANGE = 0.1  # how far the logarithm of R may move while theta is far off
+"""Range of ln r in the first descent, while theta is far off."""
 FIRST_NOISE = (
     1e-3,
     1e-2,
     1e-1,
     1.0,
 )  # first guesses of process noise, in the states' scale per sqrt(s)
+"""First guesses of process noise, in state scales per sqrt(s)."""
 
 
 def filter_error(
@@ -708,8 +743,7 @@ def filter_error(
     tolerance: float = 1e-2,
     told: IterationCallback | None = None,
 ) -> FilterErrorFit:
-    """Estimate theta (k,) of dx/dt = f(x, u, theta) + w, z = g(x, u, theta) + v from flights in
-    turbulence.
+    """Estimate theta (k,) of dx/dt = f(x, u, theta) + w, z = g(x, u, theta) + v in turbulence.
 
     Parameters
     ----------
@@ -731,17 +765,16 @@ def filter_error(
     process_noise_start, noise_start : array_like, optional
         (nx,) and (m,) starting standard deviations [state unit per sqrt(s); output unit].
     x0_std : array_like, optional
-        (nx,) uncertainty of x0; by default as wide as the outputs' own spread, so that x0 matters
-        little.
+        (nx,) uncertainty of x0; by default so large that x0 hardly matters, from the outputs'
+        standard deviations.
     estimate_x0 : bool
         Estimate the initial states too (one set a segment); x0_std then defaults to a thousandth.
     hold : {"linear", "zoh"}
         Inputs between samples: interpolated (measured surfaces) or held (commands).
     u_middle : array_like, optional
-        (n-1, nu), or a list: inputs half-way between samples where they are known better than by
-        `hold`.
+        (n-1, nu), or a list: inputs half-way between samples, where they are available.
     jacobian_every : int
-        Renew the filter's Jacobians at every so many samples (4: a tenth of a second at 40 Hz).
+        Samples between renewals of the filter's Jacobians (4: a tenth of a second at 40 Hz).
     max_iterations, tolerance
         Stop when the next step is shorter than `tolerance` standard errors.
     told : callable, optional
@@ -751,16 +784,17 @@ def filter_error(
     Returns
     -------
     FilterErrorFit
-        As `output_error` gives, ``residual`` being the innovations, plus ``process_noise_cov`` (nx,
-        nx).
+        As `output_error` gives, ``residual`` being the innovations, plus ``process_noise_cov``
+        (nx, nx).
 
     Raises
     ------
     ValueError
         For inputs that disagree, times that do not increase, models that fail at x0, theta0.
 
-    References ---------- R. E. Maine, K. W. Iliff, NASA RP-1168, 1986, chapters 5 and 6. R. V.
-    Jategaonkar, Flight Vehicle System Identification, 2015, chapter 5.
+    References
+    ---------- R. E. Maine, K. W. Iliff, NASA RP-1168, 1986, chapters 5 and 6. R. V. Jategaonkar,
+    Flight Vehicle System Identification, 2015, chapter 5.
 
     Examples
     --------
@@ -769,10 +803,15 @@ def filter_error(
     >>> rng, t = np.random.default_rng(1), 0.05 * np.arange(400)
     >>> u, x = np.sign(np.sin(t))[:, None], np.zeros((400, 1))
     >>> for k in range(399):
-    ...     x[k + 1] = x[k] + 0.05 * (-1.0 * x[k] + 2.0 * u[k]) + 0.02 * rng.standard_normal(1) >>>
-    z = x + 0.05 * rng.standard_normal(x.shape) >>> fit = sysid.filter_error(lambda x, u, p: [p[0] *
-    x[0] + p[1] * u[0]], lambda x, u, p: [x[0]], [0.0], [-0.5, 1.0], u, z, t) >>>
-    bool(np.all(np.abs(fit.theta - [-1.0, 2.0]) < 4.0 * fit.std)) True"""
+    ...     x[k + 1] = x[k] + 0.05 * (-1.0 * x[k] + 2.0 * u[k]) + 0.02 * rng.standard_normal(1)
+    >>> z = x + 0.05 * rng.standard_normal(x.shape)
+    >>> fit = sysid.filter_error(
+    ...     lambda x, u, p: [p[0] * x[0] + p[1] * u[0]], lambda x, u, p: [x[0]],
+    ...     [0.0], [-0.5, 1.0], u, z, t,
+    ... )
+    >>> bool(np.all(np.abs(fit.theta - [-1.0, 2.0]) < 4.0 * fit.std))
+    True
+    """
     theta = as_parameters(theta0)
     labels = as_names(names, theta.size, "theta")
     lower, upper = as_bounds(bounds, theta, labels)
@@ -783,6 +822,7 @@ def filter_error(
         )
     if hold not in ("linear", "zoh"):
         raise ValueError(f'hold is {hold!r}; allowed are "linear" and "zoh"')
+    # Check and pad the data.
     record, initial = read_record(x0, u, z, t, hold == "zoh", u_middle)
     _n, m, segments = record.z.shape
     nx = initial.shape[0]
@@ -797,6 +837,7 @@ def filter_error(
             f"{int(counts.sum())} measured values for {columns.size} parameters; measure more or"
             " free fewer"
         )
+    # Scales and first guesses.
     model = make_model(f, g, initial[:, 0], record.u[0, :, 0], theta, m)
     noisy = noisy_states(process_noise, nx)
 
@@ -842,6 +883,7 @@ def filter_error(
         raise ValueError(
             "the filter diverges at theta0; start from other values, or from a larger noise_start"
         )
+    # Descend; if the result is doubtful, start again from one-step predictions and keep the better.
     best = _minimise_from(problem, start_point, low, high, tolerance, max_iterations)
     fit = assemble(problem, best, labels, low, high, record, is_many(z))
     if best.converged and not any(text.startswith("coloured") for text in fit.warnings):
@@ -864,11 +906,12 @@ def _minimise_from(
     tolerance: float,
     max_iterations: int,
 ) -> Minimum:
-    """The minimum reached from a packed point at which the filter works.
+    """Minimise from a packed point at which the filter works.
 
-    Far from the answer a likelihood gains most by calling the model's errors measurement noise, and
-    then looks no further. With R held near what the data's third differences show, the filter stays
-    with the data and theta comes near first."""
+    Far from the optimum the likelihood gains most by attributing model errors to measurement noise,
+    and the search would stall. R is first held near the data's third differences: the filter then
+    follows the data, and theta approaches its optimum first.
+    """
     logs = problem.layout.logs
     narrow_low, narrow_high = low.copy(), high.copy()
     narrow_low[logs] = np.maximum(low[logs], point[logs] - LOG_NOISE_RANGE)
@@ -891,11 +934,12 @@ def _minimise_from_high_gain(
     tolerance: float,
     max_iterations: int,
 ) -> Minimum | None:
-    """The minimum reached with theta from one-step predictions: so much process noise q (nx,) that
-    every step starts from the data.
+    """Minimise from the theta of one-step predictions; None where the filter fails.
 
-    They are nearly linear in theta however far off it is, where the likelihood itself may have
-    valleys of its own."""
+    With much process noise ``q`` (nx,) every step starts from the data. One-step predictions are
+    nearly linear in theta, however far off it is, where the likelihood itself may have other
+    valleys.
+    """
     layout = problem.layout
     noisy = point.copy()
     noisy[layout.process] = np.clip(q[layout.noisy], low[layout.process], high[layout.process])
@@ -916,6 +960,7 @@ def _descend(
     tolerance: float,
     max_iterations: int,
 ) -> Minimum:
+    """Minimise within bounds from a packed point."""
     start = problem.evaluate(point)
     assert start is not None
     return minimise(

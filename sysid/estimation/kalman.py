@@ -1,17 +1,20 @@
-"""The linear Kalman filter along a linearised flight, and what extra coefficients and the start do
-to its innovations.
+"""Kalman filters: along a linearised flight, and the extended filter of filter error.
 
-Samples of independent channels are taken one after the other (Astrom, Automatica 16, 1980; Bierman,
-Factorization Methods, 1977):
+The first half filters linearised segments and passes extra coefficients ("columns") and the start
+state through the same gains. Samples of independent channels are processed one after the other
+(Astrom, Automatica 16, 1980; Bierman, Factorization Methods, 1977):
 
-    e = z - h d,   s = h P h' + r,   K = P h'/s,   d+ = d + K e,   X+ = X - K (h X + D u),   P+ = P
-    - K s K' d' = Phi d+ + defect,   X' = Phi X+ + G0 u(k) + G1 u(k+1-),   P' = Phi P+ Phi' +
-    process noise
+    e = z - h d,   s = h P h' + r,   K = P h'/s,
+    d+ = d + K e,   X+ = X - K (h X + D u),   P+ = P - K s K'
+    d' = Phi d+ + defect,   X' = Phi X+ + G0 u(k) + G1 u(k+1-),   P' = Phi P+ Phi' + process noise
 
-X holds what the state does per unit of some extra coefficients u, and of the start state, which is
-unknown: its eight columns come first. u(k+1-) is u just before it jumps at the row k+1, if it does.
-e and h X + D u over sqrt(s) are the whitened innovations and their sensitivities. The gains do not
-depend on what was measured."""
+X is the change of the state per unit of each extra coefficient u, and of the unknown start state in
+its first eight columns; u(k+1-) is u just before it may jump at row k+1. e and h X + D u over
+sqrt(s) are the whitened innovations and their sensitivities. The gains do not depend on the
+measurements. `sysid.effects` scores candidate effects with them.
+
+The second half is an extended Kalman filter in lanes, used by `filter_error`.
+"""
 
 from __future__ import annotations
 
@@ -27,19 +30,26 @@ from sysid.arrays import FloatArray
 from sysid.estimation.kalman_loops import START_COLUMNS, ColumnInputs, Gains, MeasuredSystem
 
 _COLUMN_BLOCK = 96
-"""Columns that go through the gains together: what stays in a processor's first cache."""
+"""Columns that pass the gains together, as many as the processor's first cache holds."""
 
 
 @dataclass(frozen=True)
 class Process:
-    """Process noise of S segments: noise (S, 13) variances per second of the states, begin (S, 13)
-    of those of the air at the start."""
+    """Process noise of S segments.
+
+    Attributes
+    ----------
+    noise : array (S, 13)
+        Variances of the states per second.
+    begin : array (S, 13)
+        Variances of the air states at the start.
+    """
 
     noise: FloatArray
     begin: FloatArray
 
     def of(self, segments: Sequence[int]) -> Process:
-        """That of some segments."""
+        """Select some segments."""
         return Process(self.noise[list(segments)], self.begin[list(segments)])
 
 
@@ -49,12 +59,30 @@ def gains(
     air: tuple[FloatArray, FloatArray] | None,
     with_prior_variance: bool = True,
 ) -> Gains:
-    """Gains of a flight in an air.
+    """Compute the filter gains along a segment.
 
-    noise (m,) standard deviations of the sensors; air: variances (13,) per second of the states'
-    noise, and (13,) of the air at the start; None for calm air, in which the state is not
-    corrected: output error. Without ``with_prior_variance`` the whole variances are left out. Raises LinAlgError
-    where a variance is below zero or an unstable flight outgrows numbers."""
+    Parameters
+    ----------
+    system : MeasuredSystem
+        The linear system and where it was measured.
+    noise : array (m,)
+        Standard deviations of the sensors.
+    air : tuple of two arrays (13,), optional
+        Variances of the states' noise per second, and of the air states at the start. None for calm
+        air: the state is not corrected, which is output error.
+    with_prior_variance : bool
+        Compute ``Gains.prior_variance`` as well.
+
+    Returns
+    -------
+    Gains
+        Gains and innovation variances.
+
+    Raises
+    ------
+    LinAlgError
+        For a negative variance, and for an unstable flight that overflows.
+    """
     if air is None:
         variance = np.where(system.is_measured, noise**2, 1.0)
         return Gains(np.zeros(system.H.shape), variance, variance)
@@ -70,11 +98,30 @@ def gains(
 def variance_gradient(
     system: MeasuredSystem, filter_gains: Gains, innovations: FloatArray, variances: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Slopes of minus twice the log likelihood with variances: of the sensors (2, m), of the
-    states' noise per second (2, 13), zero where there is none, and of the start (2, 13); first
-    those of its logarithm, then what its sum of squares takes away.
+    """Differentiate minus twice the log likelihood with the noise variances.
 
-    innovations (n, m), whitened, the start fitted; by and variances (13,) of `gains`.
+    Each result has two rows, the derivative of the log determinant and that of the sum of squares
+    (which reduces the total).
+
+    Parameters
+    ----------
+    system : MeasuredSystem
+        The linear system.
+    filter_gains : Gains
+        From `gains`.
+    innovations : array (n, m)
+        Whitened, with the start state fitted.
+    variances : array (13,)
+        Variances of the states' noise per second, as given to `gains`.
+
+    Returns
+    -------
+    array (2, m)
+        With the sensors' variances.
+    array (2, 13)
+        With the states' variances per second; zero where those are zero.
+    array (2, 13)
+        With the variances of the start.
     """
     gradient: tuple[FloatArray, FloatArray, FloatArray] = _loops().backward(
         system, filter_gains, innovations * np.sqrt(filter_gains.variance), variances
@@ -83,7 +130,7 @@ def variance_gradient(
 
 
 def _loops() -> ModuleType:
-    # numba takes a third of a second to load.
+    """Import the compiled loops on demand, because numba takes a third of a second to load."""
     from sysid.estimation import kalman_loops
 
     return kalman_loops
@@ -91,9 +138,19 @@ def _loops() -> ModuleType:
 
 @dataclass(frozen=True)
 class Whitened:
-    """innovations (n, m) and starts (n, m, 8) of the start states, columns (n, m, K) in single
-    precision, each over the innovations' deviations and zero where nothing was measured; path (n,
-    x) predicted state less the reference, from what was measured before."""
+    """A segment divided by its innovations' standard deviations; zero where nothing was measured.
+
+    Attributes
+    ----------
+    innovations : array (n, m)
+        Whitened innovations.
+    starts : array (n, m, 8)
+        Their sensitivities with the start state.
+    columns : array (n, m, K)
+        Their sensitivities with extra coefficients, in single precision.
+    path : array (n, x)
+        Predicted state less the reference, from earlier measurements.
+    """
 
     innovations: FloatArray
     starts: FloatArray
@@ -111,9 +168,25 @@ def whiten_innovations(
     feedthrough: Mapping[str, FloatArray] | None = None,
     without_columns: Whitened | None = None,
 ) -> Whitened:
-    """What was measured, and the columns ``names``, through the gains.
+    """Filter a segment, and pass columns through its gains.
 
-    inputs, outputs, ends, felt: of `Acting.of`; alone: the same without columns, where it is known.
+    Parameters
+    ----------
+    system : MeasuredSystem
+        The linear system with measurements.
+    filter_gains : Gains
+        From `gains`.
+    names : sequence of str
+        Columns to compute.
+    inputs, outputs, ends, feedthrough : mapping, optional
+        Effects of the columns, see `ColumnInputs.of`.
+    without_columns : Whitened, optional
+        Result of the same call without columns, which saves that pass.
+
+    Returns
+    -------
+    Whitened
+        With ``columns`` in the order of ``names``.
     """
     n, m, size = system.H.shape
     if without_columns is None:
@@ -147,12 +220,10 @@ def whiten_innovations(
 
 
 def predicted_path(system: MeasuredSystem, filter_gains: Gains, begin: FloatArray) -> FloatArray:
-    """(n, x) predicted states less the reference, from what was measured before, of a flight that
-    begins at ``begin`` (x,).
-    """
+    """Predict the states less the reference (n, x) of a flight that begins at ``begin`` (x,)."""
     n, m, size = system.H.shape
     path, innovations = np.zeros((n, size)), np.zeros((n, m, 1))
-    # The state goes through the gains less itself.
+    # The loops propagate minus the state.
     _run_columns(
         system,
         filter_gains,
@@ -172,17 +243,17 @@ def _run_columns(
     out: NDArray[np.floating],
     path: FloatArray,
 ) -> None:
+    """Run the compiled loop with the gains' scaling."""
     _loops().whiten_columns(
         system, filter_gains.gain, 1.0 / np.sqrt(filter_gains.variance), X, column_inputs, out, path
     )
 
 
-# Extended Kalman filter over many lanes at once: perturbed parameters and segments run side by
-# side.
+# Extended Kalman filter in lanes: perturbed parameters and segments run side by side.
 #
-# Prediction by Runge-Kutta 4 at the data rate; its transition matrix is exp(A dt) to fourth
-# order (which for a linear f is Runge-Kutta's own), A = df/dx and the measurement's dg/dx by
-# differences. Jategaonkar (2015), ch. 5, time-varying filter.
+# Prediction by Runge-Kutta 4 at the data rate. The transition matrix is exp(A dt) to fourth order
+# (for a linear f that is Runge-Kutta's own) with A = df/dx; A and the measurement's dg/dx are
+# finite differences. Jategaonkar (2015), ch. 5, time-varying filter.
 
 ModelFunction = Callable[[FloatArray, FloatArray, FloatArray], Any]
 
@@ -191,7 +262,8 @@ ModelFunction = Callable[[FloatArray, FloatArray, FloatArray], Any]
 class Model:
     """dx/dt = f(x, u, theta), y = g(x, u, theta) in lanes: x (nx, L), u (nu, L), theta (k, L).
 
-    broadcasts: f and g take the lane axis as it is; else they are called lane by lane with vectors.
+    With ``broadcasts`` f and g accept the lane axis; else they are called lane by lane with
+    vectors.
     """
 
     f: ModelFunction
@@ -201,16 +273,17 @@ class Model:
     broadcasts: bool
 
     def rate(self, x: FloatArray, u: FloatArray, theta: FloatArray) -> FloatArray:
-        """f in lanes, (nx, L)."""
+        """Evaluate f in lanes, (nx, L)."""
         return self._call(self.f, x, u, theta, self.states)
 
     def output(self, x: FloatArray, u: FloatArray, theta: FloatArray) -> FloatArray:
-        """g in lanes, (m, L)."""
+        """Evaluate g in lanes, (m, L)."""
         return self._call(self.g, x, u, theta, self.outputs)
 
     def _call(
         self, function: ModelFunction, x: FloatArray, u: FloatArray, theta: FloatArray, rows: int
     ) -> FloatArray:
+        """Evaluate a function of ``rows`` values in all lanes."""
         if self.broadcasts:
             return np.asarray(function(x, u, theta), dtype=float)
         out = np.empty((rows, x.shape[1]))
@@ -229,8 +302,9 @@ class Model:
         theta: FloatArray,
         dt: FloatArray,
     ) -> FloatArray:
-        """Runge-Kutta 4 from x, whose rate is k1, through inputs `u_middle`, half a step later, to
-        u1.
+        """Take one Runge-Kutta step from x, whose rate is k1.
+
+        ``u_middle`` are the inputs half a step later, ``u1`` those at its end.
         """
         k2 = self.rate(x + 0.5 * dt * k1, u_middle, theta)
         k3 = self.rate(x + 0.5 * dt * k2, u_middle, theta)
@@ -246,11 +320,23 @@ def make_model(
     theta: FloatArray,
     outputs: int,
 ) -> Model:
-    """The Model of f and g around x (nx,), u (nu,), theta (k,); finds out whether they broadcast
-    over a lane axis.
+    """Build the Model of f and g, and test whether they broadcast over a lane axis.
 
-    Raises ValueError when f or g fail on single vectors, or return the wrong length or values that
-    are not finite."""
+    Parameters
+    ----------
+    f, g : callable
+        Functions of x (nx,), u (nu,), theta (k,).
+    x, u, theta : array
+        A point at which both are evaluated.
+    outputs : int
+        Number m of outputs.
+
+    Raises
+    ------
+    ValueError
+        When f or g fail on single vectors, or return the wrong length or values that are not
+        finite.
+    """
     for name, function, rows in (("f", f, x.size), ("g", g, outputs)):
         try:
             value = np.asarray(function(x.copy(), u.copy(), theta.copy()), dtype=float)
@@ -269,6 +355,7 @@ def make_model(
                 f"{name}(x, u, theta) is not finite at x0, theta0: {value.ravel().tolist()}; choose"
                 " another start"
             )
+    # A number of lanes that equals no other size, so that a wrong axis cannot pass.
     lanes = next(
         size for size in (7, 11, 13, 17, 19) if size not in (x.size, u.size, theta.size, outputs)
     )
@@ -278,6 +365,7 @@ def make_model(
         u[:, None] * shift,
         theta[:, None] * shift,
     )
+    # Functions broadcast if both ways of calling them agree.
     looped = Model(f, g, x.size, outputs, False)
     batched = Model(f, g, x.size, outputs, True)
     try:
@@ -302,11 +390,23 @@ def make_model(
 
 @dataclass(frozen=True)
 class Record:
-    """Segments padded to one length n: u (n, nu, s), z (n, m, s) with NaN where missing or padded,
-    dt (n-1, s).
+    """Segments padded to one length n.
 
-    middle (n-1, nu, s): inputs half-way from each sample to the next; None: held ones u[k], others
-    the mean of both ends."""
+    Attributes
+    ----------
+    u : array (n, nu, s)
+        Inputs.
+    z : array (n, m, s)
+        Measured outputs, NaN where missing or padded.
+    dt : array (n - 1, s)
+        Steps [s], 0 in the padding.
+    lengths : tuple of int
+        Samples of each segment.
+    zero_order_hold : bool
+        Inputs are constant between samples.
+    middle : array (n - 1, nu, s), optional
+        Inputs half-way to the next sample. None: u[k] when held, else the mean of both ends.
+    """
 
     u: FloatArray
     z: FloatArray
@@ -318,10 +418,20 @@ class Record:
 
 @dataclass(frozen=True)
 class Innovations:
-    """Per sample, output and lane (n, m, W), lanes = points x segments: raw, the innovation z -
-    g(predicted x), NaN if missing; e, what is new in an output given those before it in the same
-    sample (0 where missing); s, its variance (1 there). With S the covariance of the raw
-    innovations, S = L L', e/sqrt(s) = L^-1 raw and ln det S = sum ln s."""
+    """Innovations of every sample, output and lane (n, m, W); lanes are points times segments.
+
+    With S the covariance of the raw innovations, S = L L', e/sqrt(s) = L^-1 raw and
+    ln det S = sum ln s.
+
+    Attributes
+    ----------
+    raw : array (n, m, W)
+        z - g(predicted x); NaN where missing.
+    e : array (n, m, W)
+        Innovation of an output given those before it in the same sample; 0 where missing.
+    s : array (n, m, W)
+        Variance of ``e``; 1 where missing.
+    """
 
     raw: FloatArray
     e: FloatArray
@@ -341,11 +451,30 @@ def run_filter(
 ) -> Innovations | None:
     """Filter every point through every segment; None if a value stops being finite.
 
-    theta (k, P) parameters, q (nx, P) process-noise variances per second, r (m, P) measurement
-    standard deviations, x0 (nx, P, s), p0 (nx, nx) initial covariance, difference (nx,) state steps
-    of the Jacobians, renewed each `every`. The update takes the outputs one by one, which for
-    uncorrelated noise is the joint update without an inverse (Kaminski, Bryson and Schmidt, IEEE
-    Trans. Automatic Control 16, 1971)."""
+    The update takes the outputs one by one, which for uncorrelated noise is the joint update
+    without an inverse (Kaminski, Bryson and Schmidt, IEEE Trans. Automatic Control 16, 1971).
+
+    Parameters
+    ----------
+    model : Model
+        Dynamics and outputs.
+    record : Record
+        Padded segments.
+    theta : array (k, P)
+        Parameters of P points.
+    q : array (nx, P)
+        Process-noise variances per second.
+    r : array (m, P)
+        Standard deviations of the measurement noise.
+    x0 : array (nx, P, s)
+        Initial states.
+    p0 : array (nx, nx)
+        Initial covariance.
+    difference : array (nx,)
+        State steps of the Jacobians.
+    every : int
+        Samples between renewals of the Jacobians.
+    """
     n, m, segments = record.z.shape
     points, nx = theta.shape[1], model.states
     lanes = points * segments
@@ -364,7 +493,9 @@ def run_filter(
     def jacobian(
         function: Callable[[FloatArray, FloatArray, FloatArray], FloatArray], u: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(value (rows, lanes), Jacobian (rows, nx, lanes)) of a function at x in every lane."""
+        """Return values (rows, lanes) and Jacobians (rows, nx, lanes) of a function at x in every
+        lane.
+        """
         perturbed = (x[:, None, :] + offsets[:, :, None]).reshape(nx, -1)
         blocks = function(perturbed, np.tile(u, nx + 1), wide_theta).reshape(-1, nx + 1, lanes)
         return blocks[:, 0], (blocks[:, 1:] - blocks[:, :1]) / difference[None, :, None]
@@ -378,6 +509,7 @@ def run_filter(
             else:
                 y = model.output(x, u, lane_theta)
             raw[k] = np.tile(record.z[k], points) - y
+            # Update by one output after the other.
             correction = np.zeros_like(x)
             for j in range(m):
                 h = H[j]
@@ -433,7 +565,7 @@ def run_filter(
 
 
 def _transition(X: FloatArray) -> FloatArray:
-    """exp(X) of X (nx, nx, L) to fourth order."""
+    """Compute exp(X) of X (nx, nx, L) to fourth order."""
     identity = np.eye(X.shape[0])[:, :, None]
     out = identity + X / 4.0
     for order in (3.0, 2.0, 1.0):

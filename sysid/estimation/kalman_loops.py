@@ -1,13 +1,14 @@
-"""Compiled loops of the linear filter along one linearised flight, in factors of the covariance, P
-= U D U'.
+"""Compiled loops of the Kalman filter along one linearised flight, with P = U D U'.
 
-The channels of a sample are taken one after the other: with independent noise that is the whole
-sample at once, and its whitened innovations are those of a Cholesky root (Bierman, Factorization
-Methods for Discrete Sequential Estimation, 1977, section V.3). Noise of a step comes in by weighted
-Gram-Schmidt (Thornton's form, the same, section VI.4). No rounding makes a variance negative.
+`sysid.estimation.kalman` calls them. The channels of a sample are processed one after the other:
+with independent noise that equals the joint update, and the whitened innovations are those of a
+Cholesky root (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, section
+V.3). Process noise enters by weighted Gram-Schmidt (Thornton's form, section VI.4 there). No
+rounding makes a variance negative.
 
-Inner loops run over all states, whose number is known when they are compiled, or along rows of
-memory: both become vector instructions without a sum being taken in another order."""
+Inner loops run over all states, whose number is a compile-time constant, or along rows of memory:
+both become vector instructions without changing the order of a sum.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +24,13 @@ from sysid.linalg import compiled
 
 
 @compiled
-def filter_gains(system, r, q, begin, with_prior_variance):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Gains along a flight ``system``, as `Gains` has them: variances r (m,) of the sensors, q (13,)
-    per second of the states' noise, begin (13,) of the start. The whole variances with ``with_prior_variance``.
+def filter_gains(  # type: ignore[no-untyped-def]  # pragma: no cover
+    system, r, q, begin, with_prior_variance
+):
+    """Compute the gains along a segment, in the order of the fields of `Gains`.
+
+    ``r`` (m,) are the sensors' variances, ``q`` (13,) those of the states' noise per second,
+    ``begin`` (13,) those of the start.
     """
     n, m = system.is_measured.shape
     gain, variance, prior_variance = np.zeros((n, m, NX)), np.ones((n, m)), np.ones((n, m))
@@ -55,7 +60,7 @@ def filter_gains(system, r, q, begin, with_prior_variance):  # type: ignore[no-u
 
 @compiled
 def _project(V, h, f):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """U'h into ``f``; most channels see few states."""
+    """Compute U'h into ``f``; most channels depend on few states."""
     f[:] = 0.0
     for e in range(NX):
         if h[e] != 0.0:
@@ -64,9 +69,12 @@ def _project(V, h, f):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
-def _measurement_update(V, D, f, variance, gain):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Bierman's update of U and D by a channel, f = U'h: its innovation's variance, and its gain
-    (13,) into ``gain``.
+def _measurement_update(  # type: ignore[no-untyped-def]  # pragma: no cover
+    V, D, f, variance, gain
+):
+    """Update U and D by one channel with f = U'h (Bierman).
+
+    Writes the gain (13,) into ``gain`` and returns the variance of the innovation.
     """
     alpha = variance
     for i in range(NX):
@@ -88,11 +96,11 @@ def _measurement_update(V, D, f, variance, gain):  # type: ignore[no-untyped-def
 
 @compiled
 def _propagate_factor(phi, V, W):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Phi U, turned, into the first rows of ``W``."""
+    """Write the transpose of Phi U into the first rows of ``W``."""
     for c in range(NX):
         for i in range(NX):
             W[c, i] = phi[i, c]
-    # From the last column on: each takes of those before it what they were.
+    # From the last column on, so that each uses the unchanged columns before it.
     for c in range(NX - 1, 0, -1):
         for e in range(c):
             for i in range(NX):
@@ -103,9 +111,11 @@ def _propagate_factor(phi, V, W):  # type: ignore[no-untyped-def]  # pragma: no 
 def _add_process_noise(  # type: ignore[no-untyped-def]  # pragma: no cover
     phi, dt_s, q, noisy, W, weight
 ):
-    """The other rows of ``W`` and their weights: the noise of a step, which acts while the step
-    lasts: integral of exp(A s) Q exp(A's) by Simpson's rule. At the step's end alone it would come
-    half a step late, and every sensor would look early."""
+    """Write the noise of a step into the other rows of ``W`` and their weights.
+
+    The noise acts throughout the step: the integral of exp(A s) Q exp(A's) by Simpson's rule. If it
+    were added at the step's end alone, it would come half a step late and sensors would look early.
+    """
     w = len(noisy)
     halves = W[NX : NX + w]
     _half_step_columns(phi, noisy, halves)
@@ -121,8 +131,10 @@ def _add_process_noise(  # type: ignore[no-untyped-def]  # pragma: no cover
 
 @compiled
 def _half_step_columns(phi, noisy, halves):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Columns ``noisy`` of the transition over half a step, one a row of ``halves``: the root to
-    second order of that over a whole one, 1 + A/2 - A^2/8 with A = Phi - 1."""
+    """Compute columns ``noisy`` of the transition over half a step, one a row of ``halves``.
+
+    The square root of Phi to second order: 1 + A/2 - A^2/8 with A = Phi - 1.
+    """
     increment = np.empty((NX, NX))
     for i in range(NX):
         for e in range(NX):
@@ -140,7 +152,7 @@ def _half_step_columns(phi, noisy, halves):  # type: ignore[no-untyped-def]  # p
 
 @compiled
 def _weighted_gram_schmidt(W, weight, V, D):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """U and D of W' weight W by weighted Gram-Schmidt, the last state first. Destroys W."""
+    """Compute U and D of W' weight W, the last state first. Overwrites W."""
     share = np.empty(NX)
     for i in range(NX - 1, -1, -1):
         share[:] = 0.0
@@ -163,10 +175,10 @@ def _weighted_gram_schmidt(W, weight, V, D):  # type: ignore[no-untyped-def]  # 
 def whiten_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
     system, gain, scale, X, column_inputs, out, path
 ):
-    """Innovations of a flight ``system`` and what columns do to them, through given gains (n, m, x).
+    """Compute the innovations of a segment and their sensitivities, through given gains (n, m, x).
 
-    X (x, c) at the start: less the state, then columns, overwritten; scale (n, m) what innovations
-    are multiplied by; acting: what the columns do. Fills out (n, m, c) and path (n, x), the state.
+    ``X`` (x, c) is minus the state at the start, then the columns; it is overwritten. ``scale`` (n,
+    m) multiplies the innovations. Fills ``out`` (n, m, c) and the predicted state ``path`` (n, x).
     """
     n, m = system.is_measured.shape
     row, Y = np.empty(X.shape[1]), np.empty_like(X)
@@ -189,8 +201,10 @@ def whiten_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
-def _innovation_row(system, column_inputs, k, j, X, row):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """The innovation of channel j of sample k, and what the columns do there, into ``row``."""
+def _innovation_row(  # type: ignore[no-untyped-def]  # pragma: no cover
+    system, column_inputs, k, j, X, row
+):
+    """Write the innovation of channel j of sample k and its sensitivities into ``row``."""
     row[:] = 0.0
     row[0] = system.z[k, j]
     for i in range(len(X)):
@@ -208,9 +222,13 @@ def _innovation_row(system, column_inputs, k, j, X, row):  # type: ignore[no-unt
 
 
 @compiled
-def _propagate_columns(system, column_inputs, k, X, Y):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """The states of sample k + 1 by those of sample k, into ``Y``: four at a time, for reading and
-    writing ``Y`` takes longer than its sums."""
+def _propagate_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
+    system, column_inputs, k, X, Y
+):
+    """Propagate the states and columns from sample k to k + 1, into ``Y``.
+
+    Four states are summed at a time, because memory access to ``Y`` takes longer than its sums.
+    """
     size, phi = len(X), system.phi[k]
     for i in range(size):
         Y[i, :] = 0.0
@@ -218,7 +236,7 @@ def _propagate_columns(system, column_inputs, k, X, Y):  # type: ignore[no-untyp
         e = 0
         while e + 3 < size:
             p, q, r, s = phi[i, e], phi[i, e + 1], phi[i, e + 2], phi[i, e + 3]
-            # What the air does goes on from the air alone.
+            # Rows of the air states have few elements: skip zeros.
             if p != 0.0 or q != 0.0 or r != 0.0 or s != 0.0:
                 for c in range(X.shape[1]):
                     Y[i, c] = (
@@ -238,11 +256,11 @@ def _propagate_columns(system, column_inputs, k, X, Y):  # type: ignore[no-untyp
 
 @compiled
 def backward(system, gains, innovation, q):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Slopes of minus twice the log likelihood with variances, innovations (n, m) as they are with
-    the start fitted, the gains ``gains``: what its logarithm and what its sum of squares has, each of
-    the sensors (2, m), per second of the states' noise (2, 13), zero where q (13,) is, and at the
-    start (2, 13).
+    """Differentiate minus twice the log likelihood with the variances, by a backward pass.
 
+    ``innovation`` (n, m) with the start fitted, ``gains`` of the same pass, ``q`` (13,) as in
+    `filter_gains`. Returns for the sensors (2, m), the states' noise per second (2, 13; zero where
+    q is) and the start (2, 13) the derivative of the log determinant and of the sum of squares.
     Equations (2) and (3) of `sysid.effects.turbulence`.
     """
     n, m = system.is_measured.shape
@@ -253,8 +271,7 @@ def backward(system, gains, innovation, q):  # type: ignore[no-untyped-def]  # p
     sixth = system.dt_s / 6.0
     for k in range(n - 1, -1, -1):
         if k < n - 1:
-            # As `follow` adds the noise of a step: Simpson's rule over its end, middle and
-            # beginning.
+            # Process noise as in `filter_gains`: Simpson's rule over end, middle and beginning.
             _half_step_columns(system.phi[k], noisy, halves)
             _add_end_point(r, N, noisy, sixth, by_process)
             _add_midpoint(r, N, noisy, halves, 4.0 * sixth, by_process)
@@ -281,7 +298,10 @@ def backward(system, gains, innovation, q):  # type: ignore[no-untyped-def]  # p
 
 
 @compiled
-def _add_end_point(r, N, noisy, weight, by_process):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _add_end_point(  # type: ignore[no-untyped-def]  # pragma: no cover
+    r, N, noisy, weight, by_process
+):
+    """Add one end point of Simpson's rule to the derivatives with the process noise."""
     for c in range(len(noisy)):
         at = noisy[c]
         by_process[0, at] += weight * N[at, at]
@@ -292,6 +312,7 @@ def _add_end_point(r, N, noisy, weight, by_process):  # type: ignore[no-untyped-
 def _add_midpoint(  # type: ignore[no-untyped-def]  # pragma: no cover
     r, N, noisy, halves, weight, by_process
 ):
+    """Add the midpoint of Simpson's rule to the derivatives with the process noise."""
     rotated = np.empty(NX)
     for c in range(len(noisy)):
         at = noisy[c]
@@ -309,7 +330,7 @@ def _add_midpoint(  # type: ignore[no-untyped-def]  # pragma: no cover
 
 @compiled
 def _propagate_back(phi, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Phi'r and Phi'N Phi in the places of r and N."""
+    """Replace r and N by Phi'r and Phi'N Phi."""
     a, T = np.zeros(NX), np.zeros((NX, NX))
     for e in range(NX):
         for o in range(NX):
@@ -327,7 +348,7 @@ def _propagate_back(phi, r, N):  # type: ignore[no-untyped-def]  # pragma: no co
 
 @compiled
 def _update_back(h, a, u, slope, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """r and N before a channel by those behind it, a = N K."""
+    """Update r and N backwards across one channel, with a = N K."""
     for e in range(NX):
         if h[e] != 0.0:
             r[e] += h[e] * u
@@ -338,17 +359,26 @@ def _update_back(h, a, u, slope, r, N):  # type: ignore[no-untyped-def]  # pragm
                 N[e, i] += slope * h[e] * h[i]
 
 
-# What the loops of the linear filter work on: named tuples, which compiled code takes as they
-# are.
+# Arguments of the loops: named tuples, which compiled code accepts.
 
 START_COLUMNS = 8
-"""Columns of the start state."""
+"""Number of start states, the first columns of every pass."""
 
 
 class MeasuredSystem(NamedTuple):
-    """A segment's linear system with what was measured of it: there (n, m), z (n, m) less the
-    reference's outputs, H (n, m, x), D (n, m, 6); phi, defect, g0, g1, dt_s and start (x, 8) as in
-    `Steps`. Where nothing was measured z is zero."""
+    """A segment's linear system with its measurements.
+
+    Attributes
+    ----------
+    is_measured : array (n, m)
+        Whether a channel was measured.
+    z : array (n, m)
+        Measurement less the reference's output; 0 where not measured.
+    H, D : array (n, m, x), (n, m, 6)
+        Output matrices with the states and the extra coefficients.
+    phi, defect, g0, g1, dt_s, start
+        As in `sysid.aerodynamics.Steps`.
+    """
 
     is_measured: NDArray[np.bool_]
     z: FloatArray
@@ -363,7 +393,10 @@ class MeasuredSystem(NamedTuple):
 
     @classmethod
     def of(cls, steps: Steps, measured: FloatArray, output_rows: Sequence[int]) -> MeasuredSystem:
-        """which: rows of OUTPUTS that ``measured`` (n, m) holds, NaN where nothing is."""
+        """Combine a linear system with measurements (n, m), NaN where there are none.
+
+        ``output_rows`` are the indices of the m channels in OUTPUTS.
+        """
         rows = list(output_rows)
         is_measured = np.isfinite(measured)
         z = np.where(is_measured, measured - steps.y_ref[:, rows], 0.0)
@@ -383,9 +416,17 @@ class MeasuredSystem(NamedTuple):
 
 
 class Gains(NamedTuple):
-    """gain (n, m, x) of each channel of each sample behind those before it; spread (n, m): variance
-    of its innovation; whole (n, m): the same before any of the sample. 0, 1 and 1 where nothing was
-    measured."""
+    """Gains and innovation variances of a segment.
+
+    Attributes
+    ----------
+    gain : array (n, m, x)
+        Gain of each channel after the channels before it in the same sample; 0 where not measured.
+    variance : array (n, m)
+        Variance of its innovation; 1 where not measured.
+    prior_variance : array (n, m)
+        The same before any channel of the sample; 1 where not measured.
+    """
 
     gain: FloatArray
     variance: FloatArray
@@ -393,15 +434,28 @@ class Gains(NamedTuple):
 
     @property
     def logdet(self) -> float:
-        """Sum of the logarithms of the innovations' deviations."""
+        """Sum of the logarithms of the innovations' standard deviations."""
         return 0.5 * float(np.log(self.variance).sum())
 
 
 class ColumnInputs(NamedTuple):
-    """What columns do: column own[e] has values[:, e] (n, e) of the coefficient coefficient[e],
-    ends[:, e] just before each row and felt[:, e] of what the channels of that row have seen;
-    column direct[e] has added[:, :, e] (n, m, e) of the channels. Columns count from 1: before them
-    stands the state."""
+    """Effects of the columns on states and channels; columns count from 1, after the state.
+
+    Attributes
+    ----------
+    column, coefficient : array (e,)
+        Column and coefficient (index of CX ... Cn) of each input.
+    values : array (n, e)
+        Values at the rows.
+    ends : array (n, e)
+        Values just before each row.
+    feedthrough : array (n, e)
+        Values that act directly on the channels of each row.
+    direct : array (f,)
+        Columns that are added to channels.
+    added : array (n, m, f)
+        What they add.
+    """
 
     column: NDArray[np.intp]
     coefficient: NDArray[np.intp]
@@ -422,10 +476,23 @@ class ColumnInputs(NamedTuple):
         ends: Mapping[str, FloatArray] | None = None,
         feedthrough: Mapping[str, FloatArray] | None = None,
     ) -> ColumnInputs:
-        """inputs: column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6))
-        for all six; outputs: column -> (n, m) added to the measured channels; ends, felt: column ->
-        the values just before each row, and what the row's channels have seen of them, of the same
-        shape, where these are others than the values themselves."""
+        """Arrange the effects of named columns.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Columns.
+        inputs : mapping
+            Column to (index of the coefficient CX ... Cn, values (n,)), or to (-1, values (n, 6))
+            for all six.
+        outputs : mapping
+            Column to the array (n, m) that it adds to the channels.
+        n, m : int
+            Samples and channels.
+        ends, feedthrough : mapping, optional
+            Column to the values just before each row, and to those that the row's channels
+            measured, where they differ from the values at the row (jumps).
+        """
         columns: list[int] = []
         coefficient: list[int] = []
         values = [np.zeros((n, 0))]

@@ -2,10 +2,12 @@
 
     J(theta) = 1/2 sum_i [z(i) - y(i)]' R^-1 [z(i) - y(i)] + N/2 ln det R
 
-with R at its own maximum-likelihood value for every theta (relaxation), so that the cost followed
-is the concentrated likelihood and falls at every accepted step. Klein and Morelli, "Aircraft System
-Identification" (2006), ch. 6; Jategaonkar, R. V., "Flight Vehicle System Identification", 2nd ed.
-(2015), ch. 4."""
+R takes its maximum-likelihood value at every theta (relaxation), so that the cost is the
+concentrated likelihood and falls at every accepted step. `output_error` is the estimator for calm
+air. The module also holds the finite differences of simulations that may fail, adapted to their
+roughness. Klein and Morelli, "Aircraft System Identification" (2006), ch. 6; Jategaonkar, R. V.,
+"Flight Vehicle System Identification", 2nd ed. (2015), ch. 4.
+"""
 
 from __future__ import annotations
 
@@ -36,27 +38,27 @@ from sysid.linalg import Blocks, Index
 
 # Output sensitivities by finite differences of a simulation that may fail.
 #
-# A step is sized by what it does to the outputs, not by the parameter's magnitude: a small part
-# of an output's spread. So parameters of any unit, and starts at zero, need no hint.
+# A step is sized by its effect on the outputs, not by the parameter's magnitude: a small part of
+# an output's standard deviation. So parameters of any unit, and starts at zero, need no hint.
 
-# Perturbed simulations that can be one: parameters that move different segments are stepped in
-# the same run.
+# Parameters that move different segments are perturbed in the same simulation.
 #
 # Curtis, A. R., Powell, M. J. D. and Reid, J. K., "On the Estimation of Sparse Jacobian
-# Matrices", IMA Journal of Applied Mathematics 13 (1974): columns of a Jacobian without a row
-# in common are differenced together. A segment's start state moves that segment alone, so that
-# as many runs as it has states serve those of all segments.
+# Matrices", IMA Journal of Applied Mathematics 13 (1974): columns of a Jacobian without a common
+# row are differenced together. A segment's start state moves that segment alone, so that as many
+# runs as it has states serve all segments.
 
 Answer = list[FloatArray] | str
 """Outputs (n, m) of each of a parameter's rows, or a sentence that says what failed."""
 Run = Callable[[Sequence[FloatArray]], Iterator[FloatArray | str]]
-"""Outputs (N, m) at each of some theta, in their order."""
+"""Maps some theta to their outputs (N, m), in order."""
 
 
 @dataclass(frozen=True)
 class Shift:
-    """Parameter ``index`` moved ``by``, for the ``position``-th column; ``rows`` of the outputs are
-    all that it can move.
+    """A step ``by`` of parameter ``index``, for column ``position``.
+
+    ``rows`` are all output rows that the parameter can move.
     """
 
     position: int
@@ -66,9 +68,11 @@ class Shift:
 
 
 def rows_affected(simulate: Any, index: int, edges: Sequence[int]) -> tuple[slice, ...]:
-    """Rows (start and end in ``edges``) of the segments that a parameter moves. One slice of all
-    rows, unless the simulation has a method ``moved(index)`` that gives numbers of segments; its
-    None means all as well."""
+    """Return the rows of the segments that a parameter moves, with segments between ``edges``.
+
+    A simulation may have a method ``moved(index)`` that returns segment numbers, or None for all.
+    Without it all rows count as moved.
+    """
     moved_segments = getattr(simulate, "moved", None)
     numbers = None if moved_segments is None else moved_segments(index)
     if numbers is None:
@@ -78,7 +82,7 @@ def rows_affected(simulate: Any, index: int, edges: Sequence[int]) -> tuple[slic
 
 
 def group_shifts(shifts: Sequence[Shift]) -> list[list[Shift]]:
-    """Shifts that have no row in common together, each in the first group that has room for it."""
+    """Group shifts without a common row, each in the first group that has room."""
     groups: list[list[Shift]] = []
     occupied: list[list[tuple[int, int]]] = []
     for shift in shifts:
@@ -97,8 +101,9 @@ def group_shifts(shifts: Sequence[Shift]) -> list[list[Shift]]:
 def simulate_shifts(
     run: Run, theta: FloatArray, shifts: Sequence[Shift]
 ) -> Iterator[tuple[Shift, float, Answer]]:
-    """Each shift, as the machine has it, and what it gives; those of a group that fails together
-    are run again one by one.
+    """Yield each shift with its step in floating point and its outputs.
+
+    The shifts of a group that fails are run again one by one.
     """
     retries: list[Shift] = []
     groups = group_shifts(shifts)
@@ -118,6 +123,7 @@ def simulate_shifts(
 
 
 def _shifted_theta(theta: FloatArray, members: Sequence[Shift]) -> FloatArray:
+    """Add the steps of a group's shifts to theta."""
     out = theta.copy()
     for shift in members:
         out[shift.index] += shift.by
@@ -127,13 +133,14 @@ def _shifted_theta(theta: FloatArray, members: Sequence[Shift]) -> FloatArray:
 def _split_outputs(
     theta: FloatArray, members: Sequence[Shift], outputs: FloatArray | str
 ) -> Iterator[tuple[Shift, float, Answer]]:
+    """Yield each shift of a group with its part of the outputs."""
     for shift in members:
-        # The step as the machine sees it: (theta + h) - theta.
+        # The step in floating point: (theta + h) - theta.
         by = float((theta[shift.index] + shift.by) - theta[shift.index])
         if isinstance(outputs, str):
             yield shift, by, outputs
         else:
-            # Copies where several share: a view would keep all rows in memory.
+            # Copy if several shifts share the run: a view would keep all rows in memory.
             yield (
                 shift,
                 by,
@@ -144,7 +151,7 @@ def _split_outputs(
             )
 
 
-# first wanted change of the most affected output, in its spread; then `target_for` its roughness
+# First target for the change of the most affected output, in its scale; see `target_for`.
 TARGET = 3e-4
 TARGETS = (
     3e-5,
@@ -163,9 +170,11 @@ MapLike = Callable[[Callable[[FloatArray], Any], Iterable[FloatArray]], Iterable
 
 @dataclass(frozen=True)
 class SafeSimulation:
-    """simulate(theta) made total: the stacked outputs (N, m), or a sentence saying what went wrong.
+    """A simulation that returns the stacked outputs (N, m), or a sentence that says what went
+    wrong.
 
-    A module-level class, so that a process pool can receive it whenever it can receive `simulate`.
+    A class at module level, so that process pools can pickle it whenever ``simulate`` can be
+    pickled.
     """
 
     simulate: Callable[[FloatArray], Any]
@@ -182,8 +191,9 @@ class SafeSimulation:
         return self.stacked(value)
 
     def stacked(self, value: Any) -> FloatArray | str:
-        """Outputs of any permitted form as one (N, m) array; a sentence if the form is wrong or
-        values not finite.
+        """Stack outputs of any permitted form into (N, m).
+
+        Returns a sentence if the form is wrong or values are not finite.
         """
         try:
             parts = [
@@ -215,15 +225,24 @@ class SafeSimulation:
 def run_all(
     simulation: SafeSimulation, thetas: Sequence[FloatArray], map_fn: MapLike | None
 ) -> Iterator[FloatArray | str]:
-    """Every theta simulated, in order, through the injected map if there is one; one after the
-    other, where that is how it gives them."""
+    """Simulate all points in order, through ``map_fn`` if there is one; lazily if it is lazy."""
     yield from (map_fn or map)(simulation, thetas)
 
 
 @dataclass(frozen=True)
 class Differences:
-    """sensitivity (N, m, len(columns)) in blocks; step (k,) as adapted; effect (len(columns),)
-    bool; runs: simulations spent.
+    """Result of `sensitivities`.
+
+    Attributes
+    ----------
+    sensitivity : Blocks
+        (N, m, len(columns)) in blocks.
+    step : array (k,)
+        Adapted difference steps.
+    effect : array (len(columns),) of bool
+        Whether the parameter moves any output.
+    runs : int
+        Simulations used.
     """
 
     sensitivity: Blocks
@@ -233,7 +252,7 @@ class Differences:
 
 
 def first_steps(theta: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Starting steps (k,): a small part of the value, of the bounds' width, or of one."""
+    """Return starting steps (k,): a small part of the value, of the bounds' width, or of one."""
     width = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
     return np.asarray(1e-4 * np.where(theta != 0.0, np.abs(theta), width))
 
@@ -251,12 +270,33 @@ def sensitivities(
     map_fn: MapLike | None,
     target: float = TARGET,
 ) -> Differences:
-    """d(outputs)/d(theta) at `theta`, whose outputs are `base` (N, m).
+    """Difference the outputs with the free parameters.
 
-    Central differences, or forward ones; one-sided at a bound or where one side fails. spread (m,)
-    scales the outputs. target: wanted change of the most affected output, in its spread. Parameters
-    of which the simulation says, by a method ``moved``, that they move different segments are
-    perturbed together (together.py). A parameter whose every perturbed run fails gets effect False.
+    Differences are one-sided at a bound or where one side fails. Parameters that move different
+    segments are perturbed together. A parameter whose perturbed runs all fail gets effect False.
+
+    Parameters
+    ----------
+    simulation : SafeSimulation
+        The model.
+    theta : array (k,)
+        Point.
+    base : array (N, m)
+        Outputs there.
+    step : array (k,)
+        Difference steps to begin with.
+    columns : sequence of int
+        Free parameters.
+    limits : tuple of two arrays (k,)
+        Bounds.
+    output_scale : array (m,)
+        Size of each output.
+    central : bool
+        Central or forward differences.
+    map_fn : callable, optional
+        Parallel map.
+    target : float
+        Change of the most affected output to aim at, in its scale.
     """
     step = step.copy()
     lower, upper = limits
@@ -272,8 +312,7 @@ def sensitivities(
         return run_all(simulation, points, map_fn)
 
     for attempt in range(6):
-        # Below this a step is lost in the parameter's own rounding, and shrinking it further would
-        # never find an effect again.
+        # A shorter step would vanish in the parameter's rounding.
         step = np.maximum(step, SMALLEST * np.abs(theta))
         shifts = [
             s
@@ -286,6 +325,7 @@ def sensitivities(
             sound = [
                 (by, answer) for by, answer in sides if not isinstance(answer, str) and by != 0.0
             ]
+            # Every side failed: try a much shorter step.
             if not sound:
                 step[j] *= 0.03
                 repeated_positions.append(position)
@@ -295,6 +335,7 @@ def sensitivities(
             with np.errstate(over="ignore", invalid="ignore"):
                 square = sum(np.sum(part**2, axis=0) for part in column) / len(base)
                 change = float(np.max(np.sqrt(square) * used / output_scale))
+            # The square overflowed: the step is far too long.
             if not np.isfinite(change):
                 step[j] *= 1e-4
                 repeated_positions.append(position)
@@ -323,10 +364,23 @@ def forward_differences(
     shape: tuple[Sequence[int], int],
     map_fn: MapLike | None = None,
 ) -> Blocks | None:
-    """d(outputs)/d(theta) (N, m, k) by one step of each parameter, ``steps`` (k,); None where a
-    simulation fails.
+    """Difference the outputs with one step of each parameter.
 
-    shape: rows of each segment, and outputs.
+    Parameters
+    ----------
+    simulate : callable
+        theta (k,) to outputs, as in `output_error`.
+    theta, steps : array (k,)
+        Point and steps.
+    shape : tuple
+        Rows of each segment, and the number of outputs m.
+    map_fn : callable, optional
+        Parallel map.
+
+    Returns
+    -------
+    Blocks or None
+        d(outputs)/d(theta) (N, m, k); None where a simulation fails.
     """
     lengths, outputs = tuple(shape[0]), shape[1]
     simulation = SafeSimulation(simulate, lengths, outputs)
@@ -358,7 +412,7 @@ def _shifts(
     central: bool,
     rows: tuple[slice, ...],
 ) -> Iterator[Shift]:
-    """A step up, and one down where both are asked for or there is no room above."""
+    """Yield a step up, and a step down if ``central`` or if there is no room above."""
     lower, upper = limits
     up, down = min(step[j], upper[j] - theta[j]), min(step[j], theta[j] - lower[j])
     floor = 0.5 * step[j]
@@ -372,7 +426,7 @@ def _shifts(
 def _by_position(
     results: Iterable[tuple[Shift, float, Answer]], shifts: Sequence[Shift]
 ) -> Iterator[tuple[int, list[tuple[float, Answer]]]]:
-    """Columns as soon as all their sides are there, upwards first: nothing is kept longer."""
+    """Yield columns once all their sides are complete, upper side first."""
     side_counts = Counter(shift.position for shift in shifts)
     sides: dict[int, list[tuple[float, Answer]]] = {}
     for shift, by, answer in results:
@@ -385,7 +439,7 @@ def _by_position(
 def _column(
     sides: Sequence[tuple[float, Any]], base: FloatArray, rows: tuple[slice, ...]
 ) -> list[FloatArray]:
-    """Differences (n, m) over one step or two, of each of the rows."""
+    """Return the difference quotients (n, m) over one step or two, for each of the rows."""
     (by, first), *other_sides = sides
     if other_sides:
         other_by, other = other_sides[0]
@@ -396,7 +450,7 @@ def _column(
 def _by_segment(
     column: Sequence[FloatArray], rows: tuple[slice, ...], edges: Sequence[int]
 ) -> list[FloatArray | None]:
-    """Of each segment what moves in it, None where nothing does."""
+    """Split a column by segments; None where it is zero."""
     segment_parts = {
         row_slice.start + a: part[a:b]
         for part, row_slice in zip(column, rows, strict=True)
@@ -409,7 +463,7 @@ def _by_segment(
 
 
 def _segments_within(rows: slice, edges: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """Where segments begin and end, counted from the first of the rows ``rows``."""
+    """Yield first and last row of the segments within ``rows``, counted from the first of them."""
     return (
         (a - rows.start, b - rows.start)
         for a, b in pairwise(edges)
@@ -420,7 +474,7 @@ def _segments_within(rows: slice, edges: Sequence[int]) -> Iterator[tuple[int, i
 def _next_step(
     step: float, change: float, target: float, unit: float, room: float, last: bool
 ) -> tuple[float, bool]:
-    """The step for the next difference, and whether this one is repeated with it."""
+    """Return the step for the next difference, and whether this difference is repeated with it."""
     if change <= NO_EFFECT:
         if step < 99.0 * unit and not last:
             return (unit if step < 0.5 * unit else 100.0 * unit), True
@@ -441,12 +495,12 @@ def roughness(
     output_scale: FloatArray,
     map_fn: MapLike | None,
 ) -> tuple[float, int]:
-    """How far the outputs are from smooth in theta, in their spread (rms), and the simulations it
-    took to find out.
+    """Estimate the rms roughness of the outputs in theta, in their scale, and the simulations used.
 
-    Six points along small (k,) steps away from theta: a smooth function leaves nothing in high
-    differences, rounding, iterated trims and printed decimals do. More, J. J. and Wild, S. M., SIAM
-    J. Sci. Comput. 33 (2011), eq. (2.4)."""
+    Six points along ``steps`` (k,) away from theta: high differences vanish for smooth functions
+    and show rounding, iterated trims and printed decimals. More, J. J. and Wild, S. M., SIAM J.
+    Sci. Comput. 33 (2011), eq. (2.4).
+    """
     lower, upper = limits
     inward = np.where(theta + 7.0 * steps > upper, -steps, steps)
     points = [theta + count * inward for count in range(1, 7)]
@@ -465,14 +519,14 @@ def roughness(
 
 
 def target_for(rough: float) -> float:
-    """The output change at which a central difference's truncation and rounding balance, about
-    roughness^(1/3).
+    """Return the output change that balances truncation and rounding of central differences.
+
+    It is about roughness^(1/3), within TARGETS.
     """
     return float(np.clip(np.cbrt(rough), *TARGETS))
 
 
-# Output error's cost over the free parameters, with the sensitivities its steps need:
-# differenced anew, or carried on.
+# Output error's cost over the free parameters. Sensitivities are differenced, or updated by secants.
 
 MAX_SECANT_UPDATES = 8  # secant updates before sensitivities are differenced anew
 NEARBY = 0.5  # standard errors within which sensitivities need no renewal
@@ -480,9 +534,7 @@ NEARBY = 0.5  # standard errors within which sensitivities need no renewal
 
 @dataclass
 class OutputErrorProblem:
-    """The cost over the free parameters; counts simulations and keeps the adapted
-    difference steps.
-    """
+    """The cost over the free parameters; counts simulations and keeps the adapted difference steps."""
 
     simulation: SafeSimulation
     measured: FloatArray
@@ -506,30 +558,26 @@ class OutputErrorProblem:
 
     @property
     def edges(self) -> list[int]:
-        """Rows at which segments begin, and the number of rows at the end."""
+        """First row of each segment, and the number of rows at the end."""
         return [0, *np.cumsum(self.simulation.lengths).tolist()]
 
     @property
     def floor(self) -> FloatArray:
-        """Least noise (ny,) an output may have: rounding of its own spread."""
+        """Smallest noise (m,) of an output: rounding of its scale."""
         return 1e-9 * self.output_scale
 
     def full_vector(self, theta: FloatArray) -> FloatArray:
-        """All parameters, with the free ones at ``theta`` and the fixed ones at their given
-        values.
-        """
+        """Return all parameters, the free ones at ``theta`` and the fixed ones at their start."""
         out = self.full_theta.copy()
         out[self.columns] = theta
         return out
 
     def noise(self, outputs: FloatArray) -> Noise:
-        """Measurement noise at its maximum-likelihood value for these outputs (n, ny)."""
+        """Estimate the measurement noise for outputs (N, m) by maximum likelihood."""
         return residual_noise(self.measured - outputs, self.floor, self.full)
 
     def evaluate(self, theta: FloatArray) -> tuple[float, FloatArray] | None:
-        """Concentrated cost at ``theta`` and the outputs (n, ny); None where the simulation
-        failed.
-        """
+        """Return the concentrated cost and the outputs (N, m); None where the simulation failed."""
         self.runs += 1
         outputs = self.simulation(self.full_vector(theta))
         if isinstance(outputs, str):
@@ -538,16 +586,17 @@ class OutputErrorProblem:
         return concentrated_cost(self.measured - outputs, self.noise(outputs)), outputs
 
     def linearise(self, theta: FloatArray, outputs: FloatArray, central: bool) -> Linearisation:
-        """Gradient and information at theta (k,), whose outputs (N, m) are given.
+        """Compute gradient and information at theta (k,) with known outputs.
 
-        With ``secant`` the sensitivities of the last point are carried on by Broyden's update
-        (Math. Comp. 19, 1965)
+        With ``secant`` the sensitivities of the last point are updated by Broyden's formula (Math.
+        Comp. 19, 1965)
 
             S += (dy - S d) (W d)' / (d' W d),    W = diag M
 
-        (segment by segment, where S is not zero: Schubert, Math. Comp. 24, 1970), which costs no
-        simulation; they are differenced anew, forwards, when that has been done CARRIED times, when
-        the search nears its end, and at a point asked for twice."""
+        (segment by segment, where S is not zero: Schubert, Math. Comp. 24, 1970), which needs no
+        simulation. They are differenced again, forwards, after MAX_SECANT_UPDATES updates, near the
+        end of the search, and at a point that is linearised twice.
+        """
         secant_is_exact = self._secant_update(theta, outputs, central) if self.secant else None
         if secant_is_exact is None:
             self._difference(theta, outputs, central and not self.secant)
@@ -559,8 +608,10 @@ class OutputErrorProblem:
         return replace(line, exact=secant_is_exact, fresh=False)
 
     def settle(self, theta: FloatArray, outputs: FloatArray) -> Linearisation:
-        """The linearisation that bounds are computed from: differences at theta itself, or a small
-        part of a bound away.
+        """Compute the linearisation for standard errors.
+
+        Sensitivities are differenced at theta, or within NEARBY standard errors of it in secant
+        mode.
         """
         if self.secant and self._fresh is not None and self._distance(theta) < NEARBY:
             self.sensitivity = self._fresh[1]
@@ -569,14 +620,16 @@ class OutputErrorProblem:
         return self._linearisation(outputs)
 
     def _distance(self, theta: FloatArray) -> float:
-        """Standard errors from where sensitivities were last differenced."""
+        """Return the distance from the last differenced point, in standard errors."""
         assert self._fresh is not None
         displacement = theta - self._fresh[0]
         return float(np.sqrt(np.maximum(displacement @ self._fresh[2] @ displacement, 0.0)))
 
     def _secant_update(self, theta: FloatArray, outputs: FloatArray, central: bool) -> bool | None:
-        """Sensitivities carried on to theta: True near where they were differenced, False far from
-        there, None: not possible.
+        """Update the sensitivities to theta.
+
+        Returns True near the point where they were differenced, False far from it, None if an
+        update is not possible.
         """
         if self._last is None or self._updates >= MAX_SECANT_UPDATES:
             return None
@@ -598,8 +651,10 @@ class OutputErrorProblem:
         return is_near
 
     def _difference(self, theta: FloatArray, outputs: FloatArray, central: bool) -> None:
-        """Sensitivities by differences; the second time, how small their steps may be as well: a
-        fit that begins where it ends asks once."""
+        """Difference the outputs; from the second time on with steps that suit the roughness.
+
+        A fit that starts at its optimum differences once and does not need the roughness.
+        """
         if self._differenced_before and self._target is None:
             small_steps = np.zeros_like(self.step)
             small_steps[self.columns] = 1e-3 * self.step[self.columns]
@@ -633,6 +688,7 @@ class OutputErrorProblem:
         self.sensitivity, self._updates = differences.sensitivity, 0
 
     def _linearisation(self, outputs: FloatArray) -> Linearisation:
+        """Build gradient and information from the sensitivities."""
         sensitivity, residual, noise = (
             self.sensitivity,
             self.measured - outputs,
@@ -686,8 +742,8 @@ def output_error(
     simulate : callable
         theta (k,) -> (n, m) array, or a list of them, one per segment, at the measured samples, in
         the units of `measured`. It may raise or return NaN at a trial point: a shorter step is
-        tried. With a method ``moved(j)`` it says which segments theta[j] moves (their numbers;
-        None: all): parameters that move different ones are perturbed in the same simulation.
+        tried. An optional method ``moved(j)`` returns the numbers of the segments that theta[j]
+        moves (None: all); parameters that move different segments are perturbed in one simulation.
     theta0 : array_like
         (k,) start; zeros are fine, but simulate(theta0) must be finite.
     measured : array_like
@@ -705,12 +761,12 @@ def output_error(
         simulations.
     differences : {"auto", "central", "secant"}
         "auto" takes forward differences between the first iteration and the last ones; "secant",
-        for smooth simulations that are dear, carries sensitivities on from iteration to iteration.
+        for smooth and expensive simulations, updates sensitivities from iteration to iteration.
     max_iterations, tolerance
         Stop when the next step is shorter than `tolerance` standard errors.
     errors : bool
         False for the estimates alone: standard errors, covariances and variance inflation are then
-        NaN, nothing is judged.
+        NaN, and identifiability is not assessed.
     told : callable, optional
         Called in each iteration of a descent with its number and the length of the next step in
         standard errors.
@@ -718,10 +774,10 @@ def output_error(
     Returns
     -------
     OutputErrorFit
-        ``theta`` (k,), ``std`` (k,) corrected for coloured residuals (see coloured.py), ``std_crb``
-        (k,) the Cramer-Rao bound. Parameters that the data do not determine, or that end on a
-        bound, are "not-identified": their std is NaN and fit.reason says why; the others are still
-        estimated. Where it did not converge, ``converged`` and ``warnings`` say so.
+        ``theta`` (k,), ``std`` (k,) corrected for coloured residuals (see `coloured_residuals`),
+        ``std_crb`` (k,) the Cramer-Rao bound. Parameters that the data do not determine, or that
+        end on a bound, are "not-identified": their std is NaN and fit.reason says why; the others
+        are still estimated. ``converged`` and ``warnings`` say whether it converged.
 
     Raises
     ------
@@ -729,13 +785,23 @@ def output_error(
         When inputs disagree, theta0 lies outside the bounds, there are fewer measured values than
         parameters, or the simulation fails at theta0.
 
-    References ---------- L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9. V. Klein,
-    E. A. Morelli, Aircraft System Identification, 2006.
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9. V. Klein, E. A. Morelli, Aircraft
+    System Identification, 2006.
 
-    Examples -------- >>> import numpy as np >>> import sysid >>> t = np.linspace(0.0, 5.0, 100) >>>
-    measured = 2.0 * np.exp(-0.5 * t) + 0.01 * np.sin(40.0 * t) >>> fit = sysid.output_error(lambda
-    theta: theta[0] * np.exp(-theta[1] * t), [1.0, 1.0], measured) >>> [round(float(value), 1) for
-    value in fit.theta] [2.0, 0.5]"""
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sysid
+    >>> t = np.linspace(0.0, 5.0, 100)
+    >>> measured = 2.0 * np.exp(-0.5 * t) + 0.01 * np.sin(40.0 * t)
+    >>> fit = sysid.output_error(
+    ...     lambda theta: theta[0] * np.exp(-theta[1] * t), [1.0, 1.0], measured
+    ... )
+    >>> [round(float(value), 1) for value in fit.theta]
+    [2.0, 0.5]
+    """
     theta = as_parameters(theta0)
     labels = as_names(names, theta.size, "theta")
     lower, upper = as_bounds(bounds, theta, labels)
@@ -805,6 +871,7 @@ def output_error(
             callback=told,
         )
 
+    # Descend from theta0; if another minimum may be better, try one by way of short segments.
     best = descend(theta[columns], start, max_iterations, tolerance)
     if _may_be_local_minimum(problem, best, edges):
         other = _from_short_horizons(
@@ -815,6 +882,7 @@ def output_error(
     evaluation = problem.evaluate(best.theta)
     assert evaluation is not None
     residual = stacked - evaluation[1]
+    # Estimates alone.
     if not errors:
         unassessed = unassessed_fit(problem.noise(evaluation[1]), len(columns))
         return _assemble(
@@ -827,6 +895,7 @@ def output_error(
             split(residual, edges),
             is_many(measured),
         )
+    # Standard errors from the sensitivities at the optimum.
     line = problem.settle(best.theta, evaluation[1])
     findings = assess_fit(
         theta=best.theta,
@@ -847,10 +916,13 @@ def output_error(
 
 
 def _may_be_local_minimum(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
-    """Perhaps not the minimum that was meant: no output explained even to 70 %, or not converged,
-    or, where simulations are cheap, an output left much further off than its white noise. Where
-    they are dear, a descent that has not converged but explains every output to 70 % is no longer
-    far off: another start would end in the same valley."""
+    """Decide whether another descent is worthwhile.
+
+    It is if the fit has not converged, if no output is explained to 70 %, or, for cheap
+    simulations, if an output's residual is much larger than its white noise. For expensive
+    simulations (secant mode) a descent that has not converged but explains every output to 70 % is
+    close enough: another start would end in the same valley.
+    """
     evaluation = problem.evaluate(best.theta)
     if evaluation is None or not (best.converged or problem.secant):
         return True
@@ -880,11 +952,11 @@ def _from_short_horizons(
     max_iterations: int,
     tolerance: float,
 ) -> Minimum | None:
-    """The minimum reached from theta (k,) by way of the first tenth, third and whole of every
-    segment.
+    """Minimise from theta (k,) on the first parts of every segment, then on all of it.
 
-    Far from the truth a long simulation says little about where to go: it diverges, or swings out
-    of phase. Its beginning is nearly linear in the parameters."""
+    Far from the truth a long simulation diverges or swings out of phase and gives no direction. Its
+    beginning is nearly linear in the parameters.
+    """
     complete = problem.measured
     try:
         for share in HORIZONS:
@@ -913,7 +985,7 @@ def _assemble(
     residual: list[FloatArray],
     many: bool,
 ) -> OutputErrorFit:
-    """The findings over the free parameters, spread over all of them."""
+    """Expand the findings on the free parameters to all parameters."""
     k = theta.size
     out = theta.copy()
     out[columns] = best.theta
