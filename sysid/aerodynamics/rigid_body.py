@@ -176,7 +176,7 @@ def linearise(
 
 
 def with_gust_states(x: NDArray[Any], gusts: GustStates | None) -> NDArray[Any]:
-    """Append the air states of still air to STATES (n, 8), giving (n, 13); without gusts return x."""
+    """Append the air states of still air to STATES (n, 8); without gusts return x."""
     if gusts is None:
         return x
     return np.column_stack([x, *gusts.start(x.T)])

@@ -138,7 +138,7 @@ def with_sensor_noise(
 
 
 def offset_records(record: FlightRecord, cutoffs: Cutoffs) -> list[FlightRecord]:
-    """Return the records at which `with_sensor_noise` calls the model, one per channel of forces."""
+    """Return the records at which `with_sensor_noise` calls the model, one per force channel."""
     steady = steady_airspeed(record, cutoffs.airspeed_hz)
     return [_offset(steady, c) for c in FORCE_CHANNELS]
 

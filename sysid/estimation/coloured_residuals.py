@@ -1,19 +1,21 @@
-"""Standard errors under coloured residuals.
+"""Standard errors under coloured residuals, and tests of whiteness.
 
 Morelli, E. A. and Klein, V., "Determining the Accuracy of Maximum Likelihood Parameter Estimates
 with Colored Residuals", NASA CR 194893 (1994), and "Accuracy of Aerodynamic Model Parameters
 Estimated from Flight Test Data", Journal of Guidance, Control, and Dynamics 20(1), 1997: the
 estimate's covariance is
 
-    cov = D [ sum_i sum_j S(i)' R^-1 Rvv(i-j) R^-1 S(j) ] D,      D = (sum_i S(i)' R^-1 S(i))^-1
-    (MK)
+    cov = D [ sum_i sum_j S(i)' R^-1 Rvv(i-j) R^-1 S(j) ] D,
+    D = (sum_i S(i)' R^-1 S(i))^-1                                                  (MK)
 
-with Rvv the biased autocovariance of the residual. Summed over every lag, the sample autocovariance
-sees the residual's periodogram exactly where the fit has removed it (for a constant sensitivity the
-sum is identically zero), so the bound would come out too small. Here the biased autocovariance is
-kept up to a lag p chosen by the Schwarz criterion and continued to all further lags by its
-maximum-entropy (autoregressive) extension; what then still links different outputs is kept over a
-few tapered lags. The double sum is evaluated as an integral over frequency."""
+with Rvv the biased autocovariance of the residual. Over all lags the sample autocovariance is the
+residual's periodogram, which the fit has reduced exactly where sensitivities have power (for a
+constant sensitivity the sum is identically zero), so the bound would be too small. Here the biased
+autocovariance is kept up to a lag p chosen by the Schwarz criterion and continued by its
+maximum-entropy (autoregressive) extension; correlation between the whitened outputs is kept over a
+few tapered lags. The double sum is evaluated as an integral over frequency. All estimators use
+`coloured_information`.
+"""
 
 from __future__ import annotations
 
@@ -33,12 +35,24 @@ CROSS_LAGS = (
 
 
 def autocovariance(segments: list[FloatArray], max_lag: int) -> FloatArray:
-    """Biased autocovariance at lags 0..max_lag of one series in segments (n,), NaN = missing; unit
-    squared.
+    """Compute the biased autocovariance at lags 0..max_lag of one series.
 
-    Lag products never cross segments. With samples missing, each lag is averaged over the pairs
-    that exist and then given the bias factor of the complete record, which keeps multi-rate
-    channels meaningful."""
+    Lag products never cross segments. With samples missing, each lag is averaged over the existing
+    pairs and multiplied by the bias factor of the complete record; multi-rate channels stay
+    meaningful.
+
+    Parameters
+    ----------
+    segments : list of array (n,)
+        NaN marks missing samples.
+    max_lag : int
+        Longest lag.
+
+    Returns
+    -------
+    array (max_lag + 1,)
+        In the unit squared.
+    """
     products, pairs, complete = np.zeros(max_lag + 1), np.zeros(max_lag + 1), np.zeros(max_lag + 1)
     for series in segments:
         size = 1 << int(2 * series.size - 1).bit_length()
@@ -55,11 +69,12 @@ def autocovariance(segments: list[FloatArray], max_lag: int) -> FloatArray:
 
 
 def autoregression(covariance: FloatArray, n: int) -> tuple[FloatArray, float]:
-    """Coefficients a (p,) of v(t) = sum a_i v(t-i) + e and var(e): Levinson's recursion, Schwarz's
-    criterion.
+    """Fit v(t) = sum a_i v(t-i) + e by Levinson's recursion, with the order by Schwarz's criterion.
 
-    covariance (L+1,) from lag 0; n samples behind it. A white series gets order 0. Orders beyond a
-    lag at which the sequence stops being positive definite (missing samples) are not considered."""
+    ``covariance`` (L+1,) begins at lag 0; ``n`` samples are behind it. Returns a (p,) and var(e); a
+    white series gets order 0. The search ends at a lag where the sequence is not positive definite
+    (missing samples).
+    """
     variance = float(covariance[0])
     best, best_variance = np.zeros(0), variance
     if variance <= 0.0:
@@ -79,16 +94,12 @@ def autoregression(covariance: FloatArray, n: int) -> tuple[FloatArray, float]:
 
 
 def max_order(n: int) -> int:
-    """Longest autoregression considered for n samples; none below 32, too few to tell colour from
-    chance.
-    """
+    """Return the longest autoregression for n samples; 0 below 32, too few to detect colour."""
     return int(min(10.0 * np.log10(n), n // 8)) if n >= 32 else 0
 
 
 def _innovations(segment: FloatArray, models: list[FloatArray]) -> FloatArray:
-    """The residual (n, m) filtered to white by its autoregressions; NaN where a needed sample is
-    missing.
-    """
+    """Filter the residual (n, m) to white by its autoregressions; NaN where a sample is missing."""
     out = np.full(segment.shape, np.nan)
     for channel, model in enumerate(models):
         order = model.size
@@ -99,9 +110,7 @@ def _innovations(segment: FloatArray, models: list[FloatArray]) -> FloatArray:
 
 
 def _cross_covariance(parts: list[FloatArray], max_lag: int) -> tuple[FloatArray, FloatArray]:
-    """Covariances (L+1, m, m) of e(t+l) with e(t), and the number of pairs behind each; NaN =
-    missing.
-    """
+    """Compute covariances (L+1, m, m) of e(t+l) with e(t), and the number of pairs; NaN is missing."""
     m = parts[0].shape[1]
     total, pairs = np.zeros((max_lag + 1, m, m)), np.zeros((max_lag + 1, m, m))
     for part in parts:
@@ -115,9 +124,7 @@ def _cross_covariance(parts: list[FloatArray], max_lag: int) -> tuple[FloatArray
 
 
 def residual_models(residual: list[FloatArray]) -> tuple[list[FloatArray], FloatArray]:
-    """Per output the autoregression (p,) of the residual and its innovation variance (m,); (n, m) a
-    segment.
-    """
+    """Fit an autoregression (p,) to each output's residual; also return innovation variances (m,)."""
     models, variances = [], []
     for channel in range(residual[0].shape[1]):
         series = [part[:, channel] for part in residual]
@@ -134,11 +141,20 @@ def residual_models(residual: list[FloatArray]) -> tuple[list[FloatArray], Float
 def coloured_information(
     sensitivity: list[FloatArray] | Blocks, residual: list[FloatArray]
 ) -> FloatArray:
-    """The bracket of (MK): (k, k), for sensitivities (n, m, k) and residuals (n, m), one pair a
-    segment.
+    """Compute the bracket (k, k) of (MK).
 
-    Both are expected divided by the noise's square root, so that white residuals of unit variance
-    return sum S'S. NaN in a residual marks a missing sample; its sensitivity must be zero."""
+    Parameters
+    ----------
+    sensitivity : list of array (n, m, k), or Blocks
+        One a segment, divided by the square root of the noise; zero where a sample is missing.
+    residual : list of array (n, m)
+        Divided likewise; NaN marks a missing sample.
+
+    Returns
+    -------
+    array (k, k)
+        For white residuals of unit variance sum S'S.
+    """
     blocks = sensitivity if isinstance(sensitivity, Blocks) else Blocks.listed(sensitivity)
     m, k = residual[0].shape[1], blocks.k
     models, variances = residual_models(residual)
@@ -148,7 +164,7 @@ def coloured_information(
     for channel, model in enumerate(models):
         shape[:, channel] = 1.0 / np.fft.rfft(np.concatenate(([1.0], -model)), size)
 
-    # What whitening each output leaves between outputs: cross-covariances of e, if significant.
+    # Cross-covariances between the whitened outputs, if significant.
     root = None
     if m > 1:
         n = sum(part.shape[0] for part in residual)
@@ -203,8 +219,9 @@ def coloured_information(
 
 
 def _root(spectrum: FloatArray) -> FloatArray:
-    """R (F, m, m) with R^H R the nearest non-negative Hermitian matrices: estimated cross-spectra
-    may stray below zero.
+    """Return R (F, m, m) with R^H R the nearest non-negative Hermitian matrices.
+
+    Estimated cross-spectra may have negative eigenvalues.
     """
     values, vectors = np.linalg.eigh(spectrum)
     return np.asarray(
@@ -212,16 +229,32 @@ def _root(spectrum: FloatArray) -> FloatArray:
     )
 
 
-# How many samples of a coloured series count as one.
+# Effective sample size.
 
 
 def integral_time(pieces: Sequence[FloatArray]) -> float:
-    """Samples that count as one independent sample: 1 + 2 (r1 + r2 + ...) up to the first zero of
-    the autocorrelation.
+    """Compute the integral time, in samples: 1 + 2 (r1 + r2 + ...) to the autocorrelation's first
+    zero.
 
-    pieces  [(n,)] of one zero-mean series; products never cross a join. The variance of the series'
-    mean is this many times that of as many independent samples (Bayley and Hammersley, J. R. Stat.
-    Soc. Suppl. 8 (1946) 184). 1 for white noise or zeros."""
+    The variance of the mean is this many times that of as many independent samples (Bayley and
+    Hammersley, J. R. Stat. Soc. Suppl. 8 (1946) 184).
+
+    Parameters
+    ----------
+    pieces : sequence of array (n,)
+        One zero-mean series; products never cross pieces.
+
+    Returns
+    -------
+    float
+        1 for white noise or zeros.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> integral_time([np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])])
+    1.0
+    """
     total, longest = 1.0, max(len(e) for e in pieces) // 3
     power = sum(float(e @ e) for e in pieces)
     for lag in range(1, longest):
@@ -237,13 +270,11 @@ def integral_time(pieces: Sequence[FloatArray]) -> float:
 
 
 def effective_samples(pieces: Sequence[FloatArray]) -> float:
-    """Independent samples that pieces of a series, taken about zero, are worth; at most their
-    number.
-    """
+    """Return the effective sample size of pieces of a zero-mean series, at most their length."""
     return sum(len(e) for e in pieces) / integral_time(pieces)
 
 
-# Residual diagnostics: is what is left white, and if not, is it weather or the model?
+# Residual diagnostics: whiteness, and whether turbulence or the model explains the colour.
 
 WHITENESS_LEVEL = (
     1e-4  # p-value, shared out over the outputs; rejects a white record once in 10 000
@@ -251,6 +282,7 @@ WHITENESS_LEVEL = (
 STRONG_SHARE = (
     0.15  # share of an output's residual predictable from its own past that counts as process noise
 )
+"""Predictable share of an output's residual that counts as process noise."""
 # share of a residual that follows the simulated motion above which the model's form is suspected
 # first
 MOTION_SHARE = 0.6
@@ -259,9 +291,19 @@ STRONG_RATIO = 1.7  # coloured over Cramer-Rao standard error, median, that coun
 
 @dataclass(frozen=True)
 class Colour:
-    """Per output (m,): Ljung-Box p-value, predictable share of the residual's variance, share of
-    its power below a tenth of the Nyquist frequency (0.1 if white), share explained by the
-    simulated motion."""
+    """Whiteness of each output's residual.
+
+    Attributes
+    ----------
+    p_value : array (m,)
+        Of the Ljung-Box test.
+    predictable : array (m,)
+        Share of the variance that is predictable from past samples.
+    slow : array (m,)
+        Share of the power below a tenth of the Nyquist frequency; 0.1 if white.
+    explained : array (m,)
+        Share explained by the simulated motion; NaN if not computed.
+    """
 
     p_value: FloatArray
     predictable: FloatArray
@@ -270,8 +312,9 @@ class Colour:
 
 
 def ljung_box(segments: list[FloatArray], lags: int) -> float:
-    """p-value of Ljung and Box's test (Biometrika 65, 1978): Q = n(n+2) sum r_l^2/(n-l) against
-    chi-square(lags).
+    """Return the p-value of Ljung and Box's test (Biometrika 65, 1978).
+
+    Q = n(n+2) sum r_l^2/(n-l) against chi-square(lags); NaN for too few samples.
     """
     n = int(sum(np.isfinite(part).sum() for part in segments))
     covariance = autocovariance(segments, lags)
@@ -283,6 +326,7 @@ def ljung_box(segments: list[FloatArray], lags: int) -> float:
 
 
 def _slow_share(segments: list[FloatArray]) -> float:
+    """Return the share of the power below a tenth of the Nyquist frequency."""
     low = total = 0.0
     for part in segments:
         power = np.abs(np.fft.rfft(np.nan_to_num(part))) ** 2
@@ -293,9 +337,11 @@ def _slow_share(segments: list[FloatArray]) -> float:
 
 
 def _explained(residual: list[FloatArray], motion: list[FloatArray]) -> FloatArray:
-    """Adjusted share (m,) of each residual that is a quadratic function of the simulated motion (no
-    cross products beyond 6 outputs); what turbulence does is no function of it, what a wrong model
-    does is."""
+    """Compute the adjusted share (m,) of each residual that is a quadratic function of the motion.
+
+    Cross products are left out beyond 6 outputs. Effects of turbulence are no function of the
+    motion, effects of a wrong model are.
+    """
     stacked, outputs = np.concatenate(residual), np.concatenate(motion)
     m = outputs.shape[1]
     motion_std = outputs.std(axis=0)
@@ -319,8 +365,19 @@ def _explained(residual: list[FloatArray], motion: list[FloatArray]) -> FloatArr
 
 
 def colour(residual: list[FloatArray], motion: list[FloatArray] | None = None) -> Colour:
-    """Judge residuals (n, m), one array a segment, NaN = dropout; motion: the simulated outputs,
-    same shapes.
+    """Test residuals for whiteness.
+
+    Parameters
+    ----------
+    residual : list of array (n, m)
+        One a segment, NaN at dropouts.
+    motion : list of array (n, m), optional
+        Simulated outputs.
+
+    Returns
+    -------
+    Colour
+        Statistics of each output.
     """
     m = residual[0].shape[1]
     n = min(
@@ -347,12 +404,12 @@ def colour_warnings(
     *,
     calm_air: bool = False,
 ) -> list[str]:
-    """One sentence of at most 60 words on residuals coloured enough to matter, [] when they are
-    not.
+    """Write one sentence of at most 60 words on coloured residuals; [] if they do not matter.
 
-    Two conditions must meet: whiteness is rejected, and the colour is large enough to move the
-    standard errors; so that long records do not cry at trifles. With ``calm_air`` process noise has
-    been ruled out by another test and is not suspected."""
+    Whiteness must be rejected, and the colour must be large enough to move the standard errors:
+    long records reject whiteness for trifles. With ``calm_air`` another test has excluded process
+    noise. ``std`` and ``std_crb`` (k,) are standard errors with and without colour.
+    """
     m = residual_colour.p_value.size
     rejected = np.flatnonzero(residual_colour.p_value < WHITENESS_LEVEL / m)
     ratio = std / std_crb

@@ -1,7 +1,9 @@
-"""Equation error: linear least squares with standard errors that hold under coloured residuals.
+"""Equation error: linear least squares with standard errors for coloured residuals.
 
-Klein, V. and Morelli, E. A., "Aircraft System Identification" (2006), ch. 5; coloured residuals:
-coloured.py."""
+Solved by the singular value decomposition of the scaled regressors, so that collinear columns are
+found and named. Klein, V. and Morelli, E. A., "Aircraft System Identification" (2006), ch. 5;
+coloured residuals: `coloured_residuals`. `stepwise` selects regressors with it.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,9 @@ RANK = 1e-12  # singular values of the column-scaled X below this share of the l
 
 
 def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """X (n, k) and y (n,), finite, n > k.
+    """Return X (n, k) and y (n,) as finite arrays with n > k.
 
-    Raises ValueError saying which rows or shapes are wrong.
+    Raises ValueError that names the wrong rows or shapes.
     """
     regressors, response = as_array(X, "X"), as_array(y, "y")
     if regressors.ndim == 1:
@@ -49,9 +51,9 @@ def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArr
 
 
 def segment_edges(segments: Sequence[int] | None, n: int) -> list[int]:
-    """Row numbers 0, ..., n between which records are continuous, from segment lengths.
+    """Return row numbers 0, ..., n between which records are continuous, from segment lengths.
 
-    Raises ValueError.
+    Raises ValueError if the lengths do not sum to n.
     """
     if segments is None:
         return [0, n]
@@ -73,10 +75,9 @@ def equation_error(
 ) -> Regression:
     """Least squares of y on the columns of X; a constant term is a column of ones, none is added.
 
-    Solved by the singular value decomposition of X with columns scaled to unit length. Columns that
-    are zero or exact combinations of others are "not-identified": theta 0 for a zero column, the
-    smallest-norm share for a collinear one, std NaN, reason naming the partners; the rest is
-    estimated as if they were settled.
+    Columns that are zero or exact combinations of others are "not-identified": theta is 0 for a
+    zero column and the smallest-norm share for a collinear one, std is NaN, and ``reason`` names
+    the other columns. The remaining parameters are estimated as if these were known.
 
     Parameters
     ----------
@@ -87,8 +88,8 @@ def equation_error(
     names : sequence of str, optional
         k unique names; by default x0, x1, ...
     segments : sequence of int, optional
-        Lengths of continuous records stacked in X and y, so that no correlation is sought across
-        their joins.
+        Lengths of continuous records stacked in X and y; no correlation is computed across their
+        joins.
 
     Returns
     -------
@@ -101,12 +102,20 @@ def equation_error(
     ValueError
         For shapes and names that disagree, n <= k, NaN or infinity in a row (rows are not dropped).
 
-    References ---------- V. Klein, E. A. Morelli, Aircraft System Identification, 2006: regression,
-    and standard errors for coloured residuals.
+    References
+    ---------- V. Klein, E. A. Morelli, Aircraft System Identification, 2006: regression, and
+    standard errors for coloured residuals.
 
-    Examples -------- >>> import numpy as np >>> import sysid >>> x = np.linspace(0.0, 1.0, 50) >>>
-    fit = sysid.equation_error(np.column_stack([np.ones(50), x]), 1.0 + 2.0 * x, names=["bias",
-    "slope"]) >>> [round(float(value), 6) for value in fit.theta] [1.0, 2.0]"""
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sysid
+    >>> x = np.linspace(0.0, 1.0, 50)
+    >>> X = np.column_stack([np.ones(50), x])
+    >>> fit = sysid.equation_error(X, 1.0 + 2.0 * x, names=["bias", "slope"])
+    >>> [round(float(value), 6) for value in fit.theta]
+    [1.0, 2.0]
+    """
     regressors, response = checked_regressors(X, y)
     n, k = regressors.shape
     labels = as_names(names, k, "x")
@@ -124,11 +133,12 @@ def equation_error(
     weights = right_vectors[resolved].T / values[resolved]  # V S^-1
     scaled_theta = weights @ projection
     residual = response - (regressors / scale) @ scaled_theta
-    # One refinement with the residual recovers the digits that an ill-conditioned X costs.
+    # One iterative refinement recovers the digits that an ill-conditioned X costs.
     scaled_theta += weights @ (left_vectors[:, resolved].T @ residual)
     theta = scaled_theta / scale
     residual = response - (regressors / scale) @ scaled_theta
 
+    # Covariances with n - rank degrees of freedom, white and coloured.
     rank = int(resolved.sum())
     s2 = float(residual @ residual) / (n - rank)
     inverse = weights @ weights.T / np.outer(scale, scale)
@@ -169,8 +179,10 @@ def equation_error(
 def _coloured_covariance(
     left_vectors: FloatArray, weights: FloatArray, residual: FloatArray, s2: float, edges: list[int]
 ) -> FloatArray:
-    """(MK) of coloured.py in the orthonormal columns of U, where D is the identity: cov = W [..] W'
-    s2.
+    """Compute (MK) of `coloured_residuals` in the orthonormal columns of U, where D is the
+    identity.
+
+    The result (k, k) is W [..] W' s2.
     """
     if not s2 > 0.0:
         return np.zeros((weights.shape[0], weights.shape[0]))
@@ -187,7 +199,7 @@ def _coloured_covariance(
 def _r_squared(
     X: FloatArray, scale: FloatArray, y: FloatArray, residual: FloatArray, left_vectors: FloatArray
 ) -> float:
-    """1 - SSR/SST, about the mean when a constant lies in the span of X."""
+    """Compute 1 - SSR/SST, about the mean when the span of X contains a constant."""
     ones = np.ones(y.size) / np.sqrt(y.size)
     spans_constant = np.linalg.norm(ones - left_vectors @ (left_vectors.T @ ones)) < 1e-8
     total = float(np.sum((y - y.mean()) ** 2)) if spans_constant else float(y @ y)
@@ -200,6 +212,7 @@ def _reasons(
     names: tuple[str, ...],
     length: FloatArray,
 ) -> list[str]:
+    """Return why each regressor (k,) is not identified; "" if it is."""
     reason = ["" if size > 0.0 else "the regressor is zero throughout" for size in length]
     for row in right_vectors[~resolved]:
         group = [
@@ -223,6 +236,7 @@ def _warnings(
     std: FloatArray,
     std_white: FloatArray,
 ) -> list[str]:
+    """Write sentences on parameters not identified, near collinearity and coloured residuals."""
     out = [
         f"{name} not identified: {text}" for name, text in zip(names, reason, strict=True) if text
     ]

@@ -331,7 +331,7 @@ def _cost(white: FloatArray, s: FloatArray) -> float:
 
 @dataclass
 class FilterProblem:
-    """The cost over the packed vector; keeps the adapted difference steps and counts filter runs."""
+    """The cost over the packed vector; keeps adapted difference steps and counts filter runs."""
 
     model: Model
     record: Record

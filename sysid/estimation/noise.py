@@ -19,7 +19,7 @@ from sysid.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise covariance ``cov`` (m, m), diagonal or ``full``; `whiten` divides by its square root."""
+    """Noise covariance ``cov`` (m, m), diagonal or ``full``."""
 
     cov: FloatArray
     full: bool
@@ -125,9 +125,9 @@ def concentrated_cost(residual: FloatArray, noise: Noise) -> float:
 #
 #     S(w) = q + 2 std**2 (1 - cos w)                 w in radians a sample
 #
-# with q of the signal, one per piece, so that quiet pieces inform most. The Whittle likelihood of the
-# periodogram above a frequency, times a log-normal prior about the card's figure, is integrated over
-# std and q on a grid (Whittle 1953; Harvey, "Forecasting, Structural Time Series Models" (1989),
+# with q of the signal, one per piece, so that quiet pieces inform most. The Whittle likelihood of
+# the periodogram above a frequency, times a log-normal prior about the card's figure, is
+# integrated over std and q on a grid (Whittle 1953; Harvey, "Forecasting, Structural Time Series Models" (1989),
 # 4.3).
 
 PRIOR_STD = float(np.log(2.0))

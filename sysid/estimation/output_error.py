@@ -526,7 +526,7 @@ def target_for(rough: float) -> float:
     return float(np.clip(np.cbrt(rough), *TARGETS))
 
 
-# Output error's cost over the free parameters. Sensitivities are differenced, or updated by secants.
+# Output error's cost over the free parameters, with sensitivities by differences or secants.
 
 MAX_SECANT_UPDATES = 8  # secant updates before sensitivities are differenced anew
 NEARBY = 0.5  # standard errors within which sensitivities need no renewal
@@ -534,7 +534,7 @@ NEARBY = 0.5  # standard errors within which sensitivities need no renewal
 
 @dataclass
 class OutputErrorProblem:
-    """The cost over the free parameters; counts simulations and keeps the adapted difference steps."""
+    """The cost over the free parameters; counts simulations and keeps difference steps."""
 
     simulation: SafeSimulation
     measured: FloatArray

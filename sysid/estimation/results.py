@@ -1,4 +1,9 @@
-"""What the estimators hand on: frozen records, no behaviour beyond what can be read off them."""
+"""Results of the estimators, identifiability, and the assessment of a fit.
+
+The first part holds the frozen results that `sysid` returns. `assess` finds parameters that the
+data cannot determine, from the rank of the scaled information. `assess_fit` turns sensitivities and
+residuals at an optimum into covariances, reasons and warnings, for output error.
+"""
 
 from __future__ import annotations
 
@@ -23,21 +28,38 @@ from sysid.linalg import Blocks, Index, information, leverage
 class OutputErrorFit:
     """Maximum-likelihood estimate of k parameters from m outputs; see `sysid.output_error`.
 
-    theta (k,)             estimate, each in its parameter's unit; a parameter not identified stays
-    at (or drifts little
-                           from) its start and has no standard error
-    std, std_crb (k,)      corrected for coloured residuals / Cramer-Rao bound; NaN if not
-    identified
-    cov, cov_crb (k, k)    their covariances, NaN in the rows and columns of parameters that are not
-    identified
-    status, reason         per name: "identified" | "not-identified" | "fixed", and why
-    noise_cov (m, m)       residual covariance, corrected for the degrees of freedom spent
-    residual               measured minus model, (n, m) or a list of them as `measured` was given;
-    NaN at dropouts
-    vif (k,)               variance inflation, uncentred; inf where not identified
-    cost_history           negative log-likelihood (concentrated over R, constants dropped) of each
-    accepted point
-    whiteness (m,)         p-value of the Ljung-Box test per output
+    Attributes
+    ----------
+    names : tuple of str
+        k names.
+    theta : array (k,)
+        Estimate, each in its parameter's unit. A parameter that is not identified stays near its
+        start and has no standard error.
+    std, std_crb : array (k,)
+        Standard error corrected for coloured residuals, and Cramer-Rao bound; NaN if not
+        identified.
+    cov, cov_crb : array (k, k)
+        Their covariances, NaN in rows and columns of parameters that are not identified.
+    status, reason : dict of str to str
+        "identified", "not-identified" or "fixed", and why.
+    vif : array (k,)
+        Variance inflation, uncentred; inf where not identified.
+    noise_cov : array (m, m)
+        Residual covariance, corrected for the degrees of freedom.
+    residual : array (n, m) or list of them
+        Measured minus model, in the form of ``measured``; NaN at dropouts.
+    whiteness : array (m,)
+        p-value of the Ljung-Box test per output.
+    converged : bool
+        The next step is negligible and some parameter is identified.
+    warnings : list of str
+        Sentences for the user.
+    iterations, n_simulations : int
+        Linearisations and simulations.
+    cost : float
+        Negative log likelihood, concentrated over R, without constants.
+    cost_history : array
+        Cost of each accepted point.
     """
 
     names: tuple[str, ...]
@@ -62,14 +84,17 @@ class OutputErrorFit:
 
 @dataclass(frozen=True)
 class FilterErrorFit(OutputErrorFit):
-    """As OutputErrorFit, residual being the one-step innovations, and:
+    """As OutputErrorFit with one-step innovations as ``residual`` and R as ``noise_cov``.
 
-    process_noise_cov (x, x)  diagonal spectral density Q of the process noise, state unit^2/s
-    (variance Q dt a step)
-    noise_cov (m, m)          measurement noise R
-    process_noise_std (x,)    standard error of diag Q; NaN where Q is zero: the data ask for no
-    noise there
-    x0                        initial state (x,) used, one a segment
+    Attributes
+    ----------
+    process_noise_cov : array (x, x)
+        Diagonal spectral density Q of the process noise [state unit^2/s]; the variance of a step is
+        Q dt.
+    process_noise_std : array (x,)
+        Standard error of diag Q; NaN where Q is zero.
+    x0 : list of array (x,)
+        Initial states, one a segment.
     """
 
     process_noise_cov: FloatArray
@@ -81,12 +106,28 @@ class FilterErrorFit(OutputErrorFit):
 class Regression:
     """Linear least squares, y = X theta + residual; see `sysid.equation_error`.
 
-    theta, std, std_white (k,)  estimate, coloured and white standard errors; NaN where not
-    identified
-    cov (k, k)                  the coloured covariance        s2: residual variance, n - rank
-    degrees of freedom
-    r2                          about the mean if X spans a constant, else about zero
-    vif (k,)                    uncentred variance inflation, inf where not identified
+    Attributes
+    ----------
+    names : tuple of str
+        k names.
+    theta : array (k,)
+        Estimate.
+    std, std_white : array (k,)
+        Standard errors for coloured and for white residuals; NaN where not identified.
+    cov : array (k, k)
+        The coloured covariance.
+    status, reason : dict of str to str
+        "identified" or "not-identified", and why.
+    vif : array (k,)
+        Uncentred variance inflation; inf where not identified.
+    r2 : float
+        About the mean if X spans a constant, else about zero.
+    s2 : float
+        Residual variance with n - rank degrees of freedom.
+    residual : array (n,)
+        y - X theta.
+    warnings : list of str
+        Sentences for the user.
     """
 
     names: tuple[str, ...]
@@ -107,10 +148,20 @@ class Regression:
 class SelectionStep:
     """One decision of `sysid.stepwise`.
 
-    action     "enter" | "remove" | "stop"          name, index: the regressor judged partial_f  its
-    partial F under white residuals   effective_f  the same with the coloured standard error: the
-    decider
-    threshold  what effective_f was held against     r2, press, pse  of the model after the step
+    Attributes
+    ----------
+    action : {"enter", "remove", "stop"}
+        What was done.
+    name, index : str, int
+        The regressor.
+    partial_f : float
+        Partial F for white residuals.
+    effective_f : float
+        F with the coloured standard error, which decides.
+    threshold : float
+        Limit of ``effective_f``.
+    r2, press, pse : float
+        R^2, PRESS and predicted squared error of the model after the step.
     """
 
     action: str
@@ -126,8 +177,24 @@ class SelectionStep:
 
 @dataclass(frozen=True)
 class Selection:
-    """Chosen regressors: selected (indices into X, ascending), theta (len(selected),), std, the
-    final Regression.
+    """Regressors chosen by `sysid.stepwise`.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Chosen names.
+    selected : list of int
+        Their columns in X, ascending.
+    theta, std : array (len(selected),)
+        Estimates and standard errors.
+    r2 : float
+        Of the final model.
+    history : list of SelectionStep
+        All decisions.
+    regression : Regression or None
+        The final model; None without a term.
+    warnings : list of str
+        Sentences for the user.
     """
 
     names: tuple[str, ...]
@@ -141,18 +208,24 @@ class Selection:
 
 
 def split(stacked: FloatArray, edges: list[int]) -> list[FloatArray]:
-    """Rows of `stacked` cut into segments at `edges` (0, n1, n1+n2, ...)."""
+    """Split the rows of ``stacked`` into segments at ``edges`` (0, n1, n1+n2, ...)."""
     return [stacked[start:stop] for start, stop in itertools.pairwise(edges)]
 
 
 def correlation(cov: FloatArray) -> FloatArray:
-    """Correlation matrix of a covariance; NaN where it has NaN."""
+    """Compute the correlation matrix of a covariance; NaN where it has NaN.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> correlation(np.array([[4.0, 1.0], [1.0, 1.0]])).tolist()
+    [[1.0, 0.5], [0.5, 1.0]]
+    """
     deviation = np.sqrt(np.diagonal(cov))
     return np.asarray(cov / np.outer(deviation, deviation))
 
 
-# Which parameters the data can tell apart: rank of the scaled information, variance inflation,
-# and who goes with whom.
+# Identifiability: rank of the scaled information, variance inflation, collinear groups.
 #
 # Belsley, Kuh and Welsch, "Regression Diagnostics" (1980): columns scaled to unit length, the
 # singular directions of the scaled matrix, variance inflation. A parameter that takes part in a
@@ -168,9 +241,21 @@ INFLATION_WARNING = 1e4  # variance inflation worth a sentence
 
 @dataclass(frozen=True)
 class Identifiability:
-    """identified (k,); reason per parameter ("" if identified); vif (k,), inf where nothing is
-    known; inverse (k, k): pseudo-inverse of the information, exact for the identified parameters;
-    notes: sentences on near-collinear sets."""
+    """Result of `assess`.
+
+    Attributes
+    ----------
+    identified : array (k,) of bool
+        Whether the data determine the parameter.
+    reason : tuple of str
+        Why not; "" if identified.
+    vif : array (k,)
+        Variance inflation; inf if not identified.
+    inverse : array (k, k)
+        Pseudo-inverse of the information, exact for identified parameters.
+    notes : tuple of str
+        Sentences on nearly collinear groups.
+    """
 
     identified: NDArray[np.bool_]
     reason: tuple[str, ...]
@@ -182,8 +267,21 @@ class Identifiability:
 def assess(
     information: FloatArray, names: tuple[str, ...], tolerance: float = RANK_TOLERANCE
 ) -> Identifiability:
-    """Judge the (k, k) information matrix of the parameters `names` (any units; it is
-    scaled here).
+    """Find the parameters that an information matrix determines.
+
+    Parameters
+    ----------
+    information : array (k, k)
+        In any units; it is scaled to unit diagonal.
+    names : tuple of str
+        k names.
+    tolerance : float
+        Eigenvalues of the scaled matrix below this share of the largest carry no information.
+
+    Returns
+    -------
+    Identifiability
+        With reasons such as "collinear with ...".
     """
     k = len(names)
     length = np.sqrt(np.maximum(np.diagonal(information), 0.0))
@@ -194,6 +292,7 @@ def assess(
     index = np.flatnonzero(informed)
     if index.size:
         scale = length[index]
+        # Eigenvalues of the correlation-like matrix show the directions without information.
         scaled = information[np.ix_(index, index)] / np.outer(scale, scale)
         values, vectors = np.linalg.eigh(scaled)
         singular = values < tolerance * max(1.0, values[-1])
@@ -201,6 +300,7 @@ def assess(
         part = scaled_vectors @ scaled_vectors.T
         inverse[np.ix_(index, index)] = part / np.outer(scale, scale)
         vif[index] = np.diagonal(part)
+        # Parameters that take part in a singular direction are not identified.
         for column in np.flatnonzero(singular):
             share = np.abs(vectors[:, column])
             group = np.flatnonzero(share > PARTICIPATION)
@@ -225,8 +325,8 @@ def _inflation_notes(
     reason: list[str],
     index: NDArray[np.intp],
 ) -> list[str]:
-    """One sentence if variance inflation exceeds the limit: by how much, and the weakest
-    direction's members.
+    """Write one sentence if variance inflation exceeds the limit, on the weakest direction's
+    members.
     """
     inflation = np.diagonal(inverse)
     worst = [
@@ -240,34 +340,47 @@ def _inflation_notes(
     group = [names[i] for i in np.argsort(-share) if share[i] > 0.2]
     return [
         (
-            f"near-collinear: {', '.join(group)} (variance inflation up to {inflation[worst[0]]:.3g},"
-            f" condition index {np.sqrt(values[-1] / values[0]):.3g}); their bounds are wide for that"
-            " reason"
+            f"near-collinear: {', '.join(group)} (variance inflation up to"
+            f" {inflation[worst[0]]:.3g}, condition index {np.sqrt(values[-1] / values[0]):.3g});"
+            " their bounds are wide for that reason"
         )
     ]
 
 
 def masked_covariance(covariance: FloatArray, identified: NDArray[np.bool_]) -> FloatArray:
-    """`covariance` with NaN in every row and column of a parameter that is not identified."""
+    """Return ``covariance`` with NaN in rows and columns of parameters that are not identified."""
     out = covariance.copy()
     out[~identified, :] = np.nan
     out[:, ~identified] = np.nan
     return out
 
 
-# From sensitivities and residuals at the optimum to what may be said: bounds, gate, warnings.
-# Pure.
+# From sensitivities and residuals at the optimum to covariances, reasons and warnings.
 
 RESOLVED = 1e-8
-"""Relative change of a parameter below which rounding is all that a difference of two simulations
-shows.
-"""
+"""Relative change of a parameter below which differences of two simulations show rounding alone."""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """Over the k free parameters: covariances (k, k), gate, noise with degrees of freedom, colour,
-    sentences.
+    """Assessment of the k free parameters.
+
+    Attributes
+    ----------
+    cov, cov_crb : array (k, k)
+        Covariance for coloured residuals, and Cramer-Rao bound.
+    identified : array (k,) of bool
+        Whether the data determine the parameter.
+    reason : tuple of str
+        Why not.
+    vif : array (k,)
+        Variance inflation.
+    noise : Noise
+        With its degrees of freedom.
+    colour : Colour
+        Whiteness of the residuals.
+    warnings : list of str
+        Sentences for the user.
     """
 
     cov: FloatArray
@@ -283,19 +396,23 @@ class Findings:
 def outward(
     theta: FloatArray, gradient: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> NDArray[np.bool_]:
-    """(k,): at a bound, with minus the cost's gradient pointing beyond it."""
+    """Mark the parameters (k,) at a bound beyond which the cost falls.
+
+    ``gradient`` (k,) is minus the cost's gradient.
+    """
     return np.asarray(((theta >= upper) & (gradient > 0.0)) | ((theta <= lower) & (gradient < 0.0)))
 
 
 def at_bound(value: float, lower: float, upper: float) -> str:
-    """The reason given for a parameter held at a bound."""
+    """Return the reason for a parameter held at a bound."""
     side, bound = ("upper", upper) if value >= upper else ("lower", lower)
     return f"at its {side} bound {bound:g}: the data pull it beyond, the bound decides its value"
 
 
 def idle_bound(std: float, width: float) -> str:
-    """The reason given when the bounds alone (uniform, std width/sqrt(12)) say more than the data;
-    "" otherwise.
+    """Return a reason if the bounds alone are narrower than the data; else "".
+
+    Bounds alone are a uniform distribution with standard deviation width/sqrt(12).
     """
     if np.isfinite(width) and std > width / np.sqrt(12.0):
         return f"standard error {std:.3g} exceeds what its bounds alone say ({width:.3g} wide)"
@@ -303,11 +420,11 @@ def idle_bound(std: float, width: float) -> str:
 
 
 def unknown_noise(counts: NDArray[np.intp], dof_used: FloatArray, reach: FloatArray) -> list[str]:
-    """Reasons (k,) for parameters informed by an output that has no degree of freedom left: its
-    noise is unknown.
+    """Return reasons (k,) for parameters informed by an output without a degree of freedom left.
 
-    counts, spent (m,) samples and degrees of freedom spent of each output; reach (m, k) its largest
-    sensitivities."""
+    ``counts`` and ``dof_used`` (m,) are samples and degrees of freedom of each output, ``reach``
+    (m, k) its largest sensitivities.
+    """
     out = [""] * reach.shape[1]
     for a in np.flatnonzero(counts - dof_used < 1.0 - 1e-6):
         text = (
@@ -320,12 +437,11 @@ def unknown_noise(counts: NDArray[np.intp], dof_used: FloatArray, reach: FloatAr
 
 
 def unresolved(theta: FloatArray, reach: FloatArray, output_size: FloatArray) -> list[str]:
-    """Reasons (k,) for parameters whose last digits decide the outputs, as in a simulation that
-    diverges.
+    """Return reasons (k,) for parameters whose last digits decide the outputs.
 
-    theta (k,); reach (m, k) largest sensitivities; spread (m,) each output's size. Where one part
-    in 1e8 of a parameter, about the square root of the rounding of its number, moves an output by
-    its own size, no derivative of it can be computed, and a standard error from one says nothing.
+    That happens in a simulation that diverges. Where one part in 1e8 of a parameter, about the
+    square root of its rounding, moves an output by its own size (m,), no derivative can be
+    computed. ``reach`` (m, k) are the largest sensitivities.
     """
     out = [""] * theta.size
     with np.errstate(invalid="ignore", over="ignore"):
@@ -343,8 +459,8 @@ def unresolved(theta: FloatArray, reach: FloatArray, output_size: FloatArray) ->
 
 
 def unassessed_fit(noise: Noise, free: int) -> Findings:
-    """What is said of ``free`` parameters whose estimates alone were asked for: nothing, as NaN;
-    all count as identified.
+    """Return the findings of a fit without standard errors: NaN, all parameters count as
+    identified.
     """
     unknown, outputs = np.full((free, free), np.nan), np.full(len(noise.cov), np.nan)
     colour_ = Colour(outputs, outputs, outputs, outputs)
@@ -374,9 +490,36 @@ def assess_fit(
     full: bool,
     method: str,
 ) -> Findings:
-    """Bounds and warnings at the optimum theta (k,): sensitivity (N, m, k) by segments, residual
-    and motion (N, m), their edges, gradient (k,) of minus the cost, which distinguishes an active
-    bound from one merely touched."""
+    """Compute covariances, reasons and warnings at an optimum.
+
+    Parameters
+    ----------
+    theta : array (k,)
+        Optimum of the free parameters.
+    gradient : array (k,)
+        Minus the cost's gradient; it tells an active bound from one that is merely touched.
+    sensitivity : Blocks
+        (N, m, k) by segments.
+    residual, motion : array (N, m)
+        Residuals (NaN at dropouts) and simulated outputs.
+    edges : list of int
+        First row of each segment, and N.
+    names : tuple of str
+        k names.
+    bounds : tuple of two arrays (k,)
+        Lower and upper bounds.
+    floor : array (m,)
+        Smallest noise accepted.
+    full : bool
+        Correlated outputs.
+    method : str
+        Name of the estimator in warnings.
+
+    Returns
+    -------
+    Findings
+        NaN and a reason for each parameter that is not identified.
+    """
     lower, upper = bounds
     at_limit = outward(theta, gradient, lower, upper)
     inside = np.flatnonzero(~at_limit)
@@ -385,8 +528,8 @@ def assess_fit(
         lambda part, _, rows: np.where(finite[rows, :, None], part, 0.0)
     )
 
-    # Degrees of freedom: each output has spent its share of the leverage, sum_i S_a D S_a'/R_aa;
-    # one output: k.
+    # Degrees of freedom: each output has used its share of the leverage, sum_i S_a D S_a'/R_aa; a
+    # single output has used k.
     noise = residual_noise(residual, floor, full)
     free_names = tuple(names[index] for index in inside)
     scaled = _scaled(noise, residual, sensitivity)
@@ -403,6 +546,7 @@ def assess_fit(
     bracket = coloured_information(scaled, split(white_or_nan * inflate, edges))
     crb, coloured = gate.inverse, gate.inverse @ bracket @ gate.inverse  # (MK) in coloured.py
 
+    # Collect reasons: collinear, at a bound, no better than the bounds, unresolved, noise unknown.
     k = theta.size
     cov, cov_crb, vif = np.full((k, k), np.nan), np.full((k, k), np.nan), np.full(k, np.inf)
     cov[np.ix_(inside, inside)] = masked_covariance(coloured, gate.identified)
@@ -439,7 +583,7 @@ def assess_fit(
 
 
 def _scaled(noise: Noise, residual: FloatArray, sensitivity: Blocks) -> Blocks:
-    """Sensitivities over the noise's square root."""
+    """Divide sensitivities by the square root of the noise."""
 
     def over_noise(part: FloatArray, _: Index, rows: slice) -> FloatArray:
         scaled = noise.whiten(residual[rows], part)[1]

@@ -1,10 +1,10 @@
-"""Stepwise regression: which of the candidate regressors belong in the model.
+"""Stepwise regression: selection of candidate regressors.
 
 Draper and Smith's forward selection with backward elimination by partial F, as used for aircraft
-models by Klein, V., Batterson, J. G. and Murphy, P. C., NASA TP-1916 (1981). The F that decides
-uses the coloured standard error, so that an autocorrelated residual does not let in terms on the
-strength of samples that are no news. PSE: Barron (1984) as in Klein and Morelli (2006), ch. 5;
-PRESS: Allen (1974)."""
+models by Klein, V., Batterson, J. G. and Murphy, P. C., NASA TP-1916 (1981). The deciding F uses
+the coloured standard error, so that correlated samples do not count as independent evidence. PSE:
+Barron (1984) as in Klein and Morelli (2006), ch. 5; PRESS: Allen (1974).
+"""
 
 from __future__ import annotations
 
@@ -100,6 +100,7 @@ def stepwise(
     visited = {tuple(chosen)}
     limit = min(max_terms if max_terms is not None else k, n - 1)
     while True:
+        # Thresholds by Bonferroni over the candidates.
         freedom = max(n - len(chosen) - 1, 1)
         enter = (
             f_enter
@@ -120,12 +121,14 @@ def stepwise(
             break
         chosen = sorted([*chosen, index])
         history.append(data.step("enter", index, partial, effective, enter, chosen))
+        # Remove terms that the new one made superfluous.
         while len(chosen) > max(len(set(keep)), 1):
             weakest, partial, effective = data.weakest(chosen, set(keep) | {index})
             if weakest < 0 or effective >= remove:
                 break
             chosen = [other for other in chosen if other != weakest]
             history.append(data.step("remove", weakest, partial, effective, remove, chosen))
+        # A set of terms that was chosen before would repeat for ever.
         if tuple(chosen) in visited:
             break
         visited.add(tuple(chosen))
@@ -144,7 +147,7 @@ def stepwise(
 
 @dataclass(frozen=True)
 class _Data:
-    """The record under selection and the statistics of one model of it."""
+    """The record under selection, and the statistics of its models."""
 
     X: FloatArray
     y: FloatArray
@@ -152,12 +155,13 @@ class _Data:
     segments: Sequence[int] | None
 
     def fit(self, chosen: list[int]) -> Regression:
+        """Regress y on the chosen columns."""
         return equation_error(
             self.X[:, chosen], self.y, names=[self.names[i] for i in chosen], segments=self.segments
         )
 
     def basis(self, chosen: list[int]) -> FloatArray:
-        """Orthonormal columns (n, p) of the chosen regressors' span."""
+        """Return orthonormal columns (n, p) that span the chosen regressors."""
         part = self.X[:, chosen]
         return (
             np.asarray(np.linalg.qr(part / np.maximum(np.abs(part).max(axis=0), 1e-300))[0])
@@ -166,8 +170,9 @@ class _Data:
         )
 
     def best_entry(self, chosen: list[int], threshold: float) -> tuple[int, float, float] | None:
-        """(index, partial F, effective F): the first of the SHORTLIST best that passes, else the
-        best.
+        """Return (index, partial F, effective F) of the candidate to enter; None if y is explained.
+
+        It is the first of the SHORTLIST best by partial F that passes ``threshold``, else the best.
         """
         q = self.basis(chosen)
         residual = self.y - q @ (q.T @ self.y)
@@ -180,6 +185,7 @@ class _Data:
             if index in chosen or size == 0.0:
                 continue
             candidate = self.X[:, index] / size
+            # Gram-Schmidt, twice for the sake of rounding.
             candidate = candidate - q @ (q.T @ candidate)
             candidate = candidate - q @ (q.T @ candidate)
             length = float(np.linalg.norm(candidate))
@@ -199,9 +205,7 @@ class _Data:
         return first
 
     def effective(self, chosen: list[int], index: int) -> float:
-        """(theta/std)^2 of one regressor with the coloured standard error: F with the samples that
-        are news.
-        """
+        """Return (theta/std)^2 of one regressor with the coloured standard error."""
         fit = self.fit(sorted(chosen))
         position = sorted(chosen).index(index)
         if not np.isfinite(fit.std[position]):
@@ -213,7 +217,7 @@ class _Data:
         )
 
     def weakest(self, chosen: list[int], protected: set[int]) -> tuple[int, float, float]:
-        """The chosen regressor with the smallest effective F, (-1, ...) if all are protected."""
+        """Return the chosen regressor with the smallest effective F; -1 if all are protected."""
         fit = self.fit(chosen)
         with np.errstate(divide="ignore", invalid="ignore"):
             effective = np.nan_to_num((fit.theta / fit.std) ** 2, nan=0.0)
@@ -232,7 +236,7 @@ class _Data:
         threshold: float,
         chosen: list[int],
     ) -> SelectionStep:
-        """The record of one decision with the resulting model's R2, PRESS and PSE."""
+        """Record a decision with R2, PRESS and PSE of the resulting model."""
         n, p = self.y.size, len(chosen)
         q = self.basis(chosen)
         residual = self.y - q @ (q.T @ self.y)
