@@ -110,7 +110,7 @@ def _innovations(segment: FloatArray, models: list[FloatArray]) -> FloatArray:
 
 
 def _cross_covariance(parts: list[FloatArray], max_lag: int) -> tuple[FloatArray, FloatArray]:
-    """Compute covariances (L+1, m, m) of e(t+l) with e(t), and the number of pairs; NaN is missing."""
+    """Compute covariances (L+1, m, m) of e(t+l) with e(t), and the number of pairs."""
     m = parts[0].shape[1]
     total, pairs = np.zeros((max_lag + 1, m, m)), np.zeros((max_lag + 1, m, m))
     for part in parts:
@@ -124,7 +124,7 @@ def _cross_covariance(parts: list[FloatArray], max_lag: int) -> tuple[FloatArray
 
 
 def residual_models(residual: list[FloatArray]) -> tuple[list[FloatArray], FloatArray]:
-    """Fit an autoregression (p,) to each output's residual; also return innovation variances (m,)."""
+    """Fit an autoregression (p,) to each output's residual; and return innovation variances."""
     models, variances = [], []
     for channel in range(residual[0].shape[1]):
         series = [part[:, channel] for part in residual]

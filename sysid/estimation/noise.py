@@ -127,8 +127,8 @@ def concentrated_cost(residual: FloatArray, noise: Noise) -> float:
 #
 # with q of the signal, one per piece, so that quiet pieces inform most. The Whittle likelihood of
 # the periodogram above a frequency, times a log-normal prior about the card's figure, is
-# integrated over std and q on a grid (Whittle 1953; Harvey, "Forecasting, Structural Time Series Models" (1989),
-# 4.3).
+# integrated over std and q on a grid (Whittle 1953; Harvey, "Forecasting, Structural Time Series
+# Models" (1989), 4.3).
 
 PRIOR_STD = float(np.log(2.0))
 """Standard deviation of the log of a noise's size about the card's figure: a factor of two."""

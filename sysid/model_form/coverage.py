@@ -1,6 +1,8 @@
-"""Do the intervals hold on a flight they have not seen?
+"""Coverage: do the intervals hold on a flight that was not used to make them?
 
-Coverage by coefficient and manoeuvre, and leaving manoeuvres out.
+`coverage` reports the share of a hold-out flight inside the bounds, by coefficient and manoeuvre;
+`leave_one_out` repeats the fit without each manoeuvre; `verdict` says whether bounds hold. Standard
+errors allow for autocorrelation.
 """
 
 from __future__ import annotations
@@ -25,25 +27,23 @@ from sysid.model_form.fit import (
 )
 from sysid.model_form.model_form import CoefficientBounds, ModelForm, Outside
 
-# What the coverage of a new flight says of bounds: by speed and incidence, manoeuvre by
-# manoeuvre, and whether they hold.
+# Coverage of a hold-out flight: by speed and incidence, by manoeuvre, and the verdict.
 
 Verdict = Literal["holds", "fails", "inconclusive"]
 MIN_SHARE_INSIDE = 0.85
-"""Share of a new flight that 95 % bounds must contain, whatever its standard error: single flights
-scatter by 0.02 to 0.04.
+"""Share of a hold-out flight that 95 % bounds must contain, whatever its standard error.
+
+Single flights scatter by 0.02 to 0.04.
 """
 MAX_SHARE_ERROR = 0.02
-"""Standard error above which a share says neither that bounds hold nor that they do not."""
+"""Standard error of the share above which the verdict is inconclusive."""
 _ONE_SIDED = 1.6448536269514722  # standard normal quantile of 95 %
 _BINS = 3
 
 
 @dataclass(frozen=True)
 class Bin:
-    """Share of the samples inside whose state lies from ``low`` to ``high``, unit of the state; n
-    of them.
-    """
+    """Share of the n samples inside whose state lies from ``low`` to ``high``, unit of the state."""
 
     low: float
     high: float
@@ -53,12 +53,13 @@ class Bin:
 
 @dataclass(frozen=True)
 class Conformal:
-    """Bounds ``factor`` times as wide hold 95 % of the samples of a further manoeuvre with a
-    probability of ``level`` or more.
+    """Bounds ``factor`` times as wide hold 95 % of a further manoeuvre's samples.
 
-    Distribution-free, if manoeuvres are alike: the factor is an order statistic of those that the
-    manoeuvres need (Vovk et al., "Algorithmic Learning in a Random World" (2005)); with fewer than
-    19 the largest, at the level m/(m + 1)."""
+    They do so with a probability of at least ``level``. The statement is distribution-free if
+    manoeuvres are exchangeable: the factor is an order statistic of the factors that the manoeuvres
+    need (Vovk et al., "Algorithmic Learning in a Random World" (2005)); with fewer than 19
+    manoeuvres it is the largest, at the level m/(m + 1).
+    """
 
     factor: float
     level: float
@@ -66,19 +67,38 @@ class Conformal:
 
 
 def verdict(share: float, error: float, level: float) -> Verdict:
-    """Whether bounds of confidence ``level`` hold, from the share of a new flight inside and its
-    standard error.
+    """Decide whether bounds hold, from the share of a hold-out flight inside.
 
-    ``fails`` where the share's upper 95 % limit lies below the level, or the share below
-    HOLDS_FROM; ``inconclusive`` where the standard error exceeds SURE_TO or is not known."""
+    Parameters
+    ----------
+    share : float
+        Share of samples inside.
+    error : float
+        Its standard error; NaN if unknown.
+    level : float
+        Confidence of the bounds.
+
+    Returns
+    -------
+    {"holds", "fails", "inconclusive"}
+        "fails" where the share's upper 95 % limit lies below the level, or the share below
+        MIN_SHARE_INSIDE; "inconclusive" where the standard error exceeds MAX_SHARE_ERROR or is
+        unknown.
+
+    Examples
+    --------
+    >>> verdict(0.96, 0.01, 0.95), verdict(0.80, 0.01, 0.95), verdict(0.96, 0.05, 0.95)
+    ('holds', 'fails', 'inconclusive')
+    """
     if not share >= MIN_SHARE_INSIDE or share + _ONE_SIDED * error < level:
         return "fails"
     return "holds" if error <= MAX_SHARE_ERROR else "inconclusive"
 
 
 def bins(residuals: Residuals, state: str, inside: Sequence[FloatArray]) -> tuple[Bin, ...]:
-    """Thirds of the samples by a state, and the share inside in each; ``inside`` 0 or 1 for each
-    sample, piece by piece.
+    """Compute the share inside for thirds of the samples by a state.
+
+    ``inside`` is 0 or 1 for each sample, piece by piece.
     """
     values, is_inside = residuals.states.get(state), np.concatenate(list(inside))
     if values is None:
@@ -95,7 +115,10 @@ def bins(residuals: Residuals, state: str, inside: Sequence[FloatArray]) -> tupl
 def conformal(
     pieces: Sequence[ResidualPiece], stretch: Sequence[FloatArray], level: float = 0.95
 ) -> Conformal:
-    """Conformal factor over manoeuvres. stretch: factor (n,) that each sample of a piece needs."""
+    """Compute the conformal factor over manoeuvres.
+
+    ``stretch`` holds the factor (n,) that each sample of a piece needs.
+    """
     labels = [(p.flight, p.label) for p in pieces]
     needed = np.sort(
         [
@@ -121,16 +144,25 @@ BLOCKS = 10
 
 @dataclass(frozen=True)
 class Coverage:
-    """Of one coefficient on one flight.
+    """Coverage of one coefficient on one flight.
 
-    share, error   level -> share of samples within the bounds of that confidence; its standard
-    error, autocorrelation counted n, n_effective samples, and independent ones they are worth (of
-    the residual about the interval's middle)
-    mean_width     of the 95 % bounds, without the sensors' noise        outside  share of samples
-    outside the data
-    manoeuvres     label -> level -> share speeds, incidences  shares at the 95 % level in thirds of
-    the flight's airspeed and angle of attack
-    conformal      factor by which the 95 % bounds must be widened, by what manoeuvres show
+    Attributes
+    ----------
+    share, error : mapping of float to float
+        Level to the share of samples within the bounds of that confidence, and to its standard
+        error.
+    n, n_effective : int, float
+        Samples, and effective sample size of the residual about the interval's middle.
+    mean_width : float
+        Of the 95 % bounds, without the sensors' noise [-].
+    outside : float
+        Share of samples outside the data.
+    manoeuvres : mapping
+        Label to level to share.
+    speeds, incidences : tuple of Bin
+        Shares at the 95 % level in thirds of airspeed and angle of attack.
+    conformal : Conformal or None
+        Factor by which manoeuvres show that the 95 % bounds must be widened.
     """
 
     share: Mapping[float, float]
@@ -148,11 +180,30 @@ class Coverage:
 def coverage(
     form: ModelForm, residuals: Residuals, levels: Sequence[float] = LEVELS
 ) -> dict[str, Coverage]:
-    """Coverage of a form on a flight's residuals, filtered as the form's own were. Raises KeyError
-    for a missing state.
+    """Compute the coverage of a form on a flight's residuals.
 
-    Samples are measured: where the form keeps noise apart, that of the flight's own sensors is
-    added to the interval."""
+    The samples are measured, so where the form separates noise, that of the flight's own sensors is
+    added to the interval.
+
+    Parameters
+    ----------
+    form : ModelForm
+        Bounds.
+    residuals : Residuals
+        Filtered as the form's own were.
+    levels : sequence of float
+        Confidences.
+
+    Returns
+    -------
+    dict of str to Coverage
+        One a coefficient.
+
+    Raises
+    ------
+    KeyError
+        For a missing state.
+    """
     if any(b.parts is not None for b in form.coefficients.values()):
         residuals = remove_state_noise(residuals)
     return {
@@ -167,6 +218,7 @@ def _coverage(
     residuals: Residuals,
     levels: Sequence[float],
 ) -> Coverage:
+    """Compute the coverage of one coefficient."""
     y = residuals.columns(coefficient)
     inside: dict[float, list[FloatArray]] = {}
     for level in levels:
@@ -210,8 +262,10 @@ def _coverage(
 def _stretch(
     bounds: CoefficientBounds, coefficient: str, piece: ResidualPiece, outside: Outside
 ) -> FloatArray:
-    """(n,) by what factor the 95 % bounds of measured samples must be widened about their middle to
-    hold each sample and zero.
+    """Compute the factor (n,) by which the 95 % bounds must be widened to hold each sample and
+    zero.
+
+    Bounds are those of measured samples, widened about their middle.
     """
     middle, half = bounds.sample_middle(piece.states, _noise(coefficient, piece), 0.95, outside)
     y = piece.delta[:, COEFFICIENTS.index(coefficient)]
@@ -227,22 +281,40 @@ def measured_bounds(
     confidence: float | None,
     outside: Outside,
 ) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper end (n,) of the interval for a piece's measured samples, its sensors' noise
-    and all.
+    """Compute the interval (n,) of a piece's measured samples, its sensors' noise included.
+
+    Parameters
+    ----------
+    bounds : CoefficientBounds
+        Interval of the coefficient.
+    coefficient : str
+        Among COEFFICIENTS.
+    piece : ResidualPiece
+        Samples.
+    confidence : float, optional
+        By default that of the bounds.
+    outside : {"grow", "clamp"}
+        Behaviour outside the data.
+
+    Returns
+    -------
+    tuple of two arrays (n,)
+        Lower and upper end [-].
     """
     return bounds.sample_interval(piece.states, _noise(coefficient, piece), confidence, outside)
 
 
 def _noise(coefficient: str, piece: ResidualPiece) -> FloatArray:
-    """(n,) variance of the sensors' noise in a piece's samples; 0 where it is not known."""
+    """Return the variance (n,) of the sensors' noise in a piece's samples; 0 where unknown."""
     if piece.noise is None:
         return np.zeros(len(piece))
     return noise_variance(piece.noise)[:, COEFFICIENTS.index(coefficient)]
 
 
 def share_error(inside: Sequence[FloatArray]) -> float:
-    """Standard error of a share of samples, given 0 or 1 for each, piece by piece: samples in a row
-    fall outside together.
+    """Compute the standard error of a share, from 0 or 1 for each sample, piece by piece.
+
+    Consecutive samples fall outside together, so autocorrelation counts.
     """
     values = np.concatenate(list(inside))
     p = float(values.mean())
@@ -250,9 +322,7 @@ def share_error(inside: Sequence[FloatArray]) -> float:
 
 
 def with_distinct_labels(residuals: Residuals) -> Residuals:
-    """The same; pieces that all have one name are given names by the stretch of the flight they lie
-    in.
-    """
+    """Rename pieces that all have one label by the part of the flight in which they lie."""
     n = len(residuals.pieces)
     if len(residuals.labels) != 1 or n < 2:
         return residuals
@@ -272,13 +342,31 @@ def leave_one_out(
     outside: Outside = "grow",
     fitted: Mapping[str, FittedBounds] | None = None,
 ) -> dict[str, dict[str, float]]:
-    """Manoeuvre -> coefficient -> share of its samples within the bounds that the other manoeuvres
-    give.
+    """Compute the coverage of each manoeuvre by bounds from the other manoeuvres.
 
-    A share far below the confidence says that the manoeuvre holds something that the others do not.
-    NaN where the rest is too short for a fit. Where all pieces have one name, BLOCKS stretches of
-    the flight stand for manoeuvres; empty for a single piece. fitted: what `fit_bounds` made of the
-    same residuals."""
+    A share far below the confidence shows that a manoeuvre contains something that the others do
+    not.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of all manoeuvres. Where all pieces have one label, BLOCKS parts of the flight replace
+        manoeuvres.
+    designs : mapping of str to Design
+        As given to `fit_bounds`.
+    options : FitOptions
+        As given to `fit_bounds`.
+    outside : {"grow", "clamp"}
+        Behaviour outside the data.
+    fitted : mapping of str to FittedBounds, optional
+        Result of `fit_bounds` for the same residuals.
+
+    Returns
+    -------
+    dict
+        Manoeuvre to coefficient to share. NaN where the other manoeuvres are too short for a fit;
+        empty for a single piece.
+    """
     out: dict[str, dict[str, float]] = {}
     residuals = with_distinct_labels(residuals)
     if len(residuals.labels) < 2:
@@ -309,7 +397,7 @@ def leave_one_out(
 
 
 def _bounds_without(fitted: FittedBounds, blocks: Sequence[int]) -> CoefficientBounds | None:
-    """The interval of the other blocks; None where only another fit tells."""
+    """Return the interval of the other blocks; None if that needs another fit."""
     if fitted.separation is None or fitted.bounds.parts is None:
         return None
     presumed = fitted.bounds.parts.noise / fitted.bounds.parts.noise_scale

@@ -1,15 +1,17 @@
-"""From residual coefficients to intervals: regression on polynomials of flight states (dissertation
-eqs 2.17, 2.18).
+"""Fit intervals to residual coefficients: regression on polynomials of flight states.
 
-Where the pieces know their sensor noise, model error is taken apart from it (components.py): what
-persists through a manoeuvre or a flight, what changes within one, and noise, which belongs to the
-sensors and to no bounds. ``noise = "inside"`` keeps the published interval, of measured samples,
-noise and all.
+`fit_bounds` makes a `ModelForm`'s intervals (dissertation eqs 2.17, 2.18); `missing_terms` looks
+for terms that the polynomials lack.
 
-The published interval counts every sample as news. Residuals sampled at 50 Hz and filtered at some
-hertz are not: n samples are worth n/tau independent ones, tau their integral time
-(autocorrelation.py). By default the degrees of freedom, the residual variance and the leverage's
-weight are those of the independent ones; ``samples = "all"`` is the published way."""
+Where the pieces have their sensor noise, `components` separates model error from it: noise belongs
+to the sensors and to no bounds. ``noise = "inside"`` keeps the published interval of measured
+samples, noise included.
+
+The published interval counts every sample as independent. Residuals sampled at 50 Hz and filtered
+at some hertz are not: n samples have an effective size of n/tau, tau their integral time. By
+default the degrees of freedom, the residual variance and the leverage's weight follow the effective
+size; ``samples = "all"`` is the published way.
+"""
 
 from __future__ import annotations
 
@@ -49,14 +51,13 @@ from sysid.model_form.components import (
 )
 from sysid.model_form.model_form import CoefficientBounds, Hull, Parts
 
-# States that a residual is regressed on, freed of sensor noise as far as their spectra tell.
+# Regressor states without sensor noise, as far as their spectra allow.
 #
-# Noise of a channel is in a state and in the residual alike: left in the regressors, a
-# regression would take one for a function of the other. In bands of frequency whose power does
-# not rise above what the known noise alone gives, nothing is kept; in the others the share that
-# is signal (Wiener, "Extrapolation, Interpolation and Smoothing of Stationary Time Series"
-# (1949); regression calibration: Carroll et al., "Measurement Error in Nonlinear Models"
-# (2006), ch. 4). A piece's mean is kept as it is.
+# Noise of a channel is in a state and in the residual alike, and a regression would take one for
+# a function of the other. Bands of frequency whose power does not exceed that of the known noise
+# are removed; others are reduced to the share of signal (Wiener, "Extrapolation, Interpolation and
+# Smoothing of Stationary Time Series" (1949); regression calibration: Carroll et al., "Measurement
+# Error in Nonlinear Models" (2006), ch. 4). A piece's mean is kept.
 
 _BANDS_HZ = np.geomspace(0.1, 25.0, 20)
 _SIGNAL_SIGMA = 2.0
@@ -64,9 +65,7 @@ _SIGNAL_SIGMA = 2.0
 
 
 def remove_state_noise(residuals: Residuals) -> Residuals:
-    """The residuals with states freed of noise; as they are where a piece does not know its
-    noise.
-    """
+    """Return the residuals with denoised states; unchanged where a piece lacks its noise."""
     if any(p.noise is None for p in residuals.pieces):
         return residuals
     clean = denoised_states(residuals.pieces, residuals.dt_s)
@@ -77,9 +76,7 @@ def remove_state_noise(residuals: Residuals) -> Residuals:
 
 
 def denoised_states(pieces: Sequence[ResidualPiece], dt_s: float) -> list[dict[str, FloatArray]]:
-    """Per piece state -> (n,) without the noise that `ResidualPiece.noise` tells of; other states
-    as they are.
-    """
+    """Return the states (n,) of each piece without the noise in `ResidualPiece.noise`."""
     out = [dict(p.states) for p in pieces]
     for name in out[0]:
         if any(p.noise is None or name not in p.noise.states for p in pieces):
@@ -90,6 +87,7 @@ def denoised_states(pieces: Sequence[ResidualPiece], dt_s: float) -> list[dict[s
 
 
 def _denoise(pieces: Sequence[ResidualPiece], name: str, dt_s: float) -> list[FloatArray]:
+    """Remove noise from one state of all pieces by a Wiener filter in bands."""
     waves, noise, bands = [], [], []
     for piece in pieces:
         assert piece.noise is not None
@@ -110,10 +108,10 @@ def _denoise(pieces: Sequence[ResidualPiece], name: str, dt_s: float) -> list[Fl
 
 
 def _signal_share(power: FloatArray, noise: FloatArray, band: NDArray[np.intp]) -> FloatArray:
-    """Share of signal in each band: none where noise alone explains the power.
+    """Return the share of signal in each band; 0 where noise alone explains the power.
 
-    Each band for itself: a band of few waves may show nothing below others that hold the whole
-    motion."""
+    Bands are treated one by one, because the motion fills few of them.
+    """
     share = np.zeros(len(_BANDS_HZ) + 1)
     for k in range(len(share)):
         of_band = band == k
@@ -130,9 +128,7 @@ def _signal_share(power: FloatArray, noise: FloatArray, band: NDArray[np.intp]) 
 LONGITUDINAL = ("V_mps", "alpha_rad", "q_radps", "theta_rad")
 LATERAL = ("V_mps", "beta_rad", "p_radps", "r_radps")
 MIN_SAMPLES_PER_TERM = 2.0
-"""Effective samples a term needs; below, the polynomial's order is lowered rather than a residual
-fitted away.
-"""
+"""Effective samples per term; with fewer the polynomial's order is lowered."""
 _MIN_VARIATION = {
     "V_mps": 0.2,
     "alpha_rad": 0.002,
@@ -145,16 +141,27 @@ _MIN_VARIATION = {
     "throttle_pct": 0.5,
 }
 _MIN_SURFACE_VARIATION_DEG = 0.1
-"""A state whose deviation is below this varied hardly more than filtered sensor noise (Table 2.1 of
-the dissertation): a polynomial in it, and above all its growth beyond such data, would be made of
-noise."""
+"""Smallest standard deviation of a state that counts as varying.
+
+Below it a state varied hardly more than filtered sensor noise (Table 2.1 of the dissertation), and
+a polynomial in it, above all its growth outside such data, would fit noise.
+"""
 _COLLINEAR = 1e-6  # part of a regressor's length that the ones before it must leave
+"""Smallest share of a regressor's length that is independent of the regressors before it."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """What one coefficient is regressed on: states, and its terms; without terms the full
-    polynomial of ``order``.
+    """States and terms of one coefficient's regression.
+
+    Attributes
+    ----------
+    states : tuple of str
+        Record columns.
+    terms : tuple of Term, optional
+        None: the full polynomial of ``order``.
+    order : int
+        Order of the full polynomial.
     """
 
     states: tuple[str, ...]
@@ -163,17 +170,28 @@ class Design:
 
 
 def default_designs() -> dict[str, Design]:
-    """Full second-order polynomials: CX CZ Cm in V, alpha, q, theta; CY Cl Cn in V, beta, p, r."""
+    """Return full second-order polynomials for all coefficients.
+
+    CX CZ Cm in V, alpha, q, theta; CY Cl Cn in V, beta, p, r.
+    """
     return {c: Design(LONGITUDINAL if c in ("CX", "CZ", "Cm") else LATERAL) for c in COEFFICIENTS}
 
 
 @dataclass(frozen=True)
 class FitOptions:
-    """confidence of the interval; samples: how autocorrelation counts; select: all terms, or those
-    a statistic asks for.
+    """Options of `fit_bounds`.
 
-    noise: "apart" leaves the sensors' noise out of the intervals, where the residuals know it;
-    "inside" is the published way."""
+    Attributes
+    ----------
+    confidence : float
+        Level of the interval.
+    samples : {"effective", "all"}
+        Allow for autocorrelation, or count every sample.
+    select : {"full", "stepwise"}
+        All terms, or those that a stepwise regression selects.
+    noise : {"apart", "inside"}
+        Leave sensor noise out of the intervals where it is known, or include it (published).
+    """
 
     confidence: float = 0.95
     samples: Literal["effective", "all"] = "effective"
@@ -183,11 +201,20 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class FittedBounds:
-    """An interval, what is left of the residual in each piece (flight minus fit, [(n,)]), and what
-    was done about its terms.
+    """Result of `fit_bounds` for one coefficient.
 
-    separation: of model error from noise, block by block of `stretches`; None where noise is inside
-    the interval."""
+    Attributes
+    ----------
+    bounds : CoefficientBounds
+        The interval.
+    residual : list of array (n,)
+        Flight minus fit, piece by piece.
+    notes : tuple of str
+        What was done about its terms.
+    separation : Separation or None
+        Of model error from noise, by blocks of `split_long_pieces`; None where noise is inside the
+        interval.
+    """
 
     bounds: CoefficientBounds
     residual: list[FloatArray]
@@ -200,17 +227,35 @@ def fit_bounds(
     designs: Mapping[str, Design] | None = None,
     options: FitOptions | None = None,
 ) -> dict[str, FittedBounds]:
-    """Intervals of the coefficients in ``designs`` (default: all six). Raises ValueError: a missing
-    state, too short a flight.
+    """Fit the intervals of the coefficients in ``designs``.
 
-    Terms in a state that hardly varied are left out with a note; it stays in the envelope box.
-    States are normalised by their mean and deviation over all samples, the same for every
-    coefficient, so that coefficients with the same states share one (X'X)^-1."""
+    Terms in a state that hardly varied are left out with a note; the state stays in the envelope
+    box. States are normalised by mean and deviation over all samples, the same for every
+    coefficient, so that coefficients with the same states share one (X'X)^-1.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of all flights.
+    designs : mapping of str to Design, optional
+        By default `default_designs`.
+    options : FitOptions, optional
+        See there.
+
+    Returns
+    -------
+    dict of str to FittedBounds
+        One a coefficient.
+
+    Raises
+    ------
+    ValueError
+        For a missing state, or a flight that is too short.
+    """
     designs, options = designs or default_designs(), options or FitOptions()
     separate_noise = options.noise == "apart" and all(p.noise is not None for p in residuals.pieces)
     if separate_noise:
-        # Noise that is in a state and in the residual alike would pass for a function of that
-        # state.
+        # Noise that is in a state and in the residual would look like a function of that state.
         residuals = remove_state_noise(residuals)
     states = residuals.states
     state_names = dict.fromkeys(s for d in designs.values() for s in d.states)
@@ -232,7 +277,10 @@ def fit_bounds(
 def _terms_of_varying_states(
     coefficient: str, design: Design, scaling: Mapping[str, tuple[float, float]]
 ) -> tuple[tuple[Term, ...] | None, tuple[str, ...]]:
-    """Terms without states that stood still (None: all orders are open), and a note saying so."""
+    """Return the terms without states that hardly varied, and a note on these states.
+
+    None instead of terms leaves the order open.
+    """
     constant = [k for k, s in enumerate(design.states) if scaling[s][1] <= _min_variation(s)]
     if not constant:
         return design.terms, ()
@@ -252,6 +300,7 @@ def _terms_of_varying_states(
 
 
 def _min_variation(state: str) -> float:
+    """Return the smallest standard deviation of a state that counts as varying."""
     return _MIN_VARIATION.get(state, _MIN_SURFACE_VARIATION_DEG)
 
 
@@ -262,6 +311,7 @@ def _fit(
     scaling: Mapping[str, tuple[float, float]],
     options: FitOptions,
 ) -> FittedBounds:
+    """Fit the interval of measured samples, noise included; short flights lower the order."""
     y = residuals.columns(coefficient)
     n = sum(residuals.lengths)
     open_terms, state_notes = _terms_of_varying_states(coefficient, design, scaling)
@@ -315,9 +365,9 @@ def _fit_separated(
     scaling: Mapping[str, tuple[float, float]],
     options: FitOptions,
 ) -> FittedBounds:
-    """The interval of the model's error alone.
+    """Fit the interval of the model error alone.
 
-    Its prior holds the polynomial finite: no flight is too short for its order.
+    Its prior keeps the polynomial finite, so that no flight is too short for the order.
     """
     open_terms, state_notes = _terms_of_varying_states(coefficient, design, scaling)
     candidate_terms = (
@@ -328,6 +378,7 @@ def _fit_separated(
     )
     blocks = split_long_pieces(residuals)
     x = _design_matrix(blocks, design, terms, scaling)
+    # Posterior of the components, block by block.
     separation = separate(make_blocks(blocks, coefficient, _parts(x, blocks)))
     components = separation.components()
     residual = [
@@ -370,8 +421,9 @@ def _fit_separated(
 def with_components(
     bounds: CoefficientBounds, components: Components, noise: float
 ) -> CoefficientBounds:
-    """The interval with other components of the same terms; noise: rms of the sensors' in the
-    samples as presumed [-].
+    """Replace the components of an interval, with the same terms.
+
+    ``noise`` is the rms of the presumed sensor noise in the samples [-].
     """
     parts = Parts(
         persistent=float(np.sqrt(components.persistent)),
@@ -397,10 +449,12 @@ def with_components(
 
 
 def _parts(x: FloatArray, residuals: Residuals) -> list[FloatArray]:
+    """Split the rows of x by pieces."""
     return list(np.split(x, np.cumsum(residuals.lengths)[:-1]))
 
 
 def _hull(states: FloatArray, leverage: float) -> Hull:
+    """Return the region of the data (n, k)."""
     return Hull(
         states.min(axis=0),
         states.max(axis=0),
@@ -415,6 +469,7 @@ def _design_matrix(
     terms: Sequence[Term],
     scaling: Mapping[str, tuple[float, float]],
 ) -> FloatArray:
+    """Evaluate the terms at normalised states, (n, m)."""
     centre, scale = (np.array([scaling[s][k] for s in design.states]) for k in (0, 1))
     return regressors((stack(residuals.states, design.states) - centre) / scale, terms)
 
@@ -427,8 +482,9 @@ def _choose_terms(
     scaling: Mapping[str, tuple[float, float]],
     options: FitOptions,
 ) -> tuple[tuple[Term, ...], list[str]]:
-    """Terms that the data tell apart, in order (those that a stepwise choice keeps, if asked for),
-    and what was left out.
+    """Choose the terms that the data separate, in order, by Gram-Schmidt and optionally stepwise.
+
+    Returns the terms and notes on those left out.
     """
     x = _design_matrix(residuals, design, terms, scaling)
     independent, basis = [], np.zeros((len(x), 0))
@@ -463,7 +519,7 @@ def _choose_terms(
 def _least_squares_residual(
     x: FloatArray, y: FloatArray, lengths: Sequence[int]
 ) -> list[FloatArray]:
-    """What least squares leaves of y (n,), piece by piece."""
+    """Return the least-squares residual of y (n,), piece by piece."""
     beta = np.linalg.lstsq(x, y, rcond=None)[0] if x.shape[1] else np.zeros(0)
     return list(np.split(y - x @ beta, np.cumsum(lengths)[:-1]))
 
@@ -479,13 +535,14 @@ def _bounds(
     n_effective: float,
     options: FitOptions,
 ) -> CoefficientBounds:
+    """Build the interval from the regression."""
     q, r = np.linalg.qr(x)
     inverse = np.linalg.inv(r)
     beta = inverse @ (q.T @ y)
     n, m = x.shape
     dof = n_effective - m  # n - (k + 1) with k regressors beside the constant
-    # Residual sum over its degrees of freedom; with every sample counted it is the published mean
-    # squared error.
+    # Residual sum over its degrees of freedom; the published mean squared error if every sample
+    # counts.
     s2 = sum(float(e @ e) for e in residual) / n * n_effective / dof
     states = stack(residuals.states, design.states)
     return CoefficientBounds(
@@ -510,8 +567,8 @@ def _bounds(
 def with_walk_rates(
     fitted: Mapping[str, FittedBounds], rates: Mapping[str, float]
 ) -> dict[str, CoefficientBounds]:
-    """The intervals with their rates of variation [1/sqrt(s)]; one with parts keeps that of its
-    transient part.
+    """Set the intervals' rates of variation [1/sqrt(s)]; those with parts keep the transient
+    part's.
     """
     return {
         c: f.bounds if f.bounds.parts else replace(f.bounds, walk_rate=rates[c])
@@ -519,7 +576,7 @@ def with_walk_rates(
     }
 
 
-# Noise added once more, to see by experiment what a figure owes to it.
+# Noise floor by experiment: noise is added once more.
 
 SENSOR_CHANNELS = (
     "V_mps",
@@ -539,8 +596,9 @@ SENSOR_CHANNELS = (
 def with_noise(
     channels: Mapping[str, FloatArray], noise_std: Mapping[str, float], rng: np.random.Generator
 ) -> dict[str, FloatArray]:
-    """The channels (n,) with white noise of ``noise_std`` (channel -> std) added; those without a
-    finite figure as they are.
+    """Add white noise of ``noise_std`` (channel to standard deviation) to channels (n,).
+
+    Channels without a finite figure are unchanged.
     """
     return {
         c: (
@@ -553,30 +611,36 @@ def with_noise(
 
 
 def noise_floor(changes: Sequence[FloatArray]) -> FloatArray:
-    """(k,) rms of what added noise changed in k quantities: the mean over experiments of (n, k)
-    each.
-    """
+    """Return the rms (k,) of the changes (n, k) that added noise caused, over all experiments."""
     return np.asarray(np.sqrt(sum(np.mean(change**2, axis=0) for change in changes) / len(changes)))
 
 
-# Terms that an interval's polynomial lacks: what scatters about it and is not noise, by name.
+# Terms that an interval's polynomial lacks.
 #
-# More data of the same kind leave such scatter where it is. Candidates are all products up to
-# second order of the states that the flights have, surfaces and throttle among them, that are
-# not in the polynomial already; a stepwise choice that allows for coloured residuals
-# (selection.py) says which belong there.
+# More data of the same kind do not reduce such scatter. Candidates are all products up to second
+# order of the states that the flights have, including surfaces and throttle, that are not in the
+# polynomial. A stepwise regression that allows for coloured residuals selects among them.
 
-# part of the largest state's deviation over its mean size below which a state did not move
 _MIN_RELATIVE_VARIATION = 1e-3
+"""Standard deviation over largest value of a state below which it did not move."""
 MAX_MISSING_TERMS = 4
+"""Missing terms reported at most."""
 MIN_SHARE = 0.05
-"""Of the scatter's variance; a chosen term that takes less is not worth a word."""
+"""Smallest share of the scatter's variance of a missing term that is reported."""
 
 
 @dataclass(frozen=True)
 class MissingTerm:
-    """``name`` as polynomial.py writes it; ``share`` of the scatter's variance that it takes away,
-    after those before it.
+    """A term that the polynomial lacks.
+
+    Attributes
+    ----------
+    name : str
+        As `sysid.aerodynamics.term_name` writes it.
+    states : tuple of str
+        Its states.
+    share : float
+        Share of the scatter's variance that it removes, after the terms before it.
     """
 
     name: str
@@ -590,11 +654,29 @@ def missing_terms(
     bounds: CoefficientBounds,
     max_terms: int = MAX_MISSING_TERMS,
 ) -> list[MissingTerm]:
-    """Terms that flights show to be missing, the most telling first; empty when what is left is
-    noise.
+    """Find terms that the data show to be missing, the strongest first.
 
-    residuals: of the flights behind the bounds. Raises ValueError if they lack a state of the
-    bounds."""
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the flights behind the bounds.
+    coefficient : str
+        Among COEFFICIENTS.
+    bounds : CoefficientBounds
+        Its interval.
+    max_terms : int
+        Number of terms at most.
+
+    Returns
+    -------
+    list of MissingTerm
+        Empty if the scatter is noise.
+
+    Raises
+    ------
+    ValueError
+        If the flights lack a state of the bounds.
+    """
     states = residuals.states
     lacking = [s for s in bounds.states if s not in states]
     if lacking:
@@ -628,6 +710,7 @@ def missing_terms(
 def _is_included(
     term: Sequence[int], moving: Sequence[str], bounds: CoefficientBounds, inside: set[str]
 ) -> bool:
+    """Return whether the polynomial has a term."""
     powers = {s: n for s, n in zip(moving, term, strict=True) if n}
     if not set(powers) <= set(bounds.states):
         return False
@@ -635,10 +718,12 @@ def _is_included(
 
 
 def _moves(values: FloatArray) -> bool:
+    """Return whether a state varied."""
     return float(values.std()) > _MIN_RELATIVE_VARIATION * max(float(np.abs(values).max()), 1e-9)
 
 
 def _is_independent(column: FloatArray, basis: FloatArray) -> bool:
+    """Return whether a column has a part outside the basis."""
     remainder = column - basis @ (basis.T @ column)
     return bool(np.linalg.norm(remainder) > 1e-3 * np.linalg.norm(column))
 
@@ -651,7 +736,7 @@ def _ordered(
     terms: Sequence[tuple[int, ...]],
     moving: tuple[str, ...],
 ) -> list[MissingTerm]:
-    """The chosen terms, each time the one that takes most of what scatters."""
+    """Order the selected terms, each time the one that reduces the scatter most."""
     out: list[MissingTerm] = []
     columns, remaining = list(existing), list(new)
     total = current_sum = _residual_sum(design[:, columns], y)
@@ -674,5 +759,6 @@ def _ordered(
 
 
 def _residual_sum(X: FloatArray, y: FloatArray) -> float:
+    """Return the residual sum of squares of a regression."""
     e = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
     return float(e @ e)

@@ -1,23 +1,23 @@
-"""What more data would do to a model-form interval: the answer of the linear model, before anybody
-has flown.
+"""Information gain: what further data would do to a model-form interval, before they are flown.
 
-With C = (X'X)^-1 of the data behind the interval and K = Z'Z of further data, in the same
-normalised states,
+`uqharness.next_flight` plans manoeuvres with it. With C = (X'X)^-1 of the data behind the interval
+and K = Z'Z of further data, in the same normalised states,
 
     C+ = (X'X + K)^-1                                                           (1)
     n+ = n + n_Z,   dof+ = n+/f - m,   t+ = t(dof+)                             (2)
     beta+ = C+ (X'X beta_hat + K b),  b = beta + noise of variance f s2 K^-1    (3)
 
-(1), (2): least squares, the residual's variance s2 and colour f being what they are
-(model_form.py). (3): a width depends on beta+ because bounds are stretched to hold zero. What is
-believed of beta today is not beta_hat +- its standard error: far from the data that would be a
-model error as large as the interval, and an interval is wide there for want of knowledge, not for
-error. Terms are as likely to be up as down, with one size for all, which beta_hat tells (empirical
-Bayes; Efron and Morris, JASA 68 (1973) 117). The mean over futures is taken (preposterior analysis:
-Raiffa and Schlaifer, "Applied Statistical Decision Theory" (1961), ch. 5).
+(1), (2): least squares, with the same residual variance s2 and colour f (`model_form`). (3): a
+width depends on beta+, because bounds are stretched to include zero. The prior of beta is not
+beta_hat +- its standard error: far from the data that would be a model error as large as the
+interval, which is wide there for lack of data, not for error. Terms have mean zero and one common
+size, estimated from beta_hat (empirical Bayes; Efron and Morris, JASA 68 (1973) 117). The mean over
+possible data is taken (preposterior analysis: Raiffa and Schlaifer, "Applied Statistical Decision
+Theory" (1961), ch. 5).
 
-Data narrow f x'Cx, the *parameter part*, and t. They do not narrow s2: what scatters about the best
-polynomial, be it noise or a term that is missing, stays."""
+Data reduce f x'Cx, the *parameter part*, and t. They do not reduce s2: the scatter about the best
+polynomial, noise or a missing term, stays.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +38,16 @@ _MAX_STATES = 400  # at which the mean over draws is taken
 
 @dataclass(frozen=True)
 class Information:
-    """What some data say about one coefficient: Z'Z (m, m) over its terms, n samples, smallest and
-    largest state (k,).
+    """Information of some data on one coefficient.
+
+    Attributes
+    ----------
+    ZtZ : array (m, m)
+        Z'Z over its terms.
+    n : float
+        Samples.
+    low, high : array (k,)
+        Smallest and largest value of each state.
     """
 
     ZtZ: FloatArray
@@ -50,8 +58,14 @@ class Information:
 
 @dataclass(frozen=True)
 class Width:
-    """Mean widths over states. total: of the bounds; parameter: 2 t sqrt(f s2 x'Cx), from the
-    uncertainty of the polynomial.
+    """Mean widths over states [-].
+
+    Attributes
+    ----------
+    total : float
+        Of the bounds.
+    parameter : float
+        2 t sqrt(f s2 x'Cx), from the uncertainty of the polynomial.
     """
 
     total: float
@@ -61,13 +75,30 @@ class Width:
 def information(
     bounds: CoefficientBounds, states: Mapping[str, FloatArray], weight: float = 1.0
 ) -> Information:
-    """Of data at states (n,). weight: samples of the data behind ``bounds`` that one of these is
-    worth (ratio of the rates).
+    """Compute the information of data at states (n,).
 
-    Raises KeyError for a missing state.
+    Parameters
+    ----------
+    bounds : CoefficientBounds
+        Terms and normalisation.
+    states : mapping of str to array (n,)
+        Flight states of the data.
+    weight : float
+        Samples of the data behind ``bounds`` that count as much as one of these (ratio of the
+        rates).
+
+    Returns
+    -------
+    Information
+        Z'Z, weighted.
+
+    Raises
+    ------
+    KeyError
+        For a missing state.
     """
     x = stack(states, bounds.states)
-    # Data count where they are: clamping is for the interval's use, not for its making.
+    # States are not clamped here: clamping applies when an interval is used, not when it is made.
     z = regressors((x - bounds.centre) / bounds.scale, bounds.terms)
     return Information(weight * (z.T @ z), weight * len(z), x.min(axis=0), x.max(axis=0))
 
@@ -75,11 +106,25 @@ def information(
 def with_more_data(
     bounds: CoefficientBounds, additional: Sequence[Information], scatter: float = 1.0
 ) -> CoefficientBounds:
-    """The interval as it will be with ``additional`` data, but for beta, which nobody knows yet.
+    """Predict the interval with additional data, except for beta, which is unknown.
 
-    scatter: residual variance of the further data over that of the data behind ``bounds``; the
-    pooled one is expected. The envelope box grows with the data; its largest leverage is not known
-    without the samples and stays."""
+    The envelope box grows with the data; its largest leverage stays, as it depends on the samples.
+
+    Parameters
+    ----------
+    bounds : CoefficientBounds
+        Current interval.
+    additional : sequence of Information
+        Further data.
+    scatter : float
+        Residual variance of the further data over that of the data behind ``bounds``; the pooled
+        one is expected.
+
+    Returns
+    -------
+    CoefficientBounds
+        By (1) and (2).
+    """
     if not additional:
         return bounds
     C = np.linalg.inv(np.linalg.inv(bounds.XtX_inv) + sum(item.ZtZ for item in additional))  # (1)
@@ -99,15 +144,15 @@ def with_more_data(
         hull=replace(bounds.hull, low=low, high=high),
     )
     if bounds.parts is not None:
-        # What persists and how sure that is are the model's; samples alone do not change them, and
-        # noise is in no width.
+        # The persistent part and its uncertainty do not change with more samples, and noise is in
+        # no width.
         return updated
     t = float(student_quantile(0.5 + 0.5 * bounds.confidence, dof))
     return replace(updated, s2=bounds.s2 * (bounds.n + scatter * added) / n, dof=dof, t=t)
 
 
 def asymptotic(bounds: CoefficientBounds) -> CoefficientBounds:
-    """The limit of endless data: no parameter part left, all else as it is."""
+    """Return the limit of unlimited data: the parameter part vanishes, all else stays."""
     if bounds.parts is not None:
         return replace(bounds, XtX_inv=np.zeros_like(bounds.XtX_inv))
     t = float(normal_quantile(0.5 + 0.5 * bounds.confidence))
@@ -117,25 +162,26 @@ def asymptotic(bounds: CoefficientBounds) -> CoefficientBounds:
 def parameter_variance(
     bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow"
 ) -> FloatArray:
-    """(n,) f s2 x'Cx: variance of the fitted polynomial at states."""
+    """Compute f s2 x'Cx (n,), the variance of the fitted polynomial at states."""
     return bounds.leverage_factor * bounds.s2 * bounds.leverage(bounds.normalised(states, outside))
 
 
 def width(
     bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow"
 ) -> Width:
-    """Mean widths of an interval over states (n,)."""
+    """Compute the mean widths of an interval over states (n,)."""
     low, high = bounds.bounds(states, outside=outside)
     parameter = 2.0 * bounds.t * np.sqrt(parameter_variance(bounds, states, outside))
     return Width(float(np.mean(high - low)), float(np.mean(parameter)))
 
 
 def belief(bounds: CoefficientBounds) -> tuple[FloatArray, FloatArray]:
-    """Mean (m,) and covariance (m, m) of beta: beta_hat is N(beta, f s2 C), beta is N(0, v I), v
-    where beta_hat is likeliest.
+    """Return prior mean (m,) and covariance (m, m) of beta.
 
-    Terms are of normalised states, so that one size for all of them has a meaning. Where model
-    error was taken apart from noise, beta_hat and its covariance are a posterior already."""
+    beta_hat is N(beta, f s2 C) and beta is N(0, v I), with v of maximum likelihood. Terms are of
+    normalised states, so that a common size is meaningful. Where model error was separated from
+    noise, beta_hat and its covariance are a posterior already.
+    """
     if bounds.parts is not None:
         return bounds.beta_hat, bounds.leverage_factor * bounds.s2 * bounds.XtX_inv
     S = bounds.leverage_factor * bounds.s2 * bounds.XtX_inv
@@ -148,7 +194,7 @@ def belief(bounds: CoefficientBounds) -> tuple[FloatArray, FloatArray]:
         return float(np.sum(np.log(total) + b**2 / total))
 
     top = float(np.log(max(float(b @ b), 1e-300)))
-    # The likelihood may have two maxima: the best of a grid, then refined beside it.
+    # The likelihood may have two maxima: take the best of a grid and refine it.
     grid = np.linspace(top - 30.0, top, 121)
     best = float(grid[int(np.argmin([neg2_log_likelihood(g) for g in grid]))])
     v = float(
@@ -170,8 +216,27 @@ def expected_width(
     draws: int = DRAWS,
     seed: int = 1,
 ) -> Width:
-    """Mean widths that ``future`` (from `after` or `for_ever`) will have, over states and over what
-    may be learnt of beta.
+    """Compute the expected mean widths of a future interval.
+
+    The mean is taken over states and over possible values of beta.
+
+    Parameters
+    ----------
+    current : CoefficientBounds
+        The interval as it is.
+    future : CoefficientBounds
+        From `with_more_data` or `asymptotic`.
+    states : mapping of str to array (n,)
+        Flight states of interest.
+    outside : {"grow", "clamp"}
+        Behaviour outside the data.
+    draws, seed : int
+        Random draws of beta.
+
+    Returns
+    -------
+    Width
+        Total and parameter part [-].
     """
     thinned_states = thinned(states, current.states, _MAX_STATES)
     z = future.normalised(thinned_states, outside)
@@ -186,7 +251,7 @@ def expected_width(
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     noise = np.random.default_rng(seed).standard_normal((len(mean), draws))
-    # Antithetic: the draws have the mean that they should.
+    # Antithetic draws have the exact mean.
     y = X @ (mean[:, None] + root @ np.hstack([noise, -noise]))
     total = np.maximum(y + half[:, None], 0.0) - np.minimum(y - half[:, None], 0.0)
     return Width(float(np.mean(total)), width(future, states, outside).parameter)
@@ -195,14 +260,21 @@ def expected_width(
 def thinned(
     states: Mapping[str, FloatArray], names: Sequence[str], max_states: int
 ) -> dict[str, FloatArray]:
-    """At most ``max_states`` of the states, evenly chosen."""
+    """Return at most ``max_states`` of the states, evenly spaced."""
     n = len(states[names[0]])
     rows = np.linspace(0, n - 1, min(n, max_states)).round().astype(int)
     return {name: np.asarray(states[name])[rows] for name in names}
 
 
 def weighted_quartiles(values: FloatArray, weights: FloatArray) -> FloatArray:
-    """(3,) of values (n,) that count by weights (n,) >= 0; NaN where all weights are 0."""
+    """Compute the quartiles (3,) of values (n,) with weights (n,) >= 0; NaN if all weights are 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> weighted_quartiles(np.array([1.0, 2.0, 3.0, 4.0]), np.ones(4)).tolist()
+    [1.0, 2.0, 3.0]
+    """
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     if not total[-1] > 0.0:
@@ -212,12 +284,22 @@ def weighted_quartiles(values: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def speed_power(speeds_mps: FloatArray, variances: FloatArray, counts: FloatArray) -> float:
-    """b of variance ~ V^b, from stretches of flight with these mean speeds (p,), residual variances
-    (p,) and samples (p,).
+    """Estimate b of variance ~ V^b from parts of flights.
 
-    Noise of a sensor becomes noise of a coefficient through the dynamic pressure: b is -4 in still
-    air; gusts make it less steep. 0 where the speeds do not tell: fewer than three, within 5 %, or
-    a standard error above 1."""
+    Sensor noise enters a coefficient through the dynamic pressure: b is -4 in still air; gusts make
+    it less steep.
+
+    Parameters
+    ----------
+    speeds_mps, variances, counts : array (p,)
+        Mean speed [m/s], residual variance and samples of each part.
+
+    Returns
+    -------
+    float
+        0 where the speeds do not determine it: fewer than three, within 5 %, or a standard error
+        above 1.
+    """
     valid = (variances > 0.0) & (counts > 0.0) & np.isfinite(variances)
     if valid.sum() < 3:
         return 0.0
@@ -236,8 +318,9 @@ def speed_power(speeds_mps: FloatArray, variances: FloatArray, counts: FloatArra
 
 
 def mean_power(middle: FloatArray, low: float, high: float, power: float) -> float:
-    """Mean of V^power over a distribution known by its quartiles (3,), smallest and largest value,
-    straight lines in between.
+    """Compute the mean of V^power over a distribution given by quartiles (3,) and extremes.
+
+    The distribution function is linear in between.
     """
     at = np.interp(
         np.linspace(0.005, 0.995, 100), [0.0, 0.25, 0.5, 0.75, 1.0], [low, *middle, high]
@@ -245,21 +328,27 @@ def mean_power(middle: FloatArray, low: float, high: float, power: float) -> flo
     return float(np.mean(at**power))
 
 
-# Which manoeuvres to fly: greedily those that narrow an interval most, for each second, in the
-# mission's flight states.
+# Choice of manoeuvres: greedily those that narrow an interval most per second.
 #
-# The measure is the mean half-width of the prediction interval over the states of the mission:
-# a design for prediction where it is needed (I-optimality; Studden, Ann. Math. Stat. 42 (1971)
-# 1613), not for parameters as such. Greedy: the best manoeuvre, then the next best given that
-# one.
+# The measure is the mean half-width of the prediction interval over the mission's flight states:
+# a design for prediction (I-optimality; Studden, Ann. Math. Stat. 42 (1971) 1613), not for
+# parameters. Greedy: the best manoeuvre, then the next best given that one.
 
 _FLIGHT_CHOICE_MAX_STATES = 500
 
 
 @dataclass(frozen=True)
 class Offer:
-    """A manoeuvre that could be flown: ``seconds`` it takes, ``group`` of those that need no
-    transition between them.
+    """A manoeuvre that could be flown.
+
+    Attributes
+    ----------
+    group : str
+        Manoeuvres of one group need no transition between them.
+    seconds : float
+        Duration [s].
+    information : Information
+        Of its data.
     """
 
     group: str
@@ -269,8 +358,16 @@ class Offer:
 
 @dataclass(frozen=True)
 class Choice:
-    """One choice: index of the offer, seconds with the transition that it needs, mean half-width
-    once it is flown.
+    """A chosen manoeuvre.
+
+    Attributes
+    ----------
+    index : int
+        Of the offer.
+    seconds : float
+        With the transition that it needs [s].
+    half_width : float
+        Mean half-width once it is flown [-].
     """
 
     index: int
@@ -286,10 +383,26 @@ def choose(
     transition_s: float,
     outside: Outside = "grow",
 ) -> list[Choice]:
-    """Offers to fly within ``budget_s`` seconds, best first; an offer may be taken several times.
+    """Choose offers to fly within a time budget, best first.
 
-    transition_s: what the first offer of a group costs besides. Empty when no offer fits, or none
-    narrows anything."""
+    Parameters
+    ----------
+    bounds : CoefficientBounds
+        Interval to narrow.
+    offers : sequence of Offer
+        An offer may be chosen several times.
+    states : mapping of str to array (n,)
+        Flight states of the mission.
+    budget_s, transition_s : float
+        Time budget, and extra time for the first offer of a group [s].
+    outside : {"grow", "clamp"}
+        Behaviour outside the data.
+
+    Returns
+    -------
+    list of Choice
+        Empty if no offer fits or none narrows the interval.
+    """
     thinned_states = thinned(states, bounds.states, _FLIGHT_CHOICE_MAX_STATES)
     X = regressors(bounds.normalised(thinned_states, outside), bounds.terms)
     M: FloatArray = np.asarray(np.linalg.inv(bounds.XtX_inv), dtype=np.float64)
@@ -322,6 +435,7 @@ def choose(
 
 
 def _half_width(bounds: CoefficientBounds, X: FloatArray, M: FloatArray, n: float) -> float:
+    """Compute the mean half-width at regressors X (n, m) for information M (m, m) and n samples."""
     t = bounds.t
     if bounds.parts is None:
         t = float(
