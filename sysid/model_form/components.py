@@ -108,7 +108,7 @@ class Blocks:
         return np.where(is_of_flight, np.sqrt(self.constant)[:, None], 0.0)
 
     def coloured(self, time_s: float) -> FloatArray:
-        """Compute the variance (n,) of a unit first-order process with correlation time ``time_s``."""
+        """Compute the variance (n,) of a unit first-order process of correlation time ``time_s``."""
         out = np.empty(len(self.y))
         for number, n in enumerate(self.lengths):
             of_block = self.block == number

@@ -43,7 +43,7 @@ _BINS = 3
 
 @dataclass(frozen=True)
 class Bin:
-    """Share of the n samples inside whose state lies from ``low`` to ``high``, unit of the state."""
+    """Share inside of the n samples whose state lies from ``low`` to ``high``, in its unit."""
 
     low: float
     high: float

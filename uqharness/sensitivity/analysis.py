@@ -1,4 +1,8 @@
-"""All five methods over one stored study."""
+"""Apply the five methods of sensitivity to a stored study, and average repeats.
+
+`analyse` is the public entry; `Sensitivity` holds an index [-] per output, method and parameter and
+prints it as a table.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +36,13 @@ assert tuple(_FUNCTIONS) == METHODS
 
 @dataclass(frozen=True)
 class Sensitivity(Tabled):
-    """Results by output, then by method."""
+    """Results by output, then by method.
+
+    Attributes
+    ----------
+    results : mapping
+        Output to method to `MethodResult`.
+    """
 
     results: Mapping[str, Mapping[str, MethodResult]]
 
@@ -43,7 +53,7 @@ class Sensitivity(Tabled):
         return self.results[output]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain JSON types; null where an index is undefined, its reason beside it."""
+        """Return plain JSON types; null with a reason where an index is undefined."""
         return {
             output: {method: result.as_dict() for method, result in methods.items()}
             for output, methods in self.results.items()
@@ -78,8 +88,8 @@ class Sensitivity(Tabled):
         return pd.DataFrame(rows).set_index(["output", "parameter", "method"]).sort_index()
 
     def text(self) -> str:
-        """Tables to read: one per output, each index with its interval, then what each method costs
-        and assumes.
+        """Return tables: one per output, each index with its interval, then cost and assumption of
+        methods.
         """
         return "\n\n".join(_table(output, methods) for output, methods in self.results.items())
 
@@ -92,7 +102,7 @@ def analyse(
     Parameters
     ----------
     study : Study
-        What `run_study` gave.
+        From `run_study`.
     methods : sequence of str
         Among ``METHODS``; one that the study was not run for is undefined.
     seed : int
@@ -115,10 +125,16 @@ def analyse(
     ----------
     L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4.
 
-    Examples -------- >>> from uqharness import sensitivity >>> study = sensitivity.run_study(lambda
-    a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)}, samples=16) >>> found = sensitivity.analyse(study,
-    methods=["local"])["output"]["local"] >>> bool(found.indices["a"].value >
-    found.indices["b"].value) True"""
+    Examples
+    --------
+    >>> from uqharness import sensitivity
+    >>> study = sensitivity.run_study(
+    ...     lambda a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)}, samples=16
+    ... )
+    >>> local = sensitivity.analyse(study, methods=["local"])["output"]["local"]
+    >>> bool(local.indices["a"].value > local.indices["b"].value)
+    True
+    """
     instance("study", study, Study, "a Study, as run_study gives it,")
     whole("seed", seed)
     flag("intervals", intervals)
@@ -134,6 +150,7 @@ def analyse(
 
 
 def _table(output: str, methods: Mapping[str, MethodResult]) -> str:
+    """Format the table of one output."""
     names = list(next(iter(methods.values())).indices)
     width = max(9, *(len(name) for name in names))
     head = f"  {'':<{width}}" + "".join(f"{method:>27}" for method in methods)
@@ -150,7 +167,7 @@ def _table(output: str, methods: Mapping[str, MethodResult]) -> str:
 
 
 def cell(index: Index | PairRange) -> str:
-    """One number, or a range, with its interval behind it where it has one."""
+    """Format an index or a range, with its interval if it has one."""
     if isinstance(index, PairRange):
         text, low, high = (
             f"{index.minimum.value:.3f}..{index.maximum.value:.3f}",
@@ -166,14 +183,14 @@ def cell(index: Index | PairRange) -> str:
     return text if math.isnan(low) else f"{text} [{low:.3f}, {high:.3f}]"
 
 
-# Independent repeats of one study: the mean, and how much one run alone varies.
+# Independent repeats of one study: the mean, and the variation of a single run.
 #
-# The plainest sampling error, where a model is cheap.
+# This is the simplest sampling error, for models that are cheap.
 
 
 def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
-    """Mean over repeats that differ in their seed alone; each interval is that of the mean
-    (Student's t).
+    """Average repeats that differ in their seed alone; each interval is that of the mean (Student's
+    t).
 
     Parameters
     ----------
@@ -196,8 +213,9 @@ def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
     --------
     >>> from uqharness import sensitivity
     >>> def once(seed):
-    ...     study = sensitivity.run_study(lambda a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)},
-    samples=16, seed=seed)
+    ...     study = sensitivity.run_study(
+    ...         lambda a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)}, samples=16, seed=seed
+    ...     )
     ...     return sensitivity.analyse(study, intervals=False)
     >>> mean = sensitivity.average([once(1), once(2), once(3)])
     >>> mean["output"]["anova"].details["std_of_one_run"].shape
@@ -219,6 +237,7 @@ def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
 
 
 def _average(results: Sequence[MethodResult]) -> MethodResult:
+    """Average one method's results."""
     first = results[0]
     indices: dict[str, Index | PairRange] = {}
     stds = []
@@ -239,6 +258,7 @@ def _average(results: Sequence[MethodResult]) -> MethodResult:
 
 
 def _mean(same: Sequence[Index]) -> tuple[Index, float]:
+    """Return the mean index with its interval, and the standard deviation of a single run."""
     values = np.array([item.value for item in same])
     if np.isnan(values).any():
         return next(item for item in same if np.isnan(item.value)), float("nan")

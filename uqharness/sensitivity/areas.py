@@ -1,8 +1,9 @@
-"""Areas between distribution functions, from samples of equal size. Pure.
+"""Areas between distribution functions of equal sample size, and their sampling errors.
 
 With A equally likely draws the area between two empirical distribution functions is the mean
 distance of their order statistics, and the area of a p-box the mean over the orders of (largest -
-smallest). Both have the output's unit."""
+smallest). Both have the output's unit. `measures` uses them; arrays in, arrays out.
+"""
 
 from __future__ import annotations
 
@@ -22,22 +23,30 @@ OUTSIDE_ALLOWED = 0.02
 
 
 def box_area(y: FloatArray) -> float:
-    """Area of the p-box of n distribution functions; y (n, A)."""
+    """Compute the area of the p-box of n distribution functions, y (n, A).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> box_area(np.array([[0.0, 1.0], [2.0, 3.0]]))
+    2.0
+    """
     ordered = np.sort(y, axis=-1)
     return float(np.mean(ordered.max(axis=0) - ordered.min(axis=0)))
 
 
 def log_area(y: FloatArray) -> float:
-    """Logarithm of the area, NaN where there is none."""
+    """Return the logarithm of the area, NaN for an area of 0."""
     area = box_area(y)
     return float(np.log(area)) if area > 0.0 else float("nan")
 
 
 def pair_areas(ordered: FloatArray, d: int) -> FloatArray:
-    """(..., d, 2^(d-1)) areas between the corners that differ in one parameter alone.
+    """Compute the areas (..., d, 2^(d-1)) between corners that differ in one parameter.
 
     ``ordered`` (2^d, ..., A) has its draws sorted along the last axis and corners in the order of
-    ``problem.corners``."""
+    `problem.corners`.
+    """
     areas = np.empty((d, 2 ** (d - 1), *ordered.shape[1:-1]))
     for i in range(d):
         halves = ordered.reshape(2**i, 2, -1, *ordered.shape[1:])
@@ -48,12 +57,15 @@ def pair_areas(ordered: FloatArray, d: int) -> FloatArray:
 
 
 def envelope_areas(ordered: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
-    """Areas (...) of the envelope of all corners, and (..., d, 2) of those with one parameter fixed
-    at its lower, then at its upper bound; ``ordered`` as above."""
+    """Compute the areas (...) of the envelope of all corners, and (..., d, 2) with one parameter
+    fixed.
+
+    The last axis is the parameter at its lower, then at its upper bound; ``ordered`` as in
+    `pair_areas`.
+    """
     shape = ordered.shape[1:]
     areas = np.empty((d, 2, *shape[:-1]))
-    # Largest and smallest over the parameters before the i-th are kept for the ones that follow:
-    # 2^d steps in place of d 2^d.
+    # Extremes over the parameters before the i-th are reused: 2^d steps instead of d 2^d.
     largest = smallest = ordered
     for i in range(d):
         largest, smallest = (ends.reshape(2, -1, *shape) for ends in (largest, smallest))
@@ -64,10 +76,10 @@ def envelope_areas(ordered: FloatArray, d: int) -> tuple[FloatArray, FloatArray]
 
 
 def excess_over_corners(corners: FloatArray, interior: FloatArray, area: float) -> float:
-    """Area by which the worst of ``interior`` (n, A) leaves the envelope of ``corners`` (m, A),
-    over ``area``.
+    """Compute the largest area by which a sample of ``interior`` (n, A) leaves the corners'
+    envelope.
 
-    inf where something leaves an envelope without area.
+    ``corners`` (m, A); the result is over ``area``, and inf if that is 0 and something leaves it.
     """
     ordered, inside = np.sort(corners, axis=-1), np.sort(interior, axis=-1)
     excess = np.maximum(inside - ordered.max(axis=0), 0.0) + np.maximum(
@@ -78,38 +90,42 @@ def excess_over_corners(corners: FloatArray, interior: FloatArray, area: float) 
 
 
 def is_flat(area: float, *values: FloatArray) -> bool:
-    """Whether an area is nothing but rounding of the numbers it came from."""
+    """Return whether an area is rounding error of the numbers it came from."""
     size = max((float(np.max(np.abs(v))) for v in values if v.size), default=0.0)
     return not area > 1e-12 * size
 
 
-# Sampling errors of areas, from the runs that are there. Pure.
+# Sampling errors of areas.
 #
-# Two tools. Areas of p-boxes from samples inside the box rest on extremes, where the bootstrap,
-# which repeats its largest value in two of three resamples, fails: there separate blocks of the
-# samples tell. For indices of corner pairs the aleatory draws are resampled with replacement,
-# all corners together because they share them, and one band holds for all pairs of all
-# parameters at once, so that it also holds for the smallest and largest picked among them.
+# Two tools. Areas of p-boxes from samples inside the box depend on extremes, where the bootstrap
+# fails, as it repeats the largest value in two of three resamples: separate blocks of the samples
+# are used. For indices of corner pairs the aleatory draws are resampled with replacement, the same
+# for all corners because they share them. One band holds for all pairs of all parameters, so that it
+# also holds for the smallest and largest picked among them.
 
 Z = float(normal_quantile(0.5 + 0.5 * CONFIDENCE))
 HALVES = 20
 BLOCKS = 8
 RESAMPLES = 200
 _BIAS_SEEN = 1.0 / (2.0**0.5 - 1.0)
-# Of noise s in the sample a resample has sqrt(2) s; a bias in proportion to s shows only the
-# difference, 0.41 of itself.
+# Noise s in the sample is sqrt(2) s in a resample: the bootstrap shows .41 of a bias in proportion
+# to s.
 SWAPS = 50
 BLOCK_VALUES = 200_000
 """Values that are resampled at once."""
 MIN_DRAWS = 8
-"""Fewer aleatory draws than these say nothing of their own spread."""
+"""Aleatory draws needed to estimate their scatter."""
 
 
 def std_by_draws(
     statistic: Callable[[NDArray[Any]], FloatArray | float], draws: int, seed: int
 ) -> FloatArray:
-    """Standard deviation of ``statistic(columns)`` that the choice of the aleatory draws makes:
-    over halves, for half kept is half left out. 0 where one draw stands for no chance at all."""
+    """Estimate the standard deviation of ``statistic(columns)`` due to the choice of aleatory
+    draws.
+
+    Random halves of the draws are used, whose scatter equals that of the full sample. 0 for one
+    draw.
+    """
     if draws == 1:
         return np.zeros_like(statistic(np.arange(1)))
     rng = np.random.default_rng(seed)
@@ -123,11 +139,13 @@ def std_by_draws(
 def reach_of_box(
     statistic: Callable[[Any, Any], FloatArray | float], shape: tuple[int, ...], seed: int
 ) -> FloatArray:
-    """Half-width of the interval of a statistic of p-box areas, ``statistic(rows, columns)``.
+    """Compute the half-width of the interval of a statistic of p-box areas, ``statistic(rows,
+    columns)``.
 
-    Rows: the spread over BLOCKS separate blocks, not narrowed to the full number of samples. An
-    extreme of E samples varies as E^(-1/k) with k active parameters, so the narrowing is anything
-    from none to eightfold; none is on the safe side."""
+    Rows contribute the scatter over BLOCKS separate blocks, without narrowing it to the full number
+    of samples: an extreme of E samples varies as E^(-1/k) with k active parameters, so the
+    narrowing is unknown, from none to eightfold.
+    """
     samples, draws = shape
     every = np.arange(samples), np.arange(draws)
     rows = np.random.default_rng(seed).permutation(samples)
@@ -144,15 +162,20 @@ def reach_of_box(
 
 @dataclass(frozen=True)
 class PairBand:
-    """Indices with one band that holds for all of them at once; ``area`` of the envelope and its
-    own interval.
+    """Indices of corner pairs with one simultaneous band.
 
-    ``index``, ``low``, ``high`` (d, 2^(d-1) + 2): the pairs' shares of the envelope's area, then,
-    in the last two columns, the share by which the envelope shrinks with the parameter fixed at its
-    lower and at its upper bound. All lie in 0..1. ``lead`` (d, d): the lower limit of (smallest
-    share of row - largest share of column); above 0 where the row's parameter comes first whatever
-    the others are. It compares the same flights, so it knows more than two bands side by side, and
-    it reaches as many standard deviations as the band does."""
+    Attributes
+    ----------
+    index, low, high : array (d, 2^(d-1) + 2)
+        The pairs' shares of the envelope's area; in the last two columns the share by which the
+        envelope shrinks with the parameter fixed at its lower and at its upper bound. In 0..1.
+    area, area_low, area_high : float
+        Area of the envelope and its interval [output's unit].
+    lead : array (d, d)
+        Lower limit of (smallest share of row - largest share of column); above 0 the row's
+        parameter exceeds the column's whatever the others are. It compares the same flights, so it
+        is sharper than two bands, and it extends as many standard deviations as the band.
+    """
 
     index: FloatArray
     low: FloatArray
@@ -171,14 +194,29 @@ def pair_band(
     resamples: int = RESAMPLES,
     chance: bool = True,
 ) -> PairBand:
-    """Indices of all pairs and their simultaneous band by a bootstrap over the draws; y (2^d, A).
+    """Compute the indices of all pairs and their simultaneous band by a bootstrap over the draws.
 
-    The band is the bootstrap's largest studentised deviation over all of them. An area of absolute
-    differences, or of largest and smallest values, is biased by chance, in the direction the
-    bootstrap shows: the band reaches further to the other side, and what chance alone would make of
-    two equal corners is no evidence that they differ. With fewer than MIN_DRAWS draws, no
-    resamples, or a resample without any width, the band is NaN; without ``chance`` the one column's
-    numbers are exact and it is closed."""
+    The band is the bootstrap's largest studentised deviation over all indices. Areas of absolute
+    differences, or of extremes, are biased by chance in the direction that the bootstrap shows: the
+    band extends further to the other side, and areas that chance gives two equal corners are no
+    evidence that they differ.
+
+    Parameters
+    ----------
+    y : array (2^d, A)
+        Outputs at the corners.
+    d : int
+        Number of parameters.
+    seed, confidence, resamples
+        Of the bootstrap.
+    chance : bool
+        Columns are random draws. Without, a single column is exact and its band has no width.
+
+    Returns
+    -------
+    PairBand
+        NaN limits with fewer than MIN_DRAWS draws, no resamples, or a resample without any width.
+    """
     envelope_area, index = _indices(np.sort(y, axis=-1), d)
     area, draws = float(envelope_area), y.shape[1]
     if not chance and draws == 1:
@@ -195,11 +233,11 @@ def pair_band(
     if np.isnan(resampled).any():
         return _without_band(index, area, np.nan)
     flat = index.ravel()
+    # Studentised deviations of all indices; their largest gives the simultaneous reach.
     std, bias = resampled.std(axis=0, ddof=1), _BIAS_SEEN * (resampled.mean(axis=0) - flat)
     moving = std > 1e-12
     deviation = np.abs(resampled - resampled.mean(axis=0))[:, moving] / std[moving]
-    # Few draws: the bootstrap's spread is that of a variance divided by A in place of A-1, and its
-    # tails are Student's.
+    # For few draws: the bootstrap's variance divides by A and not by A - 1, and tails are Student's.
     point = 0.5 + 0.5 * confidence
     small = (
         np.sqrt(draws / (draws - 1.0)) * student_quantile(point, draws - 1) / normal_quantile(point)
@@ -208,7 +246,7 @@ def pair_band(
     low = (flat - np.maximum(bias, 0.0) - reach * std).reshape(index.shape)
     low[:, :-2] = np.minimum(low[:, :-2], index[:, :-2] - _chance_areas(y, d, rng, reach) / area)
     low = np.maximum(0.0, low)
-    # Where no pair is shown to differ, no shrinkage is shown either.
+    # If no pair differs significantly, no shrinkage is significant either.
     low[np.all(low[:, :-2] == 0.0, axis=1), -2:] = 0.0
     high = np.minimum(1.0, flat - np.minimum(bias, 0.0) + reach * std)
     area_reach = small * float(normal_quantile(point)) * float(areas.std(ddof=1))
@@ -218,12 +256,13 @@ def pair_band(
 
 
 def _lead(index: FloatArray, resampled: FloatArray, reach: float) -> FloatArray:
-    """(d, d) lower limits, ``reach`` standard deviations of the difference below it.
+    """Compute lower limits (d, d), ``reach`` standard deviations below the difference.
 
-    The band's ``reach`` grows with what the draws show of skewness and outliers. Student's quantile
-    does not: of ties between a constant and a log-normal gust (unit log variance, 8 draws, 300
-    repeats) it called 15 % certain, this one 7 %. The smallest of noisy shares is biased down and
-    the largest up, so chance makes a lead look shorter, never longer."""
+    The band's ``reach`` grows with skewness and outliers of the draws. Student's quantile does not:
+    of ties between a constant and a log-normal gust (unit log variance, 8 draws, 300 repeats) it
+    called 15 % certain, this one 7 %. The smallest of noisy shares is biased down and the largest
+    up, so chance makes a lead look shorter, never longer.
+    """
     pairs, resampled_pairs = index[:, :-2], resampled[:, :, :-2]
     lead = pairs.min(axis=1)[:, None] - pairs.max(axis=1)[None, :]
     difference_std = (
@@ -233,12 +272,12 @@ def _lead(index: FloatArray, resampled: FloatArray, reach: float) -> FloatArray:
 
 
 def _chance_areas(y: FloatArray, d: int, rng: np.random.Generator, reach: float) -> FloatArray:
-    """(d, 2^(d-1)) areas that chance alone gives a pair of corners whose distributions differ by a
-    shift at most.
+    """Compute areas (d, 2^(d-1)) that chance gives corners whose distributions differ by a shift.
 
-    The two values of each draw are swapped at random once the shift is removed: what is left is the
+    The two values of each draw are swapped at random after the shift is removed, which leaves the
     noise that the draws do not share. ``reach`` standard deviations above the mean of SWAPS such
-    areas."""
+    areas.
+    """
     draws = y.shape[1]
     chance_areas = np.empty((d, 2 ** (d - 1)))
     for i in range(d):
@@ -255,22 +294,22 @@ def _chance_areas(y: FloatArray, d: int, rng: np.random.Generator, reach: float)
 
 
 def _portions(repeats: int, values: int) -> Iterator[slice]:
-    """Slices of ``repeats`` that are computed together, of ``values`` each: as many as the
-    processor's cache holds.
-    """
+    """Yield slices of ``repeats``, as many as fit the processor's cache with ``values`` each."""
     at_once = max(1, BLOCK_VALUES // values)
     return (slice(begin, min(begin + at_once, repeats)) for begin in range(0, repeats, at_once))
 
 
 def _without_band(index: FloatArray, area: float, offset: float) -> PairBand:
+    """Return the indices with limits at a distance ``offset``: 0 or NaN."""
     pairs = index[:, :-2]
     lead = pairs.min(axis=1)[:, None] - pairs.max(axis=1)[None, :] + offset
     return PairBand(index, index + offset, index + offset, area, area + offset, area + offset, lead)
 
 
 def _indices(ordered: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
-    """The envelope's area (...) and the indices (..., d, 2^(d-1) + 2) of corners (2^d, ..., A); NaN
-    without any width.
+    """Return the envelope's area (...) and the indices (..., d, 2^(d-1) + 2).
+
+    ``ordered`` are sorted corners (2^d, ..., A). NaN without any width.
     """
     area, fixed = envelope_areas(ordered, d)
     width = np.where(area > 0.0, area, np.nan)[..., None, None]

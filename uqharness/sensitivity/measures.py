@@ -1,4 +1,10 @@
-"""Total-effect Sobol indices of the aleatory mean (Hale 2016, eqs 4.4, 4.5), estimated by scipy."""
+"""Five measures of sensitivity, one function each over a stored study (Hale 2016, chapter 4).
+
+`anova`: total-effect Sobol indices of the aleatory mean (eqs 4.4, 4.5), estimated by scipy;
+`corner_pairs`: areas between corners; `local`: finite differences; `pinching`: p-box pinching;
+`scatter`: regression. Each takes a study, the evaluations of one output, a seed, and whether to
+compute intervals, and returns a `MethodResult` with indices [-]. `analysis.analyse` calls them.
+"""
 
 from __future__ import annotations
 
@@ -33,11 +39,12 @@ _RESAMPLES = 200
 
 
 def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
-    """Share of the variance of the aleatory mean that would go with each parameter, under uniform
-    intervals.
+    """Compute the share of the aleatory mean's variance that is due to each parameter.
 
-    Nothing is clipped: a total effect above 1 is chance or few samples, and stays. The interval
-    joins a bootstrap over the epistemic samples with half-sampling over the draws."""
+    Parameters are uniform over their intervals. Nothing is clipped: a total effect above 1 is
+    sampling error and stays. The interval combines a bootstrap over the epistemic samples with
+    half-sampling of the draws.
+    """
     if runs.sampled is None or runs.second is None or runs.mixed is None:
         return all_undefined(METHOD, study.names, "the study has no pair of sampled matrices")
     first, second, mixed = runs.sampled, runs.second, runs.mixed
@@ -45,8 +52,7 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     reason = missing_values(sampled=first, second=second, mixed=mixed)
     if reason:
         return all_undefined(METHOD, study.names, reason, cost)
-    # To examine what epistemic inputs do, the mean over the aleatory draws is the output (section
-    # 4.5.3).
+    # The output is the mean over the aleatory draws (section 4.5.3).
     f_A, f_B, f_AB = first.mean(axis=1), second.mean(axis=1), mixed.mean(axis=2)
     if is_flat(float(np.ptp(np.concatenate([f_A, f_B]))), f_A, f_B):
         reason = "the aleatory mean has no variance: the output's mean depends on no parameter"
@@ -54,8 +60,7 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     samples = f_A.size
     from scipy import stats
 
-    # Twice the same output: for one output of one parameter scipy squeezes its result to a scalar
-    # and fails on it.
+    # The output is passed twice, because scipy fails on one output of one parameter.
     duplicated = {
         "f_A": np.stack([f_A] * 2),
         "f_B": np.stack([f_B] * 2),
@@ -63,6 +68,7 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     }
     sobol = stats.sobol_indices(func=duplicated, n=samples)
     total, order_one = sobol.total_order.reshape(2, -1)[0], sobol.first_order.reshape(2, -1)[0]
+    # Intervals: epistemic samples by bootstrap, aleatory draws by halves.
     low = high = np.full_like(total, np.nan)
     if intervals:
         by_draws = std_by_draws(
@@ -100,7 +106,7 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
 
 
 def _total(f_A: np.ndarray, f_B: np.ndarray, f_AB: np.ndarray) -> np.ndarray:
-    """(d,) total effects."""
+    """Compute the total effects (d,)."""
     variance = np.var(np.concatenate([f_A, f_B], axis=-1), axis=-1)
     return np.mean((f_A - f_AB) ** 2, axis=-1) / (
         2.0 * variance
@@ -110,7 +116,7 @@ def _total(f_A: np.ndarray, f_B: np.ndarray, f_AB: np.ndarray) -> np.ndarray:
 def _bootstrap(
     f_A: np.ndarray, f_B: np.ndarray, f_AB: np.ndarray, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Percentile limits (d,) over resampled rows."""
+    """Compute percentile limits (d,) over resampled rows."""
     rng = np.random.default_rng(seed)
     rows = rng.integers(f_A.size, size=(_RESAMPLES, f_A.size))
     resampled = np.array([_total(f_A[k], f_B[k], f_AB[:, k]) for k in rows])
@@ -119,9 +125,8 @@ def _bootstrap(
     return low, high
 
 
-# The proposed method (Hale 2016, section 4.6): areas between the corners that differ in one
-# parameter alone, over the envelope's area, as a range over the 2^(d-1) pairs. No run beyond
-# the corners.
+# The proposed method (Hale 2016, section 4.6): areas between corners that differ in one parameter,
+# over the envelope's area, as a range over the 2^(d-1) pairs. It needs no run besides the corners.
 
 CORNER_PAIRS_METHOD = "proposed"
 
@@ -129,12 +134,13 @@ CORNER_PAIRS_METHOD = "proposed"
 def corner_pairs(
     study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
 ) -> MethodResult:
-    """[min, max] share of the envelope's area. Intervals hold for all parameters and pairs at once
-    (see ``pair_band``).
+    """Compute the range [min, max] of each parameter's share of the envelope's area.
 
-    ``details`` tell by which share the envelope shrinks with a parameter fixed at either bound
-    (``shrink_min``, ``shrink_max``, (d,), and their band), and ``lead`` (d, d) which parameter
-    certainly comes before which."""
+    Intervals hold for all parameters and pairs at once (see `pair_band`). ``details`` contain the
+    share by which the envelope shrinks with a parameter fixed at either bound (``shrink_min``,
+    ``shrink_max``, (d,), and their band), and ``lead`` (d, d): which parameter certainly exceeds
+    which.
+    """
     if runs.corners is None:
         return all_undefined(CORNER_PAIRS_METHOD, study.names, "the study has no corner runs")
     y, d = runs.corners, len(study.names)
@@ -182,6 +188,7 @@ def corner_pairs(
 
 
 def _no_interval(draws: int, requested: bool) -> str:
+    """Return why there is no interval; "" if none was requested."""
     if not requested:
         return ""
     if draws < MIN_DRAWS:
@@ -192,7 +199,9 @@ def _no_interval(draws: int, requested: bool) -> str:
 def _smoothness(
     corners: FloatArray, interior: FloatArray | None, area: float
 ) -> tuple[bool | None, str, float]:
-    """Whether interior samples stay within the corners' envelope: the area by which the worst
+    """Check that interior samples stay within the corners' envelope.
+
+    Returns whether they do (None: not checked), a sentence, and the largest area by which a sample
     leaves it, over the envelope's.
     """
     if interior is None:
@@ -224,17 +233,17 @@ def _smoothness(
     return holds, text, worst
 
 
-# Local finite difference (Hale 2016, eqs 4.1, 4.2): d + 1 runs at the centre of the aleatory
+# Local finite differences (Hale 2016, eqs 4.1, 4.2): d + 1 runs at the centre of the aleatory
 # variables.
 
 LOCAL_METHOD = "local"
 LINEAR_WITHIN = 0.1
-"""Share by which the sum of the ranges may miss the corners' p-box before linearity is denied."""
+"""Share by which the sum of the ranges may differ from the corners' p-box for a linear output."""
 
 
 def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
-    """Share range x |slope| of the sampled p-box's width, or of the corners' where nothing was
-    sampled.
+    """Compute range x |slope| over the width of the sampled p-box, or of the corners' without
+    samples.
 
     The differences are exact; the interval is that of the width.
     """
@@ -263,7 +272,7 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     if intervals and runs.sampled is not None:
         reach = float(reach_of_box(lambda e, a: log_area(box[np.ix_(e, a)]), box.shape, seed))
     elif intervals:
-        # All corners there are: only the draws are a sample.
+        # The corners are complete: only the draws are a sample.
         reach = Z * float(std_by_draws(lambda a: log_area(box[:, a]), box.shape[1], seed))
     factor = np.exp(reach)
     indices = {
@@ -289,8 +298,8 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
 def _linearity(
     predicted: float, corners: FloatArray, interior: FloatArray | None, flat: bool
 ) -> tuple[bool, str]:
-    """For a linear output the corners' p-box is as wide as the slopes' ranges together, and no
-    interior sample leaves it.
+    """Check linearity: the corners' p-box is as wide as the sum of ranges, and contains all
+    samples.
     """
     corner_area = box_area(corners)
     holds = not flat and corner_area > 0.0 and abs(predicted / corner_area - 1.0) <= LINEAR_WITHIN
@@ -314,22 +323,22 @@ def _linearity(
     )
 
 
-# P-box pinching (Guo & Du 2007; Hale 2016, section 4.5.4): how much narrower is the p-box with
-# one parameter known?
+# P-box pinching (Guo & Du 2007; Hale 2016, section 4.5.4): how much narrower the p-box is with one
+# parameter fixed.
 
 PINCHING_METHOD = "pbox"
 FILLED = 0.9
-"""Share of the corners' p-box that the sampled one must fill before it stands for the intervals."""
+"""Share of the corners' p-box that the sampled one must fill to represent the intervals."""
 
 
 def pinching(
     study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
 ) -> MethodResult:
-    """1 - area with the parameter at its nominal value / area with all free, over the same samples
-    otherwise.
+    """Compute 1 - area with the parameter at its nominal value / area with all free.
 
-    Less than 0 where pinching widened the sampled p-box: chance, or a nominal value that lies worse
-    than most."""
+    Both areas are of the same samples otherwise. Below 0 pinching widened the sampled p-box:
+    sampling error, or a nominal value that is worse than most.
+    """
     if runs.sampled is None or runs.pinned is None:
         return all_undefined(
             PINCHING_METHOD,
@@ -351,6 +360,7 @@ def pinching(
         )
 
     def shares(e: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Compute the shares (d,) for some samples ``e`` and draws ``a``."""
         part = np.ix_(e, a)
         full_area = box_area(free[part])
         return np.array(
@@ -392,20 +402,21 @@ def pinching(
     return MethodResult(PINCHING_METHOD, cost, indices, holds, statement, {"area": area})
 
 
-# Scatter regression (Hale 2016, eq. 4.3): one straight line per parameter through all E A runs,
-# with R^2 and its sum.
+# Scatter regression (Hale 2016, eq. 4.3): a straight line per parameter through all E A runs, with
+# R^2 and its sum.
 
 SCATTER_METHOD = "scatter"
 R2_NEAR_ONE = 0.1
-"""How far the sum of R^2 may lie from 1."""
+"""Largest difference of the sum of R^2 from 1."""
 
 
 def scatter(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
-    """Share range x |slope| of the sampled p-box's width.
+    """Compute range x |slope| over the width of the sampled p-box.
 
-    The interval joins the slope's (runs of one epistemic sample count as one, since they share its
-    parameters) and the width's. An absolute value is never less than chance makes it: an interval
-    that reaches 0 says that no slope was seen."""
+    The interval combines the errors of the slope and of the width; runs of one epistemic sample
+    count as one, since they share its parameters. An absolute value is biased upwards by chance: an
+    interval that reaches 0 means that no slope is significant.
+    """
     if runs.sampled is None:
         return all_undefined(
             SCATTER_METHOD, study.names, "the study has no runs sampled inside the intervals"
@@ -426,14 +437,13 @@ def scatter(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = Tr
     x = theta - theta.mean(axis=0)
     sxx = np.sum(x**2, axis=0)
     mean = y.mean(axis=1) - y.mean()
-    # With the same draws in every row the line through all points is the line through the rows'
-    # means.
+    # The draws are the same in every row, so the regression needs the rows' means alone.
     slope = x.T @ mean / sxx  # (4.3)
     total = float(np.sum((y - y.mean()) ** 2))
     r2 = slope**2 * sxx * y.shape[1] / total
     residual = mean[:, None] - x * slope
-    # Heteroscedasticity-consistent (HC1): the scatter about one line is the effect of all other
-    # parameters, not noise.
+    # Heteroscedasticity-consistent (HC1): the scatter about one line is due to the other
+    # parameters.
     error = np.sqrt(np.sum((x * residual) ** 2, axis=0) * samples / (samples - 2)) / sxx
     scale = study.width / area
     signed = slope * scale
@@ -459,6 +469,7 @@ def scatter(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = Tr
 
 
 def _words(r2_sum: float, of_means: float, holds: bool) -> str:
+    """Write whether straight lines explain the output."""
     text = f"R^2 adds up to {r2_sum:.2f} over the runs, {of_means:.2f} over the aleatory means"
     if holds:
         return f"{text}: straight lines explain the output"

@@ -1,5 +1,7 @@
-"""One study: the model is run once at every point that any of the methods needs, and the raw
-outputs are kept.
+"""A study: the model is run once at every point that any method needs, and all outputs are kept.
+
+`run_study` runs it, `write_study` and `read_study` store it as .npz; `analysis.analyse` applies the
+methods.
 """
 
 from __future__ import annotations
@@ -29,12 +31,13 @@ from uqharness.sensitivity.problem import (
 )
 
 METHODS = ("local", "scatter", "anova", "pbox", "proposed")
-"""Finite difference, scatter regression, total-effect Sobol, p-box pinching, corner pairs: chapter
-4's five.
+"""Finite difference, scatter regression, total-effect Sobol, p-box pinching, corner pairs.
+
+The five methods of chapter 4.
 """
 
 INTERIOR_SAMPLES = 16
-"""Interior samples that check the corner envelope where a study has no other inside the box."""
+"""Interior samples that check the corners' envelope in a study without other interior samples."""
 
 MAX_CORNERS = 2**16
 _ROWS_AT_ONCE = 65536
@@ -44,12 +47,24 @@ Model = Callable[..., Any]
 
 @dataclass(frozen=True)
 class Evaluations:
-    """Raw outputs of one quantity; a stage that was not run is None.
+    """Outputs of one quantity, one array a stage; None for a stage that was not run.
 
-    ``nominal`` (1,) and ``forward`` (d,) at the centre of the aleatory variables; ``sampled``,
-    ``second`` (E, A), ``mixed`` (d, E, A: the sampled matrix with column i from the second) and
-    ``pinned`` (d, E, A: column i at its nominal value); ``corners`` (2^d, A), first parameter
-    slowest; ``interior`` (n, A), inside the box. Columns are the same A aleatory draws everywhere.
+    Columns are the same A aleatory draws in all stages.
+
+    Attributes
+    ----------
+    nominal, forward : array (1,), (d,)
+        At the centre of the aleatory variables: nominal, and one parameter changed by its step.
+    sampled, second : array (E, A)
+        Two independent sets of epistemic samples.
+    mixed : array (d, E, A)
+        The first set with column i from the second.
+    pinned : array (d, E, A)
+        The first set with column i at its nominal value.
+    corners : array (2^d, A)
+        First parameter slowest.
+    interior : array (n, A)
+        Samples inside the box.
     """
 
     nominal: FloatArray | None = None
@@ -63,19 +78,27 @@ class Evaluations:
 
     @property
     def between(self) -> FloatArray | None:
-        """Samples inside the box beside the corners: ``interior``, else ``sampled``; None where
-        there are none.
-        """
+        """Samples inside the box: ``interior``, else ``sampled``; None without any."""
         return self.interior if self.interior is not None else self.sampled
 
 
 @dataclass(frozen=True)
 class Study:
-    """What was run: intervals (d,), ``theta`` (E, d) of the sampled matrix, and the evaluations of
-    each output.
+    """Points and outputs of a study.
 
-    ``chance`` says whether the columns of the evaluations are draws of something random; without,
-    one column is exact."""
+    Attributes
+    ----------
+    names : tuple of str
+        d epistemic parameters.
+    lower, upper, nominal, step : array (d,)
+        Intervals, nominal values and steps in the parameters' own units.
+    theta : array (E, d)
+        Sampled points.
+    chance : bool
+        Columns of the evaluations are random draws; if not, a single column is exact.
+    outputs : mapping of str to Evaluations
+        By output.
+    """
 
     names: tuple[str, ...]
     lower: FloatArray
@@ -94,7 +117,7 @@ class Study:
 
     @property
     def width(self) -> FloatArray:
-        """Width of each parameter's interval, (d,)."""
+        """Width (d,) of each parameter's interval."""
         return self.upper - self.lower
 
 
@@ -130,14 +153,13 @@ def run_study(
     samples : int
         E, epistemic samples; a power of two for ``anova``.
     draws : int
-        A, draws of the aleatory variables; 1 where there are none.
+        A, draws of the aleatory variables; 1 if there are none.
     seed : int
         Of samples and draws.
     methods : sequence of str
         Among ``METHODS``.
     vectorised : bool
-        Whether the model takes arrays (n,) and returns such; else it is called with floats, one by
-        one.
+        Whether the model takes and returns arrays (n,); else it is called with floats, one by one.
     on_progress : callable, optional
         Called with runs done and runs to do.
 
@@ -149,21 +171,26 @@ def run_study(
     Raises
     ------
     BadInputError
-        For intervals, distributions, sizes and methods that make no study, and for a model that
-        does not return what it should.
+        For intervals, distributions, sizes and methods that are not valid, and for a model that
+        returns something else than it should.
 
-    References ---------- L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4: the five methods
-    and their costs (Table 4.1).
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4: the five methods and their costs
+    (Table 4.1).
 
     Examples
     --------
     >>> from scipy import stats
     >>> import uqharness as uq
     >>> def sink_rate(CD0, k, mass):
-    ...     return mass * (CD0 + k) >>> intervals, masses = {"CD0": (0.02, 0.03), "k": (0.05,
-    0.06)}, {"mass": stats.norm(21.3, 0.5)} >>> study = uq.sensitivity.run_study(sink_rate,
-    intervals, masses, samples=64, draws=10) >>> study.theta.shape, list(study.outputs) ((64, 2),
-    ['output'])"""
+    ...     return mass * (CD0 + k)
+    >>> intervals = {"CD0": (0.02, 0.03), "k": (0.05, 0.06)}
+    >>> masses = {"mass": stats.norm(21.3, 0.5)}
+    >>> study = uq.sensitivity.run_study(sink_rate, intervals, masses, samples=64, draws=10)
+    >>> study.theta.shape, list(study.outputs)
+    ((64, 2), ['output'])
+    """
     whole("samples", samples)
     whole("draws", draws)
     whole("seed", seed)
@@ -178,6 +205,7 @@ def run_study(
     )
     inside = problem.lower + rng.random((INTERIOR_SAMPLES, len(problem.names))) * problem.width
 
+    # Points of each stage that the methods need.
     stages: dict[str, tuple[FloatArray, FloatArray]] = {}
     if "local" in methods:
         stages["nominal"] = problem.nominal[None], centre
@@ -199,6 +227,7 @@ def run_study(
         if "sampled" not in stages:
             stages["interior"] = inside, chance
 
+    # Run the model stage by stage.
     total = sum(len(theta) * len(draw) for theta, draw in stages.values())
     done = 0
     stage_outputs: dict[str, dict[str, FloatArray]] = {}
@@ -223,6 +252,7 @@ def run_study(
 
 
 def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -> None:
+    """Raise BadInputError for sizes and methods that do not fit."""
     unknown = sorted(set(methods) - set(METHODS))
     if unknown or not methods:
         raise BadInputError(
@@ -250,7 +280,7 @@ def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -
 
 
 def _columns_from(first: FloatArray, other: FloatArray) -> FloatArray:
-    """(d, E, d): copies of ``first`` with column i from ``other``."""
+    """Return copies (d, E, d) of ``first`` with column i from ``other``."""
     d = first.shape[1]
     copies = np.repeat(first[None], d, axis=0)
     for i in range(d):
@@ -259,6 +289,7 @@ def _columns_from(first: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _shaped(stage: str, y: FloatArray, d: int) -> FloatArray:
+    """Reshape the outputs (n, A) of a stage as in `Evaluations`."""
     if stage in ("nominal", "forward"):
         return y[:, 0]
     return y.reshape(d, -1, y.shape[1]) if stage in ("mixed", "pinned") else y
@@ -267,7 +298,7 @@ def _shaped(stage: str, y: FloatArray, d: int) -> FloatArray:
 def _evaluate(
     model: Model, problem: Problem, theta: FloatArray, draws: FloatArray, vectorised: bool
 ) -> dict[str, FloatArray]:
-    """Every row of theta (n, d) with every draw (A, a): (n, A) per output."""
+    """Run the model at every row of theta (n, d) with every draw (A, a), giving (n, A) per output."""
     rows = max(1, _ROWS_AT_ONCE // len(draws))
     parts: dict[str, list[FloatArray]] = {}
     for start in range(0, len(theta), rows):
@@ -289,10 +320,12 @@ def _evaluate(
 
 
 def _as_mapping(returned: Any) -> Mapping[str, Any]:
+    """Name a single output "output"."""
     return returned if isinstance(returned, Mapping) else {"output": returned}
 
 
 def _call(model: Model, values: dict[str, FloatArray], n: int) -> dict[str, FloatArray]:
+    """Call the model with arrays (n,)."""
     outputs = {}
     for output, y in _as_mapping(model(**values)).items():
         y = np.asarray(y, dtype=float)
@@ -301,12 +334,13 @@ def _call(model: Model, values: dict[str, FloatArray], n: int) -> dict[str, Floa
                 f"the model gave an array of shape {y.shape} for values of shape ({n},); return one"
                 " number per value, or pass vectorised=False to have it called with floats"
             )
-        # A model that depends on nothing may say so with one number.
+        # A constant model may return one number.
         outputs[str(output)] = np.broadcast_to(y, (n,)).copy()
     return outputs
 
 
 def _call_each(model: Model, values: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Call the model with floats, value by value."""
     rows = zip(*(column.tolist() for column in values.values()), strict=True)
     results = [_as_mapping(model(**dict(zip(values, row, strict=True)))) for row in rows]
     if any(set(item) != set(results[0]) for item in results):
@@ -413,12 +447,14 @@ def read_study(path: str | Path) -> Study:
 
 
 def _text(value: Any) -> str:
+    """Return a text entry; raises ValueError."""
     if not isinstance(value, str):
         raise ValueError(f"a name is {value!r}")
     return value
 
 
 def _require(name: str, values: FloatArray, shape: tuple[int | None, ...]) -> None:
+    """Raise ValueError unless an array has the dtype and the shape required."""
     fits = values.ndim == len(shape) and all(
         n is None or n == m for n, m in zip(shape, values.shape, strict=True)
     )
@@ -430,9 +466,7 @@ def _require(name: str, values: FloatArray, shape: tuple[int | None, ...]) -> No
 
 
 def _check_evaluations(evaluations: Evaluations, d: int, samples: int) -> None:
-    """ValueError unless every stage has the shape that its docstring tells, with the same draws
-    everywhere.
-    """
+    """Raise ValueError unless every stage has its shape and the same draws."""
     stages = {field.name: getattr(evaluations, field.name) for field in fields(Evaluations)}
     stages = {name: values for name, values in stages.items() if values is not None}
     draws = {
