@@ -75,9 +75,8 @@ _SIZE_ERROR = 0.35
 
 L from 20 to 533 m moves the root of (3) from 0.76 to 1.32 of its value at 100 m.
 """
-_BAND = (
-    1.0 / 3.0
-)  # of the cut-off: above it the vanes' noise, differentiated, outweighs light gusts
+_BAND = 1.0 / 3.0
+"""Share of the cut-off; above it the differentiated noise of the vanes exceeds light gusts."""
 _OFFSET_RADPS = 1e-3
 """Step [rad/s] of the differences with the angular rates."""
 

@@ -36,9 +36,8 @@ MIN_S = 2.0
 """Shortest piece [s]."""
 MAX_S = 20.0
 """Longest piece [s]; longer ones are split into equal parts."""
-_EXCITED_DEG = (
-    1.5  # a surface this far from its median of the seconds around is being moved on purpose
-)
+_EXCITED_DEG = 1.5
+"""Distance of a surface from its local median above which it is moved on purpose."""
 _MEDIAN_S = 6.0
 _BEFORE_S, _AFTER_S = 1.0, 3.0
 

@@ -43,9 +43,13 @@ FORCE_CHANNELS = ("V_mps", "alpha_rad", "beta_rad", *RATES)
 """Channels on which the model's forces depend."""
 NOISY_CHANNELS = (*FORCE_CHANNELS, *ACCELERATIONS)
 """Channels whose noise reaches a residual coefficient."""
-_CACHE_SIZE = 4096  # spectra: of a long flight's stretches at every time constant; each some 10 kB
+_CACHE_SIZE = 4096
+"""Cached spectra: those of a long flight's pieces at every time constant, some 10 kB each."""
 _OFFSETS = {"V_mps": 0.1}
-_OFFSET = 1e-3  # of the others: small against what a flight has, large against rounding
+_OFFSET = 1e-3
+"""Difference step of channels without an entry in _OFFSETS: small against motion, large against
+rounding.
+"""
 
 
 @cache

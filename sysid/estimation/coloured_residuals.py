@@ -29,9 +29,8 @@ from sysid.arrays import FloatArray
 from sysid.distributions import chi2_tail
 from sysid.linalg import Blocks
 
-CROSS_LAGS = (
-    40  # longest lag, in samples, at which one output's innovation is looked for in another's
-)
+CROSS_LAGS = 40
+"""Longest lag, in samples, of the correlation between outputs."""
 
 
 def autocovariance(segments: list[FloatArray], max_lag: int) -> FloatArray:
@@ -55,6 +54,7 @@ def autocovariance(segments: list[FloatArray], max_lag: int) -> FloatArray:
     """
     products, pairs, complete = np.zeros(max_lag + 1), np.zeros(max_lag + 1), np.zeros(max_lag + 1)
     for series in segments:
+        # Lag products by padded Fourier transforms, of the values and of the mask of samples.
         size = 1 << int(2 * series.size - 1).bit_length()
         finite = np.isfinite(series)
         value = np.fft.rfft(np.where(finite, series, 0.0), size)
@@ -82,6 +82,7 @@ def autoregression(covariance: FloatArray, n: int) -> tuple[FloatArray, float]:
     best_score = n * np.log(variance)
     current = np.zeros(0)
     for order in range(1, covariance.size):
+        # Levinson's step to the next order; Schwarz's criterion picks one.
         reflection = (covariance[order] - current @ covariance[order - 1 : 0 : -1]) / variance
         if not abs(reflection) < 1.0:
             break
@@ -158,6 +159,7 @@ def coloured_information(
     blocks = sensitivity if isinstance(sensitivity, Blocks) else Blocks.listed(sensitivity)
     m, k = residual[0].shape[1], blocks.k
     models, variances = residual_models(residual)
+    # Transfer function of each output's autoregression.
     size = fft.next_fast_len(2 * max(part.shape[0] for part in residual), real=True)
     frequencies = size // 2 + 1
     shape = np.empty((frequencies, m), dtype=complex)
@@ -182,9 +184,8 @@ def coloured_information(
         strong = np.abs(correlation[:, off]) * np.sqrt(np.maximum(pairs[:, off], 1.0)) > 4.0
         if strong.any():
             last = int(np.flatnonzero(strong.any(axis=1))[-1])
-            lags = min(
-                lags, 2 * last
-            )  # kept in full up to the last significant lag, then let go linearly
+            # Kept up to the last significant lag, then tapered linearly.
+            lags = min(lags, 2 * last)
             deviation = np.sqrt(variances)
             omega = np.exp(-2j * np.pi * np.arange(frequencies) / size)
             gamma = np.repeat(
@@ -198,6 +199,7 @@ def coloured_information(
                 turn = (omega**lag)[:, None, None]
                 gamma += block * turn + block.T * np.conj(turn)
             root = _root(gamma)
+    # Weights of a one-sided spectrum.
     weight = np.full(frequencies, 2.0 / size)
     weight[0] = 1.0 / size
     if size % 2 == 0:
@@ -276,17 +278,14 @@ def effective_samples(pieces: Sequence[FloatArray]) -> float:
 
 # Residual diagnostics: whiteness, and whether turbulence or the model explains the colour.
 
-WHITENESS_LEVEL = (
-    1e-4  # p-value, shared out over the outputs; rejects a white record once in 10 000
-)
-STRONG_SHARE = (
-    0.15  # share of an output's residual predictable from its own past that counts as process noise
-)
-"""Predictable share of an output's residual that counts as process noise."""
-# share of a residual that follows the simulated motion above which the model's form is suspected
-# first
+WHITENESS_LEVEL = 1e-4
+"""p-value, divided by the number of outputs; rejects a white record once in 10 000."""
+STRONG_SHARE = 0.15
+"""Share of an output's residual predictable from its past that counts as process noise."""
 MOTION_SHARE = 0.6
-STRONG_RATIO = 1.7  # coloured over Cramer-Rao standard error, median, that counts as process noise
+"""Share of a residual explained by motion above which the model's form is the first suspect."""
+STRONG_RATIO = 1.7
+"""Median of coloured over Cramer-Rao standard errors that counts as process noise."""
 
 
 @dataclass(frozen=True)
@@ -345,6 +344,7 @@ def _explained(residual: list[FloatArray], motion: list[FloatArray]) -> FloatArr
     stacked, outputs = np.concatenate(residual), np.concatenate(motion)
     m = outputs.shape[1]
     motion_std = outputs.std(axis=0)
+    # Regressors: constant, outputs, squares and, for few outputs, cross products.
     base = (outputs[:, motion_std > 0] - outputs[:, motion_std > 0].mean(axis=0)) / motion_std[
         motion_std > 0
     ]

@@ -17,7 +17,8 @@ from sysid.arrays import FloatArray, as_array, as_names
 from sysid.estimation.coloured_residuals import WHITENESS_LEVEL, coloured_information, ljung_box
 from sysid.estimation.results import INFLATION_WARNING, PARTICIPATION, Regression, masked_covariance
 
-RANK = 1e-12  # singular values of the column-scaled X below this share of the largest are rounding
+RANK = 1e-12
+"""Singular values of the column-scaled X below this share of the largest are rounding."""
 
 
 def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -123,10 +124,10 @@ def equation_error(
     with np.errstate(over="raise"):
         largest = np.abs(regressors).max(axis=0)
     unit = np.where(largest > 0.0, largest, 1.0)
-    length = unit * np.linalg.norm(
-        regressors / unit, axis=0
-    )  # scaled first: no overflow, no underflow
+    # Scale before squaring, against overflow and underflow.
+    length = unit * np.linalg.norm(regressors / unit, axis=0)
     scale = np.where(length > 0.0, length, 1.0)
+    # Solve by singular values; small ones mark collinear columns.
     left_vectors, values, right_vectors = np.linalg.svd(regressors / scale, full_matrices=False)
     resolved = values > RANK * values[0] if values[0] > 0.0 else np.zeros(values.size, dtype=bool)
     projection = left_vectors[:, resolved].T @ response
@@ -143,6 +144,7 @@ def equation_error(
     s2 = float(residual @ residual) / (n - rank)
     inverse = weights @ weights.T / np.outer(scale, scale)
     vif = np.sum(weights**2, axis=1)
+    # Parameters of collinear or zero columns have no standard error.
     reason = _reasons(right_vectors, resolved, labels, length)
     identified = np.array([not text for text in reason])
     vif[~identified] = np.inf
@@ -256,9 +258,8 @@ def _warnings(
     p_value = ljung_box(
         [residual[a:b] for a, b in itertools.pairwise(edges)], max(1, min(20, n // 5))
     )
-    ratio = np.divide(
-        std, std_white, out=np.full(std.shape, np.nan), where=std_white > 0.0
-    )  # zero: y is met exactly
+    # White errors are zero where y is fitted exactly.
+    ratio = np.divide(std, std_white, out=np.full(std.shape, np.nan), where=std_white > 0.0)
     ratio = ratio[np.isfinite(ratio)]
     if p_value < WHITENESS_LEVEL and ratio.size and not 0.8 < float(np.median(ratio)) < 1.25:
         out.append(

@@ -79,9 +79,8 @@ def read_record(
                 f"t of segment {number} does not increase at every sample (or has fewer than 2);"
                 " sort or split it"
             )
-    one_per_segment = (
-        is_many(x0) or np.ndim(x0) == 2
-    )  # a vector a segment, be they arrays, lists or the rows of one array
+    # One vector per segment: a list of vectors or the rows of one array.
+    one_per_segment = is_many(x0) or np.ndim(x0) == 2
     starts = [
         as_parameters(part, "x0") for part in (x0 if one_per_segment else [x0] * len(lengths))
     ]
@@ -98,7 +97,7 @@ def read_record(
         U[:length, :, index], U[length:, :, index] = inputs[index], inputs[index][-1]
         Z[:length, :, index] = outputs[index]
         step = np.diff(times[index])
-        # Padding repeats no dynamics: with dt = 0 the filter stands still behind a segment's end.
+        # With dt = 0 in the padding the state stays constant after a segment's end.
         dt[:, index] = np.concatenate([step, np.zeros(longest - length)])
     middle = None if u_middle is None else _middle_inputs(u_middle, inputs, longest)
     return Record(U, Z, dt, tuple(lengths), zero_order_hold, middle), np.column_stack(starts)
@@ -283,14 +282,19 @@ class Layout:
 
 # The innovations' likelihood as a function of one vector: cost, gradient, Fisher information.
 
-LANES = 600  # points x segments filtered side by side, bounded for memory
-MAX_SECANT_UPDATES = 8  # secant updates before derivatives are differenced anew
-NEARBY = 0.1  # standard errors within which they need no renewal
-TARGET = 1e-3  # wanted rms change of the whitened innovations under a difference step
+LANES = 600
+"""Points times segments that are filtered side by side, limited by memory."""
+MAX_SECANT_UPDATES = 8
+"""Secant updates before derivatives are differenced again."""
+NEARBY = 0.1
+"""Distance in standard errors within which derivatives need no renewal."""
+TARGET = 1e-3
+"""Target rms change of the whitened innovations by a difference step."""
 ACCEPTED_CHANGE = (
     1e-7,
     0.1,
-)  # a change outside this range is repeated with another step: a filter pass is dear
+)
+"""Changes outside this range are repeated with another step; a filter pass is expensive."""
 LOG_STEP = 1e-3
 
 
@@ -372,7 +376,8 @@ class FilterProblem:
             [self.layout.pack(theta, q, r, self.initial) for q in candidates]
         )
         if innovations is None:
-            return candidates[-1]  # the most noise: the filter that trusts the model least
+            # The largest noise depends least on the model.
+            return candidates[-1]
         costs = []
         for point in range(len(candidates)):
             s = self._rows(innovations.s, point)
@@ -419,6 +424,7 @@ class FilterProblem:
 
     def _first_steps(self, vector: FloatArray) -> FloatArray:
         """Return the first difference steps, by the kind of unknown."""
+        # Steps relative to parameters, variances and state scales; a fixed step for logarithms.
         step = 1e-4 * np.where(vector != 0.0, np.abs(vector), 1.0)
         step[self.layout.process] = 1e-3 * np.maximum(
             vector[self.layout.process], 1e-6 * self.state_scale[self.layout.noisy] ** 2
@@ -465,6 +471,7 @@ class FilterProblem:
         """Build gradient and information of the module's equations from the derivatives."""
         assert self._last is not None
         size = self._last.vector.size
+        # Whitened derivatives give the module's gradient and information.
         state.sensitivity = self._last.dE / np.sqrt(state.s)[:, :, None]
         e, flat = state.white.ravel(), state.sensitivity.reshape(-1, size)
         trace = (self._last.dS / state.s[:, :, None]).reshape(-1, size)
@@ -486,6 +493,7 @@ class FilterProblem:
         last = self._last
         if last is None or self._fresh is None or self._updates >= MAX_SECANT_UPDATES:
             return None
+        # Broyden's update in the metric of the last information.
         step = vector - last.vector
         metric_step = last.metric @ step
         size = float(step @ metric_step)
@@ -504,6 +512,7 @@ class FilterProblem:
         if self.step is None:
             self.step = self._first_steps(vector)
         size = vector.size
+        # Difference all unknowns; repeat those with an unsuitable step, at most three times.
         new = Sensitivities(
             vector.copy(),
             state.e,
@@ -514,6 +523,7 @@ class FilterProblem:
         pending = list(range(size))
         for attempt in range(4):
             repeated: list[int] = []
+            # Blocks of points are filtered side by side.
             block = max(1, LANES // ((2 if central else 1) * self.record.z.shape[2]))
             for first in range(0, len(pending), block):
                 block_indices = pending[first : first + block]
@@ -708,14 +718,14 @@ def assemble(
     )
 
 
-LOG_NOISE_RANGE = 0.1  # how far the logarithm of R may move while theta is far off
+LOG_NOISE_RANGE = 0.1
 """Range of ln r in the first descent, while theta is far off."""
 FIRST_NOISE = (
     1e-3,
     1e-2,
     1e-1,
     1.0,
-)  # first guesses of process noise, in the states' scale per sqrt(s)
+)
 """First guesses of process noise, in state scales per sqrt(s)."""
 
 
@@ -826,6 +836,7 @@ def filter_error(
     record, initial = read_record(x0, u, z, t, hold == "zoh", u_middle)
     _n, m, segments = record.z.shape
     nx = initial.shape[0]
+    # Every output needs samples, and their number must exceed that of the parameters.
     counts = np.isfinite(record.z).sum(axis=(0, 2))
     if (counts == 0).any():
         raise ValueError(
@@ -870,6 +881,7 @@ def filter_error(
         if process_noise_start is not None
         else None
     )
+    # The first process noise is the best of several sizes.
     candidate_noise = [(factor * scale) ** 2 for factor in FIRST_NOISE]
     q = (
         process**2
@@ -913,6 +925,7 @@ def _minimise_from(
     follows the data, and theta approaches its optimum first.
     """
     logs = problem.layout.logs
+    # First descent with narrow bounds on ln r, then the full one.
     narrow_low, narrow_high = low.copy(), high.copy()
     narrow_low[logs] = np.maximum(low[logs], point[logs] - LOG_NOISE_RANGE)
     narrow_high[logs] = np.minimum(high[logs], point[logs] + LOG_NOISE_RANGE)
@@ -941,6 +954,7 @@ def _minimise_from_high_gain(
     valleys.
     """
     layout = problem.layout
+    # Fix the process noise at q and the measurement noise at its first guess.
     noisy = point.copy()
     noisy[layout.process] = np.clip(q[layout.noisy], low[layout.process], high[layout.process])
     fixed_low, fixed_high = low.copy(), high.copy()

@@ -15,11 +15,11 @@ import numpy as np
 from sysid.arrays import FloatArray
 from sysid.estimation.coloured_residuals import STRONG_SHARE, WHITENESS_LEVEL, colour, integral_time
 
-# share of a residual that is a function of the motion above which the model's form is to blame
 FORM_SHARE = 0.6
+"""Share of a residual explained by the motion above which the model's form is the cause."""
 
-# residual power beyond noise in quiet flight, over that in motion, above which the air is to blame
 QUIET_SHARE = 0.5
+"""Residual power in quiet flight, over that in motion, above which turbulence is the cause."""
 
 
 NOISE_FLOOR = 1.15
@@ -73,9 +73,8 @@ def quantum(pieces: Sequence[FloatArray]) -> float:
     return float(np.quantile(nonzero, 0.01))
 
 
-_REPEATS = (
-    0.9  # share of samples that differ from the one before, above which a channel is not coarse
-)
+_REPEATS = 0.9
+"""Share of samples that differ from the one before, above which a channel is not coarse."""
 _RESOLUTION = 1e-6  # of a channel's size: what a record's numbers tell at best
 """Relative resolution of a record's numbers."""
 

@@ -21,21 +21,20 @@ from sysid.units import significant
 
 S = TypeVar("S")
 
-EIGENVALUE_TOLERANCE = (
-    1e-10  # eigenvalues of the scaled information below this share of the largest get no step
-)
+EIGENVALUE_TOLERANCE = 1e-10
 """Eigenvalues of the scaled information below this share of the largest get no step."""
-DAMPING = 1e-4  # first lambda: nearly Gauss-Newton
+DAMPING = 1e-4
+"""First lambda: nearly Gauss-Newton."""
 STATIONARY_STEP = 0.3
 """Expected step, in standard errors, that counts as converged where no step lowers the cost.
 
 An imprecise simulation leaves a slope at its minimum. An estimate that is off by .3 standard errors
 lowers the coverage of a 95 % interval to 93.9 % at most: P(|z + .3| < 1.96).
 """
-TRIALS = 14  # rejected steps in one iteration before giving up
-TRIALS_CARRIED = (
-    2  # the same with sensitivities carried on from another point: they may be what is wrong
-)
+TRIALS = 14
+"""Rejected steps in one iteration before the search ends."""
+TRIALS_CARRIED = 2
+"""Rejected steps with secant sensitivities, which may be the cause."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +132,7 @@ def damped_step(
     k = gradient.size
     step, fixed = np.zeros(k), ~allowed
     for _ in range(k + 1):
+        # Solve for the free parameters, with those already at their limits on the right side.
         index = np.flatnonzero(~fixed & (np.diagonal(information) > 0.0))
         if index.size == 0:
             break
@@ -142,6 +142,7 @@ def damped_step(
         resolved = values > EIGENVALUE_TOLERANCE * values[-1]
         rotated = vectors[:, resolved].T @ (right / scale)
         trial = vectors[:, resolved] @ (rotated / (values[resolved] + damping)) / scale
+        # Put steps beyond the limits on the limits and solve again.
         over, under = trial > up[index], trial < -down[index]
         step[index] = trial
         if not (over | under).any():
@@ -224,9 +225,8 @@ def minimise(
                 True,
                 f"converged: the next step is {significant(decrement)} standard errors long",
             )
-            final_theta = np.clip(
-                theta + free_step, lower, upper
-            )  # taken all the same, if it does no harm: it is nearly free
+            # Take the last step as well if it does not raise the cost: it needs one evaluation.
+            final_theta = np.clip(theta + free_step, lower, upper)
             evaluation = problem.evaluate(final_theta)
             if evaluation is not None and evaluation[0] <= cost:
                 theta, (cost, state) = final_theta, evaluation
@@ -247,9 +247,8 @@ def minimise(
             elif np.isfinite(evaluation[0]) and evaluation[0] < cost:
                 expected = cost - line.predict(trial - theta)
                 gain = (cost - evaluation[0]) / expected if expected > 0.0 else 0.5
-                damping = max(
-                    damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12
-                )  # Nielsen eq. (2.21)
+                # Nielsen eq. (2.21)
+                damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12)
                 growth = 2.0
                 stalled = stalled + 1 if cost - evaluation[0] < 1e-12 * max(1.0, abs(cost)) else 0
                 theta, (cost, state) = trial, evaluation
@@ -261,15 +260,11 @@ def minimise(
             growth *= 2.0
         if not accepted or stalled >= 3:
             if not line.fresh or not (central or always_central):
-                central, damping, growth, stalled = (
-                    True,
-                    DAMPING,
-                    2.0,
-                    0,
-                )  # forward differences may be what failed
+                # Forward differences or secants may have failed: difference centrally once more.
+                central, damping, growth, stalled = True, DAMPING, 2.0, 0
                 continue
-            # With an imprecise simulation the slope never vanishes: close enough in standard errors
-            # is converged.
+            # With an imprecise simulation the slope never vanishes: a short step in standard errors
+            # counts as converged.
             converged = decrement < STATIONARY_STEP
             message = (
                 f"no step lowers the cost; the expected step is {significant(decrement)} standard "

@@ -87,6 +87,7 @@ def gains(
         variance = np.where(system.is_measured, noise**2, 1.0)
         return Gains(np.zeros(system.H.shape), variance, variance)
     variances, begin = air
+    # A search may try negative variances.
     if min(variances.min(), begin.min()) < 0.0:
         raise np.linalg.LinAlgError("a variance below zero")
     result = Gains(*_loops().filter_gains(system, noise**2, variances, begin, with_prior_variance))
@@ -381,9 +382,8 @@ def make_model(
                 )
                 for kind, rows in (("rate", x.size), ("output", outputs))
             )
-    except (
-        Exception
-    ):  # whatever a function written for vectors does with a lane axis, it means: not vectorised
+    # A function written for vectors may raise anything for a lane axis: it does not broadcast.
+    except Exception:
         same = False
     return batched if same else looped
 
@@ -488,7 +488,8 @@ def run_filter(
     raw, e_all, s_all = (np.empty((n, m, lanes)) for _ in range(3))
     complete = np.asarray(np.isfinite(record.z).all(axis=2))
     phi, H = np.zeros((nx, nx, lanes)), np.zeros((m, nx, lanes))
-    work = np.empty_like(P)  # fresh memory for every product would cost more than the product
+    # Products reuse one array, because allocation would cost more than the product.
+    work = np.empty_like(P)
 
     def jacobian(
         function: Callable[[FloatArray, FloatArray, FloatArray], FloatArray], u: FloatArray
@@ -518,8 +519,8 @@ def run_filter(
                 s = np.einsum("aw,aw->w", h, PH) + R[j]
                 gain = PH / s
                 if not complete[k, j]:
-                    # A missing output: no innovation, no gain, unit variance: it adds nothing to
-                    # the likelihood.
+                    # A missing output has no innovation, no gain and unit variance: it adds nothing
+                    # to the likelihood.
                     missing = np.isnan(raw[k, j])
                     e, s, gain = (
                         np.where(missing, 0.0, e),
@@ -532,6 +533,7 @@ def run_filter(
             x = x + correction
             if k == n - 1:
                 break
+            # Propagate to the next sample.
             u1 = u if record.zero_order_hold else np.tile(record.u[k + 1], points)
             u_middle = (
                 0.5 * (u + u1) if record.middle is None else np.tile(record.middle[k], points)

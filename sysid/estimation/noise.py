@@ -132,15 +132,16 @@ def concentrated_cost(residual: FloatArray, noise: Noise) -> float:
 
 PRIOR_STD = float(np.log(2.0))
 """Standard deviation of the log of a noise's size about the card's figure: a factor of two."""
-_CACHE_SIZE = 64  # channels of flights whose sizes are remembered
-_MIN_FREQUENCIES = 16  # frequencies below which a channel shows nothing of its noise
-_PRODUCT_LENGTH = 8  # frequencies whose variances are multiplied before their logarithm is taken
-_SIZES = np.concatenate(
-    [np.linspace(-5.0, -1.0, 41)[:-1], np.linspace(-1.0, 0.6, 81)]
-)  # logarithm, about what is shown
-_SIGNALS = np.exp(
-    np.linspace(-12.0, 1.0, 41)
-)  # of a piece's mean power, equally likely in the logarithm
+_CACHE_SIZE = 64
+"""Channels whose noise size is cached."""
+_MIN_FREQUENCIES = 16
+"""Frequencies needed to estimate the noise of a channel."""
+_PRODUCT_LENGTH = 8
+"""Variances that are multiplied before a logarithm is taken."""
+_SIZES = np.concatenate([np.linspace(-5.0, -1.0, 41)[:-1], np.linspace(-1.0, 0.6, 81)])
+"""Grid of the log noise size, relative to the reference."""
+_SIGNALS = np.exp(np.linspace(-12.0, 1.0, 41))
+"""Grid of signal levels, in the piece's mean power, uniform in the logarithm."""
 
 
 @dataclass(frozen=True)

@@ -151,19 +151,24 @@ def _split_outputs(
             )
 
 
-# First target for the change of the most affected output, in its scale; see `target_for`.
 TARGET = 3e-4
+"""First target change of the most affected output, in its scale; `target_for` adapts it."""
 TARGETS = (
     3e-5,
     3e-2,
-)  # range of wanted changes: truncation ~ target^2, rounding ~ roughness / target
+)
+"""Range of target changes: truncation ~ target^2, rounding ~ roughness / target."""
 ACCEPTED_RATIO = (
     3e-3,
     30.0,
-)  # a change outside this range of the wanted one is repeated with another step
-NO_EFFECT = 1e-11  # a smaller change at the largest step tried is rounding, not an effect
-SMALLEST = 1e-12  # of a parameter's value: the shortest step
-HUGE = 1e100  # outputs beyond this are a diverged simulation; their squares must not overflow
+)
+"""Changes outside this range of the target are repeated with another step."""
+NO_EFFECT = 1e-11
+"""A smaller change at the largest step is rounding, not an effect."""
+SMALLEST = 1e-12
+"""Shortest step, relative to the parameter."""
+HUGE = 1e100
+"""Outputs beyond this are a diverged simulation; their squares must not overflow."""
 
 MapLike = Callable[[Callable[[FloatArray], Any], Iterable[FloatArray]], Iterable[Any]]
 
@@ -185,7 +190,7 @@ class SafeSimulation:
         with np.errstate(all="ignore"):
             try:
                 value = self.simulate(theta.copy())
-            # a model's own failure at a trial point is a rejected step, whatever its type
+            # Any exception of the model at a trial point rejects the step.
             except Exception as error:
                 return f"simulate raised {type(error).__name__}: {error}"
         return self.stacked(value)
@@ -502,6 +507,7 @@ def roughness(
     Sci. Comput. 33 (2011), eq. (2.4).
     """
     lower, upper = limits
+    # Step away from the bounds.
     inward = np.where(theta + 7.0 * steps > upper, -steps, steps)
     points = [theta + count * inward for count in range(1, 7)]
     points = [np.clip(point, lower, upper) for point in points]
@@ -510,6 +516,7 @@ def roughness(
         return 0.0, len(points)
     table = np.stack([base, *(answer for answer in answers if not isinstance(answer, str))])
     noise_levels = []
+    # Fourth and fifth differences remove smooth functions (eq. 2.4).
     for order in range(1, 6):
         table = np.diff(table, axis=0)
         if order >= 4:
@@ -528,8 +535,10 @@ def target_for(rough: float) -> float:
 
 # Output error's cost over the free parameters, with sensitivities by differences or secants.
 
-MAX_SECANT_UPDATES = 8  # secant updates before sensitivities are differenced anew
-NEARBY = 0.5  # standard errors within which sensitivities need no renewal
+MAX_SECANT_UPDATES = 8
+"""Secant updates before sensitivities are differenced again."""
+NEARBY = 0.5
+"""Distance in standard errors within which sensitivities need no renewal."""
 
 
 @dataclass
@@ -633,6 +642,7 @@ class OutputErrorProblem:
         """
         if self._last is None or self._updates >= MAX_SECANT_UPDATES:
             return None
+        # Broyden's update, segment by segment.
         step = theta - self._last[0]
         metric_step = np.diagonal(self._metric) * step
         is_near = self._distance(theta) < NEARBY
@@ -697,6 +707,7 @@ class OutputErrorProblem:
         k = len(self.columns)
         gradient, information = np.zeros(k), np.zeros((k, k))
         for (a, b), (part, columns) in zip(pairwise(self.edges), sensitivity, strict=True):
+            # Sum the segments' contributions.
             white, scaled = noise.whiten(residual[a:b], part)
             assert scaled is not None
             flat = scaled.reshape(-1, columns.size)
@@ -711,12 +722,15 @@ class OutputErrorProblem:
         return Linearisation(gradient, information, predict)
 
 
-UNEXPLAINED_SHARE = 0.3  # share of an output's variance left over that counts as nothing explained
+UNEXPLAINED_SHARE = 0.3
+"""Residual share of an output's variance above which nothing is explained."""
 LARGE_RESIDUAL, RELEVANT_SHARE = (
     5.0,
     0.01,
-)  # left over: so many times the noise, such a share of the variance, to look for another minimum
-HORIZONS = (0.1, 0.2, 0.4)  # shares of each segment fitted first when the whole leads nowhere
+)
+"""Multiple of the noise, and share of the variance, of a residual that justifies another start."""
+HORIZONS = (0.1, 0.2, 0.4)
+"""Shares of each segment that are fitted first when the full fit fails."""
 
 
 def output_error(
@@ -806,6 +820,7 @@ def output_error(
     labels = as_names(names, theta.size, "theta")
     lower, upper = as_bounds(bounds, theta, labels)
     mask = as_free(free, labels)
+    # Check the data: every output needs samples, more in all than parameters.
     segments = as_segments(measured, "measured", dropouts=True)
     if noise not in ("diagonal", "full"):
         raise ValueError(f'noise is {noise!r}; allowed are "diagonal" and "full"')
@@ -827,6 +842,7 @@ def output_error(
             " free fewer"
         )
     with np.errstate(invalid="ignore"):
+        # Scale of each output: standard deviation, or its size where it is constant.
         output_scale = np.nanstd(stacked, axis=0)
     size = np.nanmax(np.abs(stacked), axis=0)
     output_scale = np.where(
@@ -960,6 +976,7 @@ def _from_short_horizons(
     complete = problem.measured
     try:
         for share in HORIZONS:
+            # Hide the later part of every segment.
             problem.measured = complete.copy()
             for first, last in pairwise(edges):
                 problem.measured[first + max(int(share * (last - first)), 1) : last] = np.nan

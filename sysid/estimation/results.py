@@ -232,11 +232,12 @@ def correlation(cov: FloatArray) -> FloatArray:
 # direction without information has no estimate, whatever its formal bound; the others keep
 # theirs (estimable functions).
 
-RANK_TOLERANCE = (
-    1e-9  # of the scaled information matrix's eigenvalues, against finite-difference error
-)
-PARTICIPATION = 1e-2  # share of a parameter in a lost direction above which it is lost itself
-INFLATION_WARNING = 1e4  # variance inflation worth a sentence
+RANK_TOLERANCE = 1e-9
+"""Relative eigenvalue of the scaled information that counts as zero, for finite differences."""
+PARTICIPATION = 1e-2
+"""Share in a singular direction above which a parameter is not identified."""
+INFLATION_WARNING = 1e4
+"""Variance inflation that is reported."""
 
 
 @dataclass(frozen=True)
@@ -540,11 +541,11 @@ def assess_fit(
     white, _ = noise.whiten(residual)
     white_or_nan = np.where(finite, white, np.nan)
     counts = finite.sum(axis=0)
-    inflate = np.sqrt(
-        counts / np.maximum(counts - dof_used, 1.0)
-    )  # the autocovariance divides by N, R by N minus the share
+    # The autocovariance divides by N, R by N less the degrees of freedom.
+    inflate = np.sqrt(counts / np.maximum(counts - dof_used, 1.0))
     bracket = coloured_information(scaled, split(white_or_nan * inflate, edges))
-    crb, coloured = gate.inverse, gate.inverse @ bracket @ gate.inverse  # (MK) in coloured.py
+    # (MK) of `coloured_residuals`.
+    crb, coloured = gate.inverse, gate.inverse @ bracket @ gate.inverse
 
     # Collect reasons: collinear, at a bound, no better than the bounds, unresolved, noise unknown.
     k = theta.size
@@ -565,6 +566,7 @@ def assess_fit(
             )
     with np.errstate(invalid="ignore"):
         output_size = np.nanmax(np.abs(np.where(finite, residual + motion, np.nan)), axis=0)
+    # Reasons from the size of sensitivities.
     diverges = unresolved(theta[inside], sensitivity.largest(), output_size)
     for position, index in enumerate(inside.tolist()):
         reason[index] = diverges[position] or reason[index]
@@ -575,6 +577,7 @@ def assess_fit(
     cov, cov_crb = masked_covariance(cov, identified), masked_covariance(cov_crb, identified)
     warnings += [f"{names[i]} not identified: {reason[i]}" for i in range(k) if reason[i]]
 
+    # Whiteness, and what it suggests.
     residual_colour = colour(split(residual, edges), split(motion, edges))
     warnings += colour_warnings(
         residual_colour, np.sqrt(np.diagonal(cov)), np.sqrt(np.diagonal(cov_crb)), method

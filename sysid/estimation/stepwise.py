@@ -19,10 +19,14 @@ from sysid.distributions import f_upper_quantile
 from sysid.estimation.equation_error import checked_regressors, equation_error, segment_edges
 from sysid.estimation.results import Regression, Selection, SelectionStep
 
-ALPHA_ENTER = 0.01  # shared out over the candidates
+ALPHA_ENTER = 0.01
+"""Level of the F test to enter, divided by the number of candidates."""
 ALPHA_REMOVE = 0.05
-SHORTLIST = 5  # best candidates by partial F whose coloured F is computed
-TOLERANCE = 1e-8  # part of a candidate that must not be explained by those already in
+"""Level of the F test to remove, divided likewise."""
+SHORTLIST = 5
+"""Best candidates by partial F for which the coloured F is computed."""
+TOLERANCE = 1e-8
+"""Smallest share of a candidate that the chosen regressors do not explain."""
 
 
 def stepwise(

@@ -56,7 +56,8 @@ from sysid.model_form.model_form import CoefficientBounds, Outside
 IntArray = NDArray[np.intp]
 BLOCK_S = 10.0
 """Length of a block where a flight has no shorter pieces [s]."""
-_CACHE_SIZE = 1024  # spectra of first-order processes: one a length of block and correlation time
+_CACHE_SIZE = 1024
+"""Cached spectra of first-order processes, one a length of block and correlation time."""
 MOTION = 1.0 / 3.0
 """Share of the filter's cut-off below which an aircraft moves."""
 
@@ -108,7 +109,7 @@ class Blocks:
         return np.where(is_of_flight, np.sqrt(self.constant)[:, None], 0.0)
 
     def coloured(self, time_s: float) -> FloatArray:
-        """Compute the variance (n,) of a unit first-order process of correlation time ``time_s``."""
+        """Compute the variance (n,) of a unit first-order process of this correlation time."""
         out = np.empty(len(self.y))
         for number, n in enumerate(self.lengths):
             of_block = self.block == number
@@ -159,6 +160,7 @@ def make_blocks(residuals: Residuals, coefficient: str, regressors: Sequence[Flo
     for number, (piece, x) in enumerate(zip(residuals.pieces, regressors, strict=True)):
         assert piece.noise is not None
         n = len(piece)
+        # Waves below the frequency at which an aircraft moves.
         n_waves = min(n, int(2.0 * n * residuals.dt_s * MOTION * residuals.cutoffs.all_hz) + 1)
         size, relative_std = noise_cosines(piece.noise)
         y.append(fft.dct(piece.delta[:, column], norm="ortho")[:n_waves])
@@ -168,6 +170,7 @@ def make_blocks(residuals: Residuals, coefficient: str, regressors: Sequence[Flo
         weights.append(float(noise[-1].sum()))
         block.append(np.full(n_waves, number))
         wave.append(np.arange(n_waves))
+    # The noise's uncertainty, weighted by its power in each block.
     total = sum(weights)
     mean_relative_std = float(np.dot(relative_stds, weights) / total) if total > 0.0 else 0.0
     return Blocks(
@@ -199,8 +202,8 @@ Posterior means are then known to a tenth of the posterior's standard deviation.
 """
 MIN_ROUNDS, MAX_ROUNDS = 2, 30
 _DOF = 5
-# that a distribution is fitted to; with fewer effective ones the likelihood is flattened first
 _LEAST_POINTS = 25.0
+"""Effective points to fit a distribution to; with fewer the likelihood is flattened first."""
 _EDGE = 1e-7
 
 
@@ -329,6 +332,7 @@ def _moments(z: FloatArray, log_weights: FloatArray) -> tuple[FloatArray, FloatA
     """
     power = 1.0
     while True:
+        # Flatten until enough points have weight.
         weights = np.exp(power * (log_weights - log_weights.max()))
         weights /= weights.sum()
         if 1.0 / np.sum(weights**2) >= _LEAST_POINTS or power < 1e-3:
@@ -360,12 +364,10 @@ A handful of manoeuvres may happen to show less error than others would.
 """
 MAX_POINTS = 200
 """Points of the posterior that are used when a block is left out."""
-_MIN_VARIANCE = (
-    1e-14  # of the residual's variance: what a part has at least, that its logarithm exists
-)
-_BLOCK_SIZE = (
-    200_000  # numbers of an array that is computed at once: more leave the processor's cache
-)
+_MIN_VARIANCE = 1e-14
+"""Smallest variance of a part, relative to the residual's."""
+_BLOCK_SIZE = 200_000
+"""Numbers of an array that are computed at once, as many as the processor's cache holds."""
 
 
 @dataclass(frozen=True)
@@ -589,6 +591,7 @@ class _Problem:
         """Compute (2) and (3)."""
         variance = self.variance(p)
         m = self.X.shape[1]
+        # Normal equations of all points at once.
         sums = _weighted_sums(np.column_stack([self.X, self.blocks.y]), 1.0 / variance)
         prior = np.repeat(p.polynomial[:, None], m, axis=1)
         prior[:, self.terms :] = p.flight[:, None]
@@ -708,12 +711,14 @@ def _summary(
     w, m = posterior.weights, problem.terms
     betas, covariances = rows.beta[:, :m], rows.covariance[:, :m, :m]
     beta = w @ betas
+    # Total covariance: mean of covariances plus covariance of means.
     covariance = np.einsum("i,ijk->jk", w, covariances) + (betas - beta).T @ (
         (betas - beta) * w[:, None]
     )
     flight = points.flight if problem.has_several_flights else np.zeros(len(points))
     persistent = points.block + flight
     transient = points.transient
+    # Uncertainty of the polynomial, averaged over the data.
     polynomial_variance = np.einsum("ijk,jk->i", covariances, problem.gram)
     error = np.sqrt(
         np.einsum("ij,jk,ik->i", betas, problem.gram, betas, optimize=True)
@@ -775,9 +780,11 @@ def _tail(problem: _Problem, p: _Points) -> float:
     blocks = problem.blocks
     total, noise = problem.variance(p)[0], p.noise[0] * blocks.noise
     model_variance = total - noise
+    # Wiener estimate of the model error in each wave, and its conditional variance.
     estimate = model_variance / total * (blocks.y - problem.X @ problem.solve(p).beta[0])
     conditional_variance = model_variance * noise / total
     means, variances = [], []
+    # Back to samples, block by block.
     for number in np.unique(blocks.block):
         n, of_block = blocks.lengths[number], blocks.block == number
         waves = np.zeros(n)
@@ -792,6 +799,7 @@ def _tail(problem: _Problem, p: _Points) -> float:
 
     if not root > 0.0:
         return 1.0
+    # Limit with 5 % of the model error beyond, over that of a normal distribution.
     limit = float(brentq(lambda limit: outside(limit) - 0.05, 0.0, 20.0 * root, xtol=1e-12 * root))
     return max(1.0, limit / (root * float(normal_quantile(0.975))))
 

@@ -37,7 +37,8 @@ Single flights scatter by 0.02 to 0.04.
 """
 MAX_SHARE_ERROR = 0.02
 """Standard error of the share above which the verdict is inconclusive."""
-_ONE_SIDED = 1.6448536269514722  # standard normal quantile of 95 %
+_ONE_SIDED = 1.6448536269514722
+"""Standard normal quantile of 95 %."""
 _BINS = 3
 
 

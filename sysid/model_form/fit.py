@@ -146,7 +146,7 @@ _MIN_SURFACE_VARIATION_DEG = 0.1
 Below it a state varied hardly more than filtered sensor noise (Table 2.1 of the dissertation), and
 a polynomial in it, above all its growth outside such data, would fit noise.
 """
-_COLLINEAR = 1e-6  # part of a regressor's length that the ones before it must leave
+_COLLINEAR = 1e-6
 """Smallest share of a regressor's length that is independent of the regressors before it."""
 
 
@@ -318,6 +318,7 @@ def _fit(
     candidate_terms = (
         open_terms if open_terms is not None else full_polynomial(len(design.states), design.order)
     )
+    # Lower the order of a full polynomial until the samples suffice.
     orders = [None] if design.terms is not None else range(design.order, -1, -1)
     n_effective, notes = float(n), list[str]()
     for order in orders:
@@ -489,6 +490,7 @@ def _choose_terms(
     x = _design_matrix(residuals, design, terms, scaling)
     independent, basis = [], np.zeros((len(x), 0))
     for k in range(x.shape[1]):
+        # Gram-Schmidt, twice for the sake of rounding.
         length = float(np.linalg.norm(x[:, k]))
         direction = x[:, k] / length if length > 0.0 else x[:, k]
         for _ in range(2):
@@ -506,6 +508,7 @@ def _choose_terms(
             f"{coefficient}: the flights do not separate {', '.join(dropped)} from other terms;"
             " left out"
         )
+    # A stepwise regression keeps the constant and selects among the others.
     if options.select == "stepwise":
         constant = [i for i, k in enumerate(independent) if not any(terms[k])]
         y = np.concatenate(residuals.columns(coefficient))
@@ -694,6 +697,7 @@ def missing_terms(
         for t in full_polynomial(len(moving), 2)
         if any(t) and not _is_included(t, moving, bounds, existing_names)
     ]
+    # Candidates with a part outside the polynomial.
     candidates = regressors(z, terms)
     basis = np.linalg.qr(X)[0]
     independent = [k for k in range(len(terms)) if _is_independent(candidates[:, k], basis)]
@@ -702,6 +706,7 @@ def missing_terms(
     chosen = stepwise(
         design, y, keep=existing, segments=residuals.lengths, max_terms=len(existing) + max_terms
     )
+    # Terms that entered, ordered by what they explain.
     new = [k for k in chosen.selected if k >= X.shape[1]]
     missing = _ordered(design, y, existing, new, [terms[k] for k in independent], moving)
     return [term for term in missing if term.share >= MIN_SHARE]

@@ -33,7 +33,8 @@ from sysid.distributions import normal_quantile, student_quantile
 from sysid.model_form.model_form import CoefficientBounds, Outside
 
 DRAWS = 200
-_MAX_STATES = 400  # at which the mean over draws is taken
+_MAX_STATES = 400
+"""States at which the mean over draws is taken."""
 
 
 @dataclass(frozen=True)

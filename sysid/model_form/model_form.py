@@ -37,7 +37,7 @@ FORMAT = "model-form 2"
 WITHOUT_PARTS = "model-form 1"
 """Format of files whose intervals are not separated into parts; they can be read as well."""
 Outside = Literal["grow", "clamp"]
-_ROUNDING = 1e-9  # of a hull's edge: a sample on the edge lies inside, whatever the last digits say
+_ROUNDING = 1e-9
 """Part of a hull's edge within which a sample counts as inside."""
 
 

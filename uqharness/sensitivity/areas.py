@@ -100,8 +100,8 @@ def is_flat(area: float, *values: FloatArray) -> bool:
 # Two tools. Areas of p-boxes from samples inside the box depend on extremes, where the bootstrap
 # fails, as it repeats the largest value in two of three resamples: separate blocks of the samples
 # are used. For indices of corner pairs the aleatory draws are resampled with replacement, the same
-# for all corners because they share them. One band holds for all pairs of all parameters, so that it
-# also holds for the smallest and largest picked among them.
+# for all corners because they share them. One band holds for all pairs of all parameters, and so
+# for the smallest and largest picked among them as well.
 
 Z = float(normal_quantile(0.5 + 0.5 * CONFIDENCE))
 HALVES = 20
@@ -237,7 +237,7 @@ def pair_band(
     std, bias = resampled.std(axis=0, ddof=1), _BIAS_SEEN * (resampled.mean(axis=0) - flat)
     moving = std > 1e-12
     deviation = np.abs(resampled - resampled.mean(axis=0))[:, moving] / std[moving]
-    # For few draws: the bootstrap's variance divides by A and not by A - 1, and tails are Student's.
+    # Few draws: the bootstrap's variance divides by A and not by A - 1, and tails are Student's.
     point = 0.5 + 0.5 * confidence
     small = (
         np.sqrt(draws / (draws - 1.0)) * student_quantile(point, draws - 1) / normal_quantile(point)

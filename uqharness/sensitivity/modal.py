@@ -58,7 +58,7 @@ def intervals() -> dict[str, tuple[float, float]]:
 
 
 def trim(values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """Compute alpha [rad] and elevator [deg] of level flight by eqs 4.14 (sign repaired) and 4.15."""
+    """Compute alpha [rad] and elevator [deg] of level flight by eqs 4.14 (repaired) and 4.15."""
     lift = -values["M_kg"] * G_MPS2 / (QBAR_PA * values["S_m2"]) - values["CZ_0"]
     det = values["CZ_alpha"] * values["Cm_de"] - values["CZ_de"] * values["Cm_alpha"]
     alpha = (lift * values["Cm_de"] + values["CZ_de"] * values["Cm_0"]) / det
@@ -211,7 +211,7 @@ def modal_sensitivity(
     seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Sensitivity:
-    """Average independent repeats of the chapter's study, each index with the interval of the mean."""
+    """Average independent repeats of the chapter's study, indices with the interval of the mean."""
     results = []
     for k, stream in enumerate(np.random.SeedSequence(seed).spawn(repeats)):
         number = int(stream.generate_state(1)[0])

@@ -39,7 +39,7 @@ class Index:
 
 @dataclass(frozen=True)
 class PairRange:
-    """Smallest and largest index over the pairs of corners; ``pairs`` (2^(d-1),) are all of them."""
+    """Smallest and largest index over the pairs of corners; ``pairs`` (2^(d-1),) are all."""
 
     minimum: Index
     maximum: Index
@@ -51,7 +51,7 @@ class PairRange:
         return self.minimum.reason
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the range, and the interval from the smallest's low end to the largest's high end."""
+        """Return the range, and the interval from the smallest's low to the largest's high end."""
         document: dict[str, Any] = {
             "value": [number(self.minimum.value), number(self.maximum.value)]
         }

@@ -298,7 +298,7 @@ def _shaped(stage: str, y: FloatArray, d: int) -> FloatArray:
 def _evaluate(
     model: Model, problem: Problem, theta: FloatArray, draws: FloatArray, vectorised: bool
 ) -> dict[str, FloatArray]:
-    """Run the model at every row of theta (n, d) with every draw (A, a), giving (n, A) per output."""
+    """Run the model at every row of theta (n, d) with every draw (A, a): (n, A) per output."""
     rows = max(1, _ROWS_AT_ONCE // len(draws))
     parts: dict[str, list[FloatArray]] = {}
     for start in range(0, len(theta), rows):
