@@ -226,6 +226,7 @@ def _gust_rates(
     V, alpha, beta = c["V_mps"], c["alpha_rad"], c["beta_rad"]
     rates = np.column_stack([c[n] for n in RATES])
     specific_force = np.column_stack([c["ax_mps2"], c["ay_mps2"], c["az_mps2"]])
+    # Specific force at the CG, then the kinematic rates of alpha and beta.
     force = at_cg(specific_force, rates, smooth(rates, dt_s, hz, derivative=1), arm)
     sp, cp, st, ct = (
         np.sin(c["phi_rad"]),
@@ -238,6 +239,7 @@ def _gust_rates(
     velocity = np.column_stack([u, v, w])
     change = force + weight - np.cross(rates, velocity)
     V_dot = (velocity * change).sum(axis=1) / V
+    # Inertial rates of alpha and beta.
     alpha_dot = (u * change[:, 2] - w * change[:, 0]) / (u * u + w * w)
     beta_dot = (change[:, 1] - np.sin(beta) * V_dot) / (V * np.cos(beta))
     a = smooth(alpha, dt_s, hz, derivative=1) - smooth(alpha_dot, dt_s, hz)
@@ -274,6 +276,7 @@ def _rotation_share(residuals: Residuals, rotations: Sequence[FloatArray]) -> tu
 
     The prior is normal about zero with unit deviation.
     """
+    # Least squares over all coefficients, weighted by residual variance; the prior counts as 1.
     information, moment = np.ones(1), np.zeros(1)
     for j in range(6):
         y = np.concatenate([_cosines_in_band(p.delta[:, j], residuals) for p in residuals.pieces])
@@ -316,6 +319,7 @@ def _gradient_level(
         noise_power = (2.0 * np.pi * hz * std.get("alpha_rad", 0.0)) ** 2
         for channel in (c for c in CHANNELS if c in std and c != "alpha_rad"):
             step = 1e-3 * max(1.0, float(np.abs(a.channels[channel]).max()))
+            # Slope of the gradient with the channel.
             moved = _gust_rates(
                 {**a.channels, channel: a.channels[channel] + step},
                 arm,
@@ -337,6 +341,7 @@ def _corrected(
     """Subtract the rotation from one piece and append the rolling gusts to its noise."""
     assert piece.noise is not None
     time_s = LENGTHS[0] * air.b / float(np.mean(air.channels["V_mps"]))
+    # Size of the rolling gusts by (3).
     size = np.sqrt(
         0.8 * np.pi / 3.0 * (np.pi * _SCALE_M / (4.0 * air.b)) ** (1.0 / 3.0) * level
     )  # (3)

@@ -124,6 +124,7 @@ def smooth(
 def _narrowing(n: int, widest: int, dt_s: float, derivative: int) -> FloatArray:
     """Return weights (n, n) of fits that narrow towards both ends of n samples."""
     out = np.zeros((n, n))
+    # Narrow symmetric fits; at the ends of a derivative a difference of two samples.
     for k in range(n):
         m = min(widest, k, n - 1 - k)
         if m == 0 and derivative:
@@ -202,6 +203,7 @@ def demanded(
     array (n, 6)
         CX CY CZ Cl Cm Cn [-], body axes (CZ down), moments about the CG.
     """
+    # Angular acceleration, force at the CG, and Euler's equations, all behind the same filter.
     rates_dot = smooth(rates, dt_s, cutoff_hz, derivative=1)
     omega = smooth(rates, dt_s, cutoff_hz)
     force = at_cg(specific_force, omega, rates_dot, np.zeros(3) if arm_m is None else arm_m)
@@ -367,6 +369,7 @@ def parse_term(name: str, states: Sequence[str]) -> Term:
     powers = dict.fromkeys(states, 0)
     if name.strip() == "1":
         return tuple(powers.values())
+    # Powers of repeated states add up.
     for factor in name.split("*"):
         match = _FACTOR.fullmatch(factor.strip())
         if match is None:

@@ -174,6 +174,7 @@ def as_logged(record: FlightRecord, name: str, rows: slice) -> FloatArray:
     """
     values = np.array(record[name][rows], dtype=np.float64)
     rate = record.metadata.native_hz.get(name, 0.0)
+    # Only every stride-th row of the grid was logged.
     stride = max(1, round(1.0 / (record.dt_s * rate))) if rate > 0 else 1
     if stride > 1:
         logged = (np.arange(rows.start, rows.stop) % stride) == 0

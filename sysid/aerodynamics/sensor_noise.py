@@ -83,6 +83,7 @@ def cosine_variance(n: int, correlation: tuple[float, ...]) -> FloatArray:
     correlation : tuple of floats
         Autocovariance at lags 0, 1, ...; zero beyond.
     """
+    # First sum of the formula, over differences of indices.
     lags = np.zeros(n)
     lags[: len(correlation)] = correlation[:n]
     lag_terms = 2.0 * np.arange(n, 0, -1) * lags
@@ -238,6 +239,7 @@ def _differentiated(
     moments[:, 3:] = mass.inertia[:, axis] / (pressure[:, None] * mass.lengths)
     out: list[tuple[Way, FloatArray]] = [("differentiated", moments)]
     if np.any(arm):
+        # Unit angular acceleration times the arm.
         unit = np.zeros(3)
         unit[axis] = 1.0
         forces = np.zeros((len(pressure), 6))
@@ -255,6 +257,7 @@ def with_noise_of(residuals: Residuals, other: Residuals) -> Residuals:
     pieces = []
     for piece, other_piece in zip(residuals.pieces, other.pieces, strict=True):
         assert other_piece.noise is not None
+        # Another filter keeps more or fewer samples at the ends.
         extra_rows = (len(piece) - len(other_piece)) // 2
         filters = _Filters(
             other.dt_s,

@@ -133,6 +133,7 @@ def conformal(
         ]
     )
     m = len(needed)
+    # Order statistic for the level, or the largest factor of few manoeuvres.
     rank = int(np.ceil((m + 1) * level))
     if rank > m:
         return Conformal(float(needed[-1]), m / (m + 1.0), m)
@@ -228,6 +229,7 @@ def _coverage(
             ((v >= low) & (v <= high)).astype(float) for v, (low, high) in zip(y, ends, strict=True)
         ]
     share = {level: float(np.concatenate(rows).mean()) for level, rows in inside.items()}
+    # Effective sample size from the residual about the interval's middle.
     middle = [0.5 * np.add(*bounds.interval(p.states, None, outside)) for p in residuals.pieces]
     ends = [bounds.bounds(p.states, 0.95, outside) for p in residuals.pieces]
     labels = [p.label for p in residuals.pieces]
@@ -318,6 +320,7 @@ def share_error(inside: Sequence[FloatArray]) -> float:
     Consecutive samples fall outside together, so autocorrelation counts.
     """
     values = np.concatenate(list(inside))
+    # Binomial variance times the integral time.
     p = float(values.mean())
     return float(np.sqrt(p * (1.0 - p) * integral_time([v - p for v in inside]) / len(values)))
 

@@ -194,6 +194,7 @@ def belief(bounds: CoefficientBounds) -> tuple[FloatArray, FloatArray]:
         total = np.exp(log_v) + values
         return float(np.sum(np.log(total) + b**2 / total))
 
+    # Search v between negligible and the size of beta_hat itself.
     top = float(np.log(max(float(b @ b), 1e-300)))
     # The likelihood may have two maxima: take the best of a grid and refine it.
     grid = np.linspace(top - 30.0, top, 121)
@@ -205,6 +206,7 @@ def belief(bounds: CoefficientBounds) -> tuple[FloatArray, FloatArray]:
             ).x
         )
     )
+    # Posterior of beta: shrunk towards zero along the eigenvectors.
     shrink = v / (v + values)
     return vectors @ (shrink * b), (vectors * (shrink * values)) @ vectors.T
 
@@ -249,6 +251,7 @@ def expected_width(
         K, C = np.linalg.inv(future.XtX_inv) - M, future.XtX_inv
         covariance = C @ (K @ covariance @ K + current.leverage_factor * current.s2 * K) @ C  # (3)
         mean = C @ (M @ current.beta_hat + K @ mean)
+    # Draw beta from its predictive distribution.
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     noise = np.random.default_rng(seed).standard_normal((len(mean), draws))
@@ -406,6 +409,7 @@ def choose(
     """
     thinned_states = thinned(states, bounds.states, _FLIGHT_CHOICE_MAX_STATES)
     X = regressors(bounds.normalised(thinned_states, outside), bounds.terms)
+    # Add the best offer per second until none fits or helps.
     M: FloatArray = np.asarray(np.linalg.inv(bounds.XtX_inv), dtype=np.float64)
     n = float(bounds.n)
     choices: list[Choice] = []

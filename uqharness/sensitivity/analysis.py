@@ -64,7 +64,8 @@ class Sensitivity(Tabled):
 
         Columns: the index [-], from ``smallest`` to ``largest`` (equal unless the method gives a
         range over pairs of corners), the ends ``low`` and ``high`` of its 95 % interval, and the
-        ``reason`` where it is undefined (NaN)."""
+        ``reason`` where it is undefined (NaN).
+        """
         import pandas as pd
 
         rows = [

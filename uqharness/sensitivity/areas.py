@@ -49,6 +49,7 @@ def pair_areas(ordered: FloatArray, d: int) -> FloatArray:
     """
     areas = np.empty((d, 2 ** (d - 1), *ordered.shape[1:-1]))
     for i in range(d):
+        # Corners with parameter i at its lower and at its upper bound.
         halves = ordered.reshape(2**i, 2, -1, *ordered.shape[1:])
         differences = halves[:, 1] - halves[:, 0]
         np.abs(differences, out=differences)
@@ -148,6 +149,7 @@ def reach_of_box(
     """
     samples, draws = shape
     every = np.arange(samples), np.arange(draws)
+    # Scatter over separate blocks of samples, and over halves of draws.
     rows = np.random.default_rng(seed).permutation(samples)
     by_rows = np.std(
         np.array([statistic(block, every[1]) for block in np.array_split(rows, BLOCKS)]),
@@ -235,6 +237,7 @@ def pair_band(
     flat = index.ravel()
     # Studentised deviations of all indices; their largest gives the simultaneous reach.
     std, bias = resampled.std(axis=0, ddof=1), _BIAS_SEEN * (resampled.mean(axis=0) - flat)
+    # Constant indices need no interval.
     moving = std > 1e-12
     deviation = np.abs(resampled - resampled.mean(axis=0))[:, moving] / std[moving]
     # Few draws: the bootstrap's variance divides by A and not by A - 1, and tails are Student's.
@@ -244,6 +247,7 @@ def pair_band(
     )
     reach = small * (float(np.quantile(deviation.max(axis=1), confidence)) if moving.any() else 0.0)
     low = (flat - np.maximum(bias, 0.0) - reach * std).reshape(index.shape)
+    # Pairs must exceed the areas that chance gives equal corners.
     low[:, :-2] = np.minimum(low[:, :-2], index[:, :-2] - _chance_areas(y, d, rng, reach) / area)
     low = np.maximum(0.0, low)
     # If no pair differs significantly, no shrinkage is significant either.
@@ -283,9 +287,11 @@ def _chance_areas(y: FloatArray, d: int, rng: np.random.Generator, reach: float)
     for i in range(d):
         halves = y.reshape(2**i, 2, -1, draws)
         low, high = (halves[:, end].reshape(-1, draws) for end in (0, 1))
+        # Remove the shift between the two corners of each pair.
         high = high - (high - low).mean(axis=1, keepdims=True)
         areas = np.empty((SWAPS, len(low)))
         for some in _portions(SWAPS, low.size):
+            # Swap the values of random draws.
             swap = rng.random((some.stop - some.start, 1, draws)) < 0.5
             one, other = np.where(swap, high, low), np.where(swap, low, high)
             areas[some] = np.abs(np.sort(one, axis=-1) - np.sort(other, axis=-1)).mean(axis=-1)

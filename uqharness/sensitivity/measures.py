@@ -54,6 +54,7 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         return all_undefined(METHOD, study.names, reason, cost)
     # The output is the mean over the aleatory draws (section 4.5.3).
     f_A, f_B, f_AB = first.mean(axis=1), second.mean(axis=1), mixed.mean(axis=2)
+    # Without variance the indices are undefined.
     if is_flat(float(np.ptp(np.concatenate([f_A, f_B]))), f_A, f_B):
         reason = "the aleatory mean has no variance: the output's mean depends on no parameter"
         return all_undefined(METHOD, study.names, reason, cost)
@@ -66,6 +67,7 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         "f_B": np.stack([f_B] * 2),
         "f_AB": np.stack([f_AB] * 2, axis=1),
     }
+    # First-order and total effects.
     sobol = stats.sobol_indices(func=duplicated, n=samples)
     total, order_one = sobol.total_order.reshape(2, -1)[0], sobol.first_order.reshape(2, -1)[0]
     # Intervals: epistemic samples by bootstrap, aleatory draws by halves.
@@ -157,6 +159,7 @@ def corner_pairs(
                 " do not show it"
             )
         return all_undefined(CORNER_PAIRS_METHOD, study.names, reason, y.size)
+    # Indices of all pairs with their simultaneous band.
     band = pair_band(y, d, seed, resamples=RESAMPLES if intervals else 0, chance=study.chance)
     indices = {}
     for i, name in enumerate(study.names):
@@ -266,6 +269,7 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
             "the p-box has no width: the output depends on no parameter",
             cost,
         )
+    # One parameter at a time.
     slope = np.abs((runs.forward - runs.nominal) / study.step)  # (4.1)
     share = study.width * slope / area  # (4.2)
     reach = np.nan
@@ -367,6 +371,7 @@ def pinching(
             [1.0 - box_area(y[part]) / full_area if full_area > 0.0 else np.nan for y in pinned]
         )
 
+    # Shares of all samples and draws, with the scatter over parts of them.
     value = shares(np.arange(free.shape[0]), np.arange(free.shape[1]))
     reach = reach_of_box(shares, free.shape, seed) if intervals else np.full_like(value, np.nan)
     indices = {
@@ -380,6 +385,7 @@ def pinching(
     if runs.corners is not None and not missing_values(corners=runs.corners):
         corner_area = box_area(runs.corners)
         excess = excess_over_corners(runs.corners, free, corner_area)
+        # The sampled p-box should fill the corners' one and stay within.
         filled, inside = area >= FILLED * corner_area, excess <= OUTSIDE_ALLOWED
         holds = filled and inside
         statement = (
@@ -455,6 +461,7 @@ def scatter(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = Tr
     for name, value, half in zip(study.names, signed, reach, strict=True):
         low = 0.0 if abs(value) <= half else abs(value) - half
         indices[name] = Index(abs(float(value)), float(low), float(abs(value) + half))
+    # R^2 adds up to 1 if straight lines explain the output.
     r2_sum = float(r2.sum())
     of_means = float(np.sum(slope**2 * sxx) / np.sum(mean**2))
     holds = abs(r2_sum - 1.0) <= R2_NEAR_ONE

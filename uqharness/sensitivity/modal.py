@@ -59,6 +59,7 @@ def intervals() -> dict[str, tuple[float, float]]:
 
 def trim(values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
     """Compute alpha [rad] and elevator [deg] of level flight by eqs 4.14 (repaired) and 4.15."""
+    # Two linear equations in alpha and elevator.
     lift = -values["M_kg"] * G_MPS2 / (QBAR_PA * values["S_m2"]) - values["CZ_0"]
     det = values["CZ_alpha"] * values["Cm_de"] - values["CZ_de"] * values["Cm_alpha"]
     alpha = (lift * values["Cm_de"] + values["CZ_de"] * values["Cm_0"]) / det
@@ -150,6 +151,7 @@ def modes_of(matrix: SystemMatrix) -> tuple[FloatArray, FloatArray, FloatArray, 
     c1 = -a33 * force + a32 * a23 * a11
     c0 = G_MPS2 * a21 * a32
     with np.errstate(all="ignore"):
+        # Lin's iteration from the slow quadratic's leading coefficients.
         r, s = c1 / c2, c0 / c2
         for _ in range(12):
             previous_r = r

@@ -232,6 +232,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     try:
+        # Check the unpacked size before reading a member.
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
             size = sum(member.file_size for member in members)
@@ -264,6 +265,7 @@ def _array(content: bytes) -> NDArray[Any]:
         (2, 0): np.lib.format.read_array_header_2_0,
     }[version]
     shape, fortran, dtype = read(file)
+    # Numbers alone, of the length that the header says.
     if dtype.kind not in _KINDS or dtype.hasobject:
         raise ValueError(f"an array of type {dtype} among its arrays")
     if math.prod(shape) * dtype.itemsize != len(content) - file.tell():

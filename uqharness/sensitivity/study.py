@@ -200,6 +200,7 @@ def run_study(
     rng = np.random.default_rng(seed)
     chance = aleatory_draws(problem, draws, rng)
     centre = aleatory_centre(problem)
+    # Two independent sets of epistemic samples, and interior samples.
     first, second = (
         problem.lower + rng.random((samples, len(problem.names))) * problem.width for _ in range(2)
     )
@@ -236,6 +237,7 @@ def run_study(
         done += len(theta) * len(draw)
         if on_progress is not None:
             on_progress(done, total)
+        # One array a stage for each output.
         for output, y in values.items():
             stage_outputs.setdefault(output, {})[stage] = _shaped(stage, y, len(problem.names))
     outputs = {output: Evaluations(**stage_outputs[output]) for output in stage_outputs}
@@ -381,6 +383,7 @@ def write_study(study: Study, path: str | Path) -> None:
     target = file_path("path", path)
     arrays: dict[str, Any] = {name: getattr(study, name) for name in _ARRAYS}
     header = {"names": list(study.names), "outputs": list(study.outputs), "chance": study.chance}
+    # Names and outputs as JSON bytes, so that the file holds numbers alone.
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
     for number, evaluations in enumerate(study.outputs.values()):
         for field in fields(Evaluations):
@@ -420,6 +423,7 @@ def read_study(path: str | Path) -> Study:
     """
     arrays = read_arrays(Path(path))
     try:
+        # Every array is checked, as the file may come from anybody.
         header = parse_json(arrays["header"].tobytes())
         names, outputs = list(map(_text, header["names"])), list(map(_text, header["outputs"]))
         d, samples = len(names), len(arrays["theta"])

@@ -164,6 +164,7 @@ def add(
         ).sum(axis=1)
         return log_earnings
 
+    # Lower counts for the lower side; charge the time not flown at the tested mean.
     bets, zone = earned(counted, question.threshold), earned(counted, question.zone[0])
     aborted = np.where(has_flown, 0.0 if aborted_flights is None else aborted_flights, 0.0)
     bets_lost = np.zeros_like(bets)
@@ -220,6 +221,7 @@ def decide_cell(evidence: Evidence, question: Question) -> Evidence:
         )
 
     above = log_e_above(evidence.bets)
+    # "yes" needs excursions and aborted flights below their thresholds.
     acceptable = below(question.threshold)
     if np.isfinite(question.loss_threshold):
         # A flight is aborted at most once, so its dispersion is at most 1.
@@ -241,6 +243,7 @@ def decide_cell(evidence: Evidence, question: Question) -> Evidence:
             answers[corner] = YES
         elif marginal[corner]:
             answers[corner] = OPEN
+    # "no" needs the mean of the corners' e-values above 1/error rate.
     some_above = (
         float(np.logaddexp.reduce(above)) - np.log(above.size) >= threshold
         and not question.every_corner

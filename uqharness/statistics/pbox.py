@@ -77,6 +77,7 @@ def common_air_half_width(values: FloatArray, confidence: float, seed: int = _SE
     airs = values.shape[1]
     extra_draws = _multiplicities(airs, seed) - 1
     largest = np.zeros(RESAMPLES, dtype=np.int64)
+    # Largest distance of each resample, over all corners and both treatments of unknown values.
     for row in values:
         unknown = np.isnan(row)
         sides = (np.inf, -np.inf) if unknown.any() else (np.inf,)
@@ -281,6 +282,7 @@ def flights_for_band(half_width: float, corners: int, confidence: float) -> int:
     181
     """
     low, high = 0, 1
+    # Double until the band is narrow enough, then bisect.
     while band_half_width(high, corners, confidence) > half_width:
         low, high = high, 2 * high
     while high - low > 1:
@@ -329,6 +331,7 @@ def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = 
     pooled = np.unique(np.concatenate([sample.values for sample in samples]))
     if pooled.size == 0 or not np.all(np.isfinite(pooled)):
         raise ValueError("a p-box needs at least one known value, and known values must be finite")
+    # Thin the grid evenly in rank.
     if pooled.size > max_points:
         pooled = pooled[np.unique(np.linspace(0, pooled.size - 1, max_points).round().astype(int))]
     width = {
@@ -343,6 +346,7 @@ def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = 
     lower = np.empty((len(samples), pooled.size))
     upper = np.empty_like(lower)
     margin = np.empty((len(samples), 1))
+    # Failed flights count above every value for the lower side and below for the upper side.
     for row, sample in enumerate(samples):
         below = ecdf(np.sort(sample.values), pooled)
         lower[row] = below / sample.size
@@ -461,6 +465,7 @@ def containment(
     value = np.unique(np.concatenate([sample.values for sample in (*inner, *outer)]))
     if value.size == 0:
         raise ValueError("a comparison needs at least one known value")
+    # Excess of the inner p-box on each side, and where it is largest.
     inner_sides, outer_sides = envelope(inner, value), envelope(outer, value)
     differences = {
         "lower": outer_sides[0] - inner_sides[0],
@@ -472,6 +477,7 @@ def containment(
         side: float(value[index]) if excess[side] > 0.0 else float("nan")
         for side, index in worst.items()
     }
+    # Sampling error of both, each at half the error rate.
     share = 0.5 * (1.0 + confidence)
     chance = sum(
         band_half_width(min(sample.size for sample in samples), len(samples), share)
@@ -601,6 +607,7 @@ def excursion_rate(
     unknown = sum(count is None for count in counts)
     # A failed flight counts as one more excursion, whether or not it has a count.
     events_upper = events + max(failed, unknown)
+    # Bonferroni over the corners.
     strict = 1.0 - (1.0 - confidence) / corners
     return ExcursionRate(
         epistemic_id,
@@ -808,6 +815,7 @@ def growth(samples: Sequence[FloatArray], seed: int, draws: int = 40) -> list[Gr
         tries = 1 if size == count else draws
         areas = []
         for _ in range(tries):
+            # P-box of a random part of the samples.
             part = curves[generator.choice(count, size, replace=False)]
             areas.append(float(widths @ (part.max(axis=0) - part.min(axis=0))[:-1]))
         low, high = np.quantile(areas, [0.025, 0.975])

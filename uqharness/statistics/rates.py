@@ -165,6 +165,7 @@ def dispersion_that_allows(
     absent = np.zeros_like(total) if missing is None else np.asarray(missing, float)
     means = np.full_like(total, mean)
     low, high = np.full_like(total, _DISPERSIONS[0]), np.full_like(total, _DISPERSIONS[1])
+    # Not even the smallest dispersion allows it.
     none = _log_error(flights, total, means, low, assumed, absent) > np.log(error)
     for _ in range(_BISECTIONS):
         middle = np.sqrt(low * high)
@@ -262,6 +263,7 @@ def lower_limits(counts: FloatArray, error: float) -> FloatArray:
     array (c,)
         0 where nothing was counted.
     """
+    # Only rows with an event have a positive limit.
     values, number = _tally(counts)
     some = (values > 0) & (number > 0)
     at = np.flatnonzero(some.any(axis=-1))
@@ -323,11 +325,13 @@ def dispersion_limits(counts: FloatArray, error: float) -> tuple[FloatArray, Flo
 
     def limit_with(more: FloatArray, sign: float) -> FloatArray:
         """Compute one limit with one more flight of ``more`` events."""
+        # Power sums of the counts and of the extra flight.
         first, second, third, fourth = (
             (values**power).sum(axis=1) + more**power for power in (1, 2, 3, 4)
         )
         some = first > 0.0
         total = np.where(some, first, 1.0)
+        # E[X^2]/E X as a ratio of sums, with its standard error.
         ratio = second / total
         standard_error = (
             np.sqrt(np.maximum(fourth - 2.0 * ratio * third + ratio**2 * second, 0.0)) / total

@@ -190,6 +190,7 @@ def run(
     """
     grid = np.zeros(0) if grid is None else grid
     thresholds, floors = np.array(levels.scores), np.array(levels.floors)
+    # Weight of a path by its level.
     weights = float(levels.copies) ** -np.arange(len(levels.scores) + 1)
     level, birth_level, had_event = (
         np.zeros(roots, np.intp),
@@ -212,12 +213,14 @@ def run(
         )
         first = ~had_event & (counts > 0)
         happened = np.flatnonzero(counts.any(axis=1))
+        # Weighted counts by root: first events, and all events.
         np.add.at(probability, root[happened], weight[happened, None] * first[happened])
         np.add.at(events, root[happened], weight[happened, None] * counts[happened])
         ended += float(weight @ checkpoint.ended)
         had_event |= first
         steps, checkpoints = steps + level.size, checkpoints + 1
         if grid.size:
+            # Occupancy of the grid of scores.
             above = checkpoint.score[:, None] >= grid
             share += weight @ above
             seen_above += above.sum(axis=0)
@@ -228,12 +231,14 @@ def run(
         )
         # Copies end below the level at which they were made.
         goes_on = ~checkpoint.ended & (new_level >= birth_level)
+        # Continue with the remaining paths and their copies.
         parents, branch_level = _descendants(level, new_level, goes_on, levels.copies)
         if parents.size > MAX_PATHS:
             raise ValueError(
                 f"{parents.size} paths would go on side by side, {MAX_PATHS} at most can: the"
                 " levels lie too close"
             )
+        # Copies inherit the history of their parent.
         level, had_event, root = new_level[parents], had_event[parents], root[parents]
         birth_level = np.where(branch_level > 0, branch_level, birth_level[parents])
         max_paths, highest = max(max_paths, parents.size), max(highest, int(new_level.max()))
@@ -309,6 +314,7 @@ def pilot(
             return levels
     for number in range(_ROUNDS):
         occupancies.append(run(start(number), roots, levels, kinds, grid).occupancy)
+        # Rounds with the same levels are averaged.
         pooled = Occupancy(
             grid,
             np.mean([one.share for one in occupancies], axis=0),
@@ -345,6 +351,7 @@ def more_levels(
     grid, logs = grid[rising], logs[rising]
     scores = list(existing.scores)
     while grid.size > 1:
+        # The time above the next level is a COPIES-th of that above the last.
         target = (
             float(np.interp(scores[-1], grid, logs)) + math.log(COPIES)
             if scores
