@@ -155,7 +155,7 @@ def _run(repeats: int, roots: int, plain: int, out: Path) -> int:
         specs, ids = flights(study, FIRST_PILOT + number * PILOT_ROOTS, PILOT_ROOTS)
         return LoiterPaths(specs, ids, SEED, watch)
 
-    levels = pilot(start, PILOT_ROOTS, 1, GRID, TOP, SHARE)
+    levels = pilot(start, PILOT_ROOTS, 1, GRID, TOP, share=SHARE)
     print(
         f"levels at {', '.join(f'{score:.3g}' for score in levels.scores)}; {time.process_time() - begun:.0f} s of a core",
         flush=True,

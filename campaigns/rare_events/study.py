@@ -171,8 +171,8 @@ class Study:
                 len(self.radii_m),
                 GRID,
                 TOP,
-                size.share,
-                plain,
+                share=size.share,
+                plain=plain,
             )
         except ValueError as error:
             raise BadInputError(f"{self.name}: {error}") from error

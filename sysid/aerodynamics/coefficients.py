@@ -171,6 +171,7 @@ def demanded(
     mass: MassProperties,
     other_force: FloatArray,
     other_moment: FloatArray,
+    *,
     dt_s: float,
     arm_m: FloatArray | None = None,
     cutoff_hz: float = CUTOFF_HZ,
@@ -279,6 +280,7 @@ def variables(
     de: FloatArray,
     da: FloatArray,
     dr: FloatArray,
+    *,
     b: float,
     c: float,
 ) -> dict[str, FloatArray]:

@@ -437,9 +437,9 @@ def residual_rows(
         prediction.mass,
         prediction.other_force,
         prediction.other_moment,
-        dt_s,
-        np.asarray(arm_m, dtype=float),
-        cutoff_hz,
+        dt_s=dt_s,
+        arm_m=np.asarray(arm_m, dtype=float),
+        cutoff_hz=cutoff_hz,
     )
     delta = demanded_coefficients - smooth(
         prediction.coefficients, dt_s, cutoff_hz

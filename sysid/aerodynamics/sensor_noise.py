@@ -108,6 +108,7 @@ def with_sensor_noise(
     model: Model,
     arm_m: Sequence[float],
     std: Mapping[str, float],
+    *,
     relative_std: Mapping[str, float] | None = None,
 ) -> Residuals:
     """Add the sensor noise of each piece to a flight's residuals.
@@ -132,7 +133,7 @@ def with_sensor_noise(
     record = steady_airspeed(record, cutoffs.airspeed_hz)
     sizes = {c: s for c, s in std.items() if np.isfinite(s) and s > 0.0}
     piece_noises = (
-        _piece_noise(record, p, model, arm_m, cutoffs, sizes, dict(relative_std or {}))
+        _piece_noise(record, p, model, arm_m, cutoffs, sizes, relative_std=dict(relative_std or {}))
         for p in pieces
     )
     of_pieces = [noise for noise in piece_noises if noise is not None]
@@ -160,6 +161,7 @@ def _piece_noise(
     arm: Sequence[float],
     cutoffs: Cutoffs,
     std: Mapping[str, float],
+    *,
     relative_std: Mapping[str, float],
 ) -> PieceNoise | None:
     """Compute the noise of one piece; None if it is shorter than the filter."""

@@ -173,7 +173,15 @@ def equation_error(
         s2=s2,
         residual=residual,
         warnings=_warnings(
-            labels, reason, vif, right_vectors, resolved, residual, edges, std, std_white
+            labels,
+            reason,
+            vif,
+            right_vectors,
+            resolved,
+            residual=residual,
+            edges=edges,
+            std=std,
+            std_white=std_white,
         ),
     )
 
@@ -233,6 +241,7 @@ def _warnings(
     vif: FloatArray,
     right_vectors: FloatArray,
     resolved: NDArray[np.bool_],
+    *,
     residual: FloatArray,
     edges: list[int],
     std: FloatArray,

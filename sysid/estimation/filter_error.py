@@ -363,9 +363,9 @@ class FilterProblem:
             np.column_stack([part[1] for part in parts]),
             np.column_stack([part[2] for part in parts]),
             np.stack([part[3] for part in parts], axis=1),
-            self.p0,
-            self.difference,
-            self.every,
+            p0=self.p0,
+            difference=self.difference,
+            every=self.every,
         )
 
     def best_process_noise(
@@ -616,6 +616,7 @@ def assemble(
     low: FloatArray,
     high: FloatArray,
     record: Record,
+    *,
     many: bool,
 ) -> FilterErrorFit:
     """Compute covariances, identifiability and warnings at the optimum."""
@@ -897,16 +898,22 @@ def filter_error(
         )
     # Descend; if the result is doubtful, start again from one-step predictions and keep the better.
     best = _minimise_from(problem, start_point, low, high, tolerance, max_iterations)
-    fit = assemble(problem, best, labels, low, high, record, is_many(z))
+    fit = assemble(problem, best, labels, low, high, record, many=is_many(z))
     if best.converged and not any(text.startswith("coloured") for text in fit.warnings):
         return fit
     other = _minimise_from_high_gain(
-        problem, start_point, low, high, candidate_noise[-1], tolerance, max_iterations
+        problem,
+        start_point,
+        low,
+        high,
+        candidate_noise[-1],
+        tolerance,
+        max_iterations=max_iterations,
     )
     return (
         fit
         if other is None or not other.cost < best.cost
-        else assemble(problem, other, labels, low, high, record, is_many(z))
+        else assemble(problem, other, labels, low, high, record, many=is_many(z))
     )
 
 
@@ -945,6 +952,7 @@ def _minimise_from_high_gain(
     high: FloatArray,
     q: FloatArray,
     tolerance: float,
+    *,
     max_iterations: int,
 ) -> Minimum | None:
     """Minimise from the theta of one-step predictions; None where the filter fails.

@@ -445,6 +445,7 @@ def run_filter(
     q: FloatArray,
     r: FloatArray,
     x0: FloatArray,
+    *,
     p0: FloatArray,
     difference: FloatArray,
     every: int,

@@ -322,7 +322,7 @@ def sensitivities(
         shifts = [
             s
             for k in pending
-            for s in _shifts(k, columns[k], theta, step, limits, central, rows[k])
+            for s in _shifts(k, columns[k], theta, step, limits, central, rows=rows[k])
         ]
         repeated_positions = []
         for position, sides in _by_position(simulate_shifts(run, theta, shifts), shifts):
@@ -415,6 +415,7 @@ def _shifts(
     step: FloatArray,
     limits: tuple[FloatArray, FloatArray],
     central: bool,
+    *,
     rows: tuple[slice, ...],
 ) -> Iterator[Shift]:
     """Yield a step up, and a step down if ``central`` or if there is no room above."""
@@ -498,6 +499,7 @@ def roughness(
     steps: FloatArray,
     limits: tuple[FloatArray, FloatArray],
     output_scale: FloatArray,
+    *,
     map_fn: MapLike | None,
 ) -> tuple[float, int]:
     """Estimate the rms roughness of the outputs in theta, in their scale, and the simulations used.
@@ -675,7 +677,7 @@ class OutputErrorProblem:
                 small_steps,
                 self.limits,
                 self.output_scale,
-                self.map_fn,
+                map_fn=self.map_fn,
             )
             self._target, self.runs = target_for(rough), self.runs + runs
         differences = sensitivities(
@@ -907,9 +909,9 @@ def output_error(
             labels,
             best,
             problem,
-            unassessed,
-            split(residual, edges),
-            is_many(measured),
+            findings=unassessed,
+            residual=split(residual, edges),
+            many=is_many(measured),
         )
     # Standard errors from the sensitivities at the optimum.
     line = problem.settle(best.theta, evaluation[1])
@@ -927,7 +929,14 @@ def output_error(
         method="output error",
     )
     return _assemble(
-        theta, columns, labels, best, problem, findings, split(residual, edges), is_many(measured)
+        theta,
+        columns,
+        labels,
+        best,
+        problem,
+        findings=findings,
+        residual=split(residual, edges),
+        many=is_many(measured),
     )
 
 
@@ -998,6 +1007,7 @@ def _assemble(
     labels: tuple[str, ...],
     best: Any,
     problem: OutputErrorProblem,
+    *,
     findings: Findings,
     residual: list[FloatArray],
     many: bool,

@@ -348,9 +348,9 @@ def _fit(
                 scaling,
                 x,
                 np.concatenate(y),
-                residual,
-                n_effective,
-                options,
+                residual=residual,
+                n_effective=n_effective,
+                options=options,
             )
             return FittedBounds(bounds, residual, (*state_notes, *notes, *selection_notes))
     raise ValueError(
@@ -534,6 +534,7 @@ def _bounds(
     scaling: Mapping[str, tuple[float, float]],
     x: FloatArray,
     y: FloatArray,
+    *,
     residual: Sequence[FloatArray],
     n_effective: float,
     options: FitOptions,

@@ -116,7 +116,7 @@ class NoisyFlight:
             model,
             arm,
             std,
-            {c: found.relative_std for c, found in sizes.items()},
+            relative_std={c: found.relative_std for c, found in sizes.items()},
         )
         felt = not set(VANES) & set(flight.record.metadata.estimates)
         air = (

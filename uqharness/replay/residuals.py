@@ -173,9 +173,9 @@ def _error(
         forced.mass,
         forced.other_force,
         forced.other_moment,
-        segment.dt_s,
-        np.array(segment.arm_m),
-        cutoff_hz,
+        dt_s=segment.dt_s,
+        arm_m=np.array(segment.arm_m),
+        cutoff_hz=cutoff_hz,
     )
     return np.asarray(flown - smooth(forced.coefficients, segment.dt_s, cutoff_hz))
 

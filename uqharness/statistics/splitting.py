@@ -273,6 +273,7 @@ def pilot(
     kinds: int,
     grid: FloatArray,
     top: float,
+    *,
     share: float = SHARE,
     plain: Occupancy | None = None,
 ) -> Levels:

@@ -83,7 +83,9 @@ def predict(record: FlightRecord, piece: Piece) -> Prediction:
 
 def made(record, pieces, cutoffs=AS_USUAL, std=STD, arm=ARM):
     plain = residual_coefficients(record, pieces, predict, arm, cutoffs)
-    return with_sensor_noise(plain, record, pieces, predict, arm, std, dict.fromkeys(std, 0.1))
+    return with_sensor_noise(
+        plain, record, pieces, predict, arm, std, relative_std=dict.fromkeys(std, 0.1)
+    )
 
 
 def drawn(record, pieces, repeats, cutoffs=AS_USUAL, std=STD):

@@ -238,7 +238,7 @@ def test_leaving_blocks_out_is_fitting_the_others():
     again = separate(
         make_blocks(rest, "CX", [regressors(b.normalised(p.states), terms) for p in rest.pieces])
     ).components()
-    quick, all_blocks = whole.separation.without([0, 1]), whole.separation.components()
+    quick, all_blocks = whole.separation.excluding([0, 1]), whole.separation.components()
     assert quick.total_variance.mean == pytest.approx(again.total_variance.mean, rel=0.15)
     assert quick.transient == pytest.approx(again.transient, rel=0.15)
     spread = np.sqrt(np.diag(again.covariance))

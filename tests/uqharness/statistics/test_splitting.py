@@ -119,7 +119,13 @@ def test_plain_paths_give_the_first_levels():
     grid = np.arange(0.0, 8.0)
     plain = Occupancy(grid, 0.3 * 3.0**-grid, np.full(8, 1000.0))
     levels = pilot(
-        lambda number: pytest.fail("no round is needed"), 10, 1, grid, 4.5, 0.3 / 9.0, plain
+        lambda number: pytest.fail("no round is needed"),
+        10,
+        1,
+        grid,
+        4.5,
+        share=0.3 / 9.0,
+        plain=plain,
     )
     np.testing.assert_allclose(levels.scores, [2.0, 3.0, 4.0])
 

@@ -150,7 +150,7 @@ class Probe:
         V, alpha, beta, p, q, r = self.x.T[:6]
         de, da, dr, dt = self.controls.T[:4]
         return {
-            **variables(V, alpha, beta, p, q, r, de, da, dr, b, c),
+            **variables(V, alpha, beta, p, q, r, de, da, dr, b=b, c=c),
             "alphadot_hat": self.flow_rate[:, 0] * 0.5 * c / V,
             "betadot_hat": self.flow_rate[:, 1] * 0.5 * b / V,
             "dt": dt / 100.0,
