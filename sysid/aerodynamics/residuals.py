@@ -514,6 +514,6 @@ def combine_flights(parts: Sequence[Residuals]) -> Residuals:
     Raises ValueError when they passed different filters.
     """
     if len({r.cutoffs for r in parts}) > 1:
-        raise ValueError("residuals of different cut-offs cannot be put together")
+        raise ValueError("residuals of different cut-offs cannot be combined")
     pieces = tuple(replace(p, flight=k) for k, r in enumerate(parts) for p in r.pieces)
     return Residuals(pieces, parts[0].dt_s, parts[0].cutoffs)

@@ -407,7 +407,7 @@ def outward(
 def at_bound(value: float, lower: float, upper: float) -> str:
     """Return the reason for a parameter held at a bound."""
     side, bound = ("upper", upper) if value >= upper else ("lower", lower)
-    return f"at its {side} bound {bound:g}: the data pull it beyond, the bound decides its value"
+    return f"at its {side} bound {bound:g}: the fit would improve beyond it"
 
 
 def idle_bound(std: float, width: float) -> str:
@@ -416,7 +416,7 @@ def idle_bound(std: float, width: float) -> str:
     Bounds alone are a uniform distribution with standard deviation width/sqrt(12).
     """
     if np.isfinite(width) and std > width / np.sqrt(12.0):
-        return f"standard error {std:.3g} exceeds what its bounds alone say ({width:.3g} wide)"
+        return f"standard error {std:.3g} exceeds that of its bounds alone ({width:.3g} wide)"
     return ""
 
 

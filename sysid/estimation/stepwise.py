@@ -95,7 +95,7 @@ def stepwise(
         raise ValueError(f"keep holds {list(keep)}; allowed are indices 0 to {k - 1}")
     if f_enter is not None and f_remove is not None and f_remove > f_enter:
         raise ValueError(
-            f"f_remove {f_remove} exceeds f_enter {f_enter}: terms would enter and leave for ever;"
+            f"f_remove {f_remove} exceeds f_enter {f_enter}: terms would enter and leave endlessly;"
             " lower it"
         )
     data = _Data(regressors, response, labels, segments)

@@ -380,7 +380,7 @@ def pinching(
     }
     holds, statement = (
         None,
-        "the nominal value is taken for the true one; not checked against the corners",
+        "assumes that the nominal value is the true one; not checked against the corners",
     )
     if runs.corners is not None and not missing_values(corners=runs.corners):
         corner_area = box_area(runs.corners)
@@ -403,7 +403,7 @@ def pinching(
                     " shares"
                 )
             )
-            + "; the nominal value is taken for the true one"
+            + "; assumes that the nominal value is the true one"
         )
     return MethodResult(PINCHING_METHOD, cost, indices, holds, statement, {"area": area})
 
