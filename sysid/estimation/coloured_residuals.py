@@ -180,8 +180,11 @@ def coloured_information(
                 0.0,
             )
         correlation[~np.isfinite(correlation)] = 0.0
-        off = ~np.eye(m, dtype=bool)
-        strong = np.abs(correlation[:, off]) * np.sqrt(np.maximum(pairs[:, off], 1.0)) > 4.0
+        off_diagonal = ~np.eye(m, dtype=bool)
+        strong = (
+            np.abs(correlation[:, off_diagonal]) * np.sqrt(np.maximum(pairs[:, off_diagonal], 1.0))
+            > 4.0
+        )
         if strong.any():
             last = int(np.flatnonzero(strong.any(axis=1))[-1])
             # Kept up to the last significant lag, then tapered linearly.
@@ -196,8 +199,8 @@ def coloured_information(
                 taper = min(1.0, (lags + 1.0 - lag) / (lags + 1.0 - last))
                 block = taper * correlation[lag] * np.outer(deviation, deviation)
                 block[np.arange(m), np.arange(m)] = 0.0
-                turn = (omega**lag)[:, None, None]
-                gamma += block * turn + block.T * np.conj(turn)
+                phase = (omega**lag)[:, None, None]
+                gamma += block * phase + block.T * np.conj(phase)
             root = _root(gamma)
     # Weights of a one-sided spectrum.
     weight = np.full(frequencies, 2.0 / size)
@@ -426,13 +429,13 @@ def colour_warnings(
     )
     explained = residual_colour.explained[worst]
     explained = explained[np.isfinite(explained)]
-    cure = {
+    remedy = {
         "output error": "Estimates may be biased: use filter error",
         "filter error": "Give more states noise or revise the model",
     }[method]
     if calm_air:
         cause, share = "the model's form", ""
-        cure = "Estimates may be biased: look for the missing term with refine"
+        remedy = "Estimates may be biased: look for the missing term with refine"
     elif explained.size and explained.max() > MOTION_SHARE:
         cause = "the model's form before process noise (turbulence)"
         share = f"; motion explains up to {100 * explained.max():.0f} %"
@@ -444,7 +447,7 @@ def colour_warnings(
     return [
         (
             f"coloured residuals: suspect {cause}. Predictable from their past: {evidence}{share}."
-            f" Standard errors allow for it ({median:.1f} times the Cramer-Rao bounds). {cure}"
+            f" Standard errors allow for it ({median:.1f} times the Cramer-Rao bounds). {remedy}"
             " (docs/estimators.md, Coloured residuals)."
         )
     ]

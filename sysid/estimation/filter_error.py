@@ -158,10 +158,12 @@ def measurement_noise(record: Record) -> FloatArray:
     out = np.empty(record.z.shape[1])
     output_scale = output_scales(record)
     for channel in range(out.size):
-        rough = np.diff(record.z[:, channel, :], n=3, axis=0)
-        rough = rough[np.isfinite(rough)]
+        third_differences = np.diff(record.z[:, channel, :], n=3, axis=0)
+        third_differences = third_differences[np.isfinite(third_differences)]
         out[channel] = (
-            np.sqrt(np.mean(rough**2) / 20.0) if rough.size > 10 else 0.1 * output_scale[channel]
+            np.sqrt(np.mean(third_differences**2) / 20.0)
+            if third_differences.size > 10
+            else 0.1 * output_scale[channel]
         )
     return np.maximum(out, 1e-4 * output_scale)
 
@@ -449,9 +451,9 @@ class FilterProblem:
         if is_near is None:
             return self._difference_and_linearise(vector, state, False)
         assert self._last is not None
-        line = self._linearisation(state)
-        self._last.metric = line.information
-        return replace(line, exact=is_near, fresh=False)
+        linearisation = self._linearisation(state)
+        self._last.metric = linearisation.information
+        return replace(linearisation, exact=is_near, fresh=False)
 
     def settle(self, vector: FloatArray, state: State) -> Linearisation:
         """Compute the linearisation for standard errors, by central differences."""
@@ -463,9 +465,12 @@ class FilterProblem:
         """Difference the filter at a point and linearise there."""
         self._difference(vector, state, central)
         assert self._last is not None
-        line = self._linearisation(state)
-        self._last.metric, self._fresh = line.information, (vector.copy(), line.information)
-        return line
+        linearisation = self._linearisation(state)
+        self._last.metric, self._fresh = (
+            linearisation.information,
+            (vector.copy(), linearisation.information),
+        )
+        return linearisation
 
     def _linearisation(self, state: State) -> Linearisation:
         """Build gradient and information of the module's equations from the derivatives."""
@@ -513,7 +518,7 @@ class FilterProblem:
             self.step = self._first_steps(vector)
         size = vector.size
         # Difference all unknowns; repeat those with an unsuitable step, at most three times.
-        new = Sensitivities(
+        derivatives = Sensitivities(
             vector.copy(),
             state.e,
             state.s,
@@ -527,33 +532,33 @@ class FilterProblem:
             block = max(1, LANES // ((2 if central else 1) * self.record.z.shape[2]))
             for first in range(0, len(pending), block):
                 block_indices = pending[first : first + block]
-                repeated += self._differences(new, block_indices, central, attempt == 3)
+                repeated += self._differences(derivatives, block_indices, central, attempt == 3)
             pending = repeated
             if not pending:
                 break
-        self._last, self._updates = new, 0
+        self._last, self._updates = derivatives, 0
 
     def _differences(
-        self, new: Sensitivities, indices: list[int], central: bool, last: bool
+        self, derivatives: Sensitivities, indices: list[int], central: bool, last: bool
     ) -> list[int]:
         """Fill the derivatives with some unknowns and return those whose step was unsuitable."""
         assert self.step is not None
-        innovations = self._filter(self._points(new.vector, indices, central))
+        innovations = self._filter(self._points(derivatives.vector, indices, central))
         if innovations is None:
             if len(indices) > 1:  # one bad point spoils the batch: find it
                 half = len(indices) // 2
                 return [
                     index
                     for part in (indices[:half], indices[half:])
-                    for index in self._differences(new, part, central, last)
+                    for index in self._differences(derivatives, part, central, last)
                 ]
             self.step[indices[0]] *= 0.03
             return list(indices)
         repeated = []
-        logs = range(*self.layout.logs.indices(new.vector.size))
-        deviation = np.sqrt(new.s)
+        logs = range(*self.layout.logs.indices(derivatives.vector.size))
+        deviation = np.sqrt(derivatives.s)
         for place, index in enumerate(indices):
-            up, down = self._shifts(new.vector, index)
+            up, down = self._shifts(derivatives.vector, index)
             if central:
                 above, below = (
                     tuple(self._rows(v, 2 * place + k) for v in (innovations.e, innovations.s))
@@ -562,26 +567,26 @@ class FilterProblem:
             else:
                 above, below, down = (
                     (self._rows(innovations.e, place), self._rows(innovations.s, place)),
-                    (new.e, new.s),
+                    (derivatives.e, derivatives.s),
                     0.0,
                 )
-            new.dE[:, :, index] = (above[0] - below[0]) / (up - down)
-            new.dS[:, :, index] = (above[1] - below[1]) / (up - down)
+            derivatives.dE[:, :, index] = (above[0] - below[0]) / (up - down)
+            derivatives.dS[:, :, index] = (above[1] - below[1]) / (up - down)
             if index in logs:
                 continue
             change = self.step[index] * float(
                 np.sqrt(
-                    np.mean((new.dE[:, :, index] / deviation) ** 2)
-                    + np.mean((new.dS[:, :, index] / new.s) ** 2)
+                    np.mean((derivatives.dE[:, :, index] / deviation) ** 2)
+                    + np.mean((derivatives.dS[:, :, index] / derivatives.s) ** 2)
                 )
             )
             if change <= 1e-11:
-                limit = 1e2 * max(abs(new.vector[index]), 1.0)
+                limit = 1e2 * max(abs(derivatives.vector[index]), 1.0)
                 if self.step[index] < limit and not last:
                     self.step[index] = min(1e3 * self.step[index], limit)
                     repeated.append(index)
                 else:
-                    new.dE[:, :, index], new.dS[:, :, index] = 0.0, 0.0
+                    derivatives.dE[:, :, index], derivatives.dS[:, :, index] = 0.0, 0.0
             elif not ACCEPTED_CHANGE[0] < change < ACCEPTED_CHANGE[1] and not last:
                 self.step[index] *= TARGET / change
                 repeated.append(index)
@@ -624,23 +629,25 @@ def assemble(
     # Information at the optimum by central differences, without the unknowns at their bounds.
     evaluation = problem.evaluate(best.theta)
     assert evaluation is not None
-    line = problem.settle(best.theta, evaluation[1])
-    at_limit = outward(best.theta, line.gradient, low, high)
+    linearisation = problem.settle(best.theta, evaluation[1])
+    at_limit = outward(best.theta, linearisation.gradient, low, high)
     inside = np.flatnonzero(~at_limit)
     every_name = layout.names(labels)
-    gate = assess(line.information[np.ix_(inside, inside)], tuple(every_name[i] for i in inside))
+    identifiability = assess(
+        linearisation.information[np.ix_(inside, inside)], tuple(every_name[i] for i in inside)
+    )
     pieces, whites = problem.whitened(evaluation[1])
     # (MK) of `coloured_residuals` corrects the innovations' part of the information; the part of
     # the covariances stays.
     sensitivities = [piece[:, :, inside] for piece in pieces]
-    plain = np.zeros((inside.size, inside.size))
+    white_information = np.zeros((inside.size, inside.size))
     for piece in sensitivities:
         flat = np.nan_to_num(piece).reshape(-1, inside.size)
-        plain += flat.T @ flat
+        white_information += flat.T @ flat
     bracket = (
         coloured_information(sensitivities, whites)
-        + line.information[np.ix_(inside, inside)]
-        - plain
+        + linearisation.information[np.ix_(inside, inside)]
+        - white_information
     )
     total, k_free = best.theta.size, layout.columns.size
     cov, crb, vif = (
@@ -649,13 +656,15 @@ def assemble(
         np.full(total, np.inf),
     )
     at = np.ix_(inside, inside)
-    cov[at] = masked_covariance(gate.inverse @ bracket @ gate.inverse, gate.identified)
-    crb[at] = masked_covariance(gate.inverse, gate.identified)
-    vif[inside] = gate.vif
+    cov[at] = masked_covariance(
+        identifiability.inverse @ bracket @ identifiability.inverse, identifiability.identified
+    )
+    crb[at] = masked_covariance(identifiability.inverse, identifiability.identified)
+    vif[inside] = identifiability.vif
     # Reasons why an unknown is not identified: collinear, at a bound, or no better than its bounds.
     reason = [""] * total
     for position, index in enumerate(inside.tolist()):
-        reason[index] = gate.reason[position]
+        reason[index] = identifiability.reason[position]
     for index in np.flatnonzero(at_limit).tolist():
         reason[index] = at_bound(best.theta[index], low[index], high[index])
     for index in range(k_free):
@@ -680,7 +689,7 @@ def assemble(
         dict.fromkeys(labels, "fixed"),
         dict.fromkeys(labels, "held at theta0 (free=)"),
     )
-    warnings = [note for note in gate.notes if any(name in note for name in labels)]
+    warnings = [note for note in identifiability.notes if any(name in note for name in labels)]
     for position, index in enumerate(layout.columns):
         status[labels[index]] = "not-identified" if reason[position] else "identified"
         reasons[labels[index]] = reason[position]

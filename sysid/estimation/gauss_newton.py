@@ -196,15 +196,15 @@ def minimise(
     rejected = failed = 0
     central, stalled = True, 0
     decrement, message, converged = float("inf"), "", False
-    iteration, renewed = 0, True
+    iteration, was_fresh = 0, True
     while iteration < max_iterations:
         iteration += 1
         # A renewed linearisation begins with little damping again.
-        line = problem.linearise(theta, state, central or always_central)
-        if line.fresh and not renewed:
+        linearisation = problem.linearise(theta, state, central or always_central)
+        if linearisation.fresh and not was_fresh:
             damping, growth = DAMPING, 2.0
-        renewed = line.fresh
-        gradient, information = line.gradient, line.information
+        was_fresh = linearisation.fresh
+        gradient, information = linearisation.gradient, linearisation.information
         # Hold parameters at bounds towards which the cost falls.
         outward = ((theta >= upper) & (gradient > 0.0)) | ((theta <= lower) & (gradient < 0.0))
         allowed = ~outward
@@ -220,7 +220,7 @@ def minimise(
         decrement = float(np.sqrt(np.maximum(free_step @ information @ free_step, 0.0)))
         if callback is not None:
             callback(iteration, decrement)
-        if decrement < tolerance and line.exact:
+        if decrement < tolerance and linearisation.exact:
             converged, message = (
                 True,
                 f"converged: the next step is {significant(decrement)} standard errors long",
@@ -234,7 +234,7 @@ def minimise(
             break
         # Shorten the step until the cost falls.
         accepted = False
-        for _ in range(TRIALS if line.fresh else TRIALS_CARRIED):
+        for _ in range(TRIALS if linearisation.fresh else TRIALS_CARRIED):
             step = damped_step(
                 gradient, information, damping, theta - lower, upper - theta, allowed
             )
@@ -245,7 +245,7 @@ def minimise(
             if evaluation is None:
                 failed += 1
             elif np.isfinite(evaluation[0]) and evaluation[0] < cost:
-                expected = cost - line.predict(trial - theta)
+                expected = cost - linearisation.predict(trial - theta)
                 gain = (cost - evaluation[0]) / expected if expected > 0.0 else 0.5
                 # Nielsen eq. (2.21)
                 damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12)
@@ -259,7 +259,7 @@ def minimise(
             damping = max(damping, 1e-6) * growth
             growth *= 2.0
         if not accepted or stalled >= 3:
-            if not line.fresh or not (central or always_central):
+            if not linearisation.fresh or not (central or always_central):
                 # Forward differences or secants may have failed: difference centrally once more.
                 central, damping, growth, stalled = True, DAMPING, 2.0, 0
                 continue

@@ -217,9 +217,9 @@ class SafeSimulation:
                 " outputs at the measured samples"
             )
         out = np.concatenate(parts)
-        sound = np.abs(out) < HUGE  # False for NaN too
-        if not sound.all():
-            row = int(np.argwhere(~sound)[0][0])
+        is_valid = np.abs(out) < HUGE  # False for NaN too
+        if not is_valid.all():
+            row = int(np.argwhere(~is_valid)[0][0])
             return (
                 f"simulate returned values that are not finite, or beyond {HUGE:g}, from stacked"
                 f" sample {row} on"
@@ -327,16 +327,16 @@ def sensitivities(
         repeated_positions = []
         for position, sides in _by_position(simulate_shifts(run, theta, shifts), shifts):
             j = columns[position]
-            sound = [
+            valid_sides = [
                 (by, answer) for by, answer in sides if not isinstance(answer, str) and by != 0.0
             ]
             # Every side failed: try a much shorter step.
-            if not sound:
+            if not valid_sides:
                 step[j] *= 0.03
                 repeated_positions.append(position)
                 continue
-            column = _column(sound, base, rows[position])
-            used = max(abs(by) for by, _ in sound)
+            column = _column(valid_sides, base, rows[position])
+            used = max(abs(by) for by, _ in valid_sides)
             with np.errstate(over="ignore", invalid="ignore"):
                 square = sum(np.sum(part**2, axis=0) for part in column) / len(base)
                 change = float(np.max(np.sqrt(square) * used / output_scale))
@@ -478,7 +478,7 @@ def _segments_within(rows: slice, edges: Sequence[int]) -> Iterator[tuple[int, i
 
 
 def _next_step(
-    step: float, change: float, target: float, unit: float, room: float, last: bool
+    step: float, change: float, target: float, unit: float, width: float, last: bool
 ) -> tuple[float, bool]:
     """Return the step for the next difference, and whether this difference is repeated with it."""
     if change <= NO_EFFECT:
@@ -487,7 +487,7 @@ def _next_step(
         return 1e-4 * unit, False
     if not ACCEPTED_RATIO[0] <= change / target <= ACCEPTED_RATIO[1] and not last:
         new_step = step * target / change
-        new_step = min(new_step, 0.01 * room) if np.isfinite(room) else new_step
+        new_step = min(new_step, 0.01 * width) if np.isfinite(width) else new_step
         return (step, False) if 0.5 < new_step / step < 2.0 else (new_step, True)
     return step * float(np.clip(target / change, 0.1, 10.0)), False
 
@@ -527,12 +527,12 @@ def roughness(
     return float(np.min(noise_levels, axis=0).max()), len(points)
 
 
-def target_for(rough: float) -> float:
+def target_for(rms_roughness: float) -> float:
     """Return the output change that balances truncation and rounding of central differences.
 
     It is about roughness^(1/3), within TARGETS.
     """
-    return float(np.clip(np.cbrt(rough), *TARGETS))
+    return float(np.clip(np.cbrt(rms_roughness), *TARGETS))
 
 
 # Output error's cost over the free parameters, with sensitivities by differences or secants.
@@ -611,12 +611,12 @@ class OutputErrorProblem:
         secant_is_exact = self._secant_update(theta, outputs, central) if self.secant else None
         if secant_is_exact is None:
             self._difference(theta, outputs, central and not self.secant)
-        line = self._linearisation(outputs)
-        self._metric, self._last = line.information, (theta.copy(), outputs)
+        linearisation = self._linearisation(outputs)
+        self._metric, self._last = linearisation.information, (theta.copy(), outputs)
         if secant_is_exact is None:
-            self._fresh = (theta.copy(), self.sensitivity, line.information)
-            return replace(line, exact=central or self.secant)
-        return replace(line, exact=secant_is_exact, fresh=False)
+            self._fresh = (theta.copy(), self.sensitivity, linearisation.information)
+            return replace(linearisation, exact=central or self.secant)
+        return replace(linearisation, exact=secant_is_exact, fresh=False)
 
     def settle(self, theta: FloatArray, outputs: FloatArray) -> Linearisation:
         """Compute the linearisation for standard errors.
@@ -670,7 +670,7 @@ class OutputErrorProblem:
         if self._differenced_before and self._target is None:
             small_steps = np.zeros_like(self.step)
             small_steps[self.columns] = 1e-3 * self.step[self.columns]
-            rough, runs = roughness(
+            rms_roughness, runs = roughness(
                 self.simulation,
                 self.full_vector(theta),
                 outputs,
@@ -679,7 +679,7 @@ class OutputErrorProblem:
                 self.output_scale,
                 map_fn=self.map_fn,
             )
-            self._target, self.runs = target_for(rough), self.runs + runs
+            self._target, self.runs = target_for(rms_roughness), self.runs + runs
         differences = sensitivities(
             self.simulation,
             self.full_vector(theta),
@@ -914,10 +914,10 @@ def output_error(
             many=is_many(measured),
         )
     # Standard errors from the sensitivities at the optimum.
-    line = problem.settle(best.theta, evaluation[1])
+    linearisation = problem.settle(best.theta, evaluation[1])
     findings = assess_fit(
         theta=best.theta,
-        gradient=line.gradient,
+        gradient=linearisation.gradient,
         sensitivity=problem.sensitivity,
         residual=residual,
         motion=evaluation[1],

@@ -286,11 +286,11 @@ def assess(
     """
     k = len(names)
     length = np.sqrt(np.maximum(np.diagonal(information), 0.0))
-    informed = length > 0.0
-    reason = ["" if ok else "no effect on any output in these data" for ok in informed]
+    has_effect = length > 0.0
+    reason = ["" if ok else "no effect on any output in these data" for ok in has_effect]
     inverse, vif = np.zeros((k, k)), np.full(k, np.inf)
     notes: list[str] = []
-    index = np.flatnonzero(informed)
+    index = np.flatnonzero(has_effect)
     if index.size:
         scale = length[index]
         # Eigenvalues of the correlation-like matrix show the directions without information.
@@ -537,7 +537,7 @@ def assess_fit(
     dof_used = leverage(scaled, assess(information(scaled), free_names).inverse)
     noise = residual_noise(residual, floor, full, dof_used)
     scaled = _scaled(noise, residual, sensitivity)
-    gate = assess(information(scaled), free_names)
+    identifiability = assess(information(scaled), free_names)
     white, _ = noise.whiten(residual)
     white_or_nan = np.where(finite, white, np.nan)
     counts = finite.sum(axis=0)
@@ -545,18 +545,21 @@ def assess_fit(
     inflate = np.sqrt(counts / np.maximum(counts - dof_used, 1.0))
     bracket = coloured_information(scaled, split(white_or_nan * inflate, edges))
     # (MK) of `coloured_residuals`.
-    crb, coloured = gate.inverse, gate.inverse @ bracket @ gate.inverse
+    crb, coloured = (
+        identifiability.inverse,
+        identifiability.inverse @ bracket @ identifiability.inverse,
+    )
 
     # Collect reasons: collinear, at a bound, no better than the bounds, unresolved, noise unknown.
     k = theta.size
     cov, cov_crb, vif = np.full((k, k), np.nan), np.full((k, k), np.nan), np.full(k, np.inf)
-    cov[np.ix_(inside, inside)] = masked_covariance(coloured, gate.identified)
-    cov_crb[np.ix_(inside, inside)] = masked_covariance(crb, gate.identified)
-    vif[inside] = gate.vif
+    cov[np.ix_(inside, inside)] = masked_covariance(coloured, identifiability.identified)
+    cov_crb[np.ix_(inside, inside)] = masked_covariance(crb, identifiability.identified)
+    vif[inside] = identifiability.vif
     reason = [""] * k
     for position, index in enumerate(inside.tolist()):
-        reason[index] = gate.reason[position]
-    warnings = list(gate.notes)
+        reason[index] = identifiability.reason[position]
+    warnings = list(identifiability.notes)
     for index in range(k):
         if at_limit[index]:
             reason[index] = at_bound(theta[index], lower[index], upper[index])

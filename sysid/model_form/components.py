@@ -112,8 +112,8 @@ class Blocks:
         """Compute the variance (n,) of a unit first-order process of this correlation time."""
         out = np.empty(len(self.y))
         for number, n in enumerate(self.lengths):
-            of_block = self.block == number
-            out[of_block] = _first_order(n, self.dt_s / time_s)[self.wave[of_block]]
+            in_block = self.block == number
+            out[in_block] = _first_order(n, self.dt_s / time_s)[self.wave[in_block]]
         return out
 
 
@@ -259,8 +259,10 @@ def sample(log_likelihood: Callable[[FloatArray], FloatArray], dimensions: int) 
         z = np.clip(z, logit(_EDGE), -logit(_EDGE))
         sources.append(source)
         # Every point is weighted by the mixture of all sources.
-        of_new = np.column_stack([each.log_density(z) for each in sources])
-        densities = np.vstack([np.column_stack([densities, source.log_density(rows)]), of_new])
+        new_densities = np.column_stack([each.log_density(z) for each in sources])
+        densities = np.vstack(
+            [np.column_stack([densities, source.log_density(rows)]), new_densities]
+        )
         rows, log_likelihoods = (
             np.vstack([rows, z]),
             np.concatenate([log_likelihoods, log_likelihood(expit(z))]),
@@ -572,10 +574,10 @@ class _Problem:
 
     def variance(self, p: _Points) -> FloatArray:
         """Compute the variance (p, n) of the waves."""
-        every, k = np.arange(len(p)), np.minimum(p.colour.astype(int), len(TIMES_S) - 2)
+        rows, k = np.arange(len(p)), np.minimum(p.colour.astype(int), len(TIMES_S) - 2)
         sizes = np.zeros((len(p), 2 + len(TIMES_S)))
         sizes[:, 0], sizes[:, 1] = p.block, p.noise
-        sizes[every, 2 + k], sizes[every, 3 + k] = (
+        sizes[rows, 2 + k], sizes[rows, 3 + k] = (
             p.transient * (1.0 - (p.colour - k)),
             p.transient * (p.colour - k),
         )
@@ -583,8 +585,10 @@ class _Problem:
 
     def solve(self, p: _Points) -> _Solved:
         """Compute (2) and (3) at all points, some points at a time."""
-        at_once = max(1, _BLOCK_SIZE // max(1, len(self.blocks.y)))
-        parts = [self._solve(p.subset(slice(k, k + at_once))) for k in range(0, len(p), at_once)]
+        block_size = max(1, _BLOCK_SIZE // max(1, len(self.blocks.y)))
+        parts = [
+            self._solve(p.subset(slice(k, k + block_size))) for k in range(0, len(p), block_size)
+        ]
         return parts[0] if len(parts) == 1 else _Solved.concatenate(parts)
 
     def _solve(self, p: _Points) -> _Solved:
@@ -610,8 +614,10 @@ class _Problem:
         """Return the log of the mean likelihood without any model error."""
         factors = np.exp(self.log_noise_std * ndtri((np.arange(64) + 0.5) / 64))
         variance = factors[:, None] * self.blocks.noise + _MIN_VARIANCE * self.scale2
-        each = -0.5 * np.sum(np.log(variance) + self.blocks.y**2 / variance, axis=1)
-        return float(each.max() + np.log(np.mean(np.exp(each - each.max()))))
+        log_likelihoods = -0.5 * np.sum(np.log(variance) + self.blocks.y**2 / variance, axis=1)
+        return float(
+            log_likelihoods.max() + np.log(np.mean(np.exp(log_likelihoods - log_likelihoods.max())))
+        )
 
 
 def _problem(blocks: Blocks) -> _Problem:
@@ -636,11 +642,11 @@ def _weighted_sums(columns: FloatArray, weights: FloatArray) -> FloatArray:
     """
     n, c = columns.shape
     low, high = np.triu_indices(c)
-    at_once = max(1, _BLOCK_SIZE // len(low))
+    block_size = max(1, _BLOCK_SIZE // len(low))
     sums = np.zeros((len(weights), len(low)))
-    for k in range(0, n, at_once):
-        rows = columns[k : k + at_once]
-        sums += weights[:, k : k + at_once] @ (rows[:, low] * rows[:, high])
+    for k in range(0, n, block_size):
+        rows = columns[k : k + block_size]
+        sums += weights[:, k : k + block_size] @ (rows[:, low] * rows[:, high])
     out = np.empty((len(weights), c, c))
     out[:, low, high] = out[:, high, low] = sums
     return out
@@ -737,7 +743,7 @@ def _summary(
         )
     )
     noise = float(w @ points.noise)
-    of_colour = float(np.average(colour, weights=w * transient))
+    mean_colour = float(np.average(colour, weights=w * transient))
     middle = _Points(
         *(
             np.array([v])
@@ -746,7 +752,7 @@ def _summary(
                 w @ points.block,
                 w @ flight,
                 w @ transient,
-                of_colour,
+                mean_colour,
                 noise,
             )
         )
@@ -786,22 +792,24 @@ def _tail(problem: _Problem, p: _Points) -> float:
     means, variances = [], []
     # Back to samples, block by block.
     for number in np.unique(blocks.block):
-        n, of_block = blocks.lengths[number], blocks.block == number
+        n, in_block = blocks.lengths[number], blocks.block == number
         waves = np.zeros(n)
-        waves[: int(of_block.sum())] = estimate[of_block]
+        waves[: int(in_block.sum())] = estimate[in_block]
         means.append(fft.idct(waves, norm="ortho"))
-        variances.append(np.full(n, conditional_variance[of_block].sum() / n))
+        variances.append(np.full(n, conditional_variance[in_block].sum() / n))
     mean, std = np.concatenate(means), np.sqrt(np.concatenate(variances)) + np.finfo(float).tiny
-    root = float(np.sqrt(np.mean(mean**2 + std**2)))
+    rms_error = float(np.sqrt(np.mean(mean**2 + std**2)))
 
     def outside(limit: float) -> float:
         return float(np.mean(normal_tail((limit - mean) / std) + normal_tail((limit + mean) / std)))
 
-    if not root > 0.0:
+    if not rms_error > 0.0:
         return 1.0
     # Limit with 5 % of the model error beyond, over that of a normal distribution.
-    limit = float(brentq(lambda limit: outside(limit) - 0.05, 0.0, 20.0 * root, xtol=1e-12 * root))
-    return max(1.0, limit / (root * float(normal_quantile(0.975))))
+    limit = float(
+        brentq(lambda limit: outside(limit) - 0.05, 0.0, 20.0 * rms_error, xtol=1e-12 * rms_error)
+    )
+    return max(1.0, limit / (rms_error * float(normal_quantile(0.975))))
 
 
 # Rate of variation of the model error within its interval (dissertation eqs 3.37, 3.38, Fig 3.3).

@@ -107,9 +107,9 @@ def bins(residuals: Residuals, state: str, inside: Sequence[FloatArray]) -> tupl
     edges = np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1))
     out = []
     for k in range(_BINS):
-        of_bin = (values >= edges[k]) & ((values < edges[k + 1]) | (k == _BINS - 1))
-        share = float(is_inside[of_bin].mean()) if of_bin.any() else float("nan")
-        out.append(Bin(float(edges[k]), float(edges[k + 1]), share, int(of_bin.sum())))
+        in_bin = (values >= edges[k]) & ((values < edges[k + 1]) | (k == _BINS - 1))
+        share = float(is_inside[in_bin].mean()) if in_bin.any() else float("nan")
+        out.append(Bin(float(edges[k]), float(edges[k + 1]), share, int(in_bin.sum())))
     return tuple(out)
 
 

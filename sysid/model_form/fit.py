@@ -114,12 +114,12 @@ def _signal_share(power: FloatArray, noise: FloatArray, band: NDArray[np.intp]) 
     """
     share = np.zeros(len(_BANDS_HZ) + 1)
     for k in range(len(share)):
-        of_band = band == k
-        count = int(of_band.sum())
+        in_band = band == k
+        count = int(in_band.sum())
         if not count:
             share[k] = share[k - 1] if k else 1.0
             continue
-        ratio = float(np.mean(power[of_band]) / np.mean(noise[of_band]))
+        ratio = float(np.mean(power[in_band]) / np.mean(noise[in_band]))
         if ratio >= 1.0 + _SIGNAL_SIGMA * np.sqrt(2.0 / count):
             share[k] = 1.0 - 1.0 / ratio
     return share

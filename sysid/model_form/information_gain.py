@@ -317,8 +317,8 @@ def speed_power(speeds_mps: FloatArray, variances: FloatArray, counts: FloatArra
     if np.ptp(x) < np.log(1.05) or not sxx > 0.0:
         return 0.0
     b = float(w @ (x * y)) / sxx
-    error = np.sqrt(float(w @ (y - b * x) ** 2) / sxx / max(valid.sum() - 2, 1))
-    return b if error <= 1.0 else 0.0
+    standard_error = np.sqrt(float(w @ (y - b * x) ** 2) / sxx / max(valid.sum() - 2, 1))
+    return b if standard_error <= 1.0 else 0.0
 
 
 def mean_power(middle: FloatArray, low: float, high: float, power: float) -> float:
@@ -420,18 +420,18 @@ def choose(
             seconds = offer.seconds + (0.0 if offer.group in visited_groups else transition_s)
             if seconds > remaining_s + 1e-9:
                 continue
-            more = offer.information
-            half = _half_width(bounds, X, M + more.ZtZ, n + more.n)
+            information = offer.information
+            half = _half_width(bounds, X, M + information.ZtZ, n + information.n)
             rate = (half_width - half) / seconds
             if best is None or rate > best[0]:
                 best = rate, Choice(index, seconds, half)
         if best is None or not best[0] > 0.0:
             return choices
         choice = best[1]
-        more = offers[choice.index].information
+        information = offers[choice.index].information
         M, n, half_width, remaining_s = (
-            M + more.ZtZ,
-            n + more.n,
+            M + information.ZtZ,
+            n + information.n,
             choice.half_width,
             remaining_s - choice.seconds,
         )

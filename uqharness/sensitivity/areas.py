@@ -148,15 +148,15 @@ def reach_of_box(
     narrowing is unknown, from none to eightfold.
     """
     samples, draws = shape
-    every = np.arange(samples), np.arange(draws)
+    full = np.arange(samples), np.arange(draws)
     # Scatter over separate blocks of samples, and over halves of draws.
     rows = np.random.default_rng(seed).permutation(samples)
     by_rows = np.std(
-        np.array([statistic(block, every[1]) for block in np.array_split(rows, BLOCKS)]),
+        np.array([statistic(block, full[1]) for block in np.array_split(rows, BLOCKS)]),
         axis=0,
         ddof=1,
     )
-    by_columns = std_by_draws(lambda columns: statistic(every[0], columns), draws, seed)
+    by_columns = std_by_draws(lambda columns: statistic(full[0], columns), draws, seed)
     return float(student_quantile(0.5 + 0.5 * CONFIDENCE, BLOCKS - 1)) * np.hypot(
         by_rows, by_columns
     )
@@ -290,19 +290,22 @@ def _chance_areas(y: FloatArray, d: int, rng: np.random.Generator, reach: float)
         # Remove the shift between the two corners of each pair.
         high = high - (high - low).mean(axis=1, keepdims=True)
         areas = np.empty((SWAPS, len(low)))
-        for some in _portions(SWAPS, low.size):
+        for portion in _portions(SWAPS, low.size):
             # Swap the values of random draws.
-            swap = rng.random((some.stop - some.start, 1, draws)) < 0.5
+            swap = rng.random((portion.stop - portion.start, 1, draws)) < 0.5
             one, other = np.where(swap, high, low), np.where(swap, low, high)
-            areas[some] = np.abs(np.sort(one, axis=-1) - np.sort(other, axis=-1)).mean(axis=-1)
+            areas[portion] = np.abs(np.sort(one, axis=-1) - np.sort(other, axis=-1)).mean(axis=-1)
         chance_areas[i] = areas.mean(axis=0) + reach * areas.std(axis=0, ddof=1)
     return chance_areas
 
 
 def _portions(repeats: int, values: int) -> Iterator[slice]:
     """Yield slices of ``repeats``, as many as fit the processor's cache with ``values`` each."""
-    at_once = max(1, BLOCK_VALUES // values)
-    return (slice(begin, min(begin + at_once, repeats)) for begin in range(0, repeats, at_once))
+    portion_size = max(1, BLOCK_VALUES // values)
+    return (
+        slice(begin, min(begin + portion_size, repeats))
+        for begin in range(0, repeats, portion_size)
+    )
 
 
 def _without_band(index: FloatArray, area: float, offset: float) -> PairBand:

@@ -455,32 +455,32 @@ def scatter(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = Tr
     signed = slope * scale
     reach = np.full_like(signed, np.nan)
     if intervals:
-        of_width = reach_of_box(lambda e, a: log_area(y[np.ix_(e, a)]), y.shape, seed)
-        reach = np.hypot(Z * error * scale, signed * of_width)
+        width_reach = reach_of_box(lambda e, a: log_area(y[np.ix_(e, a)]), y.shape, seed)
+        reach = np.hypot(Z * error * scale, signed * width_reach)
     indices = {}
     for name, value, half in zip(study.names, signed, reach, strict=True):
         low = 0.0 if abs(value) <= half else abs(value) - half
         indices[name] = Index(abs(float(value)), float(low), float(abs(value) + half))
     # R^2 adds up to 1 if straight lines explain the output.
     r2_sum = float(r2.sum())
-    of_means = float(np.sum(slope**2 * sxx) / np.sum(mean**2))
+    r2_of_means = float(np.sum(slope**2 * sxx) / np.sum(mean**2))
     holds = abs(r2_sum - 1.0) <= R2_NEAR_ONE
     return MethodResult(
         SCATTER_METHOD,
         y.size,
         indices,
         holds,
-        _words(r2_sum, of_means, holds),
-        {"slope": slope, "r2": r2, "r2_sum": r2_sum, "r2_sum_of_means": of_means, "area": area},
+        _words(r2_sum, r2_of_means, holds),
+        {"slope": slope, "r2": r2, "r2_sum": r2_sum, "r2_sum_of_means": r2_of_means, "area": area},
     )
 
 
-def _words(r2_sum: float, of_means: float, holds: bool) -> str:
+def _words(r2_sum: float, r2_of_means: float, holds: bool) -> str:
     """Write whether straight lines explain the output."""
-    text = f"R^2 adds up to {r2_sum:.2f} over the runs, {of_means:.2f} over the aleatory means"
+    text = f"R^2 adds up to {r2_sum:.2f} over the runs, {r2_of_means:.2f} over the aleatory means"
     if holds:
         return f"{text}: straight lines explain the output"
-    if abs(of_means - 1.0) <= R2_NEAR_ONE:
+    if abs(r2_of_means - 1.0) <= R2_NEAR_ONE:
         return f"{text}: scatter hides straight lines, but the means follow them"
     return (
         f"{text}: far from 1, so straight lines do not explain the output and these shares are not"

@@ -121,8 +121,8 @@ class Evidence:
 
 def begin(corners: int) -> Evidence:
     """Return the evidence before the first flight."""
-    none, bets = np.zeros(corners), bet_logs(np.zeros((corners, 1)), 1.0).sum(axis=1) * 0.0
-    return Evidence(none, none, none, bets, bets, none, bets, none, none, ("",) * corners)
+    zeros, bets = np.zeros(corners), bet_logs(np.zeros((corners, 1)), 1.0).sum(axis=1) * 0.0
+    return Evidence(zeros, zeros, zeros, bets, bets, zeros, bets, zeros, zeros, ("",) * corners)
 
 
 def add(
@@ -155,12 +155,12 @@ def add(
     """
     has_flown = np.isfinite(high)
     counted, upper = np.where(has_flown, low, 0.0), np.where(has_flown, high, 0.0)
-    absent = np.where(has_flown, 0.0 if missing is None else missing, 0.0)
+    time_missing = np.where(has_flown, 0.0 if missing is None else missing, 0.0)
 
     def earned(counts: FloatArray, mean: float) -> FloatArray:
         """Sum the log factors of a round against a mean."""
         log_earnings: FloatArray = np.where(
-            has_flown[..., None], bet_logs(counts + mean * absent, mean), 0.0
+            has_flown[..., None], bet_logs(counts + mean * time_missing, mean), 0.0
         ).sum(axis=1)
         return log_earnings
 
@@ -174,9 +174,9 @@ def add(
         evidence,
         aborted=evidence.aborted + aborted.sum(axis=1),
         bets_lost=evidence.bets_lost + bets_lost,
-        missing=evidence.missing + absent.sum(axis=1),
+        missing=evidence.missing + time_missing.sum(axis=1),
         ended=np.maximum(
-            evidence.ended, np.where(absent > 0.0, upper, 0.0).max(axis=1, initial=0.0)
+            evidence.ended, np.where(time_missing > 0.0, upper, 0.0).max(axis=1, initial=0.0)
         ),
         flights=evidence.flights + has_flown.sum(axis=1),
         total=evidence.total + upper.sum(axis=1),

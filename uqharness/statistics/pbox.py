@@ -84,8 +84,8 @@ def common_air_half_width(values: FloatArray, confidence: float, seed: int = _SE
         for side in sides:
             np.maximum(largest, _distances(np.where(unknown, side, row), extra_draws), out=largest)
     # The conservative quantile of RESAMPLES + 1 distances, the observed one included.
-    place = min(int(np.ceil(confidence * (RESAMPLES + 1))), RESAMPLES) - 1
-    quantile = float(np.sort(largest)[place]) / airs
+    rank = min(int(np.ceil(confidence * (RESAMPLES + 1))), RESAMPLES) - 1
+    quantile = float(np.sort(largest)[rank]) / airs
     return min(1.0, float(np.sqrt(airs / (airs - 1.0))) * quantile + 1.0 / airs)
 
 

@@ -162,16 +162,16 @@ def dispersion_that_allows(
     0 where no dispersion allows it. Other arguments as in `upper_limits`.
     """
     flights, total = np.asarray(flights, float), np.asarray(total, float)
-    absent = np.zeros_like(total) if missing is None else np.asarray(missing, float)
+    time_missing = np.zeros_like(total) if missing is None else np.asarray(missing, float)
     means = np.full_like(total, mean)
     low, high = np.full_like(total, _DISPERSIONS[0]), np.full_like(total, _DISPERSIONS[1])
     # Not even the smallest dispersion allows it.
-    none = _log_error(flights, total, means, low, assumed, absent) > np.log(error)
+    impossible = _log_error(flights, total, means, low, assumed, time_missing) > np.log(error)
     for _ in range(_BISECTIONS):
         middle = np.sqrt(low * high)
-        allowed = _log_error(flights, total, means, middle, assumed, absent) <= np.log(error)
+        allowed = _log_error(flights, total, means, middle, assumed, time_missing) <= np.log(error)
         low, high = np.where(allowed, middle, low), np.where(allowed, high, middle)
-    return np.where(none, 0.0, low)
+    return np.where(impossible, 0.0, low)
 
 
 def upper_limits(
@@ -208,26 +208,26 @@ def upper_limits(
         inf without flights, or if too little was flown.
     """
     flights, total, dispersion = (np.asarray(item, float) for item in (flights, total, dispersion))
-    absent = np.zeros_like(total) if missing is None else np.asarray(missing, float)
+    time_missing = np.zeros_like(total) if missing is None else np.asarray(missing, float)
 
     def log_error(mean: FloatArray) -> FloatArray:
-        return _log_error(flights, total, mean, dispersion, assumed, absent)
+        return _log_error(flights, total, mean, dispersion, assumed, time_missing)
 
     # Bracket the limit from above, then bisect.
     high = np.maximum(total / np.maximum(flights, 1.0), 1.0 / np.maximum(flights, 1.0))
     log_target = np.log(error)
-    for _ in range(40 if absent.any() else 200):
-        short = (log_error(high) > log_target) & (flights > 0)
-        if not short.any():
+    for _ in range(40 if time_missing.any() else 200):
+        too_low = (log_error(high) > log_target) & (flights > 0)
+        if not too_low.any():
             break
-        high = np.where(short, 2.0 * high, high)
-    never = (log_error(high) > log_target) | (flights <= 0)
+        high = np.where(too_low, 2.0 * high, high)
+    unlimited = (log_error(high) > log_target) | (flights <= 0)
     low = np.zeros_like(high)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         rejected = log_error(middle) <= log_target
         low, high = np.where(rejected, low, middle), np.where(rejected, middle, high)
-    return np.where(never, np.inf, high)
+    return np.where(unlimited, np.inf, high)
 
 
 def share_upper(events: FloatArray, flights: FloatArray, error: float) -> FloatArray:
@@ -237,11 +237,13 @@ def share_upper(events: FloatArray, flights: FloatArray, error: float) -> FloatA
     most; 1 without flights.
     """
     events, flights = np.asarray(events, float), np.asarray(flights, float)
-    some = events < flights
+    has_flight_without = events < flights
     limits: FloatArray = np.where(
-        some,
+        has_flight_without,
         betaincinv(
-            np.where(some, events + 1.0, 1.0), np.where(some, flights - events, 1.0), 1.0 - error
+            np.where(has_flight_without, events + 1.0, 1.0),
+            np.where(has_flight_without, flights - events, 1.0),
+            1.0 - error,
         ),
         1.0,
     )
@@ -265,8 +267,8 @@ def lower_limits(counts: FloatArray, error: float) -> FloatArray:
     """
     # Only rows with an event have a positive limit.
     values, number = _tally(counts)
-    some = (values > 0) & (number > 0)
-    at = np.flatnonzero(some.any(axis=-1))
+    has_events = (values > 0) & (number > 0)
+    at = np.flatnonzero(has_events.any(axis=-1))
     limits = np.zeros(counts.shape[0])
     if at.size == 0:
         return limits
@@ -329,8 +331,8 @@ def dispersion_limits(counts: FloatArray, error: float) -> tuple[FloatArray, Flo
         first, second, third, fourth = (
             (values**power).sum(axis=1) + more**power for power in (1, 2, 3, 4)
         )
-        some = first > 0.0
-        total = np.where(some, first, 1.0)
+        has_events = first > 0.0
+        total = np.where(has_events, first, 1.0)
         # E[X^2]/E X as a ratio of sums, with its standard error.
         ratio = second / total
         standard_error = (
@@ -338,7 +340,7 @@ def dispersion_limits(counts: FloatArray, error: float) -> tuple[FloatArray, Flo
         )
         number = np.maximum(flights + (more > 0.0), 1.0)
         limit: FloatArray = np.where(
-            some,
+            has_events,
             ratio + sign * reach * standard_error - total / number,
             np.inf if sign > 0.0 else 0.0,
         )
