@@ -153,11 +153,11 @@ def linearise(
     size = states.shape[1]
     model = _RigidBody(reference, mass, gravity, gusts)
     by_state, by_load = model.slopes(states)
+    # Extra coefficients become forces and moments by qbar S (1, b, c, b).
     by_load *= (
         reference.qbar[:, None] * mass.S * np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
     )[:, None, :]
     phi, (g0, g1) = np.empty((n - 1, size, size)), np.zeros((2, n - 1, size, 6))
-    # Extra coefficients become forces and moments by qbar S (1, b, c, b).
     loops().discretise(by_state, by_load, h, phi, g0, g1)
     H, D = np.ascontiguousarray(by_state[:, size:]), np.ascontiguousarray(by_load[:, size:])
     rate, y_ref = model(states, 0.0)

@@ -199,8 +199,8 @@ def minimise(
     iteration, was_fresh = 0, True
     while iteration < max_iterations:
         iteration += 1
-        # A renewed linearisation begins with little damping again.
         linearisation = problem.linearise(theta, state, central or always_central)
+        # A linearisation by new differences begins with little damping again.
         if linearisation.fresh and not was_fresh:
             damping, growth = DAMPING, 2.0
         was_fresh = linearisation.fresh
