@@ -22,7 +22,7 @@ from sysid.aerodynamics import (
     Cutoffs,
     Residuals,
     air_pieces,
-    as_measured,
+    with_channels_of,
     with_sensor_noise,
     without_air_rotation,
 )
@@ -232,7 +232,7 @@ def noisy_twin(
     record = quiet.record.with_columns(with_noise(channels, std, np.random.default_rng(stream)))
     flight = _flight("noisy", record, quiet.measured)
     residuals = flight_residuals(pair, flight, find_aircraft(MODEL).accelerometer_m, CUTOFFS)
-    air = tuple(as_measured(quiet.air, flight.record, flight.pieces, CUTOFFS.airspeed_hz))
+    air = tuple(with_channels_of(quiet.air, flight.record, flight.pieces, CUTOFFS.airspeed_hz))
     sizes = {
         f: noise_sizes(flight, {c: f * s for c, s in std.items()}, CUTOFFS) for f in card_factors
     }
@@ -244,6 +244,6 @@ def _resized(noise: PieceNoise, sizes: Mapping[str, NoiseSize]) -> PieceNoise:
     std, passages = table_noise(), []
     for p in (p for p in noise.passages if p.channel in sizes):
         size = sizes[p.channel]
-        passages.append(replace(p, gain=p.gain * (size.std / std[p.channel]), spread=size.spread))
+        passages.append(replace(p, gain=p.gain * (size.std / std[p.channel]), relative_std=size.relative_std))
     states = {c: (sizes[c].std, weights) for c, (_, weights) in noise.states.items() if c in sizes}
     return PieceNoise(tuple(passages), states, noise.n)

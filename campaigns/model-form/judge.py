@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import Residuals, together
+from sysid.aerodynamics import Residuals, combine_flights
 from sysid.aerodynamics.coefficients import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.model_form.components import WALK_CUTOFF_HZ
@@ -99,7 +99,7 @@ def _rows(
 ) -> list[dict[str, Any]]:
     form = form_of(fitted, 1.0 / noisy[0].residuals.dt_s)
     measured = [n.knowing(n.sizes[1.0]) for n in noisy]
-    pooled = coverage(form, together(measured)) if way == "default" else {}
+    pooled = coverage(form, combine_flights(measured)) if way == "default" else {}
     rows = []
     for speed, q, m in zip(SPEEDS, quiet, measured, strict=True):
         single, states = coverage(form, m) if way == "default" else {}, q.true.states

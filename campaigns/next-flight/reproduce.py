@@ -20,7 +20,7 @@ from pathlib import Path
 import pandas as pd
 
 from campaigns.library.study import failure_lines, log_progress, study_parser
-from sysid.aerodynamics.residuals import Cutoffs, Residuals, together
+from sysid.aerodynamics.residuals import Cutoffs, Residuals, combine_flights
 from sysid.model_form.components import WALK_CUTOFF_HZ
 from sysid.model_form.fit import FitOptions, fit_bounds
 from sysid.model_form.model_form import AircraftReference, Filtering, FlightUsed, ModelForm
@@ -80,7 +80,7 @@ CASES = (
 def form_from(residuals: Sequence[Residuals], designs: object = None) -> ModelForm:
     """Make bounds from flights, without details that do not affect widths."""
     model = find_aircraft(MODEL)
-    merged = together(residuals)
+    merged = combine_flights(residuals)
     fitted = fit_bounds(merged, designs, FitOptions())  # type: ignore[arg-type]
     seconds = [sum(float(p.time_s[-1] - p.time_s[0]) for p in r.pieces) for r in residuals]
     flights = zip(seconds, residuals, strict=True)
@@ -158,7 +158,7 @@ class Study:
         designs = designs_of(form)
         achieved = widths_over(form_from([initial, new], designs), self.mission)
         old_achieved = widths_over(form_from([initial, *repeated], designs), self.mission)
-        expected = prospects(form, self.mission, together(repeated), 1.0, trials)
+        expected = prospects(form, self.mission, combine_flights(repeated), 1.0, trials)
         rows = []
         for c in form.coefficients:
             p = plan.prospects[c]

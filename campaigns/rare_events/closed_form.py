@@ -22,7 +22,7 @@ import numpy as np
 from campaigns.library.study import exit_code, study_parser, write_csv
 from campaigns.rare_events.rates import shown
 from uqharness.errors import BadInputError
-from uqharness.statistics import Seen, interval, pilot, run
+from uqharness.statistics import Checkpoint, interval, pilot, run
 from uqharness.statistics.splitting import Interval
 
 KEEP = 0.9
@@ -57,7 +57,7 @@ class Crossings:
         self._x = rng.standard_normal(roots)
         self._outside = np.zeros((roots, len(thresholds)), bool)
 
-    def advance(self) -> Seen | None:
+    def advance(self) -> Checkpoint | None:
         """Advance by ``each`` steps; None at the end."""
         if self._remaining == 0:
             return None
@@ -69,7 +69,7 @@ class Crossings:
             beyond = x > self._thresholds
             events += beyond & ~self._outside
             self._outside = beyond | (self._outside & (x >= self._thresholds - self._rearm))
-        return Seen(self._x, events, np.zeros(self._x.size, bool))
+        return Checkpoint(self._x, events, np.zeros(self._x.size, bool))
 
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
         """Continue with these paths."""

@@ -135,7 +135,7 @@ def _run(repeats: int, roots: int, plain: int, out: Path) -> int:
     def report(text: str) -> None:
         print(f"{text}; {time.process_time() - started:.0f} s of a core", flush=True)
 
-    levels = pilot(start, PILOT_ROOTS, 1, GRID, TOP, SHARE)
+    levels = pilot(start, PILOT_ROOTS, 1, GRID, TOP, share=SHARE)
     report(f"levels at {', '.join(f'{score:.3g}' for score in levels.scores)}")
     values, hours = observed(study, levels, watch, repeats, roots)
     report(f"{repeats} repeats, {hours:.0f} h of paths")

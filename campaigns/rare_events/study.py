@@ -183,7 +183,7 @@ class Study:
         watch = CheckpointPlan(size.step_s, LoiterScore(predicted))
         try:
             start = lambda number: self._pilot_paths(1 + number, watch)  # noqa: E731
-            levels = pilot(start, size.pilot_roots, kinds, GRID, TOP, size.share, plain)
+            levels = pilot(start, size.pilot_roots, kinds, GRID, TOP, share=size.share, plain=plain)
         except ValueError as error:
             raise BadInputError(f"{self.name}: {error}") from error
         plain_h = unsplit.steps * size.step_s / 3600.0
@@ -213,7 +213,7 @@ class Study:
         by_radius = (result.probability, result.events, [math.nan] * len(self.radii_m))
         probability, events, squares = (tuple(map(float, each)) for each in by_radius)
         path_s, core_s = result.steps * size.step_s, time.process_time() - started
-        counts = (size.roots, probability, events, squares, result.ended, path_s, result.most)
+        counts = (size.roots, probability, events, squares, result.ended, path_s, result.max_paths)
         return Counts(*counts, core_s), paths.hits
 
     def plain(self, number: int) -> Counts:

@@ -1,4 +1,10 @@
-"""Equations of flight: coefficient terms and polynomials, coefficients from accelerations, residuals, equations of motion."""
+"""Aerodynamic coefficients from flight data, their residuals against a model, and linearised
+flights.
+
+`coefficients` computes demanded coefficients, `residuals` subtracts a model, `sensor_noise` and
+`air_motion` describe the noise and the air in the difference; `rigid_body` and `flight_equations`
+linearise a flight for estimators.
+"""
 
 import lazy_loader
 

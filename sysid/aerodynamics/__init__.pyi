@@ -1,8 +1,8 @@
-from .air_motion import AirFound as AirFound
 from .air_motion import AirPiece as AirPiece
+from .air_motion import AirRotation as AirRotation
 from .air_motion import GustStates as GustStates
 from .air_motion import air_pieces as air_pieces
-from .air_motion import as_measured as as_measured
+from .air_motion import with_channels_of as with_channels_of
 from .air_motion import without_air_rotation as without_air_rotation
 from .coefficients import COEFFICIENTS as COEFFICIENTS
 from .coefficients import CUTOFF_HZ as CUTOFF_HZ
@@ -28,10 +28,10 @@ from .residuals import Prediction as Prediction
 from .residuals import ResidualPiece as ResidualPiece
 from .residuals import Residuals as Residuals
 from .residuals import as_logged as as_logged
-from .residuals import cut as cut
+from .residuals import combine_flights as combine_flights
+from .residuals import cut_pieces as cut_pieces
 from .residuals import residual_coefficients as residual_coefficients
 from .residuals import steady_airspeed as steady_airspeed
-from .residuals import together as together
 from .rigid_body import AIR as AIR
 from .rigid_body import NX as NX
 from .rigid_body import Reference as Reference
@@ -39,7 +39,7 @@ from .rigid_body import Steps as Steps
 from .rigid_body import linearise as linearise
 from .rigid_body import rates as rates
 from .rigid_body import unforced as unforced
-from .rigid_body import whole_states as whole_states
+from .rigid_body import with_gust_states as with_gust_states
 from .sensor_noise import autocorrelation as autocorrelation
 from .sensor_noise import cosine_variance as cosine_variance
 from .sensor_noise import noise_cosines as noise_cosines

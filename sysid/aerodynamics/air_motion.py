@@ -1,18 +1,22 @@
-"""The air's own rotation, which residual coefficients hold in turbulence and which is no error of the model.
+"""The air's own rotation in turbulence: its removal from residuals, and Dryden gusts as states.
 
-Gusts that pass at airspeed rotate the air as MIL-F-8785C 3.7.5 has it (gust_states.py): q_h and r_h follow from how vanes turn
-against what gyros and accelerometers say,
+Residual coefficients include the effect of rotating air, which is no model error. Gusts that pass
+at airspeed rotate the air as MIL-F-8785C 3.7.5 has it: q_h and r_h follow from the difference
+between vanes and inertial sensors,
 
-    T_q dq_h/dt = -q_h + cos(phi) a + sin(phi) b       a = d(alpha)/dt - rate of alpha by inertia, b the same of beta        (1)
-    T_r dr_h/dt = -r_h + sin(phi) a - cos(phi) b                                                                          (2)
+    T_q dq_h/dt = -q_h + cos(phi) a + sin(phi) b                                   (1)
+    T_r dr_h/dt = -r_h + sin(phi) a - cos(phi) b                                   (2)
 
-and a model that is told the gyros' rates misses  -dC/dq q_air - dC/dr r_air.  Not all air rotates so (some simulators' does not):
-the residuals say what share of (1), (2) is there, and that share is taken out. What the air rolls with (p_h) nobody measures; the
-standard gives it as a first-order process, whose white level follows from that of a vertical gust's gradient,
+with a = d(alpha)/dt less the inertial rate of alpha, b the same of beta. A model that receives the
+gyros' rates misses -dC/dq q_air - dC/dr r_air. Some simulators' gusts do not rotate the air, so
+`without_air_rotation` estimates the share of (1), (2) in the residuals and removes that share. p_h
+is not measurable. The standard describes it as a first-order process, whose white level follows
+from that of a vertical gust's gradient,
 
-    S_p(0) = 0.8 pi/3 (pi L/4b)^(1/3) S_q(0),   T_p = 4b/(pi V)                                                            (3)
+    S_p(0) = 0.8 pi/3 (pi L/4b)^(1/3) S_q(0),   T_p = 4b/(pi V)                     (3)
 
-and it joins the sensors' noise. Levels are what the vanes show beyond their own noise: in calm air both are nothing.
+and it is added to the sensors' noise. Levels are those of the vanes above their own noise: in calm
+air both corrections vanish.
 """
 
 from __future__ import annotations
@@ -65,17 +69,31 @@ CHANNELS = (
 ROLLING = "p_h"
 """Name of the rolling gusts among the channels of a piece's noise."""
 _SCALE_M = 100.0
-_SPREAD = 0.35
-"""Of the rolling gusts' size: L from 20 to 533 m moves the root of (3) from 0.76 to 1.32 of that at 100 m; form not counted."""
-_BAND = (
-    1.0 / 3.0
-)  # of the cut-off: above it the vanes' noise, differentiated, outweighs light gusts
+"""Turbulence scale length L [m] in (3)."""
+_SIZE_ERROR = 0.35
+"""Relative standard deviation of the rolling gusts' size.
+
+L from 20 to 533 m moves the root of (3) from 0.76 to 1.32 of its value at 100 m.
+"""
+_BAND = 1.0 / 3.0
+"""Share of the cut-off; above it the differentiated noise of the vanes exceeds light gusts."""
 _OFFSET_RADPS = 1e-3
+"""Step [rad/s] of the differences with the angular rates."""
 
 
 @dataclass(frozen=True)
 class AirPiece:
-    """One piece: channels by name (N,), slopes (N, 3, 6) of the coefficients with p, q, r [s/rad], span b [m]."""
+    """What `without_air_rotation` needs of one piece.
+
+    Attributes
+    ----------
+    channels : mapping of str to array (N,)
+        Measured channels.
+    slopes : array (N, 3, 6)
+        Derivatives of the coefficients with p, q, r [s/rad].
+    b : float
+        Span [m].
+    """
 
     channels: Mapping[str, FloatArray]
     slopes: FloatArray
@@ -83,8 +101,18 @@ class AirPiece:
 
 
 @dataclass(frozen=True)
-class AirFound:
-    """share: of the rotation by (1), (2), with its standard error; level: of the vertical gusts' gradient, [rad2/s2] a sample."""
+class AirRotation:
+    """Result of `without_air_rotation`.
+
+    Attributes
+    ----------
+    share : float
+        Share of the rotation by (1), (2) that the residuals show [-].
+    std : float
+        Its standard error.
+    level : float
+        Mean square of the vertical gusts' gradient [rad2/s2 a sample].
+    """
 
     share: float
     std: float
@@ -94,66 +122,112 @@ class AirFound:
 def air_pieces(
     record: FlightRecord, pieces: Sequence[Piece], model: Model, airspeed_hz: float
 ) -> list[AirPiece]:
-    """What `without_air_rotation` needs of a flight: asks the model for its slopes with the rates."""
+    """Compute what `without_air_rotation` needs of a flight.
+
+    The model is called four times a piece, for the slopes with the angular rates.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        The flight.
+    pieces : sequence of Piece
+        From `cut_pieces`.
+    model : callable
+        As in `residual_coefficients`.
+    airspeed_hz : float
+        Low-pass of the airspeed [Hz].
+
+    Returns
+    -------
+    list of AirPiece
+        One a piece.
+    """
     record = steady_airspeed(record, airspeed_hz)
     out = []
     for piece in pieces:
-        said = model(record, piece)
-        moved = [
+        prediction = model(record, piece)
+        offset_coefficients = [
             model(record.with_columns({c: record[c] + _OFFSET_RADPS}), piece).coefficients
             for c in RATES
         ]
-        slopes = np.stack([(m - said.coefficients) / _OFFSET_RADPS for m in moved], axis=1)
-        out.append(AirPiece(_channels(record, piece), slopes, said.mass.b))
+        slopes = np.stack(
+            [(m - prediction.coefficients) / _OFFSET_RADPS for m in offset_coefficients], axis=1
+        )
+        out.append(AirPiece(_channels(record, piece), slopes, prediction.mass.b))
     return out
 
 
-def as_measured(
+def with_channels_of(
     air: Sequence[AirPiece], record: FlightRecord, pieces: Sequence[Piece], airspeed_hz: float
 ) -> list[AirPiece]:
-    """The same pieces with another record's channels: a model's slopes hardly depend on noise."""
+    """Replace the channels of pieces by another record's; slopes hardly depend on measurement
+    noise.
+    """
     record = steady_airspeed(record, airspeed_hz)
     return [replace(a, channels=_channels(record, p)) for a, p in zip(air, pieces, strict=True)]
 
 
 def _channels(record: FlightRecord, piece: Piece) -> dict[str, FloatArray]:
+    """Return the channels (N,) of a piece."""
     return {c: np.asarray(record[c][piece.rows], dtype=float) for c in CHANNELS}
 
 
 def without_air_rotation(
     residuals: Residuals, air: Sequence[AirPiece], arm_m: Sequence[float], std: Mapping[str, float]
-) -> tuple[Residuals, AirFound]:
-    """One flight's residuals without the air's rotation, its rolling among their noise, and what was found.
+) -> tuple[Residuals, AirRotation]:
+    """Remove the air's rotation from one flight's residuals and add rolling gusts to their noise.
 
-    residuals  with noise, of the pieces of ``air`` that are longer than the filter     std  channel -> of its white noise
-    Raises ValueError where the pieces are not the same.
+    Parameters
+    ----------
+    residuals : Residuals
+        With sensor noise.
+    air : sequence of AirPiece
+        Of the same flight; pieces shorter than the filter are skipped.
+    arm_m : sequence of 3 floats
+        Accelerometers from the CG [m].
+    std : mapping of str to float
+        White noise of each channel, in its unit.
+
+    Returns
+    -------
+    Residuals
+        Without the estimated share of the air's rotation.
+    AirRotation
+        The estimate.
+
+    Raises
+    ------
+    ValueError
+        If the pieces differ.
     """
-    least = 2 * half_width(residuals.dt_s, residuals.cutoffs.all_hz) + 3
-    kept = [a for a in air if len(a.slopes) >= least]
+    min_rows = 2 * half_width(residuals.dt_s, residuals.cutoffs.all_hz) + 3
+    long_pieces = [a for a in air if len(a.slopes) >= min_rows]
     arm = np.asarray(arm_m, dtype=float)
-    gusts = [_gust_rates(a.channels, arm, residuals.dt_s, residuals.cutoffs) for a in kept]
-    level, signal_share = _level(kept, gusts, arm, residuals, std)
+    gusts = [_gust_rates(a.channels, arm, residuals.dt_s, residuals.cutoffs) for a in long_pieces]
+    # The vanes' noise looks like rotation: shrink by the signal's share of the power.
+    level, signal_share = _gradient_level(long_pieces, gusts, arm, residuals, std)
     rotations = [
-        signal_share * _inner(_rotation(a, g, residuals.dt_s), len(p))
-        for a, g, p in zip(kept, gusts, residuals.pieces, strict=True)
+        signal_share * _central_rows(_rotation_residual(a, g, residuals.dt_s), len(p))
+        for a, g, p in zip(long_pieces, gusts, residuals.pieces, strict=True)
     ]
-    share, error = _share(residuals, rotations)
+    share, error = _rotation_share(residuals, rotations)
     pieces = tuple(
         _corrected(p, share * r, a, level, residuals)
-        for p, r, a in zip(residuals.pieces, rotations, kept, strict=True)
+        for p, r, a in zip(residuals.pieces, rotations, long_pieces, strict=True)
     )
-    return replace(residuals, pieces=pieces), AirFound(share, error, level)
+    return replace(residuals, pieces=pieces), AirRotation(share, error, level)
 
 
 def _gust_rates(
     c: Mapping[str, FloatArray], arm: FloatArray, dt_s: float, cutoffs: Cutoffs
 ) -> FloatArray:
-    """(N, 2) right sides of (1) and (2) without their lags, smoothed [rad/s]."""
+    """Compute the smoothed right sides (N, 2) of (1) and (2) without the lags [rad/s]."""
     hz = cutoffs.all_hz
     V, alpha, beta = c["V_mps"], c["alpha_rad"], c["beta_rad"]
     rates = np.column_stack([c[n] for n in RATES])
-    felt = np.column_stack([c["ax_mps2"], c["ay_mps2"], c["az_mps2"]])
-    force = at_cg(felt, rates, smooth(rates, dt_s, hz, derivative=1), arm)
+    specific_force = np.column_stack([c["ax_mps2"], c["ay_mps2"], c["az_mps2"]])
+    # Specific force at the CG, then the kinematic rates of alpha and beta.
+    force = at_cg(specific_force, rates, smooth(rates, dt_s, hz, derivative=1), arm)
     sp, cp, st, ct = (
         np.sin(c["phi_rad"]),
         np.cos(c["phi_rad"]),
@@ -164,16 +238,19 @@ def _gust_rates(
     u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
     velocity = np.column_stack([u, v, w])
     change = force + weight - np.cross(rates, velocity)
-    along = (velocity * change).sum(axis=1) / V
+    V_dot = (velocity * change).sum(axis=1) / V
+    # Inertial rates of alpha and beta.
     alpha_dot = (u * change[:, 2] - w * change[:, 0]) / (u * u + w * w)
-    beta_dot = (change[:, 1] - np.sin(beta) * along) / (V * np.cos(beta))
+    beta_dot = (change[:, 1] - np.sin(beta) * V_dot) / (V * np.cos(beta))
     a = smooth(alpha, dt_s, hz, derivative=1) - smooth(alpha_dot, dt_s, hz)
     b = smooth(beta, dt_s, hz, derivative=1) - smooth(beta_dot, dt_s, hz)
     return np.column_stack([cp * a + sp * b, sp * a - cp * b])  # (1), (2)
 
 
-def _rotation(air: AirPiece, gusts: FloatArray, dt_s: float) -> FloatArray:
-    """(N, 6) what the whole rotation by (1), (2) adds to the residual coefficients."""
+def _rotation_residual(air: AirPiece, gusts: FloatArray, dt_s: float) -> FloatArray:
+    """Compute the contribution (N, 6) of the full rotation by (1), (2) to the residual
+    coefficients.
+    """
     c = air.channels
     V = float(np.mean(c["V_mps"]))
     q_h, r_h = (_lagged(gusts[:, k], LENGTHS[1 + k] * air.b / V, dt_s) for k in (0, 1))
@@ -183,21 +260,27 @@ def _rotation(air: AirPiece, gusts: FloatArray, dt_s: float) -> FloatArray:
 
 
 def _lagged(x: FloatArray, time_s: float, dt_s: float) -> FloatArray:
-    keep = float(np.exp(-dt_s / time_s))
-    return first_order((1.0 - keep) * x, keep)
+    """Filter x by a first-order lag of ``time_s``, from zero."""
+    decay = float(np.exp(-dt_s / time_s))
+    return first_order((1.0 - decay) * x, decay)
 
 
-def _inner(x: FloatArray, n: int) -> FloatArray:
+def _central_rows(x: FloatArray, n: int) -> FloatArray:
+    """Return the central n rows of x."""
     m = (len(x) - n) // 2
     return x[m : m + n]
 
 
-def _share(residuals: Residuals, rotations: Sequence[FloatArray]) -> tuple[float, float]:
-    """Of the rotation that all coefficients together show, held by a normal prior of unit deviation about nothing."""
+def _rotation_share(residuals: Residuals, rotations: Sequence[FloatArray]) -> tuple[float, float]:
+    """Estimate the share of the rotation in all coefficients, and its standard error.
+
+    The prior is normal about zero with unit deviation.
+    """
+    # Least squares over all coefficients, weighted by residual variance; the prior counts as 1.
     information, moment = np.ones(1), np.zeros(1)
     for j in range(6):
-        y = np.concatenate([_waves(p.delta[:, j], residuals) for p in residuals.pieces])
-        x = np.concatenate([_waves(r[:, j], residuals) for r in rotations])
+        y = np.concatenate([_cosines_in_band(p.delta[:, j], residuals) for p in residuals.pieces])
+        x = np.concatenate([_cosines_in_band(r[:, j], residuals) for r in rotations])
         variance = float(y @ y) / len(y)
         if variance > 0.0:
             information = information + x @ x / variance
@@ -205,8 +288,8 @@ def _share(residuals: Residuals, rotations: Sequence[FloatArray]) -> tuple[float
     return float((moment / information)[0]), float(information[0] ** -0.5)
 
 
-def _waves(x: FloatArray, residuals: Residuals) -> FloatArray:
-    """Cosine waves of one piece's (n,) or (n, ...) samples within the band, without the mean."""
+def _cosines_in_band(x: FloatArray, residuals: Residuals) -> FloatArray:
+    """Return the cosine transform of one piece (n, ...) within the band, without the mean."""
     n = len(x)
     return np.asarray(
         fft.dct(x, axis=0, norm="ortho")[
@@ -215,31 +298,39 @@ def _waves(x: FloatArray, residuals: Residuals) -> FloatArray:
     )
 
 
-def _level(
+def _gradient_level(
     air: Sequence[AirPiece],
     gusts: Sequence[FloatArray],
     arm: FloatArray,
     residuals: Residuals,
     std: Mapping[str, float],
 ) -> tuple[float, float]:
-    """Mean square of the gradient's waves beyond twice what sensors put there (their noise may be understated), and its share."""
-    seen, noise = [], []
+    """Estimate the mean square of the vertical gusts' gradient, and its share of the measured
+    power.
+
+    Twice the sensors' contribution is subtracted, because their noise may be understated.
+    """
+    power, noise = [], []
     for a, g, p in zip(air, gusts, residuals.pieces, strict=True):
         n = len(p)
-        seen.append(_waves(_inner(g[:, 0], n), residuals) ** 2)
-        hz = np.arange(1, len(seen[-1]) + 1) / (2.0 * n * residuals.dt_s)
-        own = (2.0 * np.pi * hz * std.get("alpha_rad", 0.0)) ** 2
+        power.append(_cosines_in_band(_central_rows(g[:, 0], n), residuals) ** 2)
+        hz = np.arange(1, len(power[-1]) + 1) / (2.0 * n * residuals.dt_s)
+        # White noise of alpha is differentiated; other channels enter by their slopes.
+        noise_power = (2.0 * np.pi * hz * std.get("alpha_rad", 0.0)) ** 2
         for channel in (c for c in CHANNELS if c in std and c != "alpha_rad"):
             step = 1e-3 * max(1.0, float(np.abs(a.channels[channel]).max()))
+            # Slope of the gradient with the channel.
             moved = _gust_rates(
                 {**a.channels, channel: a.channels[channel] + step},
                 arm,
                 residuals.dt_s,
                 residuals.cutoffs,
             )
-            own = own + float(np.mean(((moved - g)[:, 0] / step * std[channel]) ** 2))
-        noise.append(own)
-    total = float(np.concatenate(seen).mean())
+            noise_power = noise_power + float(
+                np.mean(((moved - g)[:, 0] / step * std[channel]) ** 2)
+            )
+        noise.append(noise_power)
+    total = float(np.concatenate(power).mean())
     level = max(0.0, total - 2.0 * float(np.concatenate(noise).mean()))
     return level, level / total if total > 0.0 else 0.0
 
@@ -247,14 +338,20 @@ def _level(
 def _corrected(
     piece: ResidualPiece, rotation: FloatArray, air: AirPiece, level: float, residuals: Residuals
 ) -> ResidualPiece:
+    """Subtract the rotation from one piece and append the rolling gusts to its noise."""
     assert piece.noise is not None
     time_s = LENGTHS[0] * air.b / float(np.mean(air.channels["V_mps"]))
+    # Size of the rolling gusts by (3).
     size = np.sqrt(
         0.8 * np.pi / 3.0 * (np.pi * _SCALE_M / (4.0 * air.b)) ** (1.0 / 3.0) * level
     )  # (3)
     weights = _rolling_weights(time_s, residuals.dt_s, residuals.cutoffs.all_hz)
     rolling = Passage(
-        ROLLING, "smoothed", -size * _inner(air.slopes[:, 0], len(piece)), weights, _SPREAD
+        ROLLING,
+        "smoothed",
+        -size * _central_rows(air.slopes[:, 0], len(piece)),
+        weights,
+        _SIZE_ERROR,
     )
     passages = (*piece.noise.passages, rolling) if level > 0.0 else piece.noise.passages
     return replace(
@@ -263,55 +360,62 @@ def _corrected(
 
 
 def _rolling_weights(time_s: float, dt_s: float, cutoff_hz: float) -> tuple[float, ...]:
-    """Of the lag of (3) and the smoother behind it, on white noise."""
-    keep = float(np.exp(-dt_s / time_s))
-    lag = (1.0 - keep) * keep ** np.arange(int(12.0 * time_s / dt_s) + 1)
+    """Return the weights of the lag of (3) followed by the smoother, on white noise."""
+    decay = float(np.exp(-dt_s / time_s))
+    lag = (1.0 - decay) * decay ** np.arange(int(12.0 * time_s / dt_s) + 1)
     return tuple(np.convolve(lag, kernel(half_width(dt_s, cutoff_hz), dt_s)).tolist())
 
 
-# Dryden gusts as states of a filter: the air's own rotation, and the gusts that turn with the
-# aircraft.
+# Dryden gusts as states of the Kalman filter.
 #
-# The filter's V, alpha and beta are relative to the air, so gusts reach them as near-white
-# noise on their rates. The same gusts do more, in heading axes (along the heading and level;
-# index h), in which MIL-F-8785C gives them:
+# V, alpha and beta are relative to the air, so gusts act on their rates as near-white noise. The
+# same gusts have two more effects, in heading axes (level along the heading; index h), in which
+# MIL-F-8785C gives them:
 #
-# * the air rotates (3.7.5): p_h is a first-order process of its own; q_h = -dw/dx and r_h =
-# +dv/dx follow from the gusts down and to the right, w and v, smoothed over the span by k_q b =
-# 4 b/pi and k_r b = 3 b/pi. Gusts pass at a speed V_g, that of the aircraft or, where they were
-# made beforehand, one of their own:
+# * The air rotates (3.7.5): p_h is a first-order process of its own; q_h = -dw/dx and r_h = +dv/dx
+#   follow from the gusts down and to the right, w and v, smoothed over the span by
+#   k_q b = 4 b/pi and k_r b = 3 b/pi. Gusts pass at a speed V_g: the airspeed, or a fixed speed in
+#   some simulators:
 #
-# k_q b/V_g dp_h/dt = -p_h + noise (1) k_q b dq_h/dt = -V_g q_h - dw/dt k_r b dr_h/dt = -V_g r_h
-# + dv/dt (2)
+#       k_q b/V_g dp_h/dt = -p_h + noise                                              (1)
+#       k_q b dq_h/dt = -V_g q_h - dw/dt      k_r b dr_h/dt = -V_g r_h + dv/dt        (2)
 #
-# * the axes turn with the aircraft at dpsi/dt, and the gusts u, v along and across them with
-# it: the air seems to accelerate by dpsi/dt times them, without rotating. In a bank of 30 deg
-# that is 0.01 rad/s of beta for seconds on end.
+# * The axes turn with the aircraft at dpsi/dt, and the gusts u, v with them: the air appears to
+#   accelerate by dpsi/dt times the gusts. In a bank of 30 deg that is 0.01 rad/s of beta.
 #
-# Velocity relative to the air is (U, S, W) in these axes, that over the ground is U + u, S + v,
-# W + w, and no gust changes that. So none of these states needs noise of its own: c_u = U + u
-# and c_v = S + v, h_q = k_q b q_h - W and h_r = k_r b r_h + S change by the deterministic part
-# of U, S, W alone, which is that of V, alpha, beta and the attitude:
+# The velocity relative to the air is (U, S, W) in these axes, that over the ground is U + u, S + v,
+# W + w, and no gust changes the latter. So these states need no noise of their own: c_u = U + u,
+# c_v = S + v, h_q = k_q b q_h - W and h_r = k_r b r_h + S change by the deterministic part of the
+# rates of U, S, W alone:
 #
-# dh_q/dt = -V_g q_h - dW/dt dh_r/dt = -V_g r_h + dS/dt (3)
+#     dh_q/dt = -V_g q_h - dW/dt              dh_r/dt = -V_g r_h + dS/dt              (3)
 #
-# These are velocities, and not angles as the vanes see them: gusts along the path change the
-# airspeed, and with an angle per airspeed as the state the air's rotation went with that noise.
-# In strong air (20 kt at 20 ft) it was a moment that nothing explained.
+# The states are velocities and not angles: gusts along the path change the airspeed, and with an
+# angle as the state that noise would rotate the air.
 #
-# Left out, in E-SPAARO's simulated flights: rolling gusts taken for noise on p pass for
-# persistence of the aircraft (Cl_p at two thirds); gradients along the body's axes in banked
-# flight, or independent of alpha and beta, and gusts that do not turn, leave moments that
-# nothing explains, and intervals of the lateral damping terms (Cn_r above all) do not cover.
+# Known limits, from simulated flights of E-SPAARO: rolling gusts that are mistaken for noise of p
+# bias Cl_p to two thirds; gradients along body axes in banked flight, gradients independent of
+# alpha and beta, and gusts that do not turn leave unexplained moments, so that intervals of the
+# lateral damping terms (Cn_r above all) do not cover.
 
 
 class GustStates(NamedTuple):
-    """p_h [rad/s], h_q, h_r, c_u, c_v [m/s] behind V, alpha, beta, p, q, r, phi, theta; ``b`` the span [m].
+    """The five air states of the Kalman filter: p_h [rad/s], h_q, h_r, c_u, c_v [m/s].
 
-    passing_mps: the speed at which the gusts pass, where they are simulated at one whatever the airspeed; 0: the airspeed, as in
-    real air.
-    rotating: q_h, r_h follow from gusts down and to the right; turning_with: u, v turn with the heading. Neither is so in all air:
-    some simulators' gusts do not rotate, and no real gust turns with an aircraft.
+    They follow V, alpha, beta, p, q, r, phi, theta in x. Some simulators' gusts do not rotate the
+    air, and no real gust turns with an aircraft; the flags say which effects the air has.
+
+    Attributes
+    ----------
+    b : float
+        Span [m].
+    passing_mps : float
+        Speed at which gusts pass, where a simulation fixes it [m/s]; 0: the airspeed, as in real
+        air.
+    rotating : bool
+        q_h, r_h follow from gusts down and to the right.
+    turning_with : bool
+        u, v turn with the heading.
     """
 
     b: float
@@ -320,29 +424,37 @@ class GustStates(NamedTuple):
     turning_with: bool = True
 
     def lags_s(self, V: Any) -> tuple[Any, Any, Any]:
-        """T_p, T_q, T_r at airspeed V."""
+        """Return T_p, T_q, T_r [s] at airspeed V [m/s]."""
         return gust_lags_s(self, V)
 
     def start(self, x: Any) -> tuple[Any, ...]:
-        """The five states in air that neither moves nor rotates, by the eight others."""
+        """Return the five states in air at rest, from the eight others."""
         U, S, W = heading(x, sines(x))
         return 0.0 * U, -self.rotating * W, self.rotating * S, U, S
 
     def level(self, x: Any) -> tuple[Any, Any, Any]:
-        """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x."""
+        """Return p_h, q_h, r_h [rad/s], the air's rotation in heading axes, at a state x of 13
+        elements.
+        """
         return level(self, x, sines(x))
 
     def rotation(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
-        """p_g, q_g, r_g [rad/s]: the air's rotation in body axes; ``trig``: `sines` of x, if known."""
+        """Return p_g, q_g, r_g [rad/s], the air's rotation in body axes; ``trig``: `sines` of x,
+        optional.
+        """
         trig = trig or sines(x)
         return rotation(level(self, x, trig), trig)
 
     def turning(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
-        """What the turning of u, v with the heading adds to the acceleration relative to the air, in body axes [m/s2]."""
+        """Return the apparent acceleration by u, v that turn with the heading, body axes [m/s2]."""
         return turning(self, x, trig or sines(x))
 
     def rates(
-        self, x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig | None = None
+        self, x: Any, state_rates: tuple[Any, Any, Any, Any, Any], trig: Trig | None = None
     ) -> tuple[Any, ...]:
-        """d/dt of the five states, given the deterministic rates of V, alpha, beta (`turning` included), phi and theta."""
-        return gust_rates(self, x, rated, trig or sines(x))
+        """Return the time derivatives of the five states.
+
+        ``state_rates`` are the deterministic rates of V, alpha, beta (`turning` included), phi and
+        theta.
+        """
+        return gust_rates(self, x, state_rates, trig or sines(x))

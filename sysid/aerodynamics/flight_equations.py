@@ -1,8 +1,11 @@
-"""Equations of a rigid aeroplane in moving air, for one state or for many, and the loops that linearise them along a flight.
+"""Equations of motion of a rigid aeroplane in moving air, and the loops that linearise them.
 
-x is V, alpha, beta, p, q, r, phi, theta and, in turbulence, the five states of `sysid.aerodynamics.air_motion`: a vector, or the
-rows of an array with a flight in its columns. The loops are compiled (`linearised` and `carried`), with everything in this one
-file: numba looks at no other when it decides whether what it kept is still what stands here.
+The state x is V, alpha, beta, p, q, r, phi, theta and, in turbulence, the five air states of
+`sysid.aerodynamics.air_motion`. Functions take a vector or an array with states in rows and flights
+in columns. `sysid.aerodynamics.rigid_body` linearises flights with the compiled `loops`.
+
+All compiled functions stand in this one file, because numba invalidates its cache by the file of
+the outermost function only.
 """
 
 from __future__ import annotations
@@ -14,13 +17,15 @@ import numpy as np
 
 Trig = tuple[Any, Any, Any, Any, Any, Any, Any, Any]
 LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)
-"""T_p V, T_q V, T_r V in spans, MIL-F-8785C 3.7.5."""
+"""T_p V, T_q V, T_r V in spans [-], MIL-F-8785C 3.7.5."""
 _IMAGINARY = 1e-20
+"""Complex step."""
 _ORDERS = 5
+"""Terms of the Taylor series of exp(A h)."""
 
 
 def sines(x: Any) -> Trig:
-    """sin and cos of phi, theta, alpha and beta of a state x: computed once, they serve every method."""
+    """Compute sin and cos of phi, theta, alpha and beta of a state x once for all functions."""
     return (
         np.sin(x[6]),
         np.cos(x[6]),
@@ -33,9 +38,12 @@ def sines(x: Any) -> Trig:
     )
 
 
-def sines_near(own: Trig, x: Any) -> Trig:
-    """The same of a complex state whose imaginary part is too small for a second order, ``own`` being those of its real part."""
-    sf, cf, st, ct, sa, ca, sb, cb = own
+def complex_step_sines(real_trig: Trig, x: Any) -> Trig:
+    """Return `sines` of a complex state x from those of its real part, ``real_trig``.
+
+    The imaginary part is a complex step, too small for second-order terms.
+    """
+    sf, cf, st, ct, sa, ca, sb, cb = real_trig
     phi, theta, alpha, beta = x[6].imag, x[7].imag, x[1].imag, x[2].imag
     return (
         complex(sf, cf * phi),
@@ -50,13 +58,16 @@ def sines_near(own: Trig, x: Any) -> Trig:
 
 
 def gust_lags_s(gusts: Any, V: Any) -> tuple[Any, Any, Any]:
-    """T_p, T_q, T_r [s] of `GustStates` at airspeed V."""
+    """Return the time constants T_p, T_q, T_r [s] of `GustStates` at airspeed V [m/s]."""
     unit = gusts.b / (gusts.passing_mps or V)
     return LENGTHS[0] * unit, LENGTHS[1] * unit, LENGTHS[2] * unit
 
 
 def heading(x: Any, trig: Trig) -> tuple[Any, Any, Any]:
-    """Velocity relative to the air in heading axes [m/s]: along the heading and level, to the right, and down."""
+    """Return the velocity relative to the air in heading axes [m/s].
+
+    Heading axes are level: forward along the heading, right, and down.
+    """
     sf, cf, st, ct, sa, ca, sb, cb = trig
     ahead, right, below = x[0] * ca * cb, x[0] * sb, x[0] * sa * cb
     upright = sf * right + cf * below
@@ -64,10 +75,12 @@ def heading(x: Any, trig: Trig) -> tuple[Any, Any, Any]:
 
 
 def heading_rates(
-    x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig
+    x: Any, state_rates: tuple[Any, Any, Any, Any, Any], trig: Trig
 ) -> tuple[Any, Any, Any]:
-    """Rates of change of `heading` [m/s2], given those of V, alpha, beta, phi, theta."""
-    dV, dalpha, dbeta, dphi, dtheta = rated
+    """Return the time derivative of `heading` [m/s2], given the rates of V, alpha, beta, phi,
+    theta.
+    """
+    dV, dalpha, dbeta, dphi, dtheta = state_rates
     sf, cf, st, ct, sa, ca, sb, cb = trig
     U, S, W = heading(x, trig)
     dahead = dV * ca * cb - x[0] * (sa * cb * dalpha + ca * sb * dbeta)
@@ -79,7 +92,9 @@ def heading_rates(
 
 
 def level(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
-    """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x."""
+    """Return p_h, q_h, r_h [rad/s], the air's rotation in heading axes, at a state x of 13
+    elements.
+    """
     _, S, W = heading(x, trig)
     return (
         x[8],
@@ -88,16 +103,18 @@ def level(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     )
 
 
-def rotation(levelled: tuple[Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]:
-    """The air's rotation in body axes [rad/s] by that in heading axes."""
-    p_h, q_h, r_h = levelled
+def rotation(rotation_h: tuple[Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]:
+    """Turn the air's rotation [rad/s] from heading axes into body axes."""
+    p_h, q_h, r_h = rotation_h
     sf, cf, st, ct = trig[:4]
     upright = st * p_h + ct * r_h
     return ct * p_h - st * r_h, cf * q_h + sf * upright, cf * upright - sf * q_h
 
 
 def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
-    """What the turning of u_h, v_h with the heading adds to the acceleration relative to the air, in body axes [m/s2]."""
+    """Return the apparent acceleration by gusts u_h, v_h that turn with the heading, body axes
+    [m/s2].
+    """
     sf, cf, st, ct = trig[:4]
     U, S, _ = heading(x, trig)
     dpsi = gusts.turning_with * (x[4] * sf + x[5] * cf) / ct
@@ -106,10 +123,14 @@ def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
 
 
 def gust_rates(
-    gusts: Any, x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig
+    gusts: Any, x: Any, state_rates: tuple[Any, Any, Any, Any, Any], trig: Trig
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """d/dt of the five states of the air, given the deterministic rates of V, alpha, beta (`turning` included), phi and theta."""
-    dU, dS, dW = heading_rates(x, rated, trig)
+    """Return the time derivatives of the five air states.
+
+    ``state_rates`` are the deterministic rates of V, alpha, beta (`turning` included), phi and
+    theta.
+    """
+    dU, dS, dW = heading_rates(x, state_rates, trig)
     p_h, q_h, r_h = level(gusts, x, trig)
     T_p, _, _ = gust_lags_s(gusts, x[0])
     passing = gusts.passing_mps or x[0]
@@ -123,23 +144,42 @@ def gust_rates(
 
 
 def flow_rates(
-    x: Any, felt: tuple[Any, Any, Any], trig: Trig, gravity: float
+    x: Any, specific_force: tuple[Any, Any, Any], trig: Trig, gravity: float
 ) -> tuple[Any, Any, Any]:
-    """Rates of V [m/s2], alpha and beta [rad/s] under a specific force [m/s2] in body axes, and weight."""
+    """Return the rates of V [m/s2], alpha and beta [rad/s] under a specific force and weight.
+
+    ``specific_force`` [m/s2] is in body axes, ``gravity`` [m/s2] positive.
+    """
     V, p, q, r = x[0], x[3], x[4], x[5]
     sf, cf, st, ct, sa, ca, sb, cb = trig
     ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
-    ud = felt[0] + r * vb - q * wb - gravity * st
-    vd = felt[1] + p * wb - r * ub + gravity * ct * sf
-    wd = felt[2] + q * ub - p * vb + gravity * ct * cf
+    ud = specific_force[0] + r * vb - q * wb - gravity * st
+    vd = specific_force[1] + p * wb - r * ub + gravity * ct * sf
+    wd = specific_force[2] + q * ub - p * vb + gravity * ct * cf
     Vd = (ub * ud + vb * vd + wb * wd) / V
     return Vd, (ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb)
 
 
 class Body(NamedTuple):
-    """What moves: mass [kg], inertia and its inverse (3, 3) [kg m2], arm (3,) of the accelerometers [m], gravity [m/s2]; gusty:
-    with the air's states, as ``gusts`` (GustStates) has them; by_flow: forces go with what else than forces changes alpha and
-    beta."""
+    """Properties of the aircraft that the equations need.
+
+    Attributes
+    ----------
+    mass : float
+        Mass [kg].
+    inertia, inverse : array (3, 3)
+        Inertia about the CG in body axes [kg m2], and its inverse.
+    arm : array (3,)
+        Accelerometers from the CG, body axes [m].
+    gravity : float
+        [m/s2].
+    gusty : bool
+        The state includes the five air states.
+    gusts : GustStates
+        Parameters of the air states.
+    by_flow : bool
+        Forces depend on the kinematic rates of alpha and beta as well.
+    """
 
     mass: float
     inertia: Any
@@ -151,9 +191,20 @@ class Body(NamedTuple):
     by_flow: bool
 
 
-class Along(NamedTuple):
-    """Reference flight: x (n, 8), load (n, 6) force [N] and moment [N m], slopes (n, 6, 6) by V, alpha, beta and the rates relative
-    to the air, by_flow (n, 6, 2) by the rates of alpha and beta."""
+class ReferenceFlight(NamedTuple):
+    """Reference about which forces are linear: n samples, or one of them.
+
+    Attributes
+    ----------
+    x : array (n, 8)
+        States.
+    load : array (n, 6)
+        Force [N] and moment [N m], body axes, without gravity.
+    slopes : array (n, 6, 6)
+        Derivatives of the load with V, alpha, beta and the angular rates relative to the air.
+    by_flow : array (n, 6, 2)
+        Derivatives of the load with the kinematic rates of alpha and beta.
+    """
 
     x: Any
     load: Any
@@ -162,13 +213,18 @@ class Along(NamedTuple):
 
 
 def motion(
-    x: Any, trig: Trig, body: Any, at: Any, load: Any, work: Any, rate: Any, seen: Any
+    x: Any, trig: Trig, body: Any, reference: Any, load: Any, work: Any, rate: Any, outputs: Any
 ) -> None:
-    """dx/dt of one state into ``rate`` and the outputs into ``seen`` (11,); forces linear about the reference ``at``, whose own are
-    ``load`` (6,). trig: `sines` of x; work (12,) is written over."""
+    """Compute dx/dt of one state and the outputs there, with forces linear about ``reference``.
+
+    Writes dx/dt into ``rate`` (8 or 13,) and the outputs into ``outputs`` (11,). ``load`` (6,) is
+    the load at the reference, which may differ from ``reference.load`` by a force that is unknown
+    to the model. ``trig`` are the `sines` of x; ``work`` (12,) is overwritten.
+    """
     for i in range(6):
-        work[i] = x[i] - at.x[i]
+        work[i] = x[i] - reference.x[i]
     if body.gusty:
+        # Aerodynamic forces depend on the angular rates relative to the air.
         air = rotation(level(body.gusts, x, trig), trig)
         work[3] -= air[0]
         work[4] -= air[1]
@@ -176,38 +232,43 @@ def motion(
     for i in range(6):
         work[6 + i] = load[i]
         for k in range(6):
-            work[6 + i] += at.slopes[i, k] * work[k]
+            work[6 + i] += reference.slopes[i, k] * work[k]
     if body.gusty and body.by_flow:
-        # Rates of alpha and beta are the motion's own: air that rotates, and attitudes, are not in the slopes as they act.
+        # Kinematic rates of alpha and beta, by weight and an unmodelled force alone: rotating air
+        # and attitudes do not act through the slopes.
         zero = 0.0 * x[0]
-        # A force that the model does not know of changes them, too.
-        unknown = (
-            (load[0] - at.load[0]) / body.mass,
-            (load[1] - at.load[1]) / body.mass,
-            (load[2] - at.load[2]) / body.mass,
+        # A force unknown to the model changes them as well.
+        extra_force = (
+            (load[0] - reference.load[0]) / body.mass,
+            (load[1] - reference.load[1]) / body.mass,
+            (load[2] - reference.load[2]) / body.mass,
         )
-        own = flow_rates(
-            x, (unknown[0] + zero, unknown[1] + zero, unknown[2] + zero), trig, body.gravity
+        flow = flow_rates(
+            x,
+            (extra_force[0] + zero, extra_force[1] + zero, extra_force[2] + zero),
+            trig,
+            body.gravity,
         )
         for i in range(6):
-            work[i] += at.x[i]
-        there = (
-            np.sin(at.x[6]) + zero,
-            np.cos(at.x[6]) + zero,
-            np.sin(at.x[7]) + zero,
-            np.cos(at.x[7]) + zero,
+            work[i] += reference.x[i]
+        trig_reference = (
+            np.sin(reference.x[6]) + zero,
+            np.cos(reference.x[6]) + zero,
+            np.sin(reference.x[7]) + zero,
+            np.cos(reference.x[7]) + zero,
             np.sin(work[1]),
             np.cos(work[1]),
             np.sin(work[2]),
             np.cos(work[2]),
         )
-        before = flow_rates(work, (zero, zero, zero), there, body.gravity)
+        flow_reference = flow_rates(work, (zero, zero, zero), trig_reference, body.gravity)
         for i in range(6):
-            work[6 + i] += at.by_flow[i, 0] * (own[1] - before[1]) + at.by_flow[i, 1] * (
-                own[2] - before[2]
-            )
+            work[6 + i] += reference.by_flow[i, 0] * (
+                flow[1] - flow_reference[1]
+            ) + reference.by_flow[i, 1] * (flow[2] - flow_reference[2])
+    # Angular momentum and Euler's equations.
     p, q, r = x[3], x[4], x[5]
-    felt = (work[6] / body.mass, work[7] / body.mass, work[8] / body.mass)
+    specific_force = (work[6] / body.mass, work[7] / body.mass, work[8] / body.mass)
     J, K = body.inertia, body.inverse
     h0 = J[0, 0] * p + J[0, 1] * q + J[0, 2] * r
     h1 = J[1, 0] * p + J[1, 1] * q + J[1, 2] * r
@@ -218,30 +279,47 @@ def motion(
         work[11] - (p * h1 - q * h0),
     )
     sf, cf, st, ct = trig[:4]
+    # Attitude kinematics.
     phid, thetad = p + st / ct * (q * sf + r * cf), q * cf - r * sf
     if body.gusty:
-        turned = turning(body.gusts, x, trig)
+        turn_acceleration = turning(body.gusts, x, trig)
         Vd, alphad, betad = flow_rates(
-            x, (felt[0] + turned[0], felt[1] + turned[1], felt[2] + turned[2]), trig, body.gravity
+            x,
+            (
+                specific_force[0] + turn_acceleration[0],
+                specific_force[1] + turn_acceleration[1],
+                specific_force[2] + turn_acceleration[2],
+            ),
+            trig,
+            body.gravity,
         )
-        of_air = gust_rates(body.gusts, x, (Vd, alphad, betad, phid, thetad), trig)
+        air_rates = gust_rates(body.gusts, x, (Vd, alphad, betad, phid, thetad), trig)
         rate[8], rate[9], rate[10], rate[11], rate[12] = (
-            of_air[0],
-            of_air[1],
-            of_air[2],
-            of_air[3],
-            of_air[4],
+            air_rates[0],
+            air_rates[1],
+            air_rates[2],
+            air_rates[3],
+            air_rates[4],
         )
     else:
-        Vd, alphad, betad = flow_rates(x, felt, trig, body.gravity)
+        Vd, alphad, betad = flow_rates(x, specific_force, trig, body.gravity)
     rate[0], rate[1], rate[2] = Vd, alphad, betad
     for i in range(3):
         rate[3 + i] = K[i, 0] * m0 + K[i, 1] * m1 + K[i, 2] * m2
     rate[6], rate[7] = phid, thetad
     a, b, c = body.arm[0], body.arm[1], body.arm[2]
     pd, qd, rd = rate[3], rate[4], rate[5]
-    # Felt at the arm: turning's rate times it, and what its turning itself adds.
-    seen[0], seen[1], seen[2], seen[3], seen[4], seen[5], seen[6], seen[7] = (
+    # Accelerometers at the arm measure the angular acceleration and the centripetal term as well.
+    (
+        outputs[0],
+        outputs[1],
+        outputs[2],
+        outputs[3],
+        outputs[4],
+        outputs[5],
+        outputs[6],
+        outputs[7],
+    ) = (
         x[0],
         x[1],
         x[2],
@@ -252,49 +330,61 @@ def motion(
         r,
     )
     e0, e1, e2 = q * c - r * b, r * a - p * c, p * b - q * a
-    seen[8] = felt[0] + qd * c - rd * b + q * e2 - r * e1
-    seen[9] = felt[1] + rd * a - pd * c + r * e0 - p * e2
-    seen[10] = felt[2] + pd * b - qd * a + p * e1 - q * e0
+    outputs[8] = specific_force[0] + qd * c - rd * b + q * e2 - r * e1
+    outputs[9] = specific_force[1] + rd * a - pd * c + r * e0 - p * e2
+    outputs[10] = specific_force[2] + pd * b - qd * a + p * e1 - q * e0
 
 
-def _rated(x, body, along, load, rate, seen):  # type: ignore[no-untyped-def]
+def _rates(x, body, reference, load, rate, outputs):  # type: ignore[no-untyped-def]
+    """Compute `motion` at each of n states x (n, 8 or 13)."""
     work = np.empty(12)
     for k in range(len(x)):
-        at = Along(along.x[k], along.load[k], along.slopes[k], along.by_flow[k])
-        motion(x[k], sines(x[k]), body, at, load[k], work, rate[k], seen[k])
+        at = ReferenceFlight(
+            reference.x[k], reference.load[k], reference.slopes[k], reference.by_flow[k]
+        )
+        motion(x[k], sines(x[k]), body, at, load[k], work, rate[k], outputs[k])
 
 
-def _slopes(x, body, along, by_state, by_load):  # type: ignore[no-untyped-def]
-    """Slopes of rates and outputs by the states (n, x + 11, x) and by force and moment (n, x + 11, 6), by complex steps: exact to
-    rounding."""
+def _slopes(x, body, reference, by_state, by_load):  # type: ignore[no-untyped-def]
+    """Differentiate rates and outputs by complex steps, exact to rounding.
+
+    Writes the derivatives with the states into ``by_state`` (n, x + 11, x) and those with force and
+    moment into ``by_load`` (n, x + 11, 6).
+    """
     size = x.shape[1]
-    work, moved, load = (
+    work, state, load = (
         np.empty(12, dtype=np.complex128),
         np.empty(size, dtype=np.complex128),
         np.empty(6, dtype=np.complex128),
     )
-    rate, seen = np.empty(size, dtype=np.complex128), np.empty(11, dtype=np.complex128)
+    rate, outputs = np.empty(size, dtype=np.complex128), np.empty(11, dtype=np.complex128)
     for k in range(len(x)):
-        at = Along(along.x[k], along.load[k], along.slopes[k], along.by_flow[k])
-        own = sines(x[k])
+        at = ReferenceFlight(
+            reference.x[k], reference.load[k], reference.slopes[k], reference.by_flow[k]
+        )
+        real_trig = sines(x[k])
         for j in range(size + 6):
-            moved[:] = x[k]
-            load[:] = along.load[k]
+            state[:] = x[k]
+            load[:] = reference.load[k]
             if j < size:
-                moved[j] += complex(0.0, _IMAGINARY)
+                state[j] += complex(0.0, _IMAGINARY)
             else:
                 load[j - size] += complex(0.0, _IMAGINARY)
-            motion(moved, sines_near(own, moved), body, at, load, work, rate, seen)
+            motion(state, complex_step_sines(real_trig, state), body, at, load, work, rate, outputs)
             for i in range(size + 11):
-                found = (rate[i].imag if i < size else seen[i - size].imag) / _IMAGINARY
+                slope = (rate[i].imag if i < size else outputs[i - size].imag) / _IMAGINARY
                 if j < size:
-                    by_state[k, i, j] = found
+                    by_state[k, i, j] = slope
                 else:
-                    by_load[k, i, j - size] = found
+                    by_load[k, i, j - size] = slope
 
 
 def _series(A, h, phi, to0, to1):  # type: ignore[no-untyped-def]
-    """exp(A h) of (x, x), and the weights of an input at a step's start and end, linear in between."""
+    """Compute exp(A h) and the weights of an input that is linear over the step, by Taylor series.
+
+    Writes exp(A h) into ``phi`` (x, x) and the weights of the input at the step's start and end
+    into ``to0`` and ``to1`` (x, x).
+    """
     size = len(A)
     power, next_ = np.eye(size), np.empty((size, size))
     phi[:], to0[:], to1[:] = power, 0.5 * h * power, 0.5 * h * power
@@ -304,12 +394,12 @@ def _series(A, h, phi, to0, to1):  # type: ignore[no-untyped-def]
         for i in range(size):
             for k in range(size):
                 a = power[i, k] * h
-                # Most states do not move most others, and the first power is a unit matrix.
+                # Most elements are zero, and the zeroth power is a unit matrix.
                 if a != 0.0:
                     for c in range(size):
                         next_[i, c] += a * A[k, c]
         factorial *= j
-        whole, first, last = (
+        phi_weight, start_weight, end_weight = (
             1.0 / factorial,
             h / (factorial * (j + 2)),
             h / (factorial * (j + 1) * (j + 2)),
@@ -317,13 +407,16 @@ def _series(A, h, phi, to0, to1):  # type: ignore[no-untyped-def]
         for i in range(size):
             for c in range(size):
                 power[i, c] = next_[i, c]
-                phi[i, c] += whole * power[i, c]  # 1/j!
-                to0[i, c] += first * power[i, c]  # (j+1)/(j+2)! = 1/(j! (j+2))
-                to1[i, c] += last * power[i, c]  # 1/(j+2)!
+                phi[i, c] += phi_weight * power[i, c]  # 1/j!
+                to0[i, c] += start_weight * power[i, c]  # (j+1)/(j+2)! = 1/(j! (j+2))
+                to1[i, c] += end_weight * power[i, c]  # 1/(j+2)!
 
 
-def _stepped(by_state, by_load, h, phi, g0, g1):  # type: ignore[no-untyped-def]
-    """Transitions (n - 1, x, x) and what inputs at both ends of a step do (n - 1, x, 6): A is the mean of a step's ends."""
+def _discretise(by_state, by_load, h, phi, g0, g1):  # type: ignore[no-untyped-def]
+    """Compute transitions (n - 1, x, x) and input matrices at both ends of a step (n - 1, x, 6).
+
+    A of a step is the mean of its ends.
+    """
     size = phi.shape[1]
     A, to0, to1 = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
     for k in range(len(phi)):
@@ -339,19 +432,19 @@ def _stepped(by_state, by_load, h, phi, g0, g1):  # type: ignore[no-untyped-def]
 
 
 class Loops(NamedTuple):
-    """The compiled loops: `_rated`, `_slopes`, `_stepped`."""
+    """The compiled loops: `_rates`, `_slopes`, `_discretise`."""
 
-    rated: Any
+    rates: Any
     slopes: Any
-    stepped: Any
+    discretise: Any
 
 
 @cache
 def loops() -> Loops:
-    """Compiled when they are first called."""
+    """Compile the loops at the first call."""
     from sysid.linalg import compiled, jitable
 
     air = gust_lags_s, heading, heading_rates, level, rotation, turning, gust_rates
-    for part in (sines, sines_near, *air, flow_rates, motion, _series):
+    for part in (sines, complex_step_sines, *air, flow_rates, motion, _series):
         jitable(part)
-    return Loops(compiled(_rated), compiled(_slopes), compiled(_stepped))
+    return Loops(compiled(_rates), compiled(_slopes), compiled(_discretise))

@@ -1,8 +1,10 @@
-"""Residual coefficients: what a flight demanded minus what the model says at the same states (dissertation eqs 2.11 to 2.16).
+"""Residual coefficients: flight minus model at the same states (dissertation eqs 2.11 to 2.16).
 
-The model is handed in as a callable on pieces of a flight, so that JSBSim, another program or three lines of Python serve alike.
-Everything that is compared has passed one filter (`coefficients.smooth`): demanded and predicted coefficients, and the states
-that the difference is later regressed on.
+`cut_pieces` splits a record into pieces that a simulation can follow, `residual_coefficients`
+subtracts the model's coefficients from the demanded ones. The model is a callable on pieces of a
+flight: JSBSim, another program or three lines of Python. Demanded and predicted coefficients and
+the states of later regressions pass one filter (`coefficients.smooth`). Model forms, comparisons
+and the search for missing terms use the result.
 """
 
 from __future__ import annotations
@@ -28,21 +30,31 @@ from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 from sysid.vocabulary import SURFACES
 
-# Cuts a record into pieces that a simulation can fly through: labelled manoeuvres, else excited
-# stretches, else free flight.
+# Pieces of a record: labelled manoeuvres, else stretches with moving surfaces, else free flight.
 
 MIN_S = 2.0
+"""Shortest piece [s]."""
 MAX_S = 20.0
-_EXCITED_DEG = (
-    1.5  # a surface this far from its median of the seconds around is being moved on purpose
-)
+"""Longest piece [s]; longer ones are split into equal parts."""
+_EXCITED_DEG = 1.5
+"""Distance of a surface from its local median above which it is moved on purpose."""
 _MEDIAN_S = 6.0
 _BEFORE_S, _AFTER_S = 1.0, 3.0
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Consecutive rows of a record without a gap. ``label`` is the manoeuvre's name, or how the piece was found."""
+    """Consecutive rows of a record without a gap.
+
+    Attributes
+    ----------
+    label : str
+        Name of the manoeuvre, or how the piece was selected.
+    rows : slice
+        Rows of the record.
+    start_s, end_s : float
+        Times of the first and the last row [s].
+    """
 
     label: str
     rows: slice
@@ -50,98 +62,147 @@ class Piece:
     end_s: float
 
 
-def cut(
+def cut_pieces(
     record: FlightRecord, needed: Sequence[str], min_s: float = MIN_S, max_s: float = MAX_S
 ) -> tuple[list[Piece], str]:
-    """Pieces in order of time, and one sentence saying how they were found.
+    """Cut a record into pieces.
 
-    needed  channels that must be finite throughout a piece; pieces shorter than ``min_s`` seconds are left out, longer ones
-            than ``max_s`` cut into equal parts.
+    Parameters
+    ----------
+    record : FlightRecord
+        With labels in the column ``manoeuvre``, or without.
+    needed : sequence of str
+        Channels that must be finite throughout a piece.
+    min_s, max_s : float
+        Shortest and longest piece [s]. Shorter ones are left out, longer ones split equally.
+
+    Returns
+    -------
+    list of Piece
+        In order of time.
+    str
+        One sentence on how the pieces were selected.
     """
     if "manoeuvre" in record and any(record["manoeuvre"]):
         labels = np.asarray(record["manoeuvre"], dtype=object)
-        how = "manoeuvres as labelled in the record"
+        method = "manoeuvres as labelled in the record"
     else:
         excited = _excited(record)
         if excited.any():
             labels = np.where(excited, "excited", "").astype(object)
-            how = "no manoeuvre is labelled: stretches in which a surface was moved on purpose"
+            method = "no manoeuvre is labelled: stretches in which a surface was moved on purpose"
         else:
             labels = np.full(len(record), "flight", dtype=object)
-            how = "no manoeuvre is labelled and no surface was moved on purpose: the whole flight in pieces"
+            method = (
+                "no manoeuvre is labelled and no surface was moved on purpose: the whole flight in"
+                " pieces"
+            )
     time = record["time_s"]
     pieces = []
-    for whole in record.segments(tuple(needed), min_s):
-        inside = labels[whole]
-        edges = [0, *(np.flatnonzero(inside[1:] != inside[:-1]) + 1).tolist(), len(inside)]
+    # Split each gap-free segment where the label changes, and long parts equally.
+    for segment in record.segments(tuple(needed), min_s):
+        segment_labels = labels[segment]
+        edges = [
+            0,
+            *(np.flatnonzero(segment_labels[1:] != segment_labels[:-1]) + 1).tolist(),
+            len(segment_labels),
+        ]
         for a, b in itertools.pairwise(edges):
-            if not inside[a] or time[whole.start + b - 1] - time[whole.start + a] < min_s:
+            if (
+                not segment_labels[a]
+                or time[segment.start + b - 1] - time[segment.start + a] < min_s
+            ):
                 continue
             parts = max(1, int(np.ceil((b - a) * record.dt_s / max_s - 1e-6)))
-            marks = np.linspace(whole.start + a, whole.start + b, parts + 1).astype(int)
+            marks = np.linspace(segment.start + a, segment.start + b, parts + 1).astype(int)
             for first, last in itertools.pairwise(marks.tolist()):
                 pieces.append(
                     Piece(
-                        str(inside[a]),
+                        str(segment_labels[a]),
                         slice(first, last),
                         float(time[first]),
                         float(time[last - 1]),
                     )
                 )
-    return pieces, how
+    return pieces, method
 
 
 def _excited(record: FlightRecord) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the rows at or near which a surface moved on purpose."""
     from scipy.ndimage import median_filter
 
-    found = np.zeros(len(record), dtype=bool)
+    moved = np.zeros(len(record), dtype=bool)
     width = max(3, round(_MEDIAN_S / record.dt_s)) | 1
     for name in SURFACES:
         if name not in record:
             continue
         values = np.nan_to_num(record[name])
-        found |= (
+        moved |= (
             np.abs(values - median_filter(values, size=min(width, len(values) | 1), mode="nearest"))
             > _EXCITED_DEG
         )
-    before, after = round(_BEFORE_S / record.dt_s), round(_AFTER_S / record.dt_s)
-    at = np.flatnonzero(found)
+    rows_before, rows_after = round(_BEFORE_S / record.dt_s), round(_AFTER_S / record.dt_s)
+    at = np.flatnonzero(moved)
     out = np.zeros(len(record), dtype=bool)
     if at.size:
-        # Close the pauses within a manoeuvre, then add what comes before and after it.
-        breaks = np.flatnonzero(np.diff(at) > before + after)
+        # Close the pauses within a manoeuvre, then add margins before and after it.
+        breaks = np.flatnonzero(np.diff(at) > rows_before + rows_after)
         for group in np.split(at, breaks + 1):
-            out[max(0, group[0] - before) : group[-1] + after + 1] = True
+            out[max(0, group[0] - rows_before) : group[-1] + rows_after + 1] = True
     return out
 
 
 def as_logged(record: FlightRecord, name: str, rows: slice) -> FloatArray:
-    """The channel at ``rows``, NaN where its value was only filled in between two logged ones.
+    """Return the channel at ``rows`` with NaN where the value was interpolated between logged ones.
 
-    A channel slower than the grid counts once for every time it was logged; counted at every row its noise would look smooth
-    and its weight in a fit would be several times too large.
+    A channel slower than the grid counts once per logged value. Counted at every row, its noise
+    would look smooth and its weight in a fit would be several times too large.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        Its metadata hold the channel's logging rate.
+    name : str
+        Channel.
+    rows : slice
+        Rows of the record.
+
+    Returns
+    -------
+    array (n,)
+        In the channel's unit.
     """
     values = np.array(record[name][rows], dtype=np.float64)
     rate = record.metadata.native_hz.get(name, 0.0)
+    # Only every stride-th row of the grid was logged.
     stride = max(1, round(1.0 / (record.dt_s * rate))) if rate > 0 else 1
     if stride > 1:
-        kept = (np.arange(rows.start, rows.stop) % stride) == 0
-        values[~kept] = np.nan
+        logged = (np.arange(rows.start, rows.stop) % stride) == 0
+        values[~logged] = np.nan
     return values
 
 
 AIRSPEED_CUTOFF_HZ = 2.0
+"""Default half-power frequency of the airspeed's low-pass [Hz]."""
 Way = Literal["smoothed", "differentiated", "both"]
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a model says at n measured states.
+    """A model's prediction at n measured states.
 
-    coefficients (n, 6)       CX CY CZ Cl Cm Cn, body axes, moments about the CG
-    other_force (n, 3) [N], other_moment (n, 3) [N m]   everything but aerodynamics and gravity: thrust above all
-    qbar (n,) [Pa]            dynamic pressure at the measured airspeed
-    positions                 where the controls stood, by state name (elevator_pos_deg, throttle_pct), (n,) each
+    Attributes
+    ----------
+    coefficients : array (n, 6)
+        CX CY CZ Cl Cm Cn [-], body axes, moments about the CG.
+    other_force, other_moment : array (n, 3)
+        Everything but aerodynamics and gravity, thrust above all [N, N m].
+    qbar : array (n,)
+        Dynamic pressure at the measured airspeed [Pa].
+    mass : MassProperties
+        Mass properties and reference lengths.
+    positions : mapping of str to array (n,)
+        Control positions by state name (elevator_pos_deg, throttle_pct).
     """
 
     coefficients: FloatArray
@@ -157,10 +218,18 @@ Model = Callable[[FlightRecord, Piece], Prediction]
 
 @dataclass(frozen=True)
 class Cutoffs:
-    """Half-power frequencies [Hz]: of the filter that everything passes, and of the airspeed's low-pass before it (inf: none).
+    """Half-power frequencies [Hz] of the filters.
 
-    A pitot tube's noise enters every coefficient through the dynamic pressure, CZ = W/(qbar S) above all, while an aeroplane
-    changes speed slowly; so its low-pass may be slower than the differentiator.
+    A pitot tube's noise enters every coefficient through the dynamic pressure, CZ = W/(qbar S)
+    above all, while an aeroplane changes speed slowly. So the airspeed may pass a slower low-pass
+    first.
+
+    Attributes
+    ----------
+    all_hz : float
+        Filter of everything that is compared.
+    airspeed_hz : float
+        Low-pass of the airspeed before that; inf for none.
     """
 
     all_hz: float = CUTOFF_HZ
@@ -171,23 +240,39 @@ class Cutoffs:
 class Passage:
     """One way of a channel's noise into the residual coefficients.
 
-    way                 smoothed, differentiated, or both one after the other
-    gain (n, 6)         of each coefficient, per standard deviation of the channel's noise
-    weights (2 m + 1,)  of the filter on that way       spread  relative standard deviation of the noise's presumed size
+    Attributes
+    ----------
+    channel : str
+        Measured channel.
+    way : {"smoothed", "differentiated", "both"}
+        Filter on the way.
+    gain : array (n, 6)
+        Noise of each coefficient per standard deviation of the channel's noise.
+    weights : tuple of 2 m + 1 floats
+        Weights of the filter.
+    relative_std : float
+        Relative standard deviation of the presumed noise size.
     """
 
     channel: str
     way: Way
     gain: FloatArray
     weights: tuple[float, ...]
-    spread: float
+    relative_std: float
 
 
 @dataclass(frozen=True)
 class PieceNoise:
-    """Sensor noise of the ``n`` samples of a piece (`sensor_noise` makes it).
+    """Sensor noise of the ``n`` samples of a piece, made by `sensor_noise`.
 
-    passages  all ways into the coefficients        states  state -> standard deviation of its channel's noise, and filter weights
+    Attributes
+    ----------
+    passages : tuple of Passage
+        All ways into the coefficients.
+    states : mapping
+        State to the standard deviation of its channel's noise and the filter weights.
+    n : int
+        Samples.
     """
 
     passages: tuple[Passage, ...]
@@ -195,16 +280,29 @@ class PieceNoise:
     n: int
 
     def rows(self, rows: slice) -> PieceNoise:
-        """Of some of the samples."""
+        """Return the noise of some of the samples."""
         passages = tuple(replace(p, gain=p.gain[rows]) for p in self.passages)
         return PieceNoise(passages, self.states, len(range(*rows.indices(self.n))))
 
 
 @dataclass(frozen=True)
 class ResidualPiece:
-    """One piece without a gap: time_s (n,), delta (n, 6) in the order of COEFFICIENTS, states by name (n,) each, all filtered.
+    """Residuals of one piece without a gap, all filtered.
 
-    flight: number of the flight it comes from, of those put together. noise: of the sensors, where it was asked for.
+    Attributes
+    ----------
+    label : str
+        Manoeuvre.
+    time_s : array (n,)
+        [s].
+    delta : array (n, 6)
+        Flight minus model, in the order of COEFFICIENTS [-].
+    states : mapping of str to array (n,)
+        Flight states.
+    flight : int
+        Number of the flight where several are combined.
+    noise : PieceNoise, optional
+        Sensor noise; None unless computed.
     """
 
     label: str
@@ -220,7 +318,17 @@ class ResidualPiece:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Of one or several flights, piece by piece. dt_s: step between samples of the first; cutoffs: what all of it has passed."""
+    """Residuals of one or several flights, piece by piece.
+
+    Attributes
+    ----------
+    pieces : tuple of ResidualPiece
+        In order of flight and time.
+    dt_s : float
+        Step between samples of the first flight [s].
+    cutoffs : Cutoffs
+        Filters that all pieces passed.
+    """
 
     pieces: tuple[ResidualPiece, ...]
     dt_s: float
@@ -228,19 +336,19 @@ class Residuals:
 
     @property
     def delta(self) -> FloatArray:
-        """(n, 6) of all pieces, end to end."""
+        """Concatenated residuals (n, 6) of all pieces."""
         return np.concatenate([p.delta for p in self.pieces])
 
     @property
     def states(self) -> dict[str, FloatArray]:
-        """State name -> (n,) of all pieces, end to end."""
+        """Concatenated states (n,) of all pieces by name."""
         return {
             s: np.concatenate([p.states[s] for p in self.pieces]) for s in self.pieces[0].states
         }
 
     @property
     def lengths(self) -> list[int]:
-        """Rows of each piece without a gap."""
+        """Number of rows of each piece."""
         return [len(p) for p in self.pieces]
 
     @property
@@ -249,13 +357,13 @@ class Residuals:
         return tuple(dict.fromkeys(p.label for p in self.pieces))
 
     def only(self, labels: Collection[str]) -> Residuals:
-        """The same with the pieces of these manoeuvres alone."""
+        """Return the residuals of the manoeuvres with these labels."""
         return Residuals(
             tuple(p for p in self.pieces if p.label in labels), self.dt_s, self.cutoffs
         )
 
     def columns(self, coefficient: str) -> list[FloatArray]:
-        """[(n,)] of one coefficient, piece by piece."""
+        """Return one coefficient's residuals, an array (n,) per piece."""
         k = COEFFICIENTS.index(coefficient)
         return [p.delta[:, k] for p in self.pieces]
 
@@ -267,11 +375,28 @@ def residual_piece(
     arm_m: Sequence[float],
     cutoff_hz: float = CUTOFF_HZ,
 ) -> ResidualPiece | None:
-    """Residual coefficients of one piece; None when it is shorter than the filter.
+    """Compute the residual coefficients of one piece; None if it is shorter than the filter.
 
-    record     needs V, alpha, beta, phi, theta, p, q, r, ax, ay, az, finite throughout the piece
-    arm_m (3,) from the CG to the accelerometers, body axes
-    Samples nearer to an end than the filter's half width are left out: their filter would be another one, and noisier.
+    Samples nearer to an end than the filter's half-width are left out, because their filter would
+    be narrower and noisier.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        V, alpha, beta, phi, theta, p, q, r, ax, ay, az, finite throughout the piece.
+    piece : Piece
+        Rows.
+    prediction : Prediction
+        The model at these rows.
+    arm_m : sequence of 3 floats
+        Accelerometers from the CG, body axes [m].
+    cutoff_hz : float
+        Half-power frequency [Hz].
+
+    Returns
+    -------
+    ResidualPiece or None
+        Flight minus model [-].
     """
     time = record["time_s"][piece.rows]
     dt_s, m = _filter_of(time, cutoff_hz)
@@ -299,27 +424,31 @@ def residual_rows(
     arm_m: Sequence[float],
     cutoff_hz: float = CUTOFF_HZ,
 ) -> FloatArray:
-    """(n, 6) residual coefficients of `residual_piece`, of a piece longer than the filter."""
+    """Compute the residual coefficients (n, 6) of `residual_piece`; the piece must exceed the
+    filter.
+    """
     rows = piece.rows
     dt_s, m = _filter_of(record["time_s"][rows], cutoff_hz)
     rates = np.column_stack([record[f"{a}_radps"][rows] for a in "pqr"])
-    flown = demanded(
+    demanded_coefficients = demanded(
         np.column_stack([record[f"a{a}_mps2"][rows] for a in "xyz"]),
         rates,
         prediction.qbar,
         prediction.mass,
         prediction.other_force,
         prediction.other_moment,
-        dt_s,
-        np.asarray(arm_m, dtype=float),
-        cutoff_hz,
+        dt_s=dt_s,
+        arm_m=np.asarray(arm_m, dtype=float),
+        cutoff_hz=cutoff_hz,
     )
-    delta = flown - smooth(prediction.coefficients, dt_s, cutoff_hz)  # (2.11)-(2.16)
+    delta = demanded_coefficients - smooth(
+        prediction.coefficients, dt_s, cutoff_hz
+    )  # (2.11)-(2.16)
     return np.asarray(delta[m : len(delta) - m])
 
 
 def _filter_of(time: FloatArray, cutoff_hz: float) -> tuple[float, int]:
-    """Step [s] of a piece's rows, and half the filter's width in rows."""
+    """Return the step [s] of a piece's rows and the filter's half-width in rows."""
     dt_s = float(time[-1] - time[0]) / (len(time) - 1)
     return dt_s, half_width(dt_s, cutoff_hz)
 
@@ -331,20 +460,46 @@ def residual_coefficients(
     arm_m: Sequence[float] = (0.0, 0.0, 0.0),
     cutoffs: Cutoffs | None = None,
 ) -> Residuals:
-    """Residual coefficients of a flight's pieces. Raises ValueError when every piece is shorter than the filter."""
+    """Compute the residual coefficients of a flight's pieces.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        The flight.
+    pieces : sequence of Piece
+        From `cut_pieces`.
+    model : callable
+        ``model(record, piece)`` returns a `Prediction`.
+    arm_m : sequence of 3 floats
+        Accelerometers from the CG, body axes [m].
+    cutoffs : Cutoffs, optional
+        Filters.
+
+    Returns
+    -------
+    Residuals
+        Of the pieces that are longer than the filter.
+
+    Raises
+    ------
+    ValueError
+        If every piece is shorter than the filter.
+    """
     cutoffs = cutoffs or Cutoffs()
     record = steady_airspeed(record, cutoffs.airspeed_hz)
-    found = [residual_piece(record, p, model(record, p), arm_m, cutoffs.all_hz) for p in pieces]
-    kept = tuple(f for f in found if f is not None)
-    if not kept:
+    residual_pieces = [
+        residual_piece(record, p, model(record, p), arm_m, cutoffs.all_hz) for p in pieces
+    ]
+    long_pieces = tuple(f for f in residual_pieces if f is not None)
+    if not long_pieces:
         raise ValueError(
             f"no piece is longer than the filter at {cutoffs.all_hz:g} Hz; raise the cut-off"
         )
-    return Residuals(kept, record.dt_s, cutoffs)
+    return Residuals(long_pieces, record.dt_s, cutoffs)
 
 
 def steady_airspeed(record: FlightRecord, cutoff_hz: float) -> FlightRecord:
-    """The record with its airspeed low-passed, stretch by stretch: never across a gap."""
+    """Low-pass the airspeed of a record, separately between gaps; inf Hz leaves it unchanged."""
     if not np.isfinite(cutoff_hz):
         return record
     airspeed = np.array(record["V_mps"], dtype=float)
@@ -353,9 +508,12 @@ def steady_airspeed(record: FlightRecord, cutoff_hz: float) -> FlightRecord:
     return record.with_columns({"V_mps": airspeed})
 
 
-def together(parts: Sequence[Residuals]) -> Residuals:
-    """Several flights' residuals as one, pieces numbered by flight. Raises ValueError when they have passed different filters."""
+def combine_flights(parts: Sequence[Residuals]) -> Residuals:
+    """Combine the residuals of several flights and number their pieces by flight.
+
+    Raises ValueError when they passed different filters.
+    """
     if len({r.cutoffs for r in parts}) > 1:
-        raise ValueError("residuals of different cut-offs cannot be put together")
+        raise ValueError("residuals of different cut-offs cannot be combined")
     pieces = tuple(replace(p, flight=k) for k, r in enumerate(parts) for p in r.pieces)
     return Residuals(pieces, parts[0].dt_s, parts[0].cutoffs)

@@ -1,11 +1,16 @@
-"""A rigid aeroplane linearised along a reference flight: how a small extra coefficient moves every measured channel.
+"""Linearise a rigid aeroplane along a reference flight.
 
-    dx/dt = f(x, F(t, x))    V alpha beta p q r phi theta, and in turbulence the five states of `sysid.aerodynamics.air_motion`
-    d(k+1) = Phi(k) d(k) + G0(k) u(k) + G1(k) u(k+1) + defect(k)          d = x - x_ref,  u = extra CX CY CZ Cl Cm Cn
+The result is a linear time-varying system that tells how a small extra coefficient moves every
+measured channel; output error and the Kalman filter of `sysid.estimation` run on it.
+
+    dx/dt = f(x, F(t, x))
+    d(k+1) = Phi(k) d(k) + G0(k) u(k) + G1(k) u(k+1) + defect(k)
     y(k)   = y_ref(k) + H(k) d(k) + D(k) u(k)
 
-Forces and moments and their slopes along the reference come from the caller's simulator, so any aircraft will do. Inputs are linear
-between samples; A is the mean of a step's ends: Phi = exp(A h), G by its series.
+with d = x - x_ref and u the extra CX CY CZ Cl Cm Cn. x is V, alpha, beta, p, q, r, phi, theta and,
+in turbulence, the five air states of `sysid.aerodynamics.air_motion`. The caller's simulator gives
+forces, moments and their slopes along the reference, so any aircraft will do. Inputs are linear
+between samples; A is the mean of a step's ends, Phi = exp(A h) and G its series.
 """
 
 from __future__ import annotations
@@ -18,13 +23,13 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.flight_equations import Along, Body, flow_rates, loops, sines
+from sysid.aerodynamics.flight_equations import Body, ReferenceFlight, flow_rates, loops, sines
 from sysid.arrays import FloatArray
 from sysid.units import G0_MPS2
 
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
 AIR = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps")
-"""States that forces depend on, in the order of the slopes; the rates are those relative to the air."""
+"""States on which forces depend, in the order of the slopes; the rates are relative to the air."""
 OUTPUTS = (
     "V_mps",
     "alpha_rad",
@@ -39,20 +44,36 @@ OUTPUTS = (
     "az_mps2",
 )
 NX = 13
-"""States in turbulence."""
+"""Number of states in turbulence."""
 
 
 @dataclass(frozen=True)
 class Reference:
     """One segment's reference flight of n samples.
 
-    x (n, 8) STATES; force (n, 3) N and moment (n, 3) N m about the CG, gravity left out; slopes (n, 6, 6): d(force, moment) by
-    AIR; qbar (n,) Pa; bend (2, n - 1, 6): how much force and moment at the middle of a step differ from the mean of its ends, and
-    at its end, just before the next row, from those of that row: surfaces do not move in straight lines, and one without a lag
-    jumps at a row. arm_m (3,): accelerometers from the CG.
-    consistent: the reference is itself a flight of the model (a simulation), so that it has no defects.
-    by_flow (n, 6, 2): d(force, moment) by what else than forces changes the rates of alpha and beta [N, N m per rad/s]; None where
-    nothing depends on them.
+    Attributes
+    ----------
+    dt_s : float
+        Step between samples [s].
+    x : array (n, 8)
+        STATES.
+    force, moment : array (n, 3)
+        Force [N] and moment about the CG [N m] in body axes, without gravity.
+    slopes : array (n, 6, 6)
+        Derivatives of (force, moment) with AIR.
+    qbar : array (n,)
+        Dynamic pressure [Pa].
+    arm_m : array (3,)
+        Accelerometers from the CG, body axes [m].
+    consistent : bool
+        The reference is a simulated flight of the model, so that its defects are zero.
+    bend : array (2, n - 1, 6), optional
+        Departure of force and moment from straight lines between samples: at the middle of a step
+        from the mean of its ends, and just before the next sample from the value at that sample.
+        Surfaces without a lag jump at samples.
+    by_flow : array (n, 6, 2), optional
+        Derivatives of (force, moment) with the kinematic rates of alpha and beta
+        [N, N m per rad/s]; None where forces do not depend on them.
     """
 
     dt_s: float
@@ -69,10 +90,27 @@ class Reference:
 
 @dataclass(frozen=True)
 class Steps:
-    """One segment's linear system of x states, 8 in still air or 13: phi (n-1, x, x), g0, g1 (n-1, x, 6), defect (n-1, x),
-    H (n, m, x), D (n, m, 6), y_ref (n, m).
+    """One segment's linear system with x states: 8 in still air, 13 in turbulence.
 
-    start (x, 8): how all states begin by the first eight, the air being still; None: as they are, the others at zero.
+    Attributes
+    ----------
+    dt_s : float
+        Step [s].
+    phi : array (n - 1, x, x)
+        Transition matrices.
+    g0, g1 : array (n - 1, x, 6)
+        Effect of extra coefficients at the start and at the end of a step.
+    defect : array (n - 1, x)
+        Model step from a reference sample less the next reference sample.
+    H : array (n, m, x)
+        Output matrices, m OUTPUTS.
+    D : array (n, m, 6)
+        Direct effect of extra coefficients on the outputs.
+    y_ref : array (n, m)
+        Outputs along the reference.
+    start : array (x, 8), optional
+        Derivatives of the start state with the first eight states, in still air. None: the first
+        eight states themselves, the others zero.
     """
 
     dt_s: float
@@ -92,33 +130,53 @@ def linearise(
     gravity: float = G0_MPS2,
     gusts: GustStates | None = None,
 ) -> Steps:
-    """The linear system along a reference, outputs OUTPUTS; with gusts 13 states, about air at rest."""
+    """Linearise the equations of motion along a reference.
+
+    Parameters
+    ----------
+    reference : Reference
+        States, loads and slopes of n samples.
+    mass : MassProperties
+        Mass, inertia and reference lengths.
+    gravity : float
+        [m/s2].
+    gusts : GustStates, optional
+        Adds the five air states, about air at rest.
+
+    Returns
+    -------
+    Steps
+        The discrete linear system with outputs OUTPUTS.
+    """
     n, h = len(reference.x), reference.dt_s
-    wide = whole_states(reference.x, gusts)
-    size = wide.shape[1]
-    model = _Rigid(reference, mass, gravity, gusts)
-    by_state, by_load = model.slopes(wide)
+    states = with_gust_states(reference.x, gusts)
+    size = states.shape[1]
+    model = _RigidBody(reference, mass, gravity, gusts)
+    by_state, by_load = model.slopes(states)
+    # Extra coefficients become forces and moments by qbar S (1, b, c, b).
     by_load *= (
         reference.qbar[:, None] * mass.S * np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
     )[:, None, :]
     phi, (g0, g1) = np.empty((n - 1, size, size)), np.zeros((2, n - 1, size, 6))
-    loops().stepped(by_state, by_load, h, phi, g0, g1)
+    loops().discretise(by_state, by_load, h, phi, g0, g1)
     H, D = np.ascontiguousarray(by_state[:, size:]), np.ascontiguousarray(by_load[:, size:])
-    rate, y_ref = model(wide, 0.0)
+    rate, y_ref = model(states, 0.0)
+    # A measured reference is no solution of the equations: its defect is one integration step.
     defect = np.zeros((n - 1, size))
     if not reference.consistent:
         bend = np.zeros((2, n - 1, 6)) if reference.bend is None else reference.bend
-        defect = _advance(model, wide, rate, bend, h) - wide[1:]
+        defect = _runge_kutta_step(model, states, rate, bend, h) - states[1:]
+    # The air states in still air depend on the first eight: differentiate by complex steps.
     start = np.empty((size, 8))
     for j in range(8):
         first = reference.x[:1].astype(complex)
         first[:, j] += 1e-20j
-        start[:, j] = whole_states(first, gusts)[0].imag / 1e-20
+        start[:, j] = with_gust_states(first, gusts)[0].imag / 1e-20
     return Steps(h, phi, g0, g1, defect, H, D, y_ref, start)
 
 
-def whole_states(x: NDArray[Any], gusts: GustStates | None) -> NDArray[Any]:
-    """(n, 8) STATES with those of still air, (n, 13); as they are without gusts."""
+def with_gust_states(x: NDArray[Any], gusts: GustStates | None) -> NDArray[Any]:
+    """Append the air states of still air to STATES (n, 8); without gusts return x."""
     if gusts is None:
         return x
     return np.column_stack([x, *gusts.start(x.T)])
@@ -131,22 +189,44 @@ def rates(
     gravity: float = G0_MPS2,
     gusts: GustStates | None = None,
 ) -> FloatArray:
-    """dx/dt (n, 8 or 13) at whole states x of the reference's times, but for what gusts will add: forces linear about the
-    reference, surfaces where they stand there."""
-    return _Rigid(reference, mass, gravity, gusts)(x, 0.0)[0]
+    """Compute dx/dt (n, 8 or 13) at states x of the reference's times, without gusts' noise.
+
+    Forces are linear about the reference, with the surfaces at their reference positions.
+
+    Parameters
+    ----------
+    reference : Reference
+        n samples.
+    mass : MassProperties
+        Mass and inertia.
+    x : array (n, 8 or 13)
+        States.
+    gravity : float
+        [m/s2].
+    gusts : GustStates, optional
+        Needed for 13 states.
+
+    Returns
+    -------
+    array (n, 8 or 13)
+        Rates, state units per second.
+    """
+    return _RigidBody(reference, mass, gravity, gusts)(x, 0.0)[0]
 
 
 def unforced(x: NDArray[Any], gravity: float = G0_MPS2) -> NDArray[Any]:
-    """(n, 2) rates of alpha and beta [rad/s] at states x (n, 8 or more) without any force but weight."""
+    """Compute the rates of alpha and beta (n, 2) [rad/s] at states x (n, 8 or more) by weight
+    alone.
+    """
     states = x.T
-    nothing = np.zeros(len(x))
+    zero_force = np.zeros(len(x))
     return np.stack(
-        flow_rates(states, (nothing, nothing, nothing), sines(states), gravity)[1:], axis=1
+        flow_rates(states, (zero_force, zero_force, zero_force), sines(states), gravity)[1:], axis=1
     )
 
 
-class _Rigid:
-    """The equations of motion along a reference, forces linear about it."""
+class _RigidBody:
+    """Equations of motion along a reference, with forces linear about it."""
 
     def __init__(
         self, reference: Reference, mass: MassProperties, gravity: float, gusts: GustStates | None
@@ -156,7 +236,7 @@ class _Rigid:
         flow = r.by_flow is not None
         by_flow = np.zeros((n, 6, 2)) if r.by_flow is None else r.by_flow
         load = np.hstack([r.force, r.moment])
-        self.along = Along(
+        self.along = ReferenceFlight(
             *(
                 np.ascontiguousarray(v, dtype=np.float64)
                 for v in (r.x[:, :8], load, r.slopes, by_flow)
@@ -170,35 +250,48 @@ class _Rigid:
         self.body = Body(float(mass.mass), J, K, arm, float(gravity), gusts is not None, air, flow)
 
     def __call__(
-        self, x: FloatArray, later: float, extra: FloatArray | None = None
+        self, x: FloatArray, step_fraction: float, extra: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """dx/dt and outputs (n, 11) at states x (n, 8 or 13), the first at the reference's first sample, or a share of a step
-        later; extra (n, 6) force and moment besides."""
-        along = self.along
-        if later:
-            along = Along(*(v[:-1] + later * (v[1:] - v[:-1]) for v in along))
-        along = Along(*(v[: len(x)] for v in along))
-        rate, seen = np.empty(x.shape), np.empty((len(x), len(OUTPUTS)))
-        # What is added is the model's own, with all that follows from it.
-        along = along if extra is None else along._replace(load=along.load + extra)
-        loops().rated(np.ascontiguousarray(x), self.body, along, along.load, rate, seen)
-        return rate, seen
+        """Compute dx/dt and the outputs (n, 11) at states x (n, 8 or 13).
+
+        ``step_fraction`` interpolates the reference between samples, ``extra`` (n, 6) adds force
+        and moment.
+        """
+        reference = self.along
+        if step_fraction:
+            reference = ReferenceFlight(
+                *(v[:-1] + step_fraction * (v[1:] - v[:-1]) for v in reference)
+            )
+        reference = ReferenceFlight(*(v[: len(x)] for v in reference))
+        rate, outputs = np.empty(x.shape), np.empty((len(x), len(OUTPUTS)))
+        # The extra load belongs to the model: it moves the reference load as well.
+        reference = reference if extra is None else reference._replace(load=reference.load + extra)
+        loops().rates(np.ascontiguousarray(x), self.body, reference, reference.load, rate, outputs)
+        return rate, outputs
 
     def slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Slopes of both, rates first, by the states (n, x + 11, x) and by force and moment (n, x + 11, 6)."""
+        """Differentiate rates and outputs, rates first.
+
+        Returns the derivatives with the states (n, x + 11, x) and with force and moment (n, x + 11,
+        6).
+        """
         n, size = x.shape
         by_state, by_load = (
             np.empty((n, size + len(OUTPUTS), size)),
             np.empty((n, size + len(OUTPUTS), 6)),
         )
+        # Complex-step derivatives of rates and outputs.
         loops().slopes(np.ascontiguousarray(x), self.body, self.along, by_state, by_load)
         return by_state, by_load
 
 
-def _advance(
-    model: _Rigid, x: FloatArray, rate: FloatArray, bend: FloatArray, h: float
+def _runge_kutta_step(
+    model: _RigidBody, x: FloatArray, rate: FloatArray, bend: FloatArray, h: float
 ) -> FloatArray:
-    """(n - 1, 8 or 13) one Runge-Kutta step from every sample, whose rates are given."""
+    """Take one Runge-Kutta step from every sample but the last, (n - 1, 8 or 13).
+
+    ``rate`` are the rates at the samples; ``bend`` as in `Reference`.
+    """
     start, k1 = x[:-1], rate[:-1]
     k2, _ = model(start + 0.5 * h * k1, 0.5, bend[0])
     k3, _ = model(start + 0.5 * h * k2, 0.5, bend[0])

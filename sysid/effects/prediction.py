@@ -18,7 +18,16 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import Steps
 from sysid.arrays import FloatArray
-from sysid.estimation import STARTS, Gains, Process, Seen, Whitened, carried, gains, path_from
+from sysid.estimation import (
+    START_COLUMNS,
+    Gains,
+    MeasuredSystem,
+    Process,
+    Whitened,
+    gains,
+    predicted_path,
+    whiten_innovations,
+)
 
 _REMEMBERED = 24
 """Columns of a segment that are remembered of those made again: those that stand and the few that compete."""
@@ -92,17 +101,17 @@ class White:
 class Followed:
     """One segment as a filter follows it: what was measured, the gains, and whitened innovations without any columns."""
 
-    seen: Seen
+    seen: MeasuredSystem
     gains: Gains
     alone: Whitened
 
     def path_from(self, start: FloatArray) -> FloatArray:
         """(n, x) predicted states less the reference, the segment begun at the start state ``start`` (8,) less the reference's."""
-        return path_from(self.seen, self.gains, self.seen.start @ start)
+        return predicted_path(self.seen, self.gains, self.seen.start @ start)
 
     def carried(self, own: Columns) -> Whitened:
         """The same with columns."""
-        return carried(
+        return whiten_innovations(
             self.seen,
             self.gains,
             own.names,
@@ -124,11 +133,11 @@ def follow(
     """Filter every segment, one after the other; arguments of `whiten`, which makes columns white by what is given here. Raises
     LinAlgError where no filter follows."""
     for k, (system, z) in enumerate(zip(steps, measured, strict=True)):
-        seen = Seen.of(system, z, which)
+        seen = MeasuredSystem.of(system, z, which)
         found = gains(
             seen, noise, None if process is None else (process.noise[k], process.begin[k])
         )
-        yield Followed(seen, found, carried(seen, found))
+        yield Followed(seen, found, whiten_innovations(seen, found))
 
 
 def whiten(
@@ -181,9 +190,10 @@ def whitened(followed: Iterable[Followed], columns: Sequence[Columns]) -> list[W
 
 def _whitened(one: Followed, own: Columns) -> White:
     """The segment with its start state fitted and taken out of everything."""
-    there = one.seen.there
+    there = one.seen.is_measured
     deviation = np.sqrt(
-        np.where(there, one.gains.whole, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
+        np.where(there, one.gains.prior_variance, 0.0).sum(axis=0)
+        / np.maximum(there.sum(axis=0), 1)
     )
     found = one.carried(own)
     residual, q, r = start_fitted(found.innovations, found.starts)
@@ -209,7 +219,7 @@ def start_fitted(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Whitened innovations (n, m) with the start fitted, starts (n, m, 8) being what its states do to them; and q (n m, 8), r (8,
     8) of the starts, in units of the states."""
-    flat = starts.reshape(-1, STARTS)
+    flat = starts.reshape(-1, START_COLUMNS)
     scale = np.sqrt(np.sum(flat**2, axis=0))
     scale[scale == 0.0] = 1.0
     q, r = np.linalg.qr(flat / scale)
@@ -222,7 +232,7 @@ def _without_start(
 ) -> tuple[NDArray[np.float32], FloatArray]:
     """Columns (n, m, K) less what the start's columns q (n m, 8) have of them, and that (8, K)."""
     flat = columns.reshape(len(q), columns.shape[2])
-    inside, left = np.zeros((STARTS, flat.shape[1])), np.empty_like(flat)
+    inside, left = np.zeros((START_COLUMNS, flat.shape[1])), np.empty_like(flat)
     parts = [slice(first, first + _AT_ONCE) for first in range(0, len(q), _AT_ONCE)]
     for rows in parts:
         inside += q[rows].T @ flat[rows].astype(np.float64)

@@ -27,7 +27,7 @@ from sysid.aerodynamics import NX, GustStates, Steps
 from sysid.arrays import FloatArray
 from sysid.effects.catalogue import CERTAIN_T, DIFFERENT
 from sysid.effects.prediction import start_fitted
-from sysid.estimation import Process, Seen, carried, gains, slopes
+from sysid.estimation import MeasuredSystem, Process, gains, variance_gradient, whiten_innovations
 from sysid.parallel import SERIAL, Processes, Shared
 
 # How likely flights are in an air, and the score: how that goes with the air's intensities and
@@ -82,7 +82,7 @@ class AirLikelihood:
         count = min(by.count, len(order))
         self._groups = [order[k::count] for k in range(count)]
         self._shared = [
-            by.share([Seen.of(steps[k], measured[k], which) for k in group])
+            by.share([MeasuredSystem.of(steps[k], measured[k], which) for k in group])
             for group in self._groups
         ]
 
@@ -119,21 +119,21 @@ def _scored(job: tuple[Shared, FloatArray, Process, bool]) -> list[_Slopes]:
 
 
 def _one(
-    seen: Seen, noise: FloatArray, air: tuple[FloatArray, FloatArray], sloping: bool
+    seen: MeasuredSystem, noise: FloatArray, air: tuple[FloatArray, FloatArray], sloping: bool
 ) -> _Slopes:
     flat = np.zeros((2, len(noise))), np.zeros((2, len(air[0]))), np.zeros((2, len(air[0])))
     try:
-        found = gains(seen, noise, air, every=False)
+        found = gains(seen, noise, air, with_prior_variance=False)
     except np.linalg.LinAlgError:
         return np.inf, *flat
-    through = carried(seen, found)
+    through = whiten_innovations(seen, found)
     if not np.isfinite(through.starts).all():
         return np.inf, *flat
     white, _, _ = start_fitted(through.innovations, through.starts)
     cost = float(np.sum(white**2)) + 2.0 * found.logdet  # (1)
     if not sloping:
         return cost, *flat
-    own, process, begin = slopes(seen, found, white, air[0])
+    own, process, begin = variance_gradient(seen, found, white, air[0])
     return cost, 2.0 * noise**2 * own, process, begin
 
 

@@ -1,4 +1,6 @@
-"""Parameter estimation: equation error, output error, filter error, stepwise regression, and what their bounds are worth."""
+"""Parameter estimation from flight data: equation error, output error, filter error, stepwise
+regression, and the reliability of their standard errors.
+"""
 
 import lazy_loader
 

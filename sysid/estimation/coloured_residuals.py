@@ -1,16 +1,20 @@
-"""Standard errors under coloured residuals.
+"""Standard errors under coloured residuals, and tests of whiteness.
 
-Morelli, E. A. and Klein, V., "Determining the Accuracy of Maximum Likelihood Parameter Estimates with Colored
-Residuals", NASA CR 194893 (1994), and "Accuracy of Aerodynamic Model Parameters Estimated from Flight Test Data",
-Journal of Guidance, Control, and Dynamics 20(1), 1997: the estimate's covariance is
+Morelli, E. A. and Klein, V., "Determining the Accuracy of Maximum Likelihood Parameter Estimates
+with Colored Residuals", NASA CR 194893 (1994), and "Accuracy of Aerodynamic Model Parameters
+Estimated from Flight Test Data", Journal of Guidance, Control, and Dynamics 20(1), 1997: the
+estimate's covariance is
 
-    cov = D [ sum_i sum_j S(i)' R^-1 Rvv(i-j) R^-1 S(j) ] D,      D = (sum_i S(i)' R^-1 S(i))^-1             (MK)
+    cov = D [ sum_i sum_j S(i)' R^-1 Rvv(i-j) R^-1 S(j) ] D,
+    D = (sum_i S(i)' R^-1 S(i))^-1                                                  (MK)
 
-with Rvv the biased autocovariance of the residual. Summed over every lag, the sample autocovariance sees the residual's
-periodogram exactly where the fit has removed it (for a constant sensitivity the sum is identically zero), so the bound
-would come out too small. Here the biased autocovariance is kept up to a lag p chosen by the Schwarz criterion and
-continued to all further lags by its maximum-entropy (autoregressive) extension; what then still links different outputs
-is kept over a few tapered lags. The double sum is evaluated as an integral over frequency.
+with Rvv the biased autocovariance of the residual. Over all lags the sample autocovariance is the
+residual's periodogram, which the fit has reduced exactly where sensitivities have power (for a
+constant sensitivity the sum is identically zero), so the bound would be too small. Here the biased
+autocovariance is kept up to a lag p chosen by the Schwarz criterion and continued by its
+maximum-entropy (autoregressive) extension; correlation between the whitened outputs is kept over a
+few tapered lags. The double sum is evaluated as an integral over frequency. All estimators use
+`coloured_information`.
 """
 
 from __future__ import annotations
@@ -25,23 +29,36 @@ from sysid.arrays import FloatArray
 from sysid.distributions import chi2_tail
 from sysid.linalg import Blocks
 
-CROSS_LAGS = (
-    40  # longest lag, in samples, at which one output's innovation is looked for in another's
-)
+CROSS_LAGS = 40
+"""Longest lag, in samples, of the correlation between outputs."""
 
 
 def autocovariance(segments: list[FloatArray], max_lag: int) -> FloatArray:
-    """Biased autocovariance at lags 0..max_lag of one series in segments (n,), NaN = missing; unit squared.
+    """Compute the biased autocovariance at lags 0..max_lag of one series.
 
-    Lag products never cross segments. With samples missing, each lag is averaged over the pairs that exist and then
-    given the bias factor of the complete record, which keeps multi-rate channels meaningful.
+    Lag products never cross segments. With samples missing, each lag is averaged over the existing
+    pairs and multiplied by the bias factor of the complete record; multi-rate channels stay
+    meaningful.
+
+    Parameters
+    ----------
+    segments : list of array (n,)
+        NaN marks missing samples.
+    max_lag : int
+        Longest lag.
+
+    Returns
+    -------
+    array (max_lag + 1,)
+        In the unit squared.
     """
     products, pairs, complete = np.zeros(max_lag + 1), np.zeros(max_lag + 1), np.zeros(max_lag + 1)
     for series in segments:
+        # Lag products by padded Fourier transforms, of the values and of the mask of samples.
         size = 1 << int(2 * series.size - 1).bit_length()
-        there = np.isfinite(series)
-        value = np.fft.rfft(np.where(there, series, 0.0), size)
-        mask = np.fft.rfft(there.astype(float), size)
+        finite = np.isfinite(series)
+        value = np.fft.rfft(np.where(finite, series, 0.0), size)
+        mask = np.fft.rfft(finite.astype(float), size)
         lags = min(max_lag + 1, series.size)
         products[:lags] += np.fft.irfft(np.abs(value) ** 2, size)[:lags]
         pairs[:lags] += np.round(np.fft.irfft(np.abs(mask) ** 2, size)[:lags])
@@ -52,10 +69,11 @@ def autocovariance(segments: list[FloatArray], max_lag: int) -> FloatArray:
 
 
 def autoregression(covariance: FloatArray, n: int) -> tuple[FloatArray, float]:
-    """Coefficients a (p,) of v(t) = sum a_i v(t-i) + e and var(e): Levinson's recursion, Schwarz's criterion.
+    """Fit v(t) = sum a_i v(t-i) + e by Levinson's recursion, with the order by Schwarz's criterion.
 
-    covariance (L+1,) from lag 0; n samples behind it. A white series gets order 0. Orders beyond a lag at which the
-    sequence stops being positive definite (missing samples) are not considered.
+    ``covariance`` (L+1,) begins at lag 0; ``n`` samples are behind it. Returns a (p,) and var(e); a
+    white series gets order 0. The search ends at a lag where the sequence is not positive definite
+    (missing samples).
     """
     variance = float(covariance[0])
     best, best_variance = np.zeros(0), variance
@@ -64,6 +82,7 @@ def autoregression(covariance: FloatArray, n: int) -> tuple[FloatArray, float]:
     best_score = n * np.log(variance)
     current = np.zeros(0)
     for order in range(1, covariance.size):
+        # Levinson's step to the next order; Schwarz's criterion picks one.
         reflection = (covariance[order] - current @ covariance[order - 1 : 0 : -1]) / variance
         if not abs(reflection) < 1.0:
             break
@@ -76,12 +95,12 @@ def autoregression(covariance: FloatArray, n: int) -> tuple[FloatArray, float]:
 
 
 def max_order(n: int) -> int:
-    """Longest autoregression considered for n samples; none below 32, too few to tell colour from chance."""
+    """Return the longest autoregression for n samples; 0 below 32, too few to detect colour."""
     return int(min(10.0 * np.log10(n), n // 8)) if n >= 32 else 0
 
 
 def _innovations(segment: FloatArray, models: list[FloatArray]) -> FloatArray:
-    """The residual (n, m) filtered to white by its autoregressions; NaN where a needed sample is missing."""
+    """Filter the residual (n, m) to white by its autoregressions; NaN where a sample is missing."""
     out = np.full(segment.shape, np.nan)
     for channel, model in enumerate(models):
         order = model.size
@@ -92,21 +111,21 @@ def _innovations(segment: FloatArray, models: list[FloatArray]) -> FloatArray:
 
 
 def _cross_covariance(parts: list[FloatArray], max_lag: int) -> tuple[FloatArray, FloatArray]:
-    """Covariances (L+1, m, m) of e(t+l) with e(t), and the number of pairs behind each; NaN = missing."""
+    """Compute covariances (L+1, m, m) of e(t+l) with e(t), and the number of pairs."""
     m = parts[0].shape[1]
     total, pairs = np.zeros((max_lag + 1, m, m)), np.zeros((max_lag + 1, m, m))
     for part in parts:
-        there = np.isfinite(part).astype(float)
-        value = np.where(there > 0, part, 0.0)
+        finite = np.isfinite(part).astype(float)
+        value = np.where(finite > 0, part, 0.0)
         for lag in range(min(max_lag + 1, part.shape[0])):
             stop = part.shape[0] - lag
             total[lag] += value[lag:].T @ value[:stop]
-            pairs[lag] += there[lag:].T @ there[:stop]
+            pairs[lag] += finite[lag:].T @ finite[:stop]
     return total, pairs
 
 
 def residual_models(residual: list[FloatArray]) -> tuple[list[FloatArray], FloatArray]:
-    """Per output the autoregression (p,) of the residual and its innovation variance (m,); (n, m) a segment."""
+    """Fit an autoregression (p,) to each output's residual; and return innovation variances."""
     models, variances = [], []
     for channel in range(residual[0].shape[1]):
         series = [part[:, channel] for part in residual]
@@ -123,39 +142,53 @@ def residual_models(residual: list[FloatArray]) -> tuple[list[FloatArray], Float
 def coloured_information(
     sensitivity: list[FloatArray] | Blocks, residual: list[FloatArray]
 ) -> FloatArray:
-    """The bracket of (MK): (k, k), for sensitivities (n, m, k) and residuals (n, m), one pair a segment.
+    """Compute the bracket (k, k) of (MK).
 
-    Both are expected divided by the noise's square root, so that white residuals of unit variance return sum S'S.
-    NaN in a residual marks a missing sample; its sensitivity must be zero.
+    Parameters
+    ----------
+    sensitivity : list of array (n, m, k), or Blocks
+        One a segment, divided by the square root of the noise; zero where a sample is missing.
+    residual : list of array (n, m)
+        Divided likewise; NaN marks a missing sample.
+
+    Returns
+    -------
+    array (k, k)
+        For white residuals of unit variance sum S'S.
     """
     blocks = sensitivity if isinstance(sensitivity, Blocks) else Blocks.from_segments(sensitivity)
     m, k = residual[0].shape[1], blocks.k
     models, variances = residual_models(residual)
+    # Transfer function of each output's autoregression.
     size = fft.next_fast_len(2 * max(part.shape[0] for part in residual), real=True)
     frequencies = size // 2 + 1
     shape = np.empty((frequencies, m), dtype=complex)
     for channel, model in enumerate(models):
         shape[:, channel] = 1.0 / np.fft.rfft(np.concatenate(([1.0], -model)), size)
 
-    # What whitening each output leaves between outputs: cross-covariances of e, if significant.
+    # Cross-covariances between the whitened outputs, if significant.
     root = None
     if m > 1:
         n = sum(part.shape[0] for part in residual)
         lags = min(CROSS_LAGS, n // 10, min(part.shape[0] for part in residual) - 1)
         total, pairs = _cross_covariance([_innovations(part, models) for part in residual], lags)
-        own = np.sqrt(np.diagonal(total[0] / np.maximum(pairs[0], 1.0)))
+        innovation_std = np.sqrt(np.diagonal(total[0] / np.maximum(pairs[0], 1.0)))
         with np.errstate(divide="ignore", invalid="ignore"):
             correlation = np.where(
-                pairs > 20, total / np.maximum(pairs, 1.0) / np.outer(own, own), 0.0
+                pairs > 20,
+                total / np.maximum(pairs, 1.0) / np.outer(innovation_std, innovation_std),
+                0.0,
             )
         correlation[~np.isfinite(correlation)] = 0.0
-        off = ~np.eye(m, dtype=bool)
-        strong = np.abs(correlation[:, off]) * np.sqrt(np.maximum(pairs[:, off], 1.0)) > 4.0
+        off_diagonal = ~np.eye(m, dtype=bool)
+        strong = (
+            np.abs(correlation[:, off_diagonal]) * np.sqrt(np.maximum(pairs[:, off_diagonal], 1.0))
+            > 4.0
+        )
         if strong.any():
             last = int(np.flatnonzero(strong.any(axis=1))[-1])
-            lags = min(
-                lags, 2 * last
-            )  # kept in full up to the last significant lag, then let go linearly
+            # Kept up to the last significant lag, then tapered linearly.
+            lags = min(lags, 2 * last)
             deviation = np.sqrt(variances)
             omega = np.exp(-2j * np.pi * np.arange(frequencies) / size)
             gamma = np.repeat(
@@ -166,9 +199,10 @@ def coloured_information(
                 taper = min(1.0, (lags + 1.0 - lag) / (lags + 1.0 - last))
                 block = taper * correlation[lag] * np.outer(deviation, deviation)
                 block[np.arange(m), np.arange(m)] = 0.0
-                turn = (omega**lag)[:, None, None]
-                gamma += block * turn + block.T * np.conj(turn)
+                phase = (omega**lag)[:, None, None]
+                gamma += block * phase + block.T * np.conj(phase)
             root = _root(gamma)
+    # Weights of a one-sided spectrum.
     weight = np.full(frequencies, 2.0 / size)
     weight[0] = 1.0 / size
     if size % 2 == 0:
@@ -178,7 +212,8 @@ def coloured_information(
         shape *= np.sqrt(variances)
     bracket = np.zeros((k, k))
     for part, columns in blocks:
-        # (MK) by Parseval: sum_ij s(i)' r(i-j) s(j) = mean over frequency of S^H P S; padded, so not cyclic. P = R^H R.
+        # (MK) by Parseval: sum_ij s(i)' r(i-j) s(j) = mean over frequency of S^H P S; padded, so
+        # not cyclic. P = R^H R.
         wave = fft.rfft(part, size, axis=0)
         wave *= shape[:, :, None]
         flat = (wave if root is None else root @ wave).reshape(frequencies * m, columns.size)
@@ -189,21 +224,41 @@ def coloured_information(
 
 
 def _root(spectrum: FloatArray) -> FloatArray:
-    """R (F, m, m) with R^H R the nearest non-negative Hermitian matrices: estimated cross-spectra may stray below zero."""
+    """Return R (F, m, m) with R^H R the nearest non-negative Hermitian matrices.
+
+    Estimated cross-spectra may have negative eigenvalues.
+    """
     values, vectors = np.linalg.eigh(spectrum)
     return np.asarray(
         np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.conj(np.swapaxes(vectors, 1, 2))
     )
 
 
-# How many samples of a coloured series count as one.
+# Effective sample size.
 
 
 def integral_time(pieces: Sequence[FloatArray]) -> float:
-    """Samples that count as one independent sample: 1 + 2 (r1 + r2 + ...) up to the first zero of the autocorrelation.
+    """Compute the integral time, in samples: 1 + 2 (r1 + r2 + ...) to the autocorrelation's first
+    zero.
 
-    pieces  [(n,)] of one zero-mean series; products never cross a join. The variance of the series' mean is this many times
-    that of as many independent samples (Bayley and Hammersley, J. R. Stat. Soc. Suppl. 8 (1946) 184). 1 for white noise or zeros.
+    The variance of the mean is this many times that of as many independent samples (Bayley and
+    Hammersley, J. R. Stat. Soc. Suppl. 8 (1946) 184).
+
+    Parameters
+    ----------
+    pieces : sequence of array (n,)
+        One zero-mean series; products never cross pieces.
+
+    Returns
+    -------
+    float
+        1 for white noise or zeros.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> integral_time([np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])])
+    1.0
     """
     total, longest = 1.0, max(len(e) for e in pieces) // 3
     power = sum(float(e @ e) for e in pieces)
@@ -220,26 +275,37 @@ def integral_time(pieces: Sequence[FloatArray]) -> float:
 
 
 def effective_samples(pieces: Sequence[FloatArray]) -> float:
-    """Independent samples that pieces of a series, taken about zero, are worth; at most their number."""
+    """Return the effective sample size of pieces of a zero-mean series, at most their length."""
     return sum(len(e) for e in pieces) / integral_time(pieces)
 
 
-# Residual diagnostics: is what is left white, and if not, is it weather or the model?
+# Residual diagnostics: whiteness, and whether turbulence or the model explains the colour.
 
-WHITENESS_LEVEL = (
-    1e-4  # p-value, shared out over the outputs; rejects a white record once in 10 000
-)
-STRONG_SHARE = (
-    0.15  # share of an output's residual predictable from its own past that counts as process noise
-)
-MOTION_SHARE = 0.6  # share of a residual that follows the simulated motion above which the model's form is suspected first
-STRONG_RATIO = 1.7  # coloured over Cramer-Rao standard error, median, that counts as process noise
+WHITENESS_LEVEL = 1e-4
+"""p-value, divided by the number of outputs; rejects a white record once in 10 000."""
+STRONG_SHARE = 0.15
+"""Share of an output's residual predictable from its past that counts as process noise."""
+MOTION_SHARE = 0.6
+"""Share of a residual explained by motion above which the model's form is the first suspect."""
+STRONG_RATIO = 1.7
+"""Median of coloured over Cramer-Rao standard errors that counts as process noise."""
 
 
 @dataclass(frozen=True)
 class Colour:
-    """Per output (m,): Ljung-Box p-value, predictable share of the residual's variance, share of its power below a
-    tenth of the Nyquist frequency (0.1 if white), share explained by the simulated motion."""
+    """Whiteness of each output's residual.
+
+    Attributes
+    ----------
+    p_value : array (m,)
+        Of the Ljung-Box test.
+    predictable : array (m,)
+        Share of the variance that is predictable from past samples.
+    slow : array (m,)
+        Share of the power below a tenth of the Nyquist frequency; 0.1 if white.
+    explained : array (m,)
+        Share explained by the simulated motion; NaN if not computed.
+    """
 
     p_value: FloatArray
     predictable: FloatArray
@@ -248,7 +314,10 @@ class Colour:
 
 
 def ljung_box(segments: list[FloatArray], lags: int) -> float:
-    """p-value of Ljung and Box's test (Biometrika 65, 1978): Q = n(n+2) sum r_l^2/(n-l) against chi-square(lags)."""
+    """Return the p-value of Ljung and Box's test (Biometrika 65, 1978).
+
+    Q = n(n+2) sum r_l^2/(n-l) against chi-square(lags); NaN for too few samples.
+    """
     n = int(sum(np.isfinite(part).sum() for part in segments))
     covariance = autocovariance(segments, lags)
     if covariance[0] <= 0.0 or n <= lags + 1:
@@ -259,6 +328,7 @@ def ljung_box(segments: list[FloatArray], lags: int) -> float:
 
 
 def _slow_share(segments: list[FloatArray]) -> float:
+    """Return the share of the power below a tenth of the Nyquist frequency."""
     low = total = 0.0
     for part in segments:
         power = np.abs(np.fft.rfft(np.nan_to_num(part))) ** 2
@@ -269,30 +339,49 @@ def _slow_share(segments: list[FloatArray]) -> float:
 
 
 def _explained(residual: list[FloatArray], motion: list[FloatArray]) -> FloatArray:
-    """Adjusted share (m,) of each residual that is a quadratic function of the simulated motion (no cross products
-    beyond 6 outputs); what turbulence does is no function of it, what a wrong model does is."""
+    """Compute the adjusted share (m,) of each residual that is a quadratic function of the motion.
+
+    Cross products are left out beyond 6 outputs. Effects of turbulence are no function of the
+    motion, effects of a wrong model are.
+    """
     stacked, outputs = np.concatenate(residual), np.concatenate(motion)
     m = outputs.shape[1]
-    spread = outputs.std(axis=0)
-    base = (outputs[:, spread > 0] - outputs[:, spread > 0].mean(axis=0)) / spread[spread > 0]
+    motion_std = outputs.std(axis=0)
+    # Regressors: constant, outputs, squares and, for few outputs, cross products.
+    base = (outputs[:, motion_std > 0] - outputs[:, motion_std > 0].mean(axis=0)) / motion_std[
+        motion_std > 0
+    ]
     columns = [base, base**2]
     if base.shape[1] <= 6:
         columns += [base[:, [i]] * base[:, i + 1 :] for i in range(base.shape[1] - 1)]
     design = np.column_stack([np.ones(len(outputs)), *columns])
     share = np.full(m, np.nan)
     for channel in range(m):
-        there = np.isfinite(stacked[:, channel])
-        value = stacked[there, channel]
+        finite = np.isfinite(stacked[:, channel])
+        value = stacked[finite, channel]
         if value.size <= 3 * design.shape[1] or value.std() == 0.0:
             continue
-        fit = design[there] @ np.linalg.lstsq(design[there], value, rcond=1e-10)[0]
+        fit = design[finite] @ np.linalg.lstsq(design[finite], value, rcond=1e-10)[0]
         ratio = 1.0 - np.sum((value - fit) ** 2) / np.sum((value - value.mean()) ** 2)
         share[channel] = 1.0 - (1.0 - ratio) * (value.size - 1) / (value.size - design.shape[1])
     return share
 
 
 def colour(residual: list[FloatArray], motion: list[FloatArray] | None = None) -> Colour:
-    """Judge residuals (n, m), one array a segment, NaN = dropout; motion: the simulated outputs, same shapes."""
+    """Test residuals for whiteness.
+
+    Parameters
+    ----------
+    residual : list of array (n, m)
+        One a segment, NaN at dropouts.
+    motion : list of array (n, m), optional
+        Simulated outputs.
+
+    Returns
+    -------
+    Colour
+        Statistics of each output.
+    """
     m = residual[0].shape[1]
     n = min(
         int(np.isfinite(np.concatenate([part[:, c] for part in residual])).sum()) for c in range(m)
@@ -311,35 +400,42 @@ def colour(residual: list[FloatArray], motion: list[FloatArray] | None = None) -
 
 
 def colour_warnings(
-    found: Colour, std: FloatArray, std_crb: FloatArray, method: str, *, calm_air: bool = False
+    residual_colour: Colour,
+    std: FloatArray,
+    std_crb: FloatArray,
+    method: str,
+    *,
+    calm_air: bool = False,
 ) -> list[str]:
-    """One sentence of at most 60 words on residuals coloured enough to matter, [] when they are not.
+    """Write one sentence of at most 60 words on coloured residuals; [] if they do not matter.
 
-    Two conditions must meet: whiteness is rejected, and the colour is large enough to move the standard errors; so that
-    long records do not cry at trifles. With ``calm_air`` process noise has been ruled out by another
-    test and is not suspected.
+    Whiteness must be rejected, and the colour must be large enough to move the standard errors:
+    long records reject whiteness for trifles. With ``calm_air`` another test has excluded process
+    noise. ``std`` and ``std_crb`` (k,) are standard errors with and without colour.
     """
-    m = found.p_value.size
-    rejected = np.flatnonzero(found.p_value < WHITENESS_LEVEL / m)
+    m = residual_colour.p_value.size
+    rejected = np.flatnonzero(residual_colour.p_value < WHITENESS_LEVEL / m)
     ratio = std / std_crb
     ratio = ratio[np.isfinite(ratio)]
     median = float(np.median(ratio)) if ratio.size else float("nan")
     if rejected.size == 0 or ratio.size == 0:
         return []
-    strong = [c for c in rejected if found.predictable[c] > STRONG_SHARE]
+    strong = [c for c in rejected if residual_colour.predictable[c] > STRONG_SHARE]
     if not strong and median < STRONG_RATIO:
         return []
-    worst = rejected[np.argsort(-found.predictable[rejected])][:3]
-    evidence = ", ".join(f"{100 * found.predictable[c]:.0f} % of output {c}" for c in worst)
-    explained = found.explained[worst]
+    worst = rejected[np.argsort(-residual_colour.predictable[rejected])][:3]
+    evidence = ", ".join(
+        f"{100 * residual_colour.predictable[c]:.0f} % of output {c}" for c in worst
+    )
+    explained = residual_colour.explained[worst]
     explained = explained[np.isfinite(explained)]
-    cure = {
+    remedy = {
         "output error": "Estimates may be biased: use filter error",
         "filter error": "Give more states noise or revise the model",
     }[method]
     if calm_air:
         cause, share = "the model's form", ""
-        cure = "Estimates may be biased: look for the missing term with refine"
+        remedy = "Estimates may be biased: look for the missing term with refine"
     elif explained.size and explained.max() > MOTION_SHARE:
         cause = "the model's form before process noise (turbulence)"
         share = f"; motion explains up to {100 * explained.max():.0f} %"
@@ -350,7 +446,8 @@ def colour_warnings(
         cause, share = "process noise (turbulence) or the model's form", ""
     return [
         (
-            f"coloured residuals: suspect {cause}. Predictable from their past: {evidence}{share}. Standard errors allow "
-            f"for it ({median:.1f} times the Cramer-Rao bounds). {cure} (docs/estimators.md, Coloured residuals)."
+            f"coloured residuals: suspect {cause}. Predictable from their past: {evidence}{share}."
+            f" Standard errors allow for it ({median:.1f} times the Cramer-Rao bounds). {remedy}"
+            " (docs/estimators.md, Coloured residuals)."
         )
     ]

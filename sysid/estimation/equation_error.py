@@ -1,6 +1,8 @@
-"""Equation error: linear least squares with standard errors that hold under coloured residuals.
+"""Equation error: linear least squares with standard errors for coloured residuals.
 
-Klein, V. and Morelli, E. A., "Aircraft System Identification" (2006), ch. 5; coloured residuals: coloured.py.
+Solved by the singular value decomposition of the scaled regressors, so that collinear columns are
+found and named. Klein, V. and Morelli, E. A., "Aircraft System Identification" (2006), ch. 5;
+coloured residuals: `coloured_residuals`. `stepwise` selects regressors with it.
 """
 
 from __future__ import annotations
@@ -15,11 +17,15 @@ from sysid.arrays import FloatArray, as_array, as_names
 from sysid.estimation.coloured_residuals import WHITENESS_LEVEL, coloured_information, ljung_box
 from sysid.estimation.results import INFLATION_WARNING, PARTICIPATION, Regression, masked_covariance
 
-RANK = 1e-12  # singular values of the column-scaled X below this share of the largest are rounding
+RANK = 1e-12
+"""Singular values of the column-scaled X below this share of the largest are rounding."""
 
 
 def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """X (n, k) and y (n,), finite, n > k. Raises ValueError saying which rows or shapes are wrong."""
+    """Return X (n, k) and y (n,) as finite arrays with n > k.
+
+    Raises ValueError that names the wrong rows or shapes.
+    """
     regressors, response = as_array(X, "X"), as_array(y, "y")
     if regressors.ndim == 1:
         regressors = regressors[:, None]
@@ -29,14 +35,15 @@ def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArr
         raise ValueError(f"X has shape {regressors.shape}; give (n samples, k regressors)")
     if response.shape != (regressors.shape[0],):
         raise ValueError(
-            f"y has shape {response.shape}, X has {regressors.shape[0]} rows; give one y for each row of X"
+            f"y has shape {response.shape}, X has {regressors.shape[0]} rows; give one y for each"
+            " row of X"
         )
-    bad = ~np.isfinite(regressors).all(axis=1) | ~np.isfinite(response)
-    if bad.any():
+    not_finite = ~np.isfinite(regressors).all(axis=1) | ~np.isfinite(response)
+    if not_finite.any():
         raise ValueError(
-            f"{int(bad.sum())} of {bad.size} rows of X, y hold NaN or infinity, first row "
-            f"{int(np.flatnonzero(bad)[0])}; repair them, or drop them and pass "
-            "the lengths of the pieces as segments="
+            f"{int(not_finite.sum())} of {not_finite.size} rows of X, y hold NaN or infinity, first"
+            f" row {int(np.flatnonzero(not_finite)[0])}; repair them, or drop them and pass the"
+            " lengths of the pieces as segments="
         )
     n, k = regressors.shape
     if n <= k:
@@ -45,13 +52,17 @@ def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArr
 
 
 def segment_edges(segments: Sequence[int] | None, n: int) -> list[int]:
-    """Row numbers 0, ..., n between which records are continuous, from segment lengths. Raises ValueError."""
+    """Return row numbers 0, ..., n between which records are continuous, from segment lengths.
+
+    Raises ValueError if the lengths do not sum to n.
+    """
     if segments is None:
         return [0, n]
     lengths = [int(length) for length in segments]
     if not lengths or min(lengths) < 1 or sum(lengths) != n:
         raise ValueError(
-            f"segments has lengths {lengths} summing to {sum(lengths)}; they must be positive and sum to {n}"
+            f"segments has lengths {lengths} summing to {sum(lengths)}; they must be positive and"
+            f" sum to {n}"
         )
     return [0, *np.cumsum(lengths).tolist()]
 
@@ -65,9 +76,9 @@ def equation_error(
 ) -> Regression:
     """Least squares of y on the columns of X; a constant term is a column of ones, none is added.
 
-    Solved by the singular value decomposition of X with columns scaled to unit length. Columns that are zero or exact
-    combinations of others are "not-identified": theta 0 for a zero column, the smallest-norm share for a collinear one,
-    std NaN, reason naming the partners; the rest is estimated as if they were settled.
+    Columns that are zero or exact combinations of others are "not-identified": theta is 0 for a
+    zero column and the smallest-norm share for a collinear one, std is NaN, and ``reason`` names
+    the other columns. The remaining parameters are estimated as if these were known.
 
     Parameters
     ----------
@@ -78,12 +89,14 @@ def equation_error(
     names : sequence of str, optional
         k unique names; by default x0, x1, ...
     segments : sequence of int, optional
-        Lengths of continuous records stacked in X and y, so that no correlation is sought across their joins.
+        Lengths of continuous records stacked in X and y; no correlation is computed across their
+        joins.
 
     Returns
     -------
     Regression
-        ``theta``, ``std`` (k,) corrected for coloured residuals, ``cov`` (k, k), ``residual`` (n,), ``status`` and ``reason``.
+        ``theta``, ``std`` (k,) corrected for coloured residuals, ``cov`` (k, k), ``residual`` (n,),
+        ``status`` and ``reason``.
 
     Raises
     ------
@@ -91,15 +104,16 @@ def equation_error(
         For shapes and names that disagree, n <= k, NaN or infinity in a row (rows are not dropped).
 
     References
-    ----------
-    V. Klein, E. A. Morelli, Aircraft System Identification, 2006: regression, and standard errors for coloured residuals.
+    ---------- V. Klein, E. A. Morelli, Aircraft System Identification, 2006: regression, and
+    standard errors for coloured residuals.
 
     Examples
     --------
     >>> import numpy as np
     >>> import sysid
     >>> x = np.linspace(0.0, 1.0, 50)
-    >>> fit = sysid.equation_error(np.column_stack([np.ones(50), x]), 1.0 + 2.0 * x, names=["bias", "slope"])
+    >>> X = np.column_stack([np.ones(50), x])
+    >>> fit = sysid.equation_error(X, 1.0 + 2.0 * x, names=["bias", "slope"])
     >>> [round(float(value), 6) for value in fit.theta]
     [1.0, 2.0]
     """
@@ -110,33 +124,38 @@ def equation_error(
     with np.errstate(over="raise"):
         largest = np.abs(regressors).max(axis=0)
     unit = np.where(largest > 0.0, largest, 1.0)
-    length = unit * np.linalg.norm(
-        regressors / unit, axis=0
-    )  # scaled first: no overflow, no underflow
+    # Scale before squaring, against overflow and underflow.
+    length = unit * np.linalg.norm(regressors / unit, axis=0)
     scale = np.where(length > 0.0, length, 1.0)
-    left, values, right = np.linalg.svd(regressors / scale, full_matrices=False)
-    kept = values > RANK * values[0] if values[0] > 0.0 else np.zeros(values.size, dtype=bool)
-    turned = left[:, kept].T @ response
-    weights = right[kept].T / values[kept]  # V S^-1
-    scaled_theta = weights @ turned
+    # Solve by singular values; small ones mark collinear columns.
+    left_vectors, values, right_vectors = np.linalg.svd(regressors / scale, full_matrices=False)
+    resolved = values > RANK * values[0] if values[0] > 0.0 else np.zeros(values.size, dtype=bool)
+    projection = left_vectors[:, resolved].T @ response
+    weights = right_vectors[resolved].T / values[resolved]  # V S^-1
+    scaled_theta = weights @ projection
     residual = response - (regressors / scale) @ scaled_theta
-    # One refinement with the residual recovers the digits that an ill-conditioned X costs.
-    scaled_theta += weights @ (left[:, kept].T @ residual)
+    # One iterative refinement recovers the digits that an ill-conditioned X costs.
+    scaled_theta += weights @ (left_vectors[:, resolved].T @ residual)
     theta = scaled_theta / scale
     residual = response - (regressors / scale) @ scaled_theta
 
-    rank = int(kept.sum())
+    # Covariances with n - rank degrees of freedom, white and coloured.
+    rank = int(resolved.sum())
     s2 = float(residual @ residual) / (n - rank)
     inverse = weights @ weights.T / np.outer(scale, scale)
     vif = np.sum(weights**2, axis=1)
-    reason = _reasons(right, kept, labels, length)
+    # Parameters of collinear or zero columns have no standard error.
+    reason = _reasons(right_vectors, resolved, labels, length)
     identified = np.array([not text for text in reason])
     vif[~identified] = np.inf
     white = masked_covariance(s2 * inverse, identified)
     cov = masked_covariance(
-        _coloured(left[:, kept], weights / scale[:, None], residual, s2, edges), identified
+        _coloured_covariance(
+            left_vectors[:, resolved], weights / scale[:, None], residual, s2, edges
+        ),
+        identified,
     )
-    r2 = _r_squared(regressors, scale, response, residual, left[:, kept])
+    r2 = _r_squared(regressors, scale, response, residual, left_vectors[:, resolved])
     std, std_white = np.sqrt(np.diagonal(cov)), np.sqrt(np.diagonal(white))
     return Regression(
         names=labels,
@@ -153,17 +172,33 @@ def equation_error(
         r2=r2,
         s2=s2,
         residual=residual,
-        warnings=_warnings(labels, reason, vif, right, kept, residual, edges, std, std_white),
+        warnings=_warnings(
+            labels,
+            reason,
+            vif,
+            right_vectors,
+            resolved,
+            residual=residual,
+            edges=edges,
+            std=std,
+            std_white=std_white,
+        ),
     )
 
 
-def _coloured(
-    left: FloatArray, weights: FloatArray, residual: FloatArray, s2: float, edges: list[int]
+def _coloured_covariance(
+    left_vectors: FloatArray, weights: FloatArray, residual: FloatArray, s2: float, edges: list[int]
 ) -> FloatArray:
-    """(MK) of coloured.py in the orthonormal columns of U, where D is the identity: cov = W [..] W' s2."""
+    """Compute (MK) of `coloured_residuals` in the orthonormal columns of U, where D is the
+    identity.
+
+    The result (k, k) is W [..] W' s2.
+    """
     if not s2 > 0.0:
         return np.zeros((weights.shape[0], weights.shape[0]))
-    pieces = [(left[a:b, None, :], residual[a:b, None]) for a, b in itertools.pairwise(edges)]
+    pieces = [
+        (left_vectors[a:b, None, :], residual[a:b, None]) for a, b in itertools.pairwise(edges)
+    ]
     deviation = float(np.sqrt(residual @ residual / residual.size))
     bracket = coloured_information(
         [piece[0] for piece in pieces], [piece[1] / deviation for piece in pieces]
@@ -172,27 +207,31 @@ def _coloured(
 
 
 def _r_squared(
-    X: FloatArray, scale: FloatArray, y: FloatArray, residual: FloatArray, left: FloatArray
+    X: FloatArray, scale: FloatArray, y: FloatArray, residual: FloatArray, left_vectors: FloatArray
 ) -> float:
-    """1 - SSR/SST, about the mean when a constant lies in the span of X."""
+    """Compute 1 - SSR/SST, about the mean when the span of X contains a constant."""
     ones = np.ones(y.size) / np.sqrt(y.size)
-    spans_constant = np.linalg.norm(ones - left @ (left.T @ ones)) < 1e-8
+    spans_constant = np.linalg.norm(ones - left_vectors @ (left_vectors.T @ ones)) < 1e-8
     total = float(np.sum((y - y.mean()) ** 2)) if spans_constant else float(y @ y)
     return 1.0 - float(residual @ residual) / total if total > 0.0 else float("nan")
 
 
 def _reasons(
-    right: FloatArray, kept: NDArray[np.bool_], names: tuple[str, ...], length: FloatArray
+    right_vectors: FloatArray,
+    resolved: NDArray[np.bool_],
+    names: tuple[str, ...],
+    length: FloatArray,
 ) -> list[str]:
+    """Return why each regressor (k,) is not identified; "" if it is."""
     reason = ["" if size > 0.0 else "the regressor is zero throughout" for size in length]
-    for row in right[~kept]:
+    for row in right_vectors[~resolved]:
         group = [
             index for index in np.flatnonzero(np.abs(row) > PARTICIPATION) if length[index] > 0.0
         ]
         for member in group:
-            others = ", ".join(names[index] for index in group if index != member)
-            if others:
-                reason[member] = f"collinear with {others}: only a combination can be estimated"
+            partners = ", ".join(names[index] for index in group if index != member)
+            if partners:
+                reason[member] = f"collinear with {partners}: only a combination can be estimated"
     return reason
 
 
@@ -200,13 +239,15 @@ def _warnings(
     names: tuple[str, ...],
     reason: list[str],
     vif: FloatArray,
-    right: FloatArray,
-    kept: NDArray[np.bool_],
+    right_vectors: FloatArray,
+    resolved: NDArray[np.bool_],
+    *,
     residual: FloatArray,
     edges: list[int],
     std: FloatArray,
     std_white: FloatArray,
 ) -> list[str]:
+    """Write sentences on parameters not identified, near collinearity and coloured residuals."""
     out = [
         f"{name} not identified: {text}" for name, text in zip(names, reason, strict=True) if text
     ]
@@ -216,7 +257,7 @@ def _warnings(
         if np.isfinite(vif[index]) and vif[index] > INFLATION_WARNING
     ]
     if high:
-        weakest = np.abs(right[kept][-1])
+        weakest = np.abs(right_vectors[resolved][-1])
         group = [names[i] for i in np.argsort(-weakest) if weakest[i] > 0.2 * weakest.max()]
         out.append(
             f"near-collinear: {', '.join(group)} (variance inflation up to {vif[high[0]]:.3g}); "
@@ -226,13 +267,13 @@ def _warnings(
     p_value = ljung_box(
         [residual[a:b] for a, b in itertools.pairwise(edges)], max(1, min(20, n // 5))
     )
-    ratio = np.divide(
-        std, std_white, out=np.full(std.shape, np.nan), where=std_white > 0.0
-    )  # zero: y is met exactly
+    # White errors are zero where y is fitted exactly.
+    ratio = np.divide(std, std_white, out=np.full(std.shape, np.nan), where=std_white > 0.0)
     ratio = ratio[np.isfinite(ratio)]
     if p_value < WHITENESS_LEVEL and ratio.size and not 0.8 < float(np.median(ratio)) < 1.25:
         out.append(
-            f"coloured residual (Ljung-Box p = {p_value:.1g}): standard errors are {np.median(ratio):.2g} times the "
-            f"white ones (median; largest {ratio.max():.2g}); use std, not std_white"
+            f"coloured residual (Ljung-Box p = {p_value:.1g}): standard errors are"
+            f" {np.median(ratio):.2g} times the white ones (median; largest {ratio.max():.2g}); use"
+            " std, not std_white"
         )
     return out

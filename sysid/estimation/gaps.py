@@ -1,4 +1,9 @@
-"""How far a model is from a flight: root mean squares against noise, Theil's inequality, time shifts, worst moments. Pure."""
+"""Measures of the distance between a model and a flight.
+
+Root mean squares against noise, a test for process noise, Theil's inequality coefficient, time
+shifts and the largest residuals. Comparison and identification reports print them. All functions
+take arrays of one segment each and touch no file.
+"""
 
 from __future__ import annotations
 
@@ -10,62 +15,97 @@ import numpy as np
 from sysid.arrays import FloatArray
 from sysid.estimation.coloured_residuals import STRONG_SHARE, WHITENESS_LEVEL, colour, integral_time
 
-FORM_SHARE = 0.6  # share of a residual that is a function of the motion above which the model's form is to blame
+FORM_SHARE = 0.6
+"""Share of a residual explained by the motion above which the model's form is the cause."""
 
-QUIET_SHARE = 0.5  # residual power beyond noise in quiet flight, over that in motion, above which the air is to blame
+QUIET_SHARE = 0.5
+"""Residual power in quiet flight, over that in motion, above which turbulence is the cause."""
 
 
 NOISE_FLOOR = 1.15
-"""A channel left at so many times its noise, or less, is at the noise."""
+"""A channel's residual of at most this many times its noise counts as noise alone."""
 
 
 def rms(values: FloatArray) -> float:
-    """Root mean square of the finite values; NaN when there are none."""
-    good = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(good**2))) if good.size else float("nan")
+    """Compute the root mean square of the finite values; NaN if there are none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rms(np.array([3.0, np.nan, -3.0]))
+    3.0
+    """
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
 def white_noise(pieces: Sequence[FloatArray]) -> float:
-    """Standard deviation of a channel's white noise, from third differences of its finite samples; NaN below 8 samples.
+    """Estimate the standard deviation of a channel's white noise from third differences.
 
-    A third difference takes out any motion that is quadratic over four samples and multiplies the noise's variance by 20.
+    A third difference removes motion that is quadratic over four samples and multiplies the noise's
+    variance by 20.
+
+    Parameters
+    ----------
+    pieces : sequence of array (n,)
+        Segments of one channel; NaN are dropped.
+
+    Returns
+    -------
+    float
+        In the channel's unit; NaN below 8 samples.
     """
     squares = [np.diff(p[np.isfinite(p)], 3) ** 2 for p in pieces if np.isfinite(p).sum() >= 8]
     if not squares:
         return float("nan")
-    # Median of squares: steps of surfaces and other sudden motion are few samples, and must not count as noise.
+    # The median of squares (0.455 times the mean for a normal distribution) ignores the few samples
+    # with sudden motion, such as steps of surfaces.
     return float(np.sqrt(np.median(np.concatenate(squares)) / 0.454936 / 20.0))
 
 
 def quantum(pieces: Sequence[FloatArray]) -> float:
-    """Size of the steps in which a channel's samples move; 0 for one that takes any value, or never moves."""
+    """Return the resolution of a channel's samples; 0 if it is fine or the channel never moves."""
     steps = [np.abs(np.diff(p[np.isfinite(p)])) for p in pieces]
-    together = np.concatenate(steps) if steps else np.zeros(0)
-    moving = together[together > 0.0]
-    if moving.size < 2 or moving.size > _REPEATS * together.size:
+    changes = np.concatenate(steps) if steps else np.zeros(0)
+    nonzero = changes[changes > 0.0]
+    if nonzero.size < 2 or nonzero.size > _REPEATS * changes.size:
         return 0.0
-    return float(np.quantile(moving, 0.01))
+    return float(np.quantile(nonzero, 0.01))
 
 
-_REPEATS = (
-    0.9  # share of samples that differ from the one before, above which a channel is not coarse
-)
+_REPEATS = 0.9
+"""Share of samples that differ from the one before, above which a channel is not coarse."""
 _RESOLUTION = 1e-6  # of a channel's size: what a record's numbers tell at best
+"""Relative resolution of a record's numbers."""
 
 
 def channel_noise(
     data: Sequence[FloatArray], channels: Sequence[str], card: Mapping[str, float]
 ) -> dict[str, float]:
-    """Noise of each channel: what its own samples show, what the card says of the sensor, and what its steps hide: the largest.
+    """Estimate the noise of each channel as the largest of three figures.
 
-    Attitudes of an autopilot are filtered and look cleaner than they are true; there the card's figure counts. Steps of size q
-    hide an error of variance q^2/12. Nothing is known better than to a
-    millionth: no noise is zero. NaN for a channel without samples.
+    They are the noise of its own samples, the sensor's card, and the resolution: steps of size q
+    hide an error of variance q^2/12. Attitudes of an autopilot are filtered and look cleaner than
+    they are; there the card counts. No noise is below a millionth of the channel's size.
+
+    Parameters
+    ----------
+    data : sequence of array (n, m)
+        Segments.
+    channels : sequence of str
+        m names.
+    card : mapping of str to float
+        Standard deviations of the sensors, in the channels' units.
+
+    Returns
+    -------
+    dict of str to float
+        NaN for a channel without samples.
     """
     out = {}
     for k, name in enumerate(channels):
         pieces = [block[:, k] for block in data]
-        sizes = [float(np.abs(good).max()) for p in pieces if (good := p[np.isfinite(p)]).size]
+        sizes = [float(np.abs(finite).max()) for p in pieces if (finite := p[np.isfinite(p)]).size]
         if not sizes:
             out[name] = float("nan")
             continue
@@ -77,51 +117,81 @@ def channel_noise(
 
 
 _SMALLEST = 1e-2
-"""Size of a channel that stands at zero: of angles in rad, rates in rad/s and speeds in m/s alike."""
+"""Size of a channel that is constantly zero [rad, rad/s or m/s]."""
 
 
 def quiet_share(
     residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray
 ) -> FloatArray:
-    """(m,) power beyond noise (m,) of each residual while the aircraft moves little, over that while it moves much.
+    """Compare the residual power in quiet flight with that in motion.
 
-    1 is what turbulence gives, which does not wait for manoeuvres; 0 what a wrong model or a late surface gives. The halves
-    are those of the simulated motion's speed of change, all channels together.
+    Turbulence gives 1, as it does not wait for manoeuvres; a wrong model or a delayed surface gives
+    0. Samples are halved by the speed of change of the simulated motion, all channels together.
+
+    Parameters
+    ----------
+    residual, motion : sequence of array (n, m)
+        Residuals and simulated outputs, one a segment.
+    noise : array (m,)
+        Standard deviations of the sensors.
+
+    Returns
+    -------
+    array (m,)
+        Power beyond noise in the quiet half over that in the other half.
     """
-    spread = np.concatenate(list(motion)).std(axis=0)
-    spread = np.where(spread > 0.0, spread, 1.0)
+    motion_std = np.concatenate(list(motion)).std(axis=0)
+    motion_std = np.where(motion_std > 0.0, motion_std, 1.0)
     speed = np.concatenate(
-        [np.sqrt(np.mean((np.gradient(y, axis=0) / spread) ** 2, axis=1)) for y in motion]
+        [np.sqrt(np.mean((np.gradient(y, axis=0) / motion_std) ** 2, axis=1)) for y in motion]
     )
-    quiet = speed <= np.median(speed)
+    slow = speed <= np.median(speed)
     stacked = np.concatenate(list(residual))
     with np.errstate(invalid="ignore", divide="ignore"):
-        still, moving = (
-            np.nanmean(stacked[part] ** 2, axis=0) - noise**2 for part in (quiet, ~quiet)
+        slow_power, fast_power = (
+            np.nanmean(stacked[part] ** 2, axis=0) - noise**2 for part in (slow, ~slow)
         )
-        return np.asarray(np.where(moving > 0.2 * noise**2, np.maximum(still, 0.0) / moving, 0.0))
+        return np.asarray(
+            np.where(fast_power > 0.2 * noise**2, np.maximum(slow_power, 0.0) / fast_power, 0.0)
+        )
 
 
-def process_noise_shown(
+def shows_process_noise(
     residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray
 ) -> bool:
-    """True when residuals are coloured, are no function of the simulated motion and are there in quiet flight too: turbulence.
+    """Decide whether the residuals show process noise, that is, turbulence.
 
-    One channel may be a function of the motion in gusty air as well, where a sensor's scale is wrong, or a force is: then half of
-    all channels must be as turbulence leaves them.
+    It does where residuals are coloured, no function of the simulated motion, and present in quiet
+    flight. If some channels are functions of the motion (a sensor's scale or a force may be wrong
+    in gusty air as well), half of all channels must look like turbulence.
+
+    Parameters
+    ----------
+    residual, motion : sequence of array (n, m)
+        Residuals and simulated outputs, one a segment.
+    noise : array (m,)
+        Standard deviations of the sensors.
+
+    Returns
+    -------
+    bool
+        True for turbulence.
     """
-    found = colour(list(residual), list(motion))
-    strong = (found.p_value < WHITENESS_LEVEL / len(found.p_value)) & (
-        found.predictable > STRONG_SHARE
+    residual_colour = colour(list(residual), list(motion))
+    strong = (residual_colour.p_value < WHITENESS_LEVEL / len(residual_colour.p_value)) & (
+        residual_colour.predictable > STRONG_SHARE
     )
-    formed = strong & (found.explained > FORM_SHARE)
-    gusty = strong & ~formed & (quiet_share(residual, motion, noise) > QUIET_SHARE)
-    return bool(gusty.any() if not formed.any() else 2 * np.count_nonzero(gusty) >= gusty.size)
+    form_error = strong & (residual_colour.explained > FORM_SHARE)
+    gusty = strong & ~form_error & (quiet_share(residual, motion, noise) > QUIET_SHARE)
+    return bool(gusty.any() if not form_error.any() else 2 * np.count_nonzero(gusty) >= gusty.size)
 
 
 @dataclass(frozen=True)
 class Theil:
-    """Theil's inequality coefficient, 0 perfect to 1, and what it is made of (shares that add up to 1)."""
+    """Theil's inequality coefficient ``u`` from 0 (perfect) to 1, and its decomposition.
+
+    ``bias``, ``variance`` and ``covariance`` are shares that add up to 1.
+    """
 
     u: float
     bias: float
@@ -130,9 +200,12 @@ class Theil:
 
 
 def theil(measured: FloatArray, modelled: FloatArray) -> Theil:
-    """Over the samples where both are finite. Theil, "Economic Forecasts and Policy" (1961); Jategaonkar (2015), ch. 11."""
-    good = np.isfinite(measured) & np.isfinite(modelled)
-    z, y = measured[good], modelled[good]
+    """Over the samples where both are finite.
+
+    Theil, "Economic Forecasts and Policy" (1961); Jategaonkar (2015), ch. 11.
+    """
+    finite = np.isfinite(measured) & np.isfinite(modelled)
+    z, y = measured[finite], modelled[finite]
     error = float(np.mean((z - y) ** 2)) if z.size else float("nan")
     size = np.sqrt(np.mean(z**2)) + np.sqrt(np.mean(y**2)) if z.size else float("nan")
     if not error > 0.0:
@@ -144,7 +217,7 @@ def theil(measured: FloatArray, modelled: FloatArray) -> Theil:
 
 @dataclass(frozen=True)
 class Shift:
-    """How late the measured channel comes after the model's, s, its standard error, and whether that is worth a word."""
+    """Delay of the measured channel behind the model, and its standard error [s]."""
 
     seconds: float
     std: float
@@ -154,51 +227,70 @@ def time_shift(
     measured: Sequence[FloatArray],
     modelled: Sequence[FloatArray],
     dt_s: float,
-    at_most_s: float = 0.2,
+    max_shift_s: float = 0.2,
 ) -> Shift:
-    """Delay tau that makes modelled(t - tau) fit measured(t) best, by Gauss-Newton on the model's slope, offset left free.
+    """Estimate the delay tau for which modelled(t - tau) fits measured(t) best.
 
-    The standard error allows for coloured residuals by their integral time. NaN when the model does not move.
+    Gauss-Newton on the model's slope, with a free offset. The standard error allows for coloured
+    residuals by their integral time.
+
+    Parameters
+    ----------
+    measured, modelled : sequence of array (n,)
+        One channel, segment by segment; NaN in ``measured`` is a dropout.
+    dt_s : float
+        Step [s].
+    max_shift_s : float
+        Largest delay considered [s].
+
+    Returns
+    -------
+    Shift
+        NaN if the model does not move.
     """
     tau = 0.0
     for _ in range(8):
-        top = bottom = 0.0
-        left: list[FloatArray] = []
+        score = information = 0.0
+        residuals: list[FloatArray] = []
         slopes: list[FloatArray] = []
         for z, y in zip(measured, modelled, strict=True):
             if len(y) < 8 or not np.isfinite(y).all():
                 continue
             at = np.arange(len(y))
-            moved = np.interp(at - tau / dt_s, at, y)
-            slope = -np.gradient(moved, dt_s)
-            good = np.isfinite(z)
-            if good.sum() < 8:
+            shifted = np.interp(at - tau / dt_s, at, y)
+            slope = -np.gradient(shifted, dt_s)
+            finite = np.isfinite(z)
+            if finite.sum() < 8:
                 continue
-            e = z[good] - moved[good]
-            s = slope[good] - slope[good].mean()
+            e = z[finite] - shifted[finite]
+            s = slope[finite] - slope[finite].mean()
             e = e - e.mean()
-            top, bottom = top + float(s @ e), bottom + float(s @ s)
-            left.append(e)
+            score, information = score + float(s @ e), information + float(s @ s)
+            residuals.append(e)
             slopes.append(s)
-        if not bottom > 0.0:
+        if not information > 0.0:
             return Shift(float("nan"), float("nan"))
-        step = float(np.clip(top / bottom, -0.05, 0.05))
-        tau = float(np.clip(tau + step, -at_most_s, at_most_s))
+        # Gauss-Newton step, limited to 50 ms.
+        step = float(np.clip(score / information, -0.05, 0.05))
+        tau = float(np.clip(tau + step, -max_shift_s, max_shift_s))
         if abs(step) < 1e-5:
             break
-    variance = sum(float(e @ e) for e in left) / max(1, sum(e.size for e in left) - 2)
-    return Shift(tau, float(np.sqrt(variance * integral_time(left) / bottom)))
+    variance = sum(float(e @ e) for e in residuals) / max(1, sum(e.size for e in residuals) - 2)
+    return Shift(tau, float(np.sqrt(variance * integral_time(residuals) / information)))
 
 
-def worst(
-    residual: FloatArray, time_s: FloatArray, noise: float, count: int, apart_s: float
+def largest_residuals(
+    residual: FloatArray, time_s: FloatArray, noise: float, count: int, min_separation_s: float
 ) -> list[tuple[float, float]]:
-    """(time, residual) of the ``count`` largest residuals in units of noise, at least ``apart_s`` from one another."""
+    """Return (time [s], residual) of the ``count`` largest residuals in units of noise.
+
+    They are at least ``min_separation_s`` apart.
+    """
     size = np.where(np.isfinite(residual), np.abs(residual), -1.0) / (noise if noise > 0 else 1.0)
     out: list[tuple[float, float]] = []
     for k in np.argsort(-size):
         if len(out) == count or size[k] < 0:
             break
-        if all(abs(time_s[k] - t) >= apart_s for t, _ in out):
+        if all(abs(time_s[k] - t) >= min_separation_s for t, _ in out):
             out.append((float(time_s[k]), float(residual[k])))
     return out

@@ -1,13 +1,19 @@
-"""The linear Kalman filter along a linearised flight, and what extra coefficients and the start do to its innovations.
+"""Kalman filters: along a linearised flight, and the extended filter of filter error.
 
-Samples of independent channels are taken one after the other (Astrom, Automatica 16, 1980; Bierman, Factorization Methods, 1977):
+The first half filters linearised segments and passes extra coefficients ("columns") and the start
+state through the same gains. Samples of independent channels are processed one after the other
+(Astrom, Automatica 16, 1980; Bierman, Factorization Methods, 1977):
 
-    e = z - h d,   s = h P h' + r,   K = P h'/s,   d+ = d + K e,   X+ = X - K (h X + D u),   P+ = P - K s K'
+    e = z - h d,   s = h P h' + r,   K = P h'/s,
+    d+ = d + K e,   X+ = X - K (h X + D u),   P+ = P - K s K'
     d' = Phi d+ + defect,   X' = Phi X+ + G0 u(k) + G1 u(k+1-),   P' = Phi P+ Phi' + process noise
 
-X holds what the state does per unit of some extra coefficients u, and of the start state, which is unknown: its eight columns
-come first. u(k+1-) is u just before it jumps at the row k+1, if it does. e and h X + D u over sqrt(s) are the whitened
-innovations and their sensitivities. The gains do not depend on what was measured.
+X is the change of the state per unit of each extra coefficient u, and of the unknown start state in
+its first eight columns; u(k+1-) is u just before it may jump at row k+1. e and h X + D u over
+sqrt(s) are the whitened innovations and their sensitivities. The gains do not depend on the
+measurements. `sysid.effects` scores candidate effects with them.
+
+The second half is an extended Kalman filter in lanes, used by `filter_error`.
 """
 
 from __future__ import annotations
@@ -21,62 +27,111 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from sysid.estimation.kalman_loops import STARTS, Acting, Gains, Seen
+from sysid.estimation.kalman_loops import START_COLUMNS, ColumnInputs, Gains, MeasuredSystem
 
-_AT_ONCE = 96
-"""Columns that go through the gains together: what stays in a processor's first cache."""
+_COLUMN_BLOCK = 96
+"""Columns that pass the gains together, as many as the processor's first cache holds."""
 
 
 @dataclass(frozen=True)
 class Process:
-    """Process noise of S segments: noise (S, 13) variances per second of the states, begin (S, 13) of those of the air at the
-    start."""
+    """Process noise of S segments.
+
+    Attributes
+    ----------
+    noise : array (S, 13)
+        Variances of the states per second.
+    begin : array (S, 13)
+        Variances of the air states at the start.
+    """
 
     noise: FloatArray
     begin: FloatArray
 
     def of(self, segments: Sequence[int]) -> Process:
-        """That of some segments."""
+        """Select some segments."""
         return Process(self.noise[list(segments)], self.begin[list(segments)])
 
 
 def gains(
-    seen: Seen, noise: FloatArray, air: tuple[FloatArray, FloatArray] | None, every: bool = True
+    system: MeasuredSystem,
+    noise: FloatArray,
+    air: tuple[FloatArray, FloatArray] | None,
+    with_prior_variance: bool = True,
 ) -> Gains:
-    """Gains of a flight in an air.
+    """Compute the filter gains along a segment.
 
-    noise (m,) standard deviations of the sensors; air: variances (13,) per second of the states' noise, and (13,) of the air at the
-    start; None for calm air, in which the state is not corrected: output error. Without ``every`` the whole variances are left out.
-    Raises LinAlgError where a variance is below zero or an unstable flight outgrows numbers.
+    Parameters
+    ----------
+    system : MeasuredSystem
+        The linear system and where it was measured.
+    noise : array (m,)
+        Standard deviations of the sensors.
+    air : tuple of two arrays (13,), optional
+        Variances of the states' noise per second, and of the air states at the start. None for calm
+        air: the state is not corrected, which is output error.
+    with_prior_variance : bool
+        Compute ``Gains.prior_variance`` as well.
+
+    Returns
+    -------
+    Gains
+        Gains and innovation variances.
+
+    Raises
+    ------
+    LinAlgError
+        For a negative variance, and for an unstable flight that overflows.
     """
     if air is None:
-        spread = np.where(seen.there, noise**2, 1.0)
-        return Gains(np.zeros(seen.H.shape), spread, spread)
+        variance = np.where(system.is_measured, noise**2, 1.0)
+        return Gains(np.zeros(system.H.shape), variance, variance)
     variances, begin = air
+    # A search may try negative variances.
     if min(variances.min(), begin.min()) < 0.0:
         raise np.linalg.LinAlgError("a variance below zero")
-    found = Gains(*_loops().follow(seen, noise**2, variances, begin, every))
-    if not np.isfinite(found.spread).all():
+    result = Gains(*_loops().filter_gains(system, noise**2, variances, begin, with_prior_variance))
+    if not np.isfinite(result.variance).all():
         raise np.linalg.LinAlgError("the covariance of the states is no number")
-    return found
+    return result
 
 
-def slopes(
-    seen: Seen, by: Gains, innovations: FloatArray, variances: FloatArray
+def variance_gradient(
+    system: MeasuredSystem, filter_gains: Gains, innovations: FloatArray, variances: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Slopes of minus twice the log likelihood with variances: of the sensors (2, m), of the states' noise per second (2, 13), zero
-    where there is none, and of the start (2, 13); first those of its logarithm, then what its sum of squares takes away.
+    """Differentiate minus twice the log likelihood with the noise variances.
 
-    innovations (n, m), whitened, the start fitted; by and variances (13,) of `gains`.
+    Each result has two rows, the derivative of the log determinant and that of the sum of squares
+    (which reduces the total).
+
+    Parameters
+    ----------
+    system : MeasuredSystem
+        The linear system.
+    filter_gains : Gains
+        From `gains`.
+    innovations : array (n, m)
+        Whitened, with the start state fitted.
+    variances : array (13,)
+        Variances of the states' noise per second, as given to `gains`.
+
+    Returns
+    -------
+    array (2, m)
+        With the sensors' variances.
+    array (2, 13)
+        With the states' variances per second; zero where those are zero.
+    array (2, 13)
+        With the variances of the start.
     """
-    found: tuple[FloatArray, FloatArray, FloatArray] = _loops().backward(
-        seen, by, innovations * np.sqrt(by.spread), variances
+    gradient: tuple[FloatArray, FloatArray, FloatArray] = _loops().backward(
+        system, filter_gains, innovations * np.sqrt(filter_gains.variance), variances
     )
-    return found
+    return gradient
 
 
 def _loops() -> ModuleType:
-    # numba takes a third of a second to load.
+    """Import the compiled loops on demand, because numba takes a third of a second to load."""
     from sysid.estimation import kalman_loops
 
     return kalman_loops
@@ -84,9 +139,19 @@ def _loops() -> ModuleType:
 
 @dataclass(frozen=True)
 class Whitened:
-    """innovations (n, m) and starts (n, m, 8) of the start states, columns (n, m, K) in single precision, each over the
-    innovations' deviations and zero where nothing was measured; path (n, x) predicted state less the reference, from what was
-    measured before."""
+    """A segment divided by its innovations' standard deviations; zero where nothing was measured.
+
+    Attributes
+    ----------
+    innovations : array (n, m)
+        Whitened innovations.
+    starts : array (n, m, 8)
+        Their sensitivities with the start state.
+    columns : array (n, m, K)
+        Their sensitivities with extra coefficients, in single precision.
+    path : array (n, x)
+        Predicted state less the reference, from earlier measurements.
+    """
 
     innovations: FloatArray
     starts: FloatArray
@@ -94,70 +159,102 @@ class Whitened:
     path: FloatArray
 
 
-def carried(
-    seen: Seen,
-    by: Gains,
+def whiten_innovations(
+    system: MeasuredSystem,
+    filter_gains: Gains,
     names: Sequence[str] = (),
     inputs: Mapping[str, tuple[int, FloatArray]] | None = None,
     outputs: Mapping[str, FloatArray] | None = None,
     ends: Mapping[str, FloatArray] | None = None,
-    felt: Mapping[str, FloatArray] | None = None,
-    alone: Whitened | None = None,
+    feedthrough: Mapping[str, FloatArray] | None = None,
+    without_columns: Whitened | None = None,
 ) -> Whitened:
-    """What was measured, and the columns ``names``, through the gains.
+    """Filter a segment, and pass columns through its gains.
 
-    inputs, outputs, ends, felt: of `Acting.of`; alone: the same without columns, where it is known.
+    Parameters
+    ----------
+    system : MeasuredSystem
+        The linear system with measurements.
+    filter_gains : Gains
+        From `gains`.
+    names : sequence of str
+        Columns to compute.
+    inputs, outputs, ends, feedthrough : mapping, optional
+        Effects of the columns, see `ColumnInputs.of`.
+    without_columns : Whitened, optional
+        Result of the same call without columns, which saves that pass.
+
+    Returns
+    -------
+    Whitened
+        With ``columns`` in the order of ``names``.
     """
-    n, m, size = seen.H.shape
-    if alone is None:
-        path, first = np.zeros((n, size)), np.zeros((n, m, 1 + STARTS))
-        _through(
-            seen,
-            by,
-            np.hstack([np.zeros((size, 1)), seen.start]),
-            Acting.of((), {}, {}, n, m),
-            first,
+    n, m, size = system.H.shape
+    if without_columns is None:
+        path, start_out = np.zeros((n, size)), np.zeros((n, m, 1 + START_COLUMNS))
+        _run_columns(
+            system,
+            filter_gains,
+            np.hstack([np.zeros((size, 1)), system.start]),
+            ColumnInputs.of((), {}, {}, n, m),
+            start_out,
             path,
         )
-        alone = Whitened(first[..., 0], first[..., 1:], np.zeros((n, m, 0), dtype=np.float32), path)
+        without_columns = Whitened(
+            start_out[..., 0], start_out[..., 1:], np.zeros((n, m, 0), dtype=np.float32), path
+        )
     if not names:
-        return alone
-    columns, again = np.zeros((n, m, len(names)), dtype=np.float32), np.empty_like(alone.path)
-    for begin in range(0, len(names), _AT_ONCE):
-        some = names[begin : begin + _AT_ONCE]
-        acting = Acting.of(some, inputs or {}, outputs or {}, n, m, ends, felt)
-        out = np.zeros((n, m, 1 + len(some)), dtype=np.float32)
-        _through(seen, by, np.zeros((size, 1 + len(some))), acting, out, again)
-        columns[:, :, begin : begin + len(some)] = out[:, :, 1:]
-    return replace(alone, columns=columns)
+        return without_columns
+    columns, scratch_path = (
+        np.zeros((n, m, len(names)), dtype=np.float32),
+        np.empty_like(without_columns.path),
+    )
+    for begin in range(0, len(names), _COLUMN_BLOCK):
+        block = names[begin : begin + _COLUMN_BLOCK]
+        column_inputs = ColumnInputs.of(block, inputs or {}, outputs or {}, n, m, ends, feedthrough)
+        out = np.zeros((n, m, 1 + len(block)), dtype=np.float32)
+        _run_columns(
+            system, filter_gains, np.zeros((size, 1 + len(block))), column_inputs, out, scratch_path
+        )
+        columns[:, :, begin : begin + len(block)] = out[:, :, 1:]
+    return replace(without_columns, columns=columns)
 
 
-def path_from(seen: Seen, by: Gains, begin: FloatArray) -> FloatArray:
-    """(n, x) predicted states less the reference, from what was measured before, of a flight that begins at ``begin`` (x,)."""
-    n, m, size = seen.H.shape
-    path, left = np.zeros((n, size)), np.zeros((n, m, 1))
-    # The state goes through the gains less itself.
-    _through(seen, by, -np.reshape(begin, (size, 1)), Acting.of((), {}, {}, n, m), left, path)
+def predicted_path(system: MeasuredSystem, filter_gains: Gains, begin: FloatArray) -> FloatArray:
+    """Predict the states less the reference (n, x) of a flight that begins at ``begin`` (x,)."""
+    n, m, size = system.H.shape
+    path, innovations = np.zeros((n, size)), np.zeros((n, m, 1))
+    # The loops propagate minus the state.
+    _run_columns(
+        system,
+        filter_gains,
+        -np.reshape(begin, (size, 1)),
+        ColumnInputs.of((), {}, {}, n, m),
+        innovations,
+        path,
+    )
     return path
 
 
-def _through(
-    seen: Seen,
-    by: Gains,
+def _run_columns(
+    system: MeasuredSystem,
+    filter_gains: Gains,
     X: FloatArray,
-    acting: Acting,
+    column_inputs: ColumnInputs,
     out: NDArray[np.floating],
     path: FloatArray,
 ) -> None:
-    _loops().carry(seen, by.gain, 1.0 / np.sqrt(by.spread), X, acting, out, path)
+    """Run the compiled loop with the gains' scaling."""
+    _loops().whiten_columns(
+        system, filter_gains.gain, 1.0 / np.sqrt(filter_gains.variance), X, column_inputs, out, path
+    )
 
 
-# Extended Kalman filter over many lanes at once: perturbed parameters and segments run side by
-# side.
+# Extended Kalman filter in lanes: perturbed parameters and segments run side by side.
 #
-# Prediction by Runge-Kutta 4 at the data rate; its transition matrix is exp(A dt) to fourth
-# order (which for a linear f is Runge-Kutta's own), A = df/dx and the measurement's dg/dx by
-# differences. Jategaonkar (2015), ch. 5, time-varying filter.
+# Prediction by Runge-Kutta 4 at the data rate. The transition matrix is exp(A dt) to fourth order
+# (for a linear f that is Runge-Kutta's own) with A = df/dx; A and the measurement's dg/dx are
+# finite differences. Jategaonkar (2015), ch. 5, time-varying filter.
 
 ModelFunction = Callable[[FloatArray, FloatArray, FloatArray], Any]
 
@@ -166,7 +263,8 @@ ModelFunction = Callable[[FloatArray, FloatArray, FloatArray], Any]
 class Model:
     """dx/dt = f(x, u, theta), y = g(x, u, theta) in lanes: x (nx, L), u (nu, L), theta (k, L).
 
-    broadcasts: f and g take the lane axis as it is; else they are called lane by lane with vectors.
+    With ``broadcasts`` f and g accept the lane axis; else they are called lane by lane with
+    vectors.
     """
 
     f: ModelFunction
@@ -176,16 +274,17 @@ class Model:
     broadcasts: bool
 
     def rate(self, x: FloatArray, u: FloatArray, theta: FloatArray) -> FloatArray:
-        """f in lanes, (nx, L)."""
+        """Evaluate f in lanes, (nx, L)."""
         return self._call(self.f, x, u, theta, self.states)
 
     def output(self, x: FloatArray, u: FloatArray, theta: FloatArray) -> FloatArray:
-        """g in lanes, (m, L)."""
+        """Evaluate g in lanes, (m, L)."""
         return self._call(self.g, x, u, theta, self.outputs)
 
     def _call(
         self, function: ModelFunction, x: FloatArray, u: FloatArray, theta: FloatArray, rows: int
     ) -> FloatArray:
+        """Evaluate a function of ``rows`` values in all lanes."""
         if self.broadcasts:
             return np.asarray(function(x, u, theta), dtype=float)
         out = np.empty((rows, x.shape[1]))
@@ -199,14 +298,17 @@ class Model:
         self,
         x: FloatArray,
         k1: FloatArray,
-        middle: FloatArray,
+        u_middle: FloatArray,
         u1: FloatArray,
         theta: FloatArray,
         dt: FloatArray,
     ) -> FloatArray:
-        """Runge-Kutta 4 from x, whose rate is k1, through inputs `middle`, half a step later, to u1."""
-        k2 = self.rate(x + 0.5 * dt * k1, middle, theta)
-        k3 = self.rate(x + 0.5 * dt * k2, middle, theta)
+        """Take one Runge-Kutta step from x, whose rate is k1.
+
+        ``u_middle`` are the inputs half a step later, ``u1`` those at its end.
+        """
+        k2 = self.rate(x + 0.5 * dt * k1, u_middle, theta)
+        k3 = self.rate(x + 0.5 * dt * k2, u_middle, theta)
         k4 = self.rate(x + dt * k3, u1, theta)
         return np.asarray(x + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
 
@@ -219,17 +321,31 @@ def make_model(
     theta: FloatArray,
     outputs: int,
 ) -> Model:
-    """The Model of f and g around x (nx,), u (nu,), theta (k,); finds out whether they broadcast over a lane axis.
+    """Build the Model of f and g, and test whether they broadcast over a lane axis.
 
-    Raises ValueError when f or g fail on single vectors, or return the wrong length or values that are not finite.
+    Parameters
+    ----------
+    f, g : callable
+        Functions of x (nx,), u (nu,), theta (k,).
+    x, u, theta : array
+        A point at which both are evaluated.
+    outputs : int
+        Number m of outputs.
+
+    Raises
+    ------
+    ValueError
+        When f or g fail on single vectors, or return the wrong length or values that are not
+        finite.
     """
     for name, function, rows in (("f", f, x.size), ("g", g, outputs)):
         try:
             value = np.asarray(function(x.copy(), u.copy(), theta.copy()), dtype=float)
         except Exception as error:
             raise ValueError(
-                f"{name}(x, u, theta) raised {type(error).__name__}: {error}, for x of {x.size}, u of {u.size}, "
-                f"theta of {theta.size} elements at the first sample; it must accept these"
+                f"{name}(x, u, theta) raised {type(error).__name__}: {error}, for x of {x.size}, u"
+                f" of {u.size}, theta of {theta.size} elements at the first sample; it must accept"
+                " these"
             ) from error
         if value.size != rows:
             raise ValueError(
@@ -237,8 +353,10 @@ def make_model(
             )
         if not np.isfinite(value).all():
             raise ValueError(
-                f"{name}(x, u, theta) is not finite at x0, theta0: {value.ravel().tolist()}; choose another start"
+                f"{name}(x, u, theta) is not finite at x0, theta0: {value.ravel().tolist()}; choose"
+                " another start"
             )
+    # A number of lanes that equals no other size, so that a wrong axis cannot pass.
     lanes = next(
         size for size in (7, 11, 13, 17, 19) if size not in (x.size, u.size, theta.size, outputs)
     )
@@ -248,14 +366,15 @@ def make_model(
         u[:, None] * shift,
         theta[:, None] * shift,
     )
+    # Functions broadcast if both ways of calling them agree.
     looped = Model(f, g, x.size, outputs, False)
-    together = Model(f, g, x.size, outputs, True)
+    batched = Model(f, g, x.size, outputs, True)
     try:
         with np.errstate(all="ignore"):
             same = all(
-                np.shape(whole := getattr(together, kind)(xs, us, thetas)) == (rows, lanes)
+                np.shape(batched_value := getattr(batched, kind)(xs, us, thetas)) == (rows, lanes)
                 and np.allclose(
-                    whole,
+                    batched_value,
                     getattr(looped, kind)(xs, us, thetas),
                     rtol=1e-10,
                     atol=1e-13,
@@ -263,33 +382,56 @@ def make_model(
                 )
                 for kind, rows in (("rate", x.size), ("output", outputs))
             )
-    except (
-        Exception
-    ):  # whatever a function written for vectors does with a lane axis, it means: not vectorised
+    # A function written for vectors may raise anything for a lane axis: it does not broadcast.
+    except Exception:
         same = False
-    return together if same else looped
+    return batched if same else looped
 
 
 @dataclass(frozen=True)
 class Record:
-    """Segments padded to one length n: u (n, nu, s), z (n, m, s) with NaN where missing or padded, dt (n-1, s).
+    """Segments padded to one length n.
 
-    middle (n-1, nu, s): inputs half-way from each sample to the next; None: held ones u[k], others the mean of both ends.
+    Attributes
+    ----------
+    u : array (n, nu, s)
+        Inputs.
+    z : array (n, m, s)
+        Measured outputs, NaN where missing or padded.
+    dt : array (n - 1, s)
+        Steps [s], 0 in the padding.
+    lengths : tuple of int
+        Samples of each segment.
+    zero_order_hold : bool
+        Inputs are constant between samples.
+    middle : array (n - 1, nu, s), optional
+        Inputs half-way to the next sample. None: u[k] when held, else the mean of both ends.
     """
 
     u: FloatArray
     z: FloatArray
     dt: FloatArray
     lengths: tuple[int, ...]
-    held: bool
+    zero_order_hold: bool
     middle: FloatArray | None = None
 
 
 @dataclass(frozen=True)
 class Innovations:
-    """Per sample, output and lane (n, m, W), lanes = points x segments: raw, the innovation z - g(predicted x), NaN if
-    missing; e, what is new in an output given those before it in the same sample (0 where missing); s, its variance
-    (1 there). With S the covariance of the raw innovations, S = L L', e/sqrt(s) = L^-1 raw and ln det S = sum ln s."""
+    """Innovations of every sample, output and lane (n, m, W); lanes are points times segments.
+
+    With S the covariance of the raw innovations, S = L L', e/sqrt(s) = L^-1 raw and
+    ln det S = sum ln s.
+
+    Attributes
+    ----------
+    raw : array (n, m, W)
+        z - g(predicted x); NaN where missing.
+    e : array (n, m, W)
+        Innovation of an output given those before it in the same sample; 0 where missing.
+    s : array (n, m, W)
+        Variance of ``e``; 1 where missing.
+    """
 
     raw: FloatArray
     e: FloatArray
@@ -303,16 +445,36 @@ def run_filter(
     q: FloatArray,
     r: FloatArray,
     x0: FloatArray,
+    *,
     p0: FloatArray,
     difference: FloatArray,
     every: int,
 ) -> Innovations | None:
     """Filter every point through every segment; None if a value stops being finite.
 
-    theta (k, P) parameters, q (nx, P) process-noise variances per second, r (m, P) measurement standard deviations,
-    x0 (nx, P, s), p0 (nx, nx) initial covariance, difference (nx,) state steps of the Jacobians, renewed each `every`.
-    The update takes the outputs one by one, which for uncorrelated noise is the joint update without an inverse
-    (Kaminski, Bryson and Schmidt, IEEE Trans. Automatic Control 16, 1971).
+    The update takes the outputs one by one, which for uncorrelated noise is the joint update
+    without an inverse (Kaminski, Bryson and Schmidt, IEEE Trans. Automatic Control 16, 1971).
+
+    Parameters
+    ----------
+    model : Model
+        Dynamics and outputs.
+    record : Record
+        Padded segments.
+    theta : array (k, P)
+        Parameters of P points.
+    q : array (nx, P)
+        Process-noise variances per second.
+    r : array (m, P)
+        Standard deviations of the measurement noise.
+    x0 : array (nx, P, s)
+        Initial states.
+    p0 : array (nx, nx)
+        Initial covariance.
+    difference : array (nx,)
+        State steps of the Jacobians.
+    every : int
+        Samples between renewals of the Jacobians.
     """
     n, m, segments = record.z.shape
     points, nx = theta.shape[1], model.states
@@ -327,34 +489,39 @@ def run_filter(
     raw, e_all, s_all = (np.empty((n, m, lanes)) for _ in range(3))
     complete = np.asarray(np.isfinite(record.z).all(axis=2))
     phi, H = np.zeros((nx, nx, lanes)), np.zeros((m, nx, lanes))
-    work = np.empty_like(P)  # fresh memory for every product would cost more than the product
+    # Products reuse one array, because allocation would cost more than the product.
+    work = np.empty_like(P)
 
     def jacobian(
         function: Callable[[FloatArray, FloatArray, FloatArray], FloatArray], u: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(value (rows, lanes), Jacobian (rows, nx, lanes)) of a function at x in every lane."""
-        spread = (x[:, None, :] + offsets[:, :, None]).reshape(nx, -1)
-        blocks = function(spread, np.tile(u, nx + 1), wide_theta).reshape(-1, nx + 1, lanes)
+        """Return values (rows, lanes) and Jacobians (rows, nx, lanes) of a function at x in every
+        lane.
+        """
+        perturbed = (x[:, None, :] + offsets[:, :, None]).reshape(nx, -1)
+        blocks = function(perturbed, np.tile(u, nx + 1), wide_theta).reshape(-1, nx + 1, lanes)
         return blocks[:, 0], (blocks[:, 1:] - blocks[:, :1]) / difference[None, :, None]
 
     with np.errstate(all="ignore"):
         for k in range(n):
-            fresh = k % every == 0
+            renew_jacobians = k % every == 0
             u = np.tile(record.u[k], points)
-            if fresh:
+            if renew_jacobians:
                 y, H = jacobian(model.output, u)
             else:
                 y = model.output(x, u, lane_theta)
             raw[k] = np.tile(record.z[k], points) - y
-            moved = np.zeros_like(x)
+            # Update by one output after the other.
+            correction = np.zeros_like(x)
             for j in range(m):
                 h = H[j]
-                e = raw[k, j] - np.einsum("aw,aw->w", h, moved)
+                e = raw[k, j] - np.einsum("aw,aw->w", h, correction)
                 PH = np.einsum("abw,bw->aw", P, h)
                 s = np.einsum("aw,aw->w", h, PH) + R[j]
                 gain = PH / s
                 if not complete[k, j]:
-                    # A missing output: no innovation, no gain, unit variance: it adds nothing to the likelihood.
+                    # A missing output has no innovation, no gain and unit variance: it adds nothing
+                    # to the likelihood.
                     missing = np.isnan(raw[k, j])
                     e, s, gain = (
                         np.where(missing, 0.0, e),
@@ -362,20 +529,23 @@ def run_filter(
                         np.where(missing, 0.0, gain),
                     )
                 e_all[k, j], s_all[k, j] = e, s
-                moved += gain * e
+                correction += gain * e
                 P -= np.multiply(gain[:, None], PH[None], out=work)
-            x = x + moved
+            x = x + correction
             if k == n - 1:
                 break
-            u1 = u if record.held else np.tile(record.u[k + 1], points)
-            between = 0.5 * (u + u1) if record.middle is None else np.tile(record.middle[k], points)
+            # Propagate to the next sample.
+            u1 = u if record.zero_order_hold else np.tile(record.u[k + 1], points)
+            u_middle = (
+                0.5 * (u + u1) if record.middle is None else np.tile(record.middle[k], points)
+            )
             dt = np.tile(record.dt[k], points)
-            if fresh:
+            if renew_jacobians:
                 rate, A = jacobian(model.rate, u)
                 phi = _transition(A * dt)
             else:
                 rate = model.rate(x, u, lane_theta)
-            x = model.step(x, rate, between, u1, lane_theta, dt)
+            x = model.step(x, rate, u_middle, u1, lane_theta, dt)
             # The noise of a step, int Phi(s) Q Phi(s)' ds by Simpson with Phi(dt/2) = (1 + Phi)/2.
             third = Q * (dt / 3.0)
             P[diagonal, diagonal] += third
@@ -398,7 +568,7 @@ def run_filter(
 
 
 def _transition(X: FloatArray) -> FloatArray:
-    """exp(X) of X (nx, nx, L) to fourth order."""
+    """Compute exp(X) of X (nx, nx, L) to fourth order."""
     identity = np.eye(X.shape[0])[:, :, None]
     out = identity + X / 4.0
     for order in (3.0, 2.0, 1.0):

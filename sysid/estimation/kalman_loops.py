@@ -1,11 +1,13 @@
-"""Compiled loops of the linear filter along one linearised flight, in factors of the covariance, P = U D U'.
+"""Compiled loops of the Kalman filter along one linearised flight, with P = U D U'.
 
-The channels of a sample are taken one after the other: with independent noise that is the whole sample at once, and its whitened
-innovations are those of a Cholesky root (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, section V.3).
-Noise of a step comes in by weighted Gram-Schmidt (Thornton's form, the same, section VI.4). No rounding makes a variance negative.
+`sysid.estimation.kalman` calls them. The channels of a sample are processed one after the other:
+with independent noise that equals the joint update, and the whitened innovations are those of a
+Cholesky root (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, section
+V.3). Process noise enters by weighted Gram-Schmidt (Thornton's form, section VI.4 there). No
+rounding makes a variance negative.
 
-Inner loops run over all states, whose number is known when they are compiled, or along rows of memory: both become vector
-instructions without a sum being taken in another order.
+Inner loops run over all states, whose number is a compile-time constant, or along rows of memory:
+both become vector instructions without changing the order of a sum.
 """
 
 from __future__ import annotations
@@ -22,38 +24,43 @@ from sysid.linalg import compiled
 
 
 @compiled
-def follow(seen, r, q, begin, every):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Gains along a flight ``seen``, as `Gains` has them: variances r (m,) of the sensors, q (13,) per second of the states' noise,
-    begin (13,) of the start. The whole variances with ``every``."""
-    n, m = seen.there.shape
-    gain, spread, whole = np.zeros((n, m, NX)), np.ones((n, m)), np.ones((n, m))
+def filter_gains(  # type: ignore[no-untyped-def]  # pragma: no cover
+    system, r, q, begin, with_prior_variance
+):
+    """Compute the gains along a segment, in the order of the fields of `Gains`.
+
+    ``r`` (m,) are the sensors' variances, ``q`` (13,) those of the states' noise per second,
+    ``begin`` (13,) those of the start.
+    """
+    n, m = system.is_measured.shape
+    gain, variance, prior_variance = np.zeros((n, m, NX)), np.ones((n, m)), np.ones((n, m))
     noisy = np.flatnonzero(q)
     # Rows of V are columns of U.
     V, D, f = np.eye(NX), begin.copy(), np.empty(NX)
     W, weight = np.empty((NX + 3 * len(noisy), NX)), np.empty(NX + 3 * len(noisy))
     for k in range(n):
-        if every:
+        if with_prior_variance:
             for j in range(m):
-                if seen.there[k, j]:
-                    _felt(V, seen.H[k, j], f)
-                    whole[k, j] = r[j]
+                if system.is_measured[k, j]:
+                    _project(V, system.H[k, j], f)
+                    prior_variance[k, j] = r[j]
                     for i in range(NX):
-                        whole[k, j] += D[i] * f[i] * f[i]
+                        prior_variance[k, j] += D[i] * f[i] * f[i]
         for j in range(m):
-            if seen.there[k, j]:
-                _felt(V, seen.H[k, j], f)
-                spread[k, j] = _measured(V, D, f, r[j], gain[k, j])
+            if system.is_measured[k, j]:
+                _project(V, system.H[k, j], f)
+                variance[k, j] = _measurement_update(V, D, f, r[j], gain[k, j])
         if k < n - 1:
-            _moved(seen.phi[k], V, W)
-            _noise_added(seen.phi[k], seen.dt_s, q, noisy, W, weight)
+            _propagate_factor(system.phi[k], V, W)
+            _add_process_noise(system.phi[k], system.dt_s, q, noisy, W, weight)
             weight[:NX] = D
-            _factored(W, weight, V, D)
-    return gain, spread, whole
+            _weighted_gram_schmidt(W, weight, V, D)
+    return gain, variance, prior_variance
 
 
 @compiled
-def _felt(V, h, f):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """U'h into ``f``; most channels see few states."""
+def _project(V, h, f):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Compute U'h into ``f``; most channels depend on few states."""
     f[:] = 0.0
     for e in range(NX):
         if h[e] != 0.0:
@@ -62,17 +69,22 @@ def _felt(V, h, f):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
-def _measured(V, D, f, variance, gain):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Bierman's update of U and D by a channel, f = U'h: its innovation's variance, and its gain (13,) into ``gain``."""
+def _measurement_update(  # type: ignore[no-untyped-def]  # pragma: no cover
+    V, D, f, variance, gain
+):
+    """Update U and D by one channel with f = U'h (Bierman).
+
+    Writes the gain (13,) into ``gain`` and returns the variance of the innovation.
+    """
     alpha = variance
     for i in range(NX):
         if f[i] == 0.0:
             continue
-        before, v = alpha, D[i] * f[i]
+        alpha_before, v = alpha, D[i] * f[i]
         alpha += v * f[i]
-        D[i] *= before / alpha
+        D[i] *= alpha_before / alpha
         gain[i] = v
-        back = -f[i] / before
+        back = -f[i] / alpha_before
         for e in range(i):
             old = V[i, e]
             V[i, e] = old + gain[e] * back
@@ -83,12 +95,12 @@ def _measured(V, D, f, variance, gain):  # type: ignore[no-untyped-def]  # pragm
 
 
 @compiled
-def _moved(phi, V, W):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Phi U, turned, into the first rows of ``W``."""
+def _propagate_factor(phi, V, W):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Write the transpose of Phi U into the first rows of ``W``."""
     for c in range(NX):
         for i in range(NX):
             W[c, i] = phi[i, c]
-    # From the last column on: each takes of those before it what they were.
+    # From the last column on, so that each uses the unchanged columns before it.
     for c in range(NX - 1, 0, -1):
         for e in range(c):
             for i in range(NX):
@@ -96,12 +108,17 @@ def _moved(phi, V, W):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
-def _noise_added(phi, dt_s, q, noisy, W, weight):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """The other rows of ``W`` and their weights: the noise of a step, which acts while the step lasts: integral of exp(A s) Q
-    exp(A's) by Simpson's rule. At the step's end alone it would come half a step late, and every sensor would look early."""
+def _add_process_noise(  # type: ignore[no-untyped-def]  # pragma: no cover
+    phi, dt_s, q, noisy, W, weight
+):
+    """Write the noise of a step into the other rows of ``W`` and their weights.
+
+    The noise acts throughout the step: the integral of exp(A s) Q exp(A's) by Simpson's rule. If it
+    were added at the step's end alone, it would come half a step late and sensors would look early.
+    """
     w = len(noisy)
     halves = W[NX : NX + w]
-    _halves(phi, noisy, halves)
+    _half_step_columns(phi, noisy, halves)
     for c in range(w):
         at = noisy[c]
         for i in range(NX):
@@ -113,27 +130,29 @@ def _noise_added(phi, dt_s, q, noisy, W, weight):  # type: ignore[no-untyped-def
 
 
 @compiled
-def _halves(phi, noisy, halves):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Columns ``noisy`` of the transition over half a step, one a row of ``halves``: the root to second order of that over a whole
-    one, 1 + A/2 - A^2/8 with A = Phi - 1."""
-    away = np.empty((NX, NX))
+def _half_step_columns(phi, noisy, halves):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Compute columns ``noisy`` of the transition over half a step, one a row of ``halves``.
+
+    The square root of Phi to second order: 1 + A/2 - A^2/8 with A = Phi - 1.
+    """
+    increment = np.empty((NX, NX))
     for i in range(NX):
         for e in range(NX):
-            away[e, i] = phi[i, e]
-        away[i, i] -= 1.0
+            increment[e, i] = phi[i, e]
+        increment[i, i] -= 1.0
     for c in range(len(noisy)):
         at = noisy[c]
         for i in range(NX):
-            halves[c, i] = 0.5 * away[at, i]
+            halves[c, i] = 0.5 * increment[at, i]
         halves[c, at] += 1.0
         for e in range(NX):
             for i in range(NX):
-                halves[c, i] -= 0.125 * away[at, e] * away[e, i]
+                halves[c, i] -= 0.125 * increment[at, e] * increment[e, i]
 
 
 @compiled
-def _factored(W, weight, V, D):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """U and D of W' weight W by weighted Gram-Schmidt, the last state first. Destroys W."""
+def _weighted_gram_schmidt(W, weight, V, D):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Compute U and D of W' weight W, the last state first. Overwrites W."""
     share = np.empty(NX)
     for i in range(NX - 1, -1, -1):
         share[:] = 0.0
@@ -153,20 +172,22 @@ def _factored(W, weight, V, D):  # type: ignore[no-untyped-def]  # pragma: no co
 
 
 @compiled
-def carry(seen, gain, scale, X, acting, out, path):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Innovations of a flight ``seen`` and what columns do to them, through given gains (n, m, x).
+def whiten_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
+    system, gain, scale, X, column_inputs, out, path
+):
+    """Compute the innovations of a segment and their sensitivities, through given gains (n, m, x).
 
-    X (x, c) at the start: less the state, then columns, overwritten; scale (n, m) what innovations are multiplied by; acting:
-    what the columns do. Fills out (n, m, c) and path (n, x), the state.
+    ``X`` (x, c) is minus the state at the start, then the columns; it is overwritten. ``scale`` (n,
+    m) multiplies the innovations. Fills ``out`` (n, m, c) and the predicted state ``path`` (n, x).
     """
-    n, m = seen.there.shape
+    n, m = system.is_measured.shape
     row, Y = np.empty(X.shape[1]), np.empty_like(X)
     for k in range(n):
         for i in range(len(X)):
             path[k, i] = -X[i, 0]
         for j in range(m):
-            if seen.there[k, j]:
-                _output(seen, acting, k, j, X, row)
+            if system.is_measured[k, j]:
+                _innovation_row(system, column_inputs, k, j, X, row)
                 for c in range(len(row)):
                     out[k, j, c] = row[c] * scale[k, j]
                 for i in range(len(X)):
@@ -175,39 +196,47 @@ def carry(seen, gain, scale, X, acting, out, path):  # type: ignore[no-untyped-d
                         for c in range(len(row)):
                             X[i, c] -= g * row[c]
         if k < n - 1:
-            _next(seen, acting, k, X, Y)
+            _propagate_columns(system, column_inputs, k, X, Y)
             X, Y = Y, X
 
 
 @compiled
-def _output(seen, acting, k, j, X, row):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """The innovation of channel j of sample k, and what the columns do there, into ``row``."""
+def _innovation_row(  # type: ignore[no-untyped-def]  # pragma: no cover
+    system, column_inputs, k, j, X, row
+):
+    """Write the innovation of channel j of sample k and its sensitivities into ``row``."""
     row[:] = 0.0
-    row[0] = seen.z[k, j]
+    row[0] = system.z[k, j]
     for i in range(len(X)):
-        h = seen.H[k, j, i]
+        h = system.H[k, j, i]
         if h != 0.0:
             for c in range(len(row)):
                 row[c] += h * X[i, c]
-    if seen.D[k, j].any():
-        for e in range(len(acting.own)):
-            row[acting.own[e]] += seen.D[k, j, acting.coefficient[e]] * acting.felt[k, e]
-    for e in range(len(acting.direct)):
-        row[acting.direct[e]] += acting.added[k, j, e]
+    if system.D[k, j].any():
+        for e in range(len(column_inputs.column)):
+            row[column_inputs.column[e]] += (
+                system.D[k, j, column_inputs.coefficient[e]] * column_inputs.feedthrough[k, e]
+            )
+    for e in range(len(column_inputs.direct)):
+        row[column_inputs.direct[e]] += column_inputs.added[k, j, e]
 
 
 @compiled
-def _next(seen, acting, k, X, Y):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """The states of sample k + 1 by those of sample k, into ``Y``: four at a time, for reading and writing ``Y`` takes longer than
-    its sums."""
-    size, phi = len(X), seen.phi[k]
+def _propagate_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
+    system, column_inputs, k, X, Y
+):
+    """Propagate the states and columns from sample k to k + 1, into ``Y``.
+
+    Four states are summed at a time, because memory access to ``Y`` takes longer than its sums.
+    """
+    size, phi = len(X), system.phi[k]
     for i in range(size):
         Y[i, :] = 0.0
-        Y[i, 0] = -seen.defect[k, i]
+        Y[i, 0] = -system.defect[k, i]
         e = 0
         while e + 3 < size:
             p, q, r, s = phi[i, e], phi[i, e + 1], phi[i, e + 2], phi[i, e + 3]
-            # What the air does goes on from the air alone.
+            # Rows of the air states have few elements: skip zeros.
             if p != 0.0 or q != 0.0 or r != 0.0 or s != 0.0:
                 for c in range(X.shape[1]):
                     Y[i, c] = (
@@ -218,57 +247,61 @@ def _next(seen, acting, k, X, Y):  # type: ignore[no-untyped-def]  # pragma: no 
             for c in range(X.shape[1]):
                 Y[i, c] += phi[i, e] * X[e, c]
             e += 1
-    for e in range(len(acting.own)):
-        a, own = acting.coefficient[e], acting.own[e]
-        now, then = acting.values[k, e], acting.ends[k + 1, e]
+    for e in range(len(column_inputs.column)):
+        a, column = column_inputs.coefficient[e], column_inputs.column[e]
+        at_start, at_end = column_inputs.values[k, e], column_inputs.ends[k + 1, e]
         for i in range(size):
-            Y[i, own] += seen.g0[k, i, a] * now + seen.g1[k, i, a] * then
+            Y[i, column] += system.g0[k, i, a] * at_start + system.g1[k, i, a] * at_end
 
 
 @compiled
-def backward(seen, by, innovation, q):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Slopes of minus twice the log likelihood with variances, innovations (n, m) as they are with the start fitted, the gains
-    ``by``: what its logarithm and what its sum of squares has, each of the sensors (2, m), per second of the states' noise (2, 13),
-    zero where q (13,) is, and at the start (2, 13).
+def backward(system, gains, innovation, q):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Differentiate minus twice the log likelihood with the variances, by a backward pass.
 
+    ``innovation`` (n, m) with the start fitted, ``gains`` of the same pass, ``q`` (13,) as in
+    `filter_gains`. Returns for the sensors (2, m), the states' noise per second (2, 13; zero where
+    q is) and the start (2, 13) the derivative of the log determinant and of the sum of squares.
     Equations (2) and (3) of `sysid.effects.turbulence`.
     """
-    n, m = seen.there.shape
+    n, m = system.is_measured.shape
     by_noise, by_process, by_start = np.zeros((2, m)), np.zeros((2, NX)), np.zeros((2, NX))
     noisy = np.flatnonzero(q)
     r, N, a = np.zeros(NX), np.zeros((NX, NX)), np.empty(NX)
     halves = np.empty((len(noisy), NX))
-    sixth = seen.dt_s / 6.0
+    sixth = system.dt_s / 6.0
     for k in range(n - 1, -1, -1):
         if k < n - 1:
-            # As `follow` adds the noise of a step: Simpson's rule over its end, middle and beginning.
-            _halves(seen.phi[k], noisy, halves)
-            _ends(r, N, noisy, sixth, by_process)
-            _middles(r, N, noisy, halves, 4.0 * sixth, by_process)
-            _turned(seen.phi[k], r, N)
-            _ends(r, N, noisy, sixth, by_process)
+            # Process noise as in `filter_gains`: Simpson's rule over end, middle and beginning.
+            _half_step_columns(system.phi[k], noisy, halves)
+            _add_end_point(r, N, noisy, sixth, by_process)
+            _add_midpoint(r, N, noisy, halves, 4.0 * sixth, by_process)
+            _propagate_back(system.phi[k], r, N)
+            _add_end_point(r, N, noisy, sixth, by_process)
         for j in range(m - 1, -1, -1):
-            if not seen.there[k, j]:
+            if not system.is_measured[k, j]:
                 continue
-            h, g = seen.H[k, j], by.gain[k, j]
+            h, g = system.H[k, j], gains.gain[k, j]
             a[:] = 0.0
             for e in range(NX):
                 for i in range(NX):
                     a[i] += g[e] * N[e, i]
-            u, slope = innovation[k, j] / by.spread[k, j], 1.0 / by.spread[k, j]
+            u, slope = innovation[k, j] / gains.variance[k, j], 1.0 / gains.variance[k, j]
             for i in range(NX):
                 u -= g[i] * r[i]
                 slope += g[i] * a[i]  # (2)
             by_noise[0, j] += slope
             by_noise[1, j] += u * u  # (3)
-            _behind(h, a, u, slope, r, N)
+            _update_back(h, a, u, slope, r, N)
     for i in range(NX):
         by_start[0, i], by_start[1, i] = N[i, i], r[i] ** 2
     return by_noise, by_process, by_start
 
 
 @compiled
-def _ends(r, N, noisy, weight, by_process):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _add_end_point(  # type: ignore[no-untyped-def]  # pragma: no cover
+    r, N, noisy, weight, by_process
+):
+    """Add one end point of Simpson's rule to the derivatives with the process noise."""
     for c in range(len(noisy)):
         at = noisy[c]
         by_process[0, at] += weight * N[at, at]
@@ -276,25 +309,28 @@ def _ends(r, N, noisy, weight, by_process):  # type: ignore[no-untyped-def]  # p
 
 
 @compiled
-def _middles(r, N, noisy, halves, weight, by_process):  # type: ignore[no-untyped-def]  # pragma: no cover
-    turned = np.empty(NX)
+def _add_midpoint(  # type: ignore[no-untyped-def]  # pragma: no cover
+    r, N, noisy, halves, weight, by_process
+):
+    """Add the midpoint of Simpson's rule to the derivatives with the process noise."""
+    rotated = np.empty(NX)
     for c in range(len(noisy)):
         at = noisy[c]
-        turned[:] = 0.0
+        rotated[:] = 0.0
         for e in range(NX):
             for i in range(NX):
-                turned[i] += halves[c, e] * N[e, i]
-        square, along = 0.0, 0.0
+                rotated[i] += halves[c, e] * N[e, i]
+        square, projection = 0.0, 0.0
         for i in range(NX):
-            square += turned[i] * halves[c, i]
-            along += r[i] * halves[c, i]
+            square += rotated[i] * halves[c, i]
+            projection += r[i] * halves[c, i]
         by_process[0, at] += weight * square
-        by_process[1, at] += weight * along**2
+        by_process[1, at] += weight * projection**2
 
 
 @compiled
-def _turned(phi, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Phi'r and Phi'N Phi in the places of r and N."""
+def _propagate_back(phi, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Replace r and N by Phi'r and Phi'N Phi."""
     a, T = np.zeros(NX), np.zeros((NX, NX))
     for e in range(NX):
         for o in range(NX):
@@ -311,8 +347,8 @@ def _turned(phi, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
-def _behind(h, a, u, slope, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """r and N before a channel by those behind it, a = N K."""
+def _update_back(h, a, u, slope, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Update r and N backwards across one channel, with a = N K."""
     for e in range(NX):
         if h[e] != 0.0:
             r[e] += h[e] * u
@@ -323,18 +359,28 @@ def _behind(h, a, u, slope, r, N):  # type: ignore[no-untyped-def]  # pragma: no
                 N[e, i] += slope * h[e] * h[i]
 
 
-# What the loops of the linear filter work on: named tuples, which compiled code takes as they
-# are.
+# Arguments of the loops: named tuples, which compiled code accepts.
 
-STARTS = 8
-"""Columns of the start state."""
+START_COLUMNS = 8
+"""Number of start states, the first columns of every pass."""
 
 
-class Seen(NamedTuple):
-    """A segment's linear system with what was measured of it: there (n, m), z (n, m) less the reference's outputs, H (n, m, x),
-    D (n, m, 6); phi, defect, g0, g1, dt_s and start (x, 8) as in `Steps`. Where nothing was measured z is zero."""
+class MeasuredSystem(NamedTuple):
+    """A segment's linear system with its measurements.
 
-    there: NDArray[np.bool_]
+    Attributes
+    ----------
+    is_measured : array (n, m)
+        Whether a channel was measured.
+    z : array (n, m)
+        Measurement less the reference's output; 0 where not measured.
+    H, D : array (n, m, x), (n, m, 6)
+        Output matrices with the states and the extra coefficients.
+    phi, defect, g0, g1, dt_s, start
+        As in `sysid.aerodynamics.Steps`.
+    """
+
+    is_measured: NDArray[np.bool_]
     z: FloatArray
     H: FloatArray
     D: FloatArray
@@ -346,11 +392,14 @@ class Seen(NamedTuple):
     start: FloatArray
 
     @classmethod
-    def of(cls, steps: Steps, measured: FloatArray, which: Sequence[int]) -> Seen:
-        """which: rows of OUTPUTS that ``measured`` (n, m) holds, NaN where nothing is."""
-        rows = list(which)
-        there = np.isfinite(measured)
-        z = np.where(there, measured - steps.y_ref[:, rows], 0.0)
+    def of(cls, steps: Steps, measured: FloatArray, output_rows: Sequence[int]) -> MeasuredSystem:
+        """Combine a linear system with measurements (n, m), NaN where there are none.
+
+        ``output_rows`` are the indices of the m channels in OUTPUTS.
+        """
+        rows = list(output_rows)
+        is_measured = np.isfinite(measured)
+        z = np.where(is_measured, measured - steps.y_ref[:, rows], 0.0)
         H, D, phi, defect, g0, g1 = (
             np.ascontiguousarray(part)
             for part in (
@@ -362,34 +411,57 @@ class Seen(NamedTuple):
                 steps.g1,
             )
         )
-        start = np.eye(H.shape[2], STARTS) if steps.start is None else steps.start
-        return cls(there, z, H, D, phi, defect, g0, g1, float(steps.dt_s), start)
+        start = np.eye(H.shape[2], START_COLUMNS) if steps.start is None else steps.start
+        return cls(is_measured, z, H, D, phi, defect, g0, g1, float(steps.dt_s), start)
 
 
 class Gains(NamedTuple):
-    """gain (n, m, x) of each channel of each sample behind those before it; spread (n, m): variance of its innovation; whole (n,
-    m): the same before any of the sample. 0, 1 and 1 where nothing was measured."""
+    """Gains and innovation variances of a segment.
+
+    Attributes
+    ----------
+    gain : array (n, m, x)
+        Gain of each channel after the channels before it in the same sample; 0 where not measured.
+    variance : array (n, m)
+        Variance of its innovation; 1 where not measured.
+    prior_variance : array (n, m)
+        The same before any channel of the sample; 1 where not measured.
+    """
 
     gain: FloatArray
-    spread: FloatArray
-    whole: FloatArray
+    variance: FloatArray
+    prior_variance: FloatArray
 
     @property
     def logdet(self) -> float:
-        """Sum of the logarithms of the innovations' deviations."""
-        return 0.5 * float(np.log(self.spread).sum())
+        """Sum of the logarithms of the innovations' standard deviations."""
+        return 0.5 * float(np.log(self.variance).sum())
 
 
-class Acting(NamedTuple):
-    """What columns do: column own[e] has values[:, e] (n, e) of the coefficient coefficient[e], ends[:, e] just before each row and
-    felt[:, e] of what the channels of that row have seen; column direct[e] has added[:, :, e] (n, m, e) of the channels. Columns
-    count from 1: before them stands the state."""
+class ColumnInputs(NamedTuple):
+    """Effects of the columns on states and channels; columns count from 1, after the state.
 
-    own: NDArray[np.intp]
+    Attributes
+    ----------
+    column, coefficient : array (e,)
+        Column and coefficient (index of CX ... Cn) of each input.
+    values : array (n, e)
+        Values at the rows.
+    ends : array (n, e)
+        Values just before each row.
+    feedthrough : array (n, e)
+        Values that act directly on the channels of each row.
+    direct : array (f,)
+        Columns that are added to channels.
+    added : array (n, m, f)
+        What they add.
+    """
+
+    column: NDArray[np.intp]
     coefficient: NDArray[np.intp]
     values: FloatArray
     ends: FloatArray
-    felt: FloatArray
+    feedthrough: FloatArray
     direct: NDArray[np.intp]
     added: FloatArray
 
@@ -402,36 +474,58 @@ class Acting(NamedTuple):
         n: int,
         m: int,
         ends: Mapping[str, FloatArray] | None = None,
-        felt: Mapping[str, FloatArray] | None = None,
-    ) -> Acting:
-        """inputs: column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for all six; outputs: column ->
-        (n, m) added to the measured channels; ends, felt: column -> the values just before each row, and what the row's channels
-        have seen of them, of the same shape, where these are others than the values themselves."""
-        own: list[int] = []
+        feedthrough: Mapping[str, FloatArray] | None = None,
+    ) -> ColumnInputs:
+        """Arrange the effects of named columns.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Columns.
+        inputs : mapping
+            Column to (index of the coefficient CX ... Cn, values (n,)), or to (-1, values (n, 6))
+            for all six.
+        outputs : mapping
+            Column to the array (n, m) that it adds to the channels.
+        n, m : int
+            Samples and channels.
+        ends, feedthrough : mapping, optional
+            Column to the values just before each row, and to those that the row's channels
+            measured, where they differ from the values at the row (jumps).
+        """
+        columns: list[int] = []
         coefficient: list[int] = []
         values = [np.zeros((n, 0))]
-        others: list[list[FloatArray]] = [[np.zeros((n, 0))], [np.zeros((n, 0))]]
+        overrides: list[list[FloatArray]] = [[np.zeros((n, 0))], [np.zeros((n, 0))]]
         for k, name in enumerate(names, 1):
             if name in inputs:
-                index, found = inputs[name]
-                which = list(range(6)) if index < 0 else [index]
-                own += [k] * len(which)
-                coefficient += which
-                values.append(np.reshape(found, (n, len(which))))
-                for made, given in zip(others, (ends, felt), strict=True):
-                    made.append(np.reshape((given or {}).get(name, found), values[-1].shape))
+                index, column_values = inputs[name]
+                indices = list(range(6)) if index < 0 else [index]
+                columns += [k] * len(indices)
+                coefficient += indices
+                values.append(np.reshape(column_values, (n, len(indices))))
+                for blocks, override in zip(overrides, (ends, feedthrough), strict=True):
+                    blocks.append(
+                        np.reshape((override or {}).get(name, column_values), values[-1].shape)
+                    )
         direct = [k for k, name in enumerate(names, 1) if name in outputs]
         added = (
             np.stack([outputs[names[k - 1]] for k in direct], axis=2)
             if direct
             else np.zeros((n, m, 0))
         )
-        places = [np.array(some, dtype=np.intp) for some in (own, coefficient, direct)]
+        places = [np.array(some, dtype=np.intp) for some in (columns, coefficient, direct)]
         at_rows = np.hstack(values)
-        before, seen = (
-            np.hstack(made) if given else at_rows
-            for made, given in zip(others, (ends, felt), strict=True)
+        end_rows, feedthrough_rows = (
+            np.hstack(blocks) if override else at_rows
+            for blocks, override in zip(overrides, (ends, feedthrough), strict=True)
         )
         return cls(
-            places[0], places[1], at_rows, before, seen, places[2], np.ascontiguousarray(added)
+            places[0],
+            places[1],
+            at_rows,
+            end_rows,
+            feedthrough_rows,
+            places[2],
+            np.ascontiguousarray(added),
         )

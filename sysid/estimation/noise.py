@@ -1,4 +1,9 @@
-"""Measurement noise of m outputs from residuals with dropouts: covariance, whitening, likelihood."""
+"""Measurement noise of m outputs: covariance, whitening, likelihood, and size from spectra.
+
+Output error takes the noise covariance from residuals with dropouts (`residual_noise`).
+`noise_size` estimates a channel's white noise from its high frequencies, with the data sheet as
+prior; bounds of the model form use it.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +19,7 @@ from sysid.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Noise:
-    """cov (m, m), diagonal or full; `whiten` divides by its square root."""
+    """Noise covariance ``cov`` (m, m), diagonal or ``full``."""
 
     cov: FloatArray
     full: bool
@@ -22,23 +27,27 @@ class Noise:
     def whiten(
         self, residual: FloatArray, sensitivity: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray | None]:
-        """R^-1/2 times residual (N, m), zero where it is NaN, and times sensitivity (N, m, k), with those rows zero."""
-        there = np.isfinite(residual)
+        """Multiply residuals (N, m) and sensitivities (N, m, k) by R^-1/2.
+
+        Rows where the residual is NaN become zero. With a full covariance each pattern of missing
+        outputs has its own factor.
+        """
+        finite = np.isfinite(residual)
         if not self.full:
             deviation = np.sqrt(np.diagonal(self.cov))
-            white = np.where(there, residual, 0.0) / deviation
+            white = np.where(finite, residual, 0.0) / deviation
             if sensitivity is None:
                 return white, None
-            return white, np.where(there[:, :, None], sensitivity, 0.0) / deviation[None, :, None]
+            return white, np.where(finite[:, :, None], sensitivity, 0.0) / deviation[None, :, None]
         white = np.zeros_like(residual)
         scaled = None if sensitivity is None else np.zeros_like(sensitivity)
-        for pattern in np.unique(there, axis=0):
-            rows = np.flatnonzero((there == pattern).all(axis=1))
-            seen = np.flatnonzero(pattern)
-            if seen.size == 0:
+        for pattern in np.unique(finite, axis=0):
+            rows = np.flatnonzero((finite == pattern).all(axis=1))
+            present = np.flatnonzero(pattern)
+            if present.size == 0:
                 continue
-            factor = np.linalg.inv(np.linalg.cholesky(self.cov[np.ix_(seen, seen)]))
-            at = np.ix_(rows, seen)
+            factor = np.linalg.inv(np.linalg.cholesky(self.cov[np.ix_(present, present)]))
+            at = np.ix_(rows, present)
             white[at] = residual[at] @ factor.T
             if scaled is not None and sensitivity is not None:
                 scaled[at] = np.einsum("ab,nbk->nak", factor, sensitivity[at])
@@ -46,21 +55,34 @@ class Noise:
 
 
 def residual_noise(
-    residual: FloatArray, floor: FloatArray, full: bool, spent: FloatArray | None = None
+    residual: FloatArray, floor: FloatArray, full: bool, dof_used: FloatArray | None = None
 ) -> Noise:
-    """Noise from residuals (N, m): maximum likelihood, or per output divided by N_a - spent_a (degrees of freedom).
+    """Estimate the noise from residuals (N, m).
 
-    floor (m,): smallest standard deviation believed (an exact fit would make the likelihood infinite). A full matrix is
-    formed pairwise over the samples both outputs have, and made positive definite.
+    A full matrix is formed pairwise over the samples that both outputs have, and made positive
+    definite.
+
+    Parameters
+    ----------
+    residual : array (N, m)
+        NaN at dropouts.
+    floor : array (m,)
+        Smallest standard deviation accepted; an exact fit would make the likelihood infinite.
+    full : bool
+        Correlated outputs.
+    dof_used : array (m,), optional
+        Degrees of freedom spent by the parameters; variances divide by N_a - dof_used_a. Without it
+        the estimate is maximum likelihood.
     """
-    there = np.isfinite(residual).astype(float)
-    value = np.where(there > 0, residual, 0.0)
-    count = there.sum(axis=0)
-    freedom = np.maximum(count - (0.0 if spent is None else spent), 1.0)
+    finite = np.isfinite(residual).astype(float)
+    value = np.where(finite > 0, residual, 0.0)
+    count = finite.sum(axis=0)
+    freedom = np.maximum(count - (0.0 if dof_used is None else dof_used), 1.0)
     variance = np.maximum((value**2).sum(axis=0) / freedom, floor**2)
     if not full:
         return Noise(np.diag(variance), False)
-    pairs = there.T @ there
+    # Correlations from the pairs of samples that exist, projected on positive definite matrices.
+    pairs = finite.T @ finite
     raw = np.where(pairs > 0, value.T @ value / np.maximum(pairs, 1.0), 0.0)
     deviation = np.sqrt(np.maximum(np.diagonal(raw), 1e-300))
     correlation = np.clip(raw / np.outer(deviation, deviation), -1.0, 1.0)
@@ -72,121 +94,154 @@ def residual_noise(
     return Noise(correlation * np.outer(scale, scale), True)
 
 
-def concentrated(residual: FloatArray, noise: Noise) -> float:
-    """Negative log-likelihood of the residuals at their own noise, constants dropped: sum_a N_a/2 ln R_aa if diagonal.
+def concentrated_cost(residual: FloatArray, noise: Noise) -> float:
+    """Compute the negative log likelihood of residuals at their own noise, without constants.
 
-    Written out in full otherwise (dropouts, floor): 1/2 sum [v' R^-1 v + ln det R] - N_all/2.
+    It is sum_a N_a/2 ln R_aa for a diagonal covariance; otherwise (dropouts, floor)
+    1/2 sum [v' R^-1 v + ln det R] - N_all/2.
     """
-    there = np.isfinite(residual)
+    finite = np.isfinite(residual)
     white, _ = noise.whiten(residual)
     quadratic = float(np.sum(white**2))
     if not noise.full:
-        logarithm = float(there.sum(axis=0) @ np.log(np.diagonal(noise.cov)))
+        logarithm = float(finite.sum(axis=0) @ np.log(np.diagonal(noise.cov)))
     else:
         logarithm = 0.0
-        patterns, counts = np.unique(there, axis=0, return_counts=True)
+        patterns, counts = np.unique(finite, axis=0, return_counts=True)
         for pattern, count in zip(patterns, counts, strict=True):
-            seen = np.flatnonzero(pattern)
-            if seen.size:
-                logarithm += count * float(np.linalg.slogdet(noise.cov[np.ix_(seen, seen)])[1])
-    return 0.5 * (quadratic + logarithm - float(there.sum()))
+            present = np.flatnonzero(pattern)
+            if present.size:
+                logarithm += count * float(
+                    np.linalg.slogdet(noise.cov[np.ix_(present, present)])[1]
+                )
+    return 0.5 * (quadratic + logarithm - float(finite.sum()))
 
 
-# Size of a channel's white noise, from what its signal leaves at high frequencies, with the
-# sensor's data sheet as prior.
+# Size of a channel's white noise from its spectrum, with the sensor's data sheet as prior.
 #
 # Near half the sampling rate a flight's signal falls at least as the inverse square of the
-# frequency (gusts do; the aircraft's own motion falls faster), while white noise stays. The
-# spectrum of the signal's differences is therefore
+# frequency (gusts do; the aircraft's own motion falls faster), while white noise is flat. The
+# spectrum of the differenced channel is therefore
 #
-# S(w) = q + 2 std**2 (1 - cos w) w in radians a sample
+#     S(w) = q + 2 std**2 (1 - cos w)                 w in radians a sample
 #
-# with q of the signal, another in each piece: what is quiet tells most. The Whittle likelihood
-# of the periodogram above a frequency, times a log-normal prior about the card's figure, is
-# integrated over std and q on a grid (Whittle 1953; Harvey, "Forecasting, Structural Time
-# Series Models" (1989), 4.3).
+# with q of the signal, one per piece, so that quiet pieces inform most. The Whittle likelihood of
+# the periodogram above a frequency, times a log-normal prior about the card's figure, is
+# integrated over std and q on a grid (Whittle 1953; Harvey, "Forecasting, Structural Time Series
+# Models" (1989), 4.3).
 
-PRIOR_SPREAD = float(np.log(2.0))
-"""Standard deviation of the logarithm of a noise's size about the card's figure: data sheets are wrong by a factor of two."""
-_KEPT = 64  # channels of flights whose sizes are remembered
-_LEAST = 16  # frequencies below which a channel shows nothing of its noise
-_MULTIPLIED = 8  # frequencies whose variances are multiplied before their logarithm is taken
-_SIZES = np.concatenate(
-    [np.linspace(-5.0, -1.0, 41)[:-1], np.linspace(-1.0, 0.6, 81)]
-)  # logarithm, about what is shown
-_SIGNALS = np.exp(
-    np.linspace(-12.0, 1.0, 41)
-)  # of a piece's mean power, equally likely in the logarithm
+PRIOR_STD = float(np.log(2.0))
+"""Standard deviation of the log of a noise's size about the card's figure: a factor of two."""
+_CACHE_SIZE = 64
+"""Channels whose noise size is cached."""
+_MIN_FREQUENCIES = 16
+"""Frequencies needed to estimate the noise of a channel."""
+_PRODUCT_LENGTH = 8
+"""Variances that are multiplied before a logarithm is taken."""
+_SIZES = np.concatenate([np.linspace(-5.0, -1.0, 41)[:-1], np.linspace(-1.0, 0.6, 81)])
+"""Grid of the log noise size, relative to the reference."""
+_SIGNALS = np.exp(np.linspace(-12.0, 1.0, 41))
+"""Grid of signal levels, in the piece's mean power, uniform in the logarithm."""
 
 
 @dataclass(frozen=True)
 class NoiseSize:
-    """Root mean square ``std`` of a channel's noise in its own unit, and the relative standard deviation ``spread`` of std."""
+    """Size of a channel's noise.
+
+    Attributes
+    ----------
+    std : float
+        Root mean square, in the channel's unit.
+    relative_std : float
+        Relative standard deviation of ``std``.
+    """
 
     std: float
-    spread: float
+    relative_std: float
 
 
 def noise_size(
     pieces: Sequence[FloatArray], dt_s: float, from_hz: float, stated: float | None = None
 ) -> NoiseSize | None:
-    """Size of white noise in a channel.
+    """Estimate the size of white noise in a channel.
 
-    pieces   [(n,)] of the channel without gaps, ``dt_s`` apart       from_hz   the signal's own motion lies below
-    stated   what the card says of the sensor, a prior; None: nothing
-    None where neither card nor samples tell: fewer than 16 frequencies above ``from_hz``, or a channel without any noise.
+    Parameters
+    ----------
+    pieces : sequence of array (n,)
+        The channel without gaps.
+    dt_s : float
+        Step [s].
+    from_hz : float
+        Frequency above which the signal's own motion has no power [Hz].
+    stated : float, optional
+        The card's figure, used as prior.
+
+    Returns
+    -------
+    NoiseSize or None
+        None without a prior if there are fewer than 16 frequencies above ``from_hz`` or no noise.
     """
-    return _size(tuple(np.asarray(x, dtype=float).tobytes() for x in pieces), dt_s, from_hz, stated)
+    return _cached_noise_size(
+        tuple(np.asarray(x, dtype=float).tobytes() for x in pieces), dt_s, from_hz, stated
+    )
 
 
-@lru_cache(_KEPT)
-def _size(
+@lru_cache(_CACHE_SIZE)
+def _cached_noise_size(
     pieces: tuple[bytes, ...], dt_s: float, from_hz: float, stated: float | None
 ) -> NoiseSize | None:
-    """`noise_size` of the pieces' bytes: several models are held against the same flights."""
+    """Compute `noise_size` from the pieces' bytes, cached because models share flights."""
     spectra = [
-        found
+        spectrum
         for x in pieces
-        if (found := _periodogram(np.frombuffer(x), dt_s, from_hz)) is not None
+        if (spectrum := _periodogram(np.frombuffer(x), dt_s, from_hz)) is not None
     ]
-    known = stated is not None and np.isfinite(stated) and stated > 0.0
-    if sum(len(power) for power, _ in spectra) < _LEAST or not any(
+    has_prior = stated is not None and np.isfinite(stated) and stated > 0.0
+    if sum(len(power) for power, _ in spectra) < _MIN_FREQUENCIES or not any(
         np.any(power > 0.0) for power, _ in spectra
     ):
-        return NoiseSize(float(stated), PRIOR_SPREAD) if known and stated is not None else None
-    shown = np.sqrt(
+        return NoiseSize(float(stated), PRIOR_STD) if has_prior and stated is not None else None
+    reference_std = np.sqrt(
         min(np.sum(power) / np.sum(shape) for power, shape in spectra if np.any(power > 0.0))
     )
-    size = np.log(shown) + _SIZES
+    size = np.log(reference_std) + _SIZES
     likelihood = np.zeros(len(size))
     for power, shape in spectra:
-        likelihood += logsumexp(-_cost(power, shape, np.exp(2.0 * size), float(shown**2)), axis=1)
-    if known and stated is not None:
-        likelihood -= 0.5 * ((size - np.log(stated)) / PRIOR_SPREAD) ** 2
+        likelihood += logsumexp(
+            -_whittle_cost(power, shape, np.exp(2.0 * size), float(reference_std**2)), axis=1
+        )
+    if has_prior and stated is not None:
+        likelihood -= 0.5 * ((size - np.log(stated)) / PRIOR_STD) ** 2
     weight = np.exp(likelihood - likelihood.max()) * np.gradient(size)
     weight /= weight.sum()
     mean = float(weight @ np.exp(2.0 * size))
-    spread = float(np.sqrt(max(weight @ np.exp(4.0 * size) - mean**2, 0.0))) / (2.0 * mean)
-    return NoiseSize(float(np.sqrt(mean)), spread)
+    relative_std = float(np.sqrt(max(weight @ np.exp(4.0 * size) - mean**2, 0.0))) / (2.0 * mean)
+    return NoiseSize(float(np.sqrt(mean)), relative_std)
 
 
-def _cost(power: FloatArray, shape: FloatArray, square: FloatArray, shown: float) -> FloatArray:
-    """Minus the Whittle likelihood of one piece by the noise's variance, square (s,), and by the signal's (_SIGNALS of the piece's
-    mean power): (s, 41). ``shown`` is a variance that is not zero.
+def _whittle_cost(
+    power: FloatArray, shape: FloatArray, square: FloatArray, reference_variance: float
+) -> FloatArray:
+    """Compute minus the Whittle likelihood of one piece on a grid of noise and signal variances (s,
+    41).
 
-    Logarithms are taken of products of a few frequencies' variances, in units of the piece's own power: no product leaves what a
-    number can hold, and a logarithm costs ten times what a product does.
+    ``square`` (s,) are noise variances, signals are _SIGNALS times the piece's mean power,
+    ``reference_variance`` replaces a mean power of zero. Logarithms are taken of products of a few
+    variances in units of the piece's power: the products cannot overflow, and a logarithm costs ten
+    times a product.
     """
     mean = float(np.mean(power))
-    unit = mean or shown
+    unit = mean or reference_variance
     noise, signal = square[:, None] / unit, _SIGNALS * (mean / unit)
     out = np.full((len(square), len(signal)), len(power) * np.log(unit))
     product, variance = np.ones_like(out), np.empty_like(out)
-    for k, (seen, part) in enumerate(zip((power / unit).tolist(), shape.tolist(), strict=True), 1):
+    for k, (power_ratio, part) in enumerate(
+        zip((power / unit).tolist(), shape.tolist(), strict=True), 1
+    ):
         np.add(signal, noise * part, out=variance)
         product *= variance
-        out += np.divide(seen, variance, out=variance)
-        if k % _MULTIPLIED == 0 or k == len(power):
+        out += np.divide(power_ratio, variance, out=variance)
+        if k % _PRODUCT_LENGTH == 0 or k == len(power):
             out += np.log(product)
             product.fill(1.0)
     return out
@@ -195,15 +250,18 @@ def _cost(power: FloatArray, shape: FloatArray, square: FloatArray, shown: float
 def _periodogram(
     x: FloatArray, dt_s: float, from_hz: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Power of a piece's differences above ``from_hz``, and 2 (1 - cos w) there; None where the piece is too short."""
+    """Return the power of a piece's differences above ``from_hz``, and 2 (1 - cos w) there.
+
+    None where the piece is too short.
+    """
     steps = np.diff(np.asarray(x, dtype=float))
     n = len(steps)
-    if n < 2 * _LEAST:
+    if n < 2 * _MIN_FREQUENCIES:
         return None
-    # A taper keeps the signal's low frequencies from leaking into the noise's.
+    # A taper keeps low frequencies of the signal from leaking to high ones.
     taper = np.hanning(n)
     power = np.abs(np.fft.rfft(steps * taper)) ** 2 / np.sum(taper**2)
     w = 2.0 * np.pi * np.arange(len(power)) / n
-    # Neighbours of a tapered periodogram say the same: every second one.
+    # Neighbouring frequencies of a tapered periodogram are correlated: take every second one.
     keep = np.flatnonzero(w / (2.0 * np.pi * dt_s) >= from_hz)[::2]
     return (power[keep], 2.0 * (1.0 - np.cos(w[keep]))) if len(keep) else None

@@ -2,9 +2,11 @@
 
     J(theta) = 1/2 sum_i [z(i) - y(i)]' R^-1 [z(i) - y(i)] + N/2 ln det R
 
-with R at its own maximum-likelihood value for every theta (relaxation), so that the cost followed is the concentrated
-likelihood and falls at every accepted step. Klein and Morelli, "Aircraft System Identification" (2006), ch. 6;
-Jategaonkar, R. V., "Flight Vehicle System Identification", 2nd ed. (2015), ch. 4.
+R takes its maximum-likelihood value at every theta (relaxation), so that the cost is the
+concentrated likelihood and falls at every accepted step. `output_error` is the estimator for calm
+air. The module also holds the finite differences of simulations that may fail, adapted to their
+roughness. Klein and Morelli, "Aircraft System Identification" (2006), ch. 6; Jategaonkar, R. V.,
+"Flight Vehicle System Identification", 2nd ed. (2015), ch. 4.
 """
 
 from __future__ import annotations
@@ -29,33 +31,35 @@ from sysid.arrays import (
     is_segment_list,
 )
 from sysid.estimation.gaps import white_noise
-from sysid.estimation.gauss_newton import Linearisation, Minimum, Told, minimise
-from sysid.estimation.noise import Noise, concentrated, residual_noise
-from sysid.estimation.results import Findings, OutputErrorFit, judge, split, unjudged
+from sysid.estimation.gauss_newton import IterationCallback, Linearisation, Minimum, minimise
+from sysid.estimation.noise import Noise, concentrated_cost, residual_noise
+from sysid.estimation.results import Findings, OutputErrorFit, assess_fit, split, unassessed_fit
 from sysid.linalg import Blocks, Index
 
 # Output sensitivities by finite differences of a simulation that may fail.
 #
-# A step is sized by what it does to the outputs, not by the parameter's magnitude: a small part
-# of an output's spread. So parameters of any unit, and starts at zero, need no hint.
+# A step is sized by its effect on the outputs, not by the parameter's magnitude: a small part of
+# an output's standard deviation. So parameters of any unit, and starts at zero, need no hint.
 
-# Perturbed simulations that can be one: parameters that move different segments are stepped in
-# the same run.
+# Parameters that move different segments are perturbed in the same simulation.
 #
 # Curtis, A. R., Powell, M. J. D. and Reid, J. K., "On the Estimation of Sparse Jacobian
-# Matrices", IMA Journal of Applied Mathematics 13 (1974): columns of a Jacobian without a row
-# in common are differenced together. A segment's start state moves that segment alone, so that
-# as many runs as it has states serve those of all segments.
+# Matrices", IMA Journal of Applied Mathematics 13 (1974): columns of a Jacobian without a common
+# row are differenced together. A segment's start state moves that segment alone, so that as many
+# runs as it has states serve all segments.
 
 Answer = list[FloatArray] | str
 """Outputs (n, m) of each of a parameter's rows, or a sentence that says what failed."""
 Run = Callable[[Sequence[FloatArray]], Iterator[FloatArray | str]]
-"""Outputs (N, m) at each of some theta, in their order."""
+"""Maps some theta to their outputs (N, m), in order."""
 
 
 @dataclass(frozen=True)
 class Shift:
-    """Parameter ``index`` moved ``by``, for the ``position``-th column; ``rows`` of the outputs are all that it can move."""
+    """A step ``by`` of parameter ``index``, for column ``position``.
+
+    ``rows`` are all output rows that the parameter can move.
+    """
 
     position: int
     index: int
@@ -63,95 +67,119 @@ class Shift:
     rows: tuple[slice, ...]
 
 
-def rows_moved(simulate: Any, index: int, edges: Sequence[int]) -> tuple[slice, ...]:
-    """Rows (start and end in ``edges``) of the segments that a parameter moves. One slice of all rows, unless the simulation has a
-    method ``moved(index)`` that gives numbers of segments; its None means all as well."""
-    asked = getattr(simulate, "moved", None)
-    some = None if asked is None else asked(index)
-    if some is None:
+def rows_affected(simulate: Any, index: int, edges: Sequence[int]) -> tuple[slice, ...]:
+    """Return the rows of the segments that a parameter moves, with segments between ``edges``.
+
+    A simulation may have a method ``moved(index)`` that returns segment numbers, or None for all.
+    Without it all rows count as moved.
+    """
+    moved_segments = getattr(simulate, "moved", None)
+    numbers = None if moved_segments is None else moved_segments(index)
+    if numbers is None:
         return (slice(edges[0], edges[-1]),)
     every = [slice(a, b) for a, b in pairwise(edges)]
-    return tuple(every[number] for number in some)
+    return tuple(every[number] for number in numbers)
 
 
-def grouped(shifts: Sequence[Shift]) -> list[list[Shift]]:
-    """Shifts that have no row in common together, each in the first group that has room for it."""
+def group_shifts(shifts: Sequence[Shift]) -> list[list[Shift]]:
+    """Group shifts without a common row, each in the first group that has room."""
     groups: list[list[Shift]] = []
-    taken: list[list[tuple[int, int]]] = []
+    occupied: list[list[tuple[int, int]]] = []
     for shift in shifts:
-        own = [(rows.start, rows.stop) for rows in shift.rows]
-        for members, rows in zip(groups, taken, strict=True):
-            if not any(a < d and c < b for a, b in own for c, d in rows):
+        intervals = [(rows.start, rows.stop) for rows in shift.rows]
+        for members, rows in zip(groups, occupied, strict=True):
+            if not any(a < d and c < b for a, b in intervals for c, d in rows):
                 members.append(shift)
-                rows += own
+                rows += intervals
                 break
         else:
             groups.append([shift])
-            taken.append(own)
+            occupied.append(intervals)
     return groups
 
 
-def answers(
+def simulate_shifts(
     run: Run, theta: FloatArray, shifts: Sequence[Shift]
 ) -> Iterator[tuple[Shift, float, Answer]]:
-    """Each shift, as the machine has it, and what it gives; those of a group that fails together are run again one by one."""
-    alone: list[Shift] = []
-    groups = grouped(shifts)
-    for members, found in zip(
-        groups, run([_moved(theta, members) for members in groups]), strict=True
+    """Yield each shift with its step in floating point and its outputs.
+
+    The shifts of a group that fails are run again one by one.
+    """
+    retries: list[Shift] = []
+    groups = group_shifts(shifts)
+    for members, outputs in zip(
+        groups, run([_shifted_theta(theta, members) for members in groups]), strict=True
     ):
-        if isinstance(found, str) and len(members) > 1:
-            alone += members
+        if isinstance(outputs, str) and len(members) > 1:
+            retries += members
         else:
-            yield from _shared_out(theta, members, found)
-    for shift, found in zip(
-        alone, run([_moved(theta, [shift]) for shift in alone]) if alone else (), strict=True
+            yield from _split_outputs(theta, members, outputs)
+    for shift, outputs in zip(
+        retries,
+        run([_shifted_theta(theta, [shift]) for shift in retries]) if retries else (),
+        strict=True,
     ):
-        yield from _shared_out(theta, [shift], found)
+        yield from _split_outputs(theta, [shift], outputs)
 
 
-def _moved(theta: FloatArray, members: Sequence[Shift]) -> FloatArray:
+def _shifted_theta(theta: FloatArray, members: Sequence[Shift]) -> FloatArray:
+    """Add the steps of a group's shifts to theta."""
     out = theta.copy()
     for shift in members:
         out[shift.index] += shift.by
     return out
 
 
-def _shared_out(
-    theta: FloatArray, members: Sequence[Shift], found: FloatArray | str
+def _split_outputs(
+    theta: FloatArray, members: Sequence[Shift], outputs: FloatArray | str
 ) -> Iterator[tuple[Shift, float, Answer]]:
+    """Yield each shift of a group with its part of the outputs."""
     for shift in members:
-        # The step as the machine sees it: (theta + h) - theta.
+        # The step in floating point: (theta + h) - theta.
         by = float((theta[shift.index] + shift.by) - theta[shift.index])
-        if isinstance(found, str):
-            yield shift, by, found
+        if isinstance(outputs, str):
+            yield shift, by, outputs
         else:
-            # Copies where several share: a view would keep all rows in memory.
+            # Copy if several shifts share the run: a view would keep all rows in memory.
             yield (
                 shift,
                 by,
-                [found[rows] if len(members) == 1 else found[rows].copy() for rows in shift.rows],
+                [
+                    outputs[rows] if len(members) == 1 else outputs[rows].copy()
+                    for rows in shift.rows
+                ],
             )
 
 
-TARGET = 3e-4  # first wanted change of the most affected output, in its spread; then `target_for` its roughness
+TARGET = 3e-4
+"""First target change of the most affected output, in its scale; `target_for` adapts it."""
 TARGETS = (
     3e-5,
     3e-2,
-)  # range of wanted changes: truncation ~ target^2, rounding ~ roughness / target
-WITHIN = (3e-3, 30.0)  # a change outside this range of the wanted one is repeated with another step
-NO_EFFECT = 1e-11  # a smaller change at the largest step tried is rounding, not an effect
-SMALLEST = 1e-12  # of a parameter's value: the shortest step
-HUGE = 1e100  # outputs beyond this are a diverged simulation; their squares must not overflow
+)
+"""Range of target changes: truncation ~ target^2, rounding ~ roughness / target."""
+ACCEPTED_RATIO = (
+    3e-3,
+    30.0,
+)
+"""Changes outside this range of the target are repeated with another step."""
+NO_EFFECT = 1e-11
+"""A smaller change at the largest step is rounding, not an effect."""
+SMALLEST = 1e-12
+"""Shortest step, relative to the parameter."""
+HUGE = 1e100
+"""Outputs beyond this are a diverged simulation; their squares must not overflow."""
 
 MapLike = Callable[[Callable[[FloatArray], Any], Iterable[FloatArray]], Iterable[Any]]
 
 
 @dataclass(frozen=True)
 class SafeSimulation:
-    """simulate(theta) made total: the stacked outputs (N, m), or a sentence saying what went wrong.
+    """A simulation that returns the stacked outputs (N, m), or a sentence that says what went
+    wrong.
 
-    A module-level class, so that a process pool can receive it whenever it can receive `simulate`.
+    A class at module level, so that process pools can pickle it whenever ``simulate`` can be
+    pickled.
     """
 
     simulate: Callable[[FloatArray], Any]
@@ -162,12 +190,16 @@ class SafeSimulation:
         with np.errstate(all="ignore"):
             try:
                 value = self.simulate(theta.copy())
-            except Exception as error:  # a model's own failure at a trial point is a rejected step, whatever its type
+            # Any exception of the model at a trial point rejects the step.
+            except Exception as error:
                 return f"simulate raised {type(error).__name__}: {error}"
         return self.stacked(value)
 
     def stacked(self, value: Any) -> FloatArray | str:
-        """Outputs of any permitted form as one (N, m) array; a sentence if the form is wrong or values not finite."""
+        """Stack outputs of any permitted form into (N, m).
+
+        Returns a sentence if the form is wrong or values are not finite.
+        """
         try:
             parts = [
                 np.asarray(part, dtype=float)
@@ -176,31 +208,48 @@ class SafeSimulation:
         except (TypeError, ValueError) as error:
             return f"simulate returned something not numeric: {error}"
         parts = [part[:, None] if part.ndim == 1 else part for part in parts]
-        shapes, wanted = (
+        shapes, expected_shapes = (
             [part.shape for part in parts],
             [(length, self.outputs) for length in self.lengths],
         )
-        if shapes != wanted:
-            return f"simulate returned shapes {shapes}, measured has {wanted}; return the outputs at the measured samples"
+        if shapes != expected_shapes:
+            return (
+                f"simulate returned shapes {shapes}, measured has {expected_shapes}; return the"
+                " outputs at the measured samples"
+            )
         out = np.concatenate(parts)
-        sound = np.abs(out) < HUGE  # False for NaN too
-        if not sound.all():
-            row = int(np.argwhere(~sound)[0][0])
-            return f"simulate returned values that are not finite, or beyond {HUGE:g}, from stacked sample {row} on"
+        is_valid = np.abs(out) < HUGE  # False for NaN too
+        if not is_valid.all():
+            row = int(np.argwhere(~is_valid)[0][0])
+            return (
+                f"simulate returned values that are not finite, or beyond {HUGE:g}, from stacked"
+                f" sample {row} on"
+            )
         return out
 
 
 def run_all(
-    simulation: SafeSimulation, thetas: Sequence[FloatArray], map_: MapLike | None
+    simulation: SafeSimulation, thetas: Sequence[FloatArray], map_fn: MapLike | None
 ) -> Iterator[FloatArray | str]:
-    """Every theta simulated, in order, through the injected map if there is one; one after the other, where that is how it gives
-    them."""
-    yield from (map_ or map)(simulation, thetas)
+    """Simulate all points in order, through ``map_fn`` if there is one; lazily if it is lazy."""
+    yield from (map_fn or map)(simulation, thetas)
 
 
 @dataclass(frozen=True)
 class Differences:
-    """sensitivity (N, m, len(columns)) in blocks; step (k,) as adapted; effect (len(columns),) bool; runs: simulations spent."""
+    """Result of `sensitivities`.
+
+    Attributes
+    ----------
+    sensitivity : Blocks
+        (N, m, len(columns)) in blocks.
+    step : array (k,)
+        Adapted difference steps.
+    effect : array (len(columns),) of bool
+        Whether the parameter moves any output.
+    runs : int
+        Simulations used.
+    """
 
     sensitivity: Blocks
     step: FloatArray
@@ -209,7 +258,7 @@ class Differences:
 
 
 def first_steps(theta: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Starting steps (k,): a small part of the value, of the bounds' width, or of one."""
+    """Return starting steps (k,): a small part of the value, of the bounds' width, or of one."""
     width = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
     return np.asarray(1e-4 * np.where(theta != 0.0, np.abs(theta), width))
 
@@ -221,18 +270,39 @@ def sensitivities(
     step: FloatArray,
     columns: Sequence[int],
     limits: tuple[FloatArray, FloatArray],
-    spread: FloatArray,
+    output_scale: FloatArray,
     *,
     central: bool,
-    map_: MapLike | None,
+    map_fn: MapLike | None,
     target: float = TARGET,
 ) -> Differences:
-    """d(outputs)/d(theta) at `theta`, whose outputs are `base` (N, m).
+    """Difference the outputs with the free parameters.
 
-    Central differences, or forward ones; one-sided at a bound or where one side fails. spread (m,) scales the outputs.
-    target: wanted change of the most affected output, in its spread. Parameters of which the simulation says, by a method
-    ``moved``, that they move different segments are perturbed together (together.py).
-    A parameter whose every perturbed run fails gets effect False.
+    Differences are one-sided at a bound or where one side fails. Parameters that move different
+    segments are perturbed together. A parameter whose perturbed runs all fail gets effect False.
+
+    Parameters
+    ----------
+    simulation : SafeSimulation
+        The model.
+    theta : array (k,)
+        Point.
+    base : array (N, m)
+        Outputs there.
+    step : array (k,)
+        Difference steps to begin with.
+    columns : sequence of int
+        Free parameters.
+    limits : tuple of two arrays (k,)
+        Bounds.
+    output_scale : array (m,)
+        Size of each output.
+    central : bool
+        Central or forward differences.
+    map_fn : callable, optional
+        Parallel map.
+    target : float
+        Change of the most affected output to aim at, in its scale.
     """
     step = step.copy()
     lower, upper = limits
@@ -240,39 +310,41 @@ def sensitivities(
     out: list[list[FloatArray | None]] = [[None] * (len(edges) - 1) for _ in columns]
     effect = np.zeros(len(columns), dtype=bool)
     pending, runs = list(range(len(columns))), 0
-    rows = [rows_moved(simulation.simulate, j, edges) for j in columns]
+    rows = [rows_affected(simulation.simulate, j, edges) for j in columns]
 
     def run(points: Sequence[FloatArray]) -> Iterator[FloatArray | str]:
         nonlocal runs
         runs += len(points)
-        return run_all(simulation, points, map_)
+        return run_all(simulation, points, map_fn)
 
     for attempt in range(6):
-        # Below this a step is lost in the parameter's own rounding, and shrinking it further would never find an effect again.
+        # A shorter step would vanish in the parameter's rounding.
         step = np.maximum(step, SMALLEST * np.abs(theta))
         shifts = [
             s
             for k in pending
-            for s in _shifts(k, columns[k], theta, step, limits, central, rows[k])
+            for s in _shifts(k, columns[k], theta, step, limits, central, rows=rows[k])
         ]
-        again = []
-        for position, sides in _by_position(answers(run, theta, shifts), shifts):
+        repeated_positions = []
+        for position, sides in _by_position(simulate_shifts(run, theta, shifts), shifts):
             j = columns[position]
-            sound = [
+            valid_sides = [
                 (by, answer) for by, answer in sides if not isinstance(answer, str) and by != 0.0
             ]
-            if not sound:
+            # Every side failed: try a much shorter step.
+            if not valid_sides:
                 step[j] *= 0.03
-                again.append(position)
+                repeated_positions.append(position)
                 continue
-            column = _column(sound, base, rows[position])
-            used = max(abs(by) for by, _ in sound)
+            column = _column(valid_sides, base, rows[position])
+            used = max(abs(by) for by, _ in valid_sides)
             with np.errstate(over="ignore", invalid="ignore"):
                 square = sum(np.sum(part**2, axis=0) for part in column) / len(base)
-                change = float(np.max(np.sqrt(square) * used / spread))
+                change = float(np.max(np.sqrt(square) * used / output_scale))
+            # The square overflowed: the step is far too long.
             if not np.isfinite(change):
                 step[j] *= 1e-4
-                again.append(position)
+                repeated_positions.append(position)
                 continue
             effect[position] = change > NO_EFFECT
             out[position] = (
@@ -284,8 +356,8 @@ def sensitivities(
                 step[j], change, target, max(abs(theta[j]), 1.0), upper[j] - lower[j], attempt == 5
             )
             if repeated:
-                again.append(position)
-        pending = sorted(again)
+                repeated_positions.append(position)
+        pending = sorted(repeated_positions)
         if not pending:
             break
     return Differences(Blocks.from_columns(out, base.shape[1], edges), step, effect, runs)
@@ -296,11 +368,25 @@ def forward_differences(
     theta: FloatArray,
     steps: FloatArray,
     shape: tuple[Sequence[int], int],
-    map_: MapLike | None = None,
+    map_fn: MapLike | None = None,
 ) -> Blocks | None:
-    """d(outputs)/d(theta) (N, m, k) by one step of each parameter, ``steps`` (k,); None where a simulation fails.
+    """Difference the outputs with one step of each parameter.
 
-    shape: rows of each segment, and outputs.
+    Parameters
+    ----------
+    simulate : callable
+        theta (k,) to outputs, as in `output_error`.
+    theta, steps : array (k,)
+        Point and steps.
+    shape : tuple
+        Rows of each segment, and the number of outputs m.
+    map_fn : callable, optional
+        Parallel map.
+
+    Returns
+    -------
+    Blocks or None
+        d(outputs)/d(theta) (N, m, k); None where a simulation fails.
     """
     lengths, outputs = tuple(shape[0]), shape[1]
     simulation = SafeSimulation(simulate, lengths, outputs)
@@ -310,10 +396,10 @@ def forward_differences(
     edges = [0, *np.cumsum(lengths).tolist()]
     out: list[list[FloatArray | None]] = [[None] * len(lengths) for _ in theta]
     shifts = [
-        Shift(k, k, float(step), rows_moved(simulate, k, edges)) for k, step in enumerate(steps)
+        Shift(k, k, float(step), rows_affected(simulate, k, edges)) for k, step in enumerate(steps)
     ]
-    for shift, _, answer in answers(
-        lambda points: run_all(simulation, points, map_), theta, shifts
+    for shift, _, answer in simulate_shifts(
+        lambda points: run_all(simulation, points, map_fn), theta, shifts
     ):
         if isinstance(answer, str):
             return None
@@ -330,9 +416,10 @@ def _shifts(
     step: FloatArray,
     limits: tuple[FloatArray, FloatArray],
     central: bool,
+    *,
     rows: tuple[slice, ...],
 ) -> Iterator[Shift]:
-    """A step up, and one down where both are asked for or there is no room above."""
+    """Yield a step up, and a step down if ``central`` or if there is no room above."""
     lower, upper = limits
     up, down = min(step[j], upper[j] - theta[j]), min(step[j], theta[j] - lower[j])
     floor = 0.5 * step[j]
@@ -344,64 +431,65 @@ def _shifts(
 
 
 def _by_position(
-    found: Iterable[tuple[Shift, float, Answer]], shifts: Sequence[Shift]
+    results: Iterable[tuple[Shift, float, Answer]], shifts: Sequence[Shift]
 ) -> Iterator[tuple[int, list[tuple[float, Answer]]]]:
-    """Columns as soon as all their sides are there, upwards first: nothing is kept longer."""
-    wanted = Counter(shift.position for shift in shifts)
+    """Yield columns once all their sides are complete, upper side first."""
+    side_counts = Counter(shift.position for shift in shifts)
     sides: dict[int, list[tuple[float, Answer]]] = {}
-    for shift, by, answer in found:
-        own = sides.setdefault(shift.position, [])
-        own.append((by, answer))
-        if len(own) == wanted[shift.position]:
+    for shift, by, answer in results:
+        column_sides = sides.setdefault(shift.position, [])
+        column_sides.append((by, answer))
+        if len(column_sides) == side_counts[shift.position]:
             yield shift.position, sorted(sides.pop(shift.position), key=lambda side: -side[0])
 
 
 def _column(
     sides: Sequence[tuple[float, Any]], base: FloatArray, rows: tuple[slice, ...]
 ) -> list[FloatArray]:
-    """Differences (n, m) over one step or two, of each of the rows."""
-    (by, first), *others = sides
-    if others:
-        other_by, other = others[0]
+    """Return the difference quotients (n, m) over one step or two, for each of the rows."""
+    (by, first), *other_sides = sides
+    if other_sides:
+        other_by, other = other_sides[0]
         return [(a - b) / (by - other_by) for a, b in zip(first, other, strict=True)]
-    return [(part - base[own]) / by for part, own in zip(first, rows, strict=True)]
+    return [(part - base[row_slice]) / by for part, row_slice in zip(first, rows, strict=True)]
 
 
 def _by_segment(
     column: Sequence[FloatArray], rows: tuple[slice, ...], edges: Sequence[int]
 ) -> list[FloatArray | None]:
-    """Of each segment what moves in it, None where nothing does."""
-    cut = {
-        own.start + a: part[a:b]
-        for part, own in zip(column, rows, strict=True)
-        for a, b in _inside(own, edges)
+    """Split a column by segments; None where it is zero."""
+    segment_parts = {
+        row_slice.start + a: part[a:b]
+        for part, row_slice in zip(column, rows, strict=True)
+        for a, b in _segments_within(row_slice, edges)
     }
     return [
-        part.copy() if (part := cut.get(a)) is not None and part.any() else None for a in edges[:-1]
+        part.copy() if (part := segment_parts.get(a)) is not None and part.any() else None
+        for a in edges[:-1]
     ]
 
 
-def _inside(own: slice, edges: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """Where segments begin and end, counted from the first of the rows ``own``."""
+def _segments_within(rows: slice, edges: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """Yield first and last row of the segments within ``rows``, counted from the first of them."""
     return (
-        (a - own.start, b - own.start)
+        (a - rows.start, b - rows.start)
         for a, b in pairwise(edges)
-        if own.start <= a and b <= own.stop
+        if rows.start <= a and b <= rows.stop
     )
 
 
 def _next_step(
-    step: float, change: float, target: float, unit: float, room: float, last: bool
+    step: float, change: float, target: float, unit: float, width: float, last: bool
 ) -> tuple[float, bool]:
-    """The step for the next difference, and whether this one is repeated with it."""
+    """Return the step for the next difference, and whether this difference is repeated with it."""
     if change <= NO_EFFECT:
         if step < 99.0 * unit and not last:
             return (unit if step < 0.5 * unit else 100.0 * unit), True
         return 1e-4 * unit, False
-    if not WITHIN[0] <= change / target <= WITHIN[1] and not last:
-        wanted = step * target / change
-        wanted = min(wanted, 0.01 * room) if np.isfinite(room) else wanted
-        return (step, False) if 0.5 < wanted / step < 2.0 else (wanted, True)
+    if not ACCEPTED_RATIO[0] <= change / target <= ACCEPTED_RATIO[1] and not last:
+        new_step = step * target / change
+        new_step = min(new_step, 0.01 * width) if np.isfinite(width) else new_step
+        return (step, False) if 0.5 < new_step / step < 2.0 else (new_step, True)
     return step * float(np.clip(target / change, 0.1, 10.0)), False
 
 
@@ -409,60 +497,67 @@ def roughness(
     simulation: SafeSimulation,
     theta: FloatArray,
     base: FloatArray,
-    small: FloatArray,
+    steps: FloatArray,
     limits: tuple[FloatArray, FloatArray],
-    spread: FloatArray,
-    map_: MapLike | None,
+    output_scale: FloatArray,
+    *,
+    map_fn: MapLike | None,
 ) -> tuple[float, int]:
-    """How far the outputs are from smooth in theta, in their spread (rms), and the simulations it took to find out.
+    """Estimate the rms roughness of the outputs in theta, in their scale, and the simulations used.
 
-    Six points along small (k,) steps away from theta: a smooth function leaves nothing in high differences, rounding,
-    iterated trims and printed decimals do. More, J. J. and Wild, S. M., SIAM J. Sci. Comput. 33 (2011), eq. (2.4).
+    Six points along ``steps`` (k,) away from theta: high differences vanish for smooth functions
+    and show rounding, iterated trims and printed decimals. More, J. J. and Wild, S. M., SIAM J.
+    Sci. Comput. 33 (2011), eq. (2.4).
     """
     lower, upper = limits
-    inward = np.where(theta + 7.0 * small > upper, -small, small)
+    # Step away from the bounds.
+    inward = np.where(theta + 7.0 * steps > upper, -steps, steps)
     points = [theta + count * inward for count in range(1, 7)]
     points = [np.clip(point, lower, upper) for point in points]
-    answers = list(run_all(simulation, points, map_))
+    answers = list(run_all(simulation, points, map_fn))
     if any(isinstance(answer, str) for answer in answers):
         return 0.0, len(points)
     table = np.stack([base, *(answer for answer in answers if not isinstance(answer, str))])
-    found = []
+    noise_levels = []
+    # Fourth and fifth differences remove smooth functions (eq. 2.4).
     for order in range(1, 6):
         table = np.diff(table, axis=0)
         if order >= 4:
             factor = math.factorial(order) ** 2 / math.factorial(2 * order)
-            found.append(np.sqrt(factor * np.mean(table**2, axis=(0, 1))) / spread)
-    return float(np.min(found, axis=0).max()), len(points)
+            noise_levels.append(np.sqrt(factor * np.mean(table**2, axis=(0, 1))) / output_scale)
+    return float(np.min(noise_levels, axis=0).max()), len(points)
 
 
-def target_for(rough: float) -> float:
-    """The output change at which a central difference's truncation and rounding balance, about roughness^(1/3)."""
-    return float(np.clip(np.cbrt(rough), *TARGETS))
+def target_for(rms_roughness: float) -> float:
+    """Return the output change that balances truncation and rounding of central differences.
+
+    It is about roughness^(1/3), within TARGETS.
+    """
+    return float(np.clip(np.cbrt(rms_roughness), *TARGETS))
 
 
-# Output error's cost over the free parameters, with the sensitivities its steps need:
-# differenced anew, or carried on.
+# Output error's cost over the free parameters, with sensitivities by differences or secants.
 
-CARRIED = 8  # secant updates before sensitivities are differenced anew
-NEARBY = 0.5  # standard errors within which sensitivities need no renewal
+MAX_SECANT_UPDATES = 8
+"""Secant updates before sensitivities are differenced again."""
+NEARBY = 0.5
+"""Distance in standard errors within which sensitivities need no renewal."""
 
 
 @dataclass
 class OutputErrorProblem:
-    """The cost over the free parameters; counts simulations and keeps the adapted difference steps."""
+    """The cost over the free parameters; counts simulations and keeps difference steps."""
 
     simulation: SafeSimulation
     measured: FloatArray
     full_theta: FloatArray
     columns: list[int]
     limits: tuple[FloatArray, FloatArray]
-    spread: FloatArray
+    output_scale: FloatArray
     full: bool
-    map_: MapLike | None
+    map_fn: MapLike | None
     step: FloatArray
     secant: bool = False
-    told: Told | None = None
     runs: int = 0
     last_failure: str = ""
     sensitivity: Blocks = field(default_factory=lambda: Blocks((), (), 0))
@@ -471,122 +566,142 @@ class OutputErrorProblem:
     _metric: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     _updates: int = 0
     _target: float | None = None
-    _begun: bool = False
+    _differenced_before: bool = False
 
     @property
     def edges(self) -> list[int]:
-        """Rows at which segments begin, and the number of rows at the end."""
+        """First row of each segment, and the number of rows at the end."""
         return [0, *np.cumsum(self.simulation.lengths).tolist()]
 
     @property
     def floor(self) -> FloatArray:
-        """Least noise (ny,) an output may have: rounding of its own spread."""
-        return 1e-9 * self.spread
+        """Smallest noise (m,) of an output: rounding of its scale."""
+        return 1e-9 * self.output_scale
 
-    def whole(self, theta: FloatArray) -> FloatArray:
-        """All parameters, with the free ones at ``theta`` and the fixed ones at their given values."""
+    def full_vector(self, theta: FloatArray) -> FloatArray:
+        """Return all parameters, the free ones at ``theta`` and the fixed ones at their start."""
         out = self.full_theta.copy()
         out[self.columns] = theta
         return out
 
     def noise(self, outputs: FloatArray) -> Noise:
-        """Measurement noise at its maximum-likelihood value for these outputs (n, ny)."""
+        """Estimate the measurement noise for outputs (N, m) by maximum likelihood."""
         return residual_noise(self.measured - outputs, self.floor, self.full)
 
     def evaluate(self, theta: FloatArray) -> tuple[float, FloatArray] | None:
-        """Concentrated cost at ``theta`` and the outputs (n, ny); None where the simulation failed."""
+        """Return the concentrated cost and the outputs (N, m); None where the simulation failed."""
         self.runs += 1
-        outputs = self.simulation(self.whole(theta))
+        outputs = self.simulation(self.full_vector(theta))
         if isinstance(outputs, str):
             self.last_failure = outputs
             return None
-        return concentrated(self.measured - outputs, self.noise(outputs)), outputs
+        return concentrated_cost(self.measured - outputs, self.noise(outputs)), outputs
 
     def linearise(self, theta: FloatArray, outputs: FloatArray, central: bool) -> Linearisation:
-        """Gradient and information at theta (k,), whose outputs (N, m) are given.
+        """Compute gradient and information at theta (k,) with known outputs.
 
-        With ``secant`` the sensitivities of the last point are carried on by Broyden's update (Math. Comp. 19, 1965)
+        With ``secant`` the sensitivities of the last point are updated by Broyden's formula (Math.
+        Comp. 19, 1965)
 
             S += (dy - S d) (W d)' / (d' W d),    W = diag M
 
-        (segment by segment, where S is not zero: Schubert, Math. Comp. 24, 1970), which costs no simulation; they are differenced
-        anew, forwards, when that has been done CARRIED times, when the search nears its end, and at a point asked for twice.
+        (segment by segment, where S is not zero: Schubert, Math. Comp. 24, 1970), which needs no
+        simulation. They are differenced again, forwards, after MAX_SECANT_UPDATES updates, near the
+        end of the search, and at a point that is linearised twice.
         """
-        carried = self._carry(theta, outputs, central) if self.secant else None
-        if carried is None:
+        secant_is_exact = self._secant_update(theta, outputs, central) if self.secant else None
+        if secant_is_exact is None:
             self._difference(theta, outputs, central and not self.secant)
-        line = self._line(outputs)
-        self._metric, self._last = line.information, (theta.copy(), outputs)
-        if carried is None:
-            self._fresh = (theta.copy(), self.sensitivity, line.information)
-            return replace(line, exact=central or self.secant)
-        return replace(line, exact=carried, fresh=False)
+        linearisation = self._linearisation(outputs)
+        self._metric, self._last = linearisation.information, (theta.copy(), outputs)
+        if secant_is_exact is None:
+            self._fresh = (theta.copy(), self.sensitivity, linearisation.information)
+            return replace(linearisation, exact=central or self.secant)
+        return replace(linearisation, exact=secant_is_exact, fresh=False)
 
     def settle(self, theta: FloatArray, outputs: FloatArray) -> Linearisation:
-        """The linearisation that bounds are computed from: differences at theta itself, or a small part of a bound away."""
+        """Compute the linearisation for standard errors.
+
+        Sensitivities are differenced at theta, or within NEARBY standard errors of it in secant
+        mode.
+        """
         if self.secant and self._fresh is not None and self._distance(theta) < NEARBY:
             self.sensitivity = self._fresh[1]
         else:
             self._difference(theta, outputs, not self.secant)
-        return self._line(outputs)
+        return self._linearisation(outputs)
 
     def _distance(self, theta: FloatArray) -> float:
-        """Standard errors from where sensitivities were last differenced."""
+        """Return the distance from the last differenced point, in standard errors."""
         assert self._fresh is not None
-        away = theta - self._fresh[0]
-        return float(np.sqrt(np.maximum(away @ self._fresh[2] @ away, 0.0)))
+        displacement = theta - self._fresh[0]
+        return float(np.sqrt(np.maximum(displacement @ self._fresh[2] @ displacement, 0.0)))
 
-    def _carry(self, theta: FloatArray, outputs: FloatArray, central: bool) -> bool | None:
-        """Sensitivities carried on to theta: True near where they were differenced, False far from there, None: not possible."""
-        if self._last is None or self._updates >= CARRIED:
+    def _secant_update(self, theta: FloatArray, outputs: FloatArray, central: bool) -> bool | None:
+        """Update the sensitivities to theta.
+
+        Returns True near the point where they were differenced, False far from it, None if an
+        update is not possible.
+        """
+        if self._last is None or self._updates >= MAX_SECANT_UPDATES:
             return None
+        # Broyden's update, segment by segment.
         step = theta - self._last[0]
-        along = np.diagonal(self._metric) * step
-        near = self._distance(theta) < NEARBY
-        if not float(step @ along) > 0.0 or (central and not near):
+        metric_step = np.diagonal(self._metric) * step
+        is_near = self._distance(theta) < NEARBY
+        if not float(step @ metric_step) > 0.0 or (central and not is_near):
             return None
         change = outputs - self._last[1] - self.sensitivity.matvec(step)
 
         def updated(part: FloatArray, columns: Index, rows: slice) -> FloatArray:
-            size = float(step[columns] @ along[columns])
-            return part + change[rows, :, None] * (along[columns] / size) if size > 0.0 else part
+            size = float(step[columns] @ metric_step[columns])
+            return (
+                part + change[rows, :, None] * (metric_step[columns] / size) if size > 0.0 else part
+            )
 
         self.sensitivity = self.sensitivity.map_parts(updated)
         self._updates += 1
-        return near
+        return is_near
 
     def _difference(self, theta: FloatArray, outputs: FloatArray, central: bool) -> None:
-        """Sensitivities by differences; the second time, how small their steps may be as well: a fit that begins where it ends asks
-        once."""
-        if self._begun and self._target is None:
-            small = np.zeros_like(self.step)
-            small[self.columns] = 1e-3 * self.step[self.columns]
-            rough, runs = roughness(
+        """Difference the outputs; from the second time on with steps that suit the roughness.
+
+        A fit that starts at its optimum differences once and does not need the roughness.
+        """
+        if self._differenced_before and self._target is None:
+            small_steps = np.zeros_like(self.step)
+            small_steps[self.columns] = 1e-3 * self.step[self.columns]
+            rms_roughness, runs = roughness(
                 self.simulation,
-                self.whole(theta),
+                self.full_vector(theta),
                 outputs,
-                small,
+                small_steps,
                 self.limits,
-                self.spread,
-                self.map_,
+                self.output_scale,
+                map_fn=self.map_fn,
             )
-            self._target, self.runs = target_for(rough), self.runs + runs
-        found = sensitivities(
+            self._target, self.runs = target_for(rms_roughness), self.runs + runs
+        differences = sensitivities(
             self.simulation,
-            self.whole(theta),
+            self.full_vector(theta),
             outputs,
             self.step,
             self.columns,
             self.limits,
-            self.spread,
+            self.output_scale,
             central=central,
-            map_=self.map_,
+            map_fn=self.map_fn,
             target=self._target or TARGET,
         )
-        self.step, self.runs, self._begun = found.step, self.runs + found.runs, True
-        self.sensitivity, self._updates = found.sensitivity, 0
+        self.step, self.runs, self._differenced_before = (
+            differences.step,
+            self.runs + differences.runs,
+            True,
+        )
+        self.sensitivity, self._updates = differences.sensitivity, 0
 
-    def _line(self, outputs: FloatArray) -> Linearisation:
+    def _linearisation(self, outputs: FloatArray) -> Linearisation:
+        """Build gradient and information from the sensitivities."""
         sensitivity, residual, noise = (
             self.sensitivity,
             self.measured - outputs,
@@ -595,6 +710,7 @@ class OutputErrorProblem:
         k = len(self.columns)
         gradient, information = np.zeros(k), np.zeros((k, k))
         for (a, b), (part, columns) in zip(pairwise(self.edges), sensitivity, strict=True):
+            # Sum the segments' contributions.
             white, scaled = noise.whiten(residual[a:b], part)
             assert scaled is not None
             flat = scaled.reshape(-1, columns.size)
@@ -603,18 +719,21 @@ class OutputErrorProblem:
 
         def predict(delta: FloatArray) -> float:
             expected = residual - sensitivity.matvec(delta)
-            return concentrated(expected, residual_noise(expected, self.floor, self.full))
+            return concentrated_cost(expected, residual_noise(expected, self.floor, self.full))
 
         # M = sum S' R^-1 S,  g = sum S' R^-1 v: one Gauss-Newton step is M^-1 g
         return Linearisation(gradient, information, predict)
 
 
-POORLY = 0.3  # share of an output's variance left over that counts as nothing explained
-FAR_OFF, WORTH = (
+UNEXPLAINED_SHARE = 0.3
+"""Residual share of an output's variance above which nothing is explained."""
+LARGE_RESIDUAL, RELEVANT_SHARE = (
     5.0,
     0.01,
-)  # left over: so many times the noise, such a share of the variance, to look for another minimum
-HORIZONS = (0.1, 0.2, 0.4)  # shares of each segment fitted first when the whole leads nowhere
+)
+"""Multiple of the noise, and share of the variance, of a residual that justifies another start."""
+HORIZONS = (0.1, 0.2, 0.4)
+"""Shares of each segment that are fitted first when the full fit fails."""
 
 
 def output_error(
@@ -631,16 +750,17 @@ def output_error(
     max_iterations: int = 100,
     tolerance: float = 1e-5,
     errors: bool = True,
-    told: Told | None = None,
+    told: IterationCallback | None = None,
 ) -> OutputErrorFit:
     """Estimate theta (k,) such that simulate(theta) comes closest to what was measured.
 
     Parameters
     ----------
     simulate : callable
-        theta (k,) -> (n, m) array, or a list of them, one per segment, at the measured samples, in the units of `measured`. It
-        may raise or return NaN at a trial point: a shorter step is tried. With a method ``moved(j)`` it says which segments
-        theta[j] moves (their numbers; None: all): parameters that move different ones are perturbed in the same simulation.
+        theta (k,) -> (n, m) array, or a list of them, one per segment, at the measured samples, in
+        the units of `measured`. It may raise or return NaN at a trial point: a shorter step is
+        tried. An optional method ``moved(j)`` returns the numbers of the segments that theta[j]
+        moves (None: all); parameters that move different segments are perturbed in one simulation.
     theta0 : array_like
         (k,) start; zeros are fine, but simulate(theta0) must be finite.
     measured : array_like
@@ -654,33 +774,38 @@ def output_error(
     noise : {"diagonal", "full"}
         Independent outputs, or not.
     map : callable, optional
-        Like the built-in map(function, points), e.g. a process pool's: runs the perturbed simulations.
+        Like the built-in map(function, points), e.g. a process pool's: runs the perturbed
+        simulations.
     differences : {"auto", "central", "secant"}
-        "auto" takes forward differences between the first iteration and the last ones; "secant", for smooth simulations that
-        are dear, carries sensitivities on from iteration to iteration.
+        "auto" takes forward differences between the first iteration and the last ones; "secant",
+        for smooth and expensive simulations, updates sensitivities from iteration to iteration.
     max_iterations, tolerance
         Stop when the next step is shorter than `tolerance` standard errors.
     errors : bool
-        False for the estimates alone: standard errors, covariances and variance inflation are then NaN, nothing is judged.
+        False for the estimates alone: standard errors, covariances and variance inflation are then
+        NaN, and identifiability is not assessed.
     told : callable, optional
-        Called in each iteration of a descent with its number and the length of the next step in standard errors.
+        Called in each iteration of a descent with its number and the length of the next step in
+        standard errors.
 
     Returns
     -------
     OutputErrorFit
-        ``theta`` (k,), ``std`` (k,) corrected for coloured residuals (see coloured.py), ``std_crb`` (k,) the Cramer-Rao bound.
-        Parameters that the data do not determine, or that end on a bound, are "not-identified": their std is NaN and
-        fit.reason says why; the others are still estimated. Where it did not converge, ``converged`` and ``warnings`` say so.
+        ``theta`` (k,), ``std`` (k,) corrected for coloured residuals (see `coloured_residuals`),
+        ``std_crb`` (k,) the Cramer-Rao bound. Parameters that the data do not determine, or that
+        end on a bound, are "not-identified": their std is NaN and fit.reason says why; the others
+        are still estimated. ``converged`` and ``warnings`` say whether it converged.
 
     Raises
     ------
     ValueError
-        When inputs disagree, theta0 lies outside the bounds, there are fewer measured values than parameters, or the simulation
-        fails at theta0.
+        When inputs disagree, theta0 lies outside the bounds, there are fewer measured values than
+        parameters, or the simulation fails at theta0.
 
     References
     ----------
-    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9. V. Klein, E. A. Morelli, Aircraft System Identification, 2006.
+    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9. V. Klein, E. A. Morelli, Aircraft
+    System Identification, 2006.
 
     Examples
     --------
@@ -688,7 +813,9 @@ def output_error(
     >>> import sysid
     >>> t = np.linspace(0.0, 5.0, 100)
     >>> measured = 2.0 * np.exp(-0.5 * t) + 0.01 * np.sin(40.0 * t)
-    >>> fit = sysid.output_error(lambda theta: theta[0] * np.exp(-theta[1] * t), [1.0, 1.0], measured)
+    >>> fit = sysid.output_error(
+    ...     lambda theta: theta[0] * np.exp(-theta[1] * t), [1.0, 1.0], measured
+    ... )
     >>> [round(float(value), 1) for value in fit.theta]
     [2.0, 0.5]
     """
@@ -696,6 +823,7 @@ def output_error(
     labels = as_names(names, theta.size, "theta")
     lower, upper = as_bounds(bounds, theta, labels)
     mask = as_free(free, labels)
+    # Check the data: every output needs samples, more in all than parameters.
     segments = as_segments(measured, "measured", dropouts=True)
     if noise not in ("diagonal", "full"):
         raise ValueError(f'noise is {noise!r}; allowed are "diagonal" and "full"')
@@ -707,17 +835,22 @@ def output_error(
     counts = np.isfinite(stacked).sum(axis=0)
     if (counts == 0).any():
         raise ValueError(
-            f"measured output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave them out"
+            f"measured output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all;"
+            " leave them out"
         )
     columns = [int(index) for index in np.flatnonzero(mask)]
     if counts.sum() <= len(columns):
         raise ValueError(
-            f"{int(counts.sum())} measured values for {len(columns)} parameters; measure more or free fewer"
+            f"{int(counts.sum())} measured values for {len(columns)} parameters; measure more or"
+            " free fewer"
         )
     with np.errstate(invalid="ignore"):
-        spread = np.nanstd(stacked, axis=0)
+        # Scale of each output: standard deviation, or its size where it is constant.
+        output_scale = np.nanstd(stacked, axis=0)
     size = np.nanmax(np.abs(stacked), axis=0)
-    spread = np.where(spread > 1e-12 * size, spread, np.where(size > 0.0, size, 1.0))
+    output_scale = np.where(
+        output_scale > 1e-12 * size, output_scale, np.where(size > 0.0, size, 1.0)
+    )
 
     simulation = SafeSimulation(
         simulate, tuple(part.shape[0] for part in segments), stacked.shape[1]
@@ -728,17 +861,17 @@ def output_error(
         theta,
         columns,
         (lower, upper),
-        spread,
+        output_scale,
         noise == "full",
         map,
         first_steps(theta, lower, upper),
         differences == "secant",
-        told,
     )
     start = problem.evaluate(theta[columns])
     if start is None:
         raise ValueError(
-            f"the simulation fails at theta0: {problem.last_failure}; start from values that can be simulated"
+            f"the simulation fails at theta0: {problem.last_failure}; start from values that can be"
+            " simulated"
         )
     edges = [0, *np.cumsum([part.shape[0] for part in segments]).tolist()]
     limits = (lower[columns], upper[columns])
@@ -754,37 +887,41 @@ def output_error(
             tolerance=length,
             max_iterations=iterations,
             always_central=differences == "central",
+            callback=told,
         )
 
+    # Descend from theta0; if another minimum may be better, try one by way of short segments.
     best = descend(theta[columns], start, max_iterations, tolerance)
-    if _lost(problem, best, edges):
+    if _may_be_local_minimum(problem, best, edges):
         other = _from_short_horizons(
             problem, theta[columns], edges, descend, max_iterations, tolerance
         )
         best = other if other is not None and other.cost < best.cost else best
 
-    again = problem.evaluate(best.theta)
-    assert again is not None
-    residual = stacked - again[1]
+    evaluation = problem.evaluate(best.theta)
+    assert evaluation is not None
+    residual = stacked - evaluation[1]
+    # Estimates alone.
     if not errors:
-        said = unjudged(problem.noise(again[1]), len(columns))
+        unassessed = unassessed_fit(problem.noise(evaluation[1]), len(columns))
         return _assemble(
             theta,
             columns,
             labels,
             best,
             problem,
-            said,
-            split(residual, edges),
-            is_segment_list(measured),
+            findings=unassessed,
+            residual=split(residual, edges),
+            many=is_segment_list(measured),
         )
-    line = problem.settle(best.theta, again[1])
-    findings = judge(
+    # Standard errors from the sensitivities at the optimum.
+    linearisation = problem.settle(best.theta, evaluation[1])
+    findings = assess_fit(
         theta=best.theta,
-        gradient=line.gradient,
+        gradient=linearisation.gradient,
         sensitivity=problem.sensitivity,
         residual=residual,
-        motion=again[1],
+        motion=evaluation[1],
         edges=edges,
         names=tuple(labels[index] for index in columns),
         bounds=(lower[columns], upper[columns]),
@@ -798,24 +935,28 @@ def output_error(
         labels,
         best,
         problem,
-        findings,
-        split(residual, edges),
-        is_segment_list(measured),
+        findings=findings,
+        residual=split(residual, edges),
+        many=is_segment_list(measured),
     )
 
 
-def _lost(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
-    """Perhaps not the minimum that was meant: no output explained even to 70 %, or not converged, or, where simulations are cheap,
-    an output left much further off than its white noise. Where they are dear, a descent that has not converged but explains every
-    output to 70 % is no longer far off: another start would end in the same valley."""
-    found = problem.evaluate(best.theta)
-    if found is None or not (best.converged or problem.secant):
+def _may_be_local_minimum(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
+    """Decide whether another descent is worthwhile.
+
+    It is if the fit has not converged, if no output is explained to 70 %, or, for cheap
+    simulations, if an output's residual is much larger than its white noise. For expensive
+    simulations (secant mode) a descent that has not converged but explains every output to 70 % is
+    close enough: another start would end in the same valley.
+    """
+    evaluation = problem.evaluate(best.theta)
+    if evaluation is None or not (best.converged or problem.secant):
         return True
-    residual = problem.measured - found[1]
-    left = np.nanmean(residual**2, axis=0)
+    residual = problem.measured - evaluation[1]
+    mean_square = np.nanmean(residual**2, axis=0)
     if problem.secant:
-        share = left / problem.spread**2
-        return bool((share.min() if best.converged else share.max()) > POORLY)
+        share = mean_square / problem.output_scale**2
+        return bool((share.min() if best.converged else share.max()) > UNEXPLAINED_SHARE)
     noise = np.array(
         [
             white_noise([problem.measured[a:b, k] for a, b in pairwise(edges)])
@@ -823,8 +964,10 @@ def _lost(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
         ]
     )
     with np.errstate(invalid="ignore"):
-        far = (left > FAR_OFF**2 * noise**2) & (left > WORTH * problem.spread**2)
-    return bool((left / problem.spread**2).min() > POORLY or far.any())
+        is_large = (mean_square > LARGE_RESIDUAL**2 * noise**2) & (
+            mean_square > RELEVANT_SHARE * problem.output_scale**2
+        )
+    return bool((mean_square / problem.output_scale**2).min() > UNEXPLAINED_SHARE or is_large.any())
 
 
 def _from_short_horizons(
@@ -835,14 +978,15 @@ def _from_short_horizons(
     max_iterations: int,
     tolerance: float,
 ) -> Minimum | None:
-    """The minimum reached from theta (k,) by way of the first tenth, third and whole of every segment.
+    """Minimise from theta (k,) on the first parts of every segment, then on all of it.
 
-    Far from the truth a long simulation says little about where to go: it diverges, or swings out of phase. Its
+    Far from the truth a long simulation diverges or swings out of phase and gives no direction. Its
     beginning is nearly linear in the parameters.
     """
     complete = problem.measured
     try:
         for share in HORIZONS:
+            # Hide the later part of every segment.
             problem.measured = complete.copy()
             for first, last in pairwise(edges):
                 problem.measured[first + max(int(share * (last - first)), 1) : last] = np.nan
@@ -864,11 +1008,12 @@ def _assemble(
     labels: tuple[str, ...],
     best: Any,
     problem: OutputErrorProblem,
+    *,
     findings: Findings,
     residual: list[FloatArray],
     many: bool,
 ) -> OutputErrorFit:
-    """The findings over the free parameters, spread over all of them."""
+    """Expand the findings on the free parameters to all parameters."""
     k = theta.size
     out = theta.copy()
     out[columns] = best.theta
@@ -890,7 +1035,8 @@ def _assemble(
         )
     if best.failed:
         warnings.append(
-            f"{best.failed} trial point(s) could not be simulated and were rejected: {problem.last_failure}"
+            f"{best.failed} trial point(s) could not be simulated and were rejected:"
+            f" {problem.last_failure}"
         )
     return OutputErrorFit(
         names=labels,

@@ -1,9 +1,9 @@
-"""Stepwise regression: which of the candidate regressors belong in the model.
+"""Stepwise regression: selection of candidate regressors.
 
-Draper and Smith's forward selection with backward elimination by partial F, as used for aircraft models by Klein, V.,
-Batterson, J. G. and Murphy, P. C., NASA TP-1916 (1981). The F that decides uses the coloured standard error, so that an
-autocorrelated residual does not let in terms on the strength of samples that are no news. PSE: Barron (1984) as in
-Klein and Morelli (2006), ch. 5; PRESS: Allen (1974).
+Draper and Smith's forward selection with backward elimination by partial F, as used for aircraft
+models by Klein, V., Batterson, J. G. and Murphy, P. C., NASA TP-1916 (1981). The deciding F uses
+the coloured standard error, so that correlated samples do not count as independent evidence. PSE:
+Barron (1984) as in Klein and Morelli (2006), ch. 5; PRESS: Allen (1974).
 """
 
 from __future__ import annotations
@@ -19,10 +19,14 @@ from sysid.distributions import f_upper_quantile
 from sysid.estimation.equation_error import checked_regressors, equation_error, segment_edges
 from sysid.estimation.results import Regression, Selection, SelectionStep
 
-ALPHA_ENTER = 0.01  # shared out over the candidates
+ALPHA_ENTER = 0.01
+"""Level of the F test to enter, divided by the number of candidates."""
 ALPHA_REMOVE = 0.05
-SHORTLIST = 5  # best candidates by partial F whose coloured F is computed
-TOLERANCE = 1e-8  # part of a candidate that must not be explained by those already in
+"""Level of the F test to remove, divided likewise."""
+SHORTLIST = 5
+"""Best candidates by partial F for which the coloured F is computed."""
+TOLERANCE = 1e-8
+"""Smallest share of a candidate that the chosen regressors do not explain."""
 
 
 def stepwise(
@@ -51,8 +55,9 @@ def stepwise(
     keep : sequence of int
         Indices always in the model.
     f_enter, f_remove : float, optional
-        Thresholds of the effective F [-]; by default the 1 % and 5 % points of F(1, n - p), shared out over the candidates
-        (Bonferroni), so that pure noise lets in any term at all once in a hundred data sets.
+        Thresholds of the effective F [-]; by default the 1 % and 5 % points of F(1, n - p), shared
+        out over the candidates (Bonferroni), so that pure noise lets in any term at all once in a
+        hundred data sets.
     segments : sequence of int, optional
         Lengths of continuous records stacked in X, y.
     max_terms : int, optional
@@ -61,7 +66,8 @@ def stepwise(
     Returns
     -------
     Selection
-        ``selected`` indices, ``theta`` and ``std`` of them, and the ``history``, which tells every decision with its statistic.
+        ``selected`` indices, ``theta`` and ``std`` of them, and the ``history``, which tells every
+        decision with its statistic.
 
     Raises
     ------
@@ -89,14 +95,16 @@ def stepwise(
         raise ValueError(f"keep holds {list(keep)}; allowed are indices 0 to {k - 1}")
     if f_enter is not None and f_remove is not None and f_remove > f_enter:
         raise ValueError(
-            f"f_remove {f_remove} exceeds f_enter {f_enter}: terms would enter and leave for ever; lower it"
+            f"f_remove {f_remove} exceeds f_enter {f_enter}: terms would enter and leave endlessly;"
+            " lower it"
         )
     data = _Data(regressors, response, labels, segments)
     candidates = max(k - len(set(keep)), 1)
     chosen, history = sorted(set(keep)), list[SelectionStep]()
-    seen = {tuple(chosen)}
+    visited = {tuple(chosen)}
     limit = min(max_terms if max_terms is not None else k, n - 1)
     while True:
+        # Thresholds by Bonferroni over the candidates.
         freedom = max(n - len(chosen) - 1, 1)
         enter = (
             f_enter
@@ -117,15 +125,17 @@ def stepwise(
             break
         chosen = sorted([*chosen, index])
         history.append(data.step("enter", index, partial, effective, enter, chosen))
+        # Remove terms that the new one made superfluous.
         while len(chosen) > max(len(set(keep)), 1):
             weakest, partial, effective = data.weakest(chosen, set(keep) | {index})
             if weakest < 0 or effective >= remove:
                 break
             chosen = [other for other in chosen if other != weakest]
             history.append(data.step("remove", weakest, partial, effective, remove, chosen))
-        if tuple(chosen) in seen:
+        # A set of terms that was chosen before would repeat for ever.
+        if tuple(chosen) in visited:
             break
-        seen.add(tuple(chosen))
+        visited.add(tuple(chosen))
     final = data.fit(chosen) if chosen else None
     return Selection(
         names=tuple(labels[index] for index in chosen),
@@ -141,7 +151,7 @@ def stepwise(
 
 @dataclass(frozen=True)
 class _Data:
-    """The record under selection and the statistics of one model of it."""
+    """The record under selection, and the statistics of its models."""
 
     X: FloatArray
     y: FloatArray
@@ -149,12 +159,13 @@ class _Data:
     segments: Sequence[int] | None
 
     def fit(self, chosen: list[int]) -> Regression:
+        """Regress y on the chosen columns."""
         return equation_error(
             self.X[:, chosen], self.y, names=[self.names[i] for i in chosen], segments=self.segments
         )
 
     def basis(self, chosen: list[int]) -> FloatArray:
-        """Orthonormal columns (n, p) of the chosen regressors' span."""
+        """Return orthonormal columns (n, p) that span the chosen regressors."""
         part = self.X[:, chosen]
         return (
             np.asarray(np.linalg.qr(part / np.maximum(np.abs(part).max(axis=0), 1e-300))[0])
@@ -163,10 +174,13 @@ class _Data:
         )
 
     def best_entry(self, chosen: list[int], threshold: float) -> tuple[int, float, float] | None:
-        """(index, partial F, effective F): the first of the SHORTLIST best that passes, else the best."""
+        """Return (index, partial F, effective F) of the candidate to enter; None if y is explained.
+
+        It is the first of the SHORTLIST best by partial F that passes ``threshold``, else the best.
+        """
         q = self.basis(chosen)
-        rest = self.y - q @ (q.T @ self.y)
-        ssr = float(rest @ rest)
+        residual = self.y - q @ (q.T @ self.y)
+        ssr = float(residual @ residual)
         if ssr <= 1e-24 * float(self.y @ self.y):
             return None
         partial = np.full(self.X.shape[1], -np.inf)
@@ -174,27 +188,28 @@ class _Data:
             size = float(np.linalg.norm(self.X[:, index]))
             if index in chosen or size == 0.0:
                 continue
-            own = self.X[:, index] / size
-            own = own - q @ (q.T @ own)
-            own = own - q @ (q.T @ own)
-            length = float(np.linalg.norm(own))
+            candidate = self.X[:, index] / size
+            # Gram-Schmidt, twice for the sake of rounding.
+            candidate = candidate - q @ (q.T @ candidate)
+            candidate = candidate - q @ (q.T @ candidate)
+            length = float(np.linalg.norm(candidate))
             if length < TOLERANCE:
                 continue
-            gain = float(own @ rest / length) ** 2
+            gain = float(candidate @ residual / length) ** 2
             partial[index] = gain * (self.y.size - len(chosen) - 1) / max(ssr - gain, 1e-30 * ssr)
         order = [int(i) for i in np.argsort(-partial, kind="stable") if np.isfinite(partial[i])][
             :SHORTLIST
         ]
         first: tuple[int, float, float] | None = None
         for index in order:
-            judged = (index, float(partial[index]), self.effective([*chosen, index], index))
-            first = first or judged
-            if judged[2] > threshold:
-                return judged
+            entry = (index, float(partial[index]), self.effective([*chosen, index], index))
+            first = first or entry
+            if entry[2] > threshold:
+                return entry
         return first
 
     def effective(self, chosen: list[int], index: int) -> float:
-        """(theta/std)^2 of one regressor with the coloured standard error: F with the samples that are news."""
+        """Return (theta/std)^2 of one regressor with the coloured standard error."""
         fit = self.fit(sorted(chosen))
         position = sorted(chosen).index(index)
         if not np.isfinite(fit.std[position]):
@@ -206,7 +221,7 @@ class _Data:
         )
 
     def weakest(self, chosen: list[int], protected: set[int]) -> tuple[int, float, float]:
-        """The chosen regressor with the smallest effective F, (-1, ...) if all are protected."""
+        """Return the chosen regressor with the smallest effective F; -1 if all are protected."""
         fit = self.fit(chosen)
         with np.errstate(divide="ignore", invalid="ignore"):
             effective = np.nan_to_num((fit.theta / fit.std) ** 2, nan=0.0)
@@ -225,14 +240,15 @@ class _Data:
         threshold: float,
         chosen: list[int],
     ) -> SelectionStep:
-        """The record of one decision with the resulting model's R2, PRESS and PSE."""
+        """Record a decision with R2, PRESS and PSE of the resulting model."""
         n, p = self.y.size, len(chosen)
         q = self.basis(chosen)
         residual = self.y - q @ (q.T @ self.y)
         leverage = np.sum(q**2, axis=1)
         press = float(np.sum((residual / np.maximum(1.0 - leverage, 1e-12)) ** 2))
         mean_square = float(residual @ residual) / n
-        # PSE = SSR/n + sigma_max^2 p/n with sigma_max^2 the variance about the mean (Klein and Morelli, ch. 5)
+        # PSE = SSR/n + sigma_max^2 p/n with sigma_max^2 the variance about the mean (Klein and
+        # Morelli, ch. 5)
         pse = mean_square + float(np.var(self.y, ddof=1)) * p / n
         r2 = self.fit(chosen).r2 if chosen else 0.0
         return SelectionStep(

@@ -1,4 +1,8 @@
-"""Model-form uncertainty: intervals of the six coefficients over the states, their coverage and what would narrow them."""
+"""Model form: bounds on what a flight model does not represent, from residual coefficients.
+
+`fit` makes the bounds, `components` separates model error from sensor noise, `coverage` tests them
+on other flights, `information_gain` predicts what further data would do to them.
+"""
 
 import lazy_loader
 

@@ -1,4 +1,9 @@
-"""Do the intervals hold on a flight they have not seen? Coverage by coefficient and manoeuvre, and leaving manoeuvres out."""
+"""Coverage: do the intervals hold on a flight that was not used to make them?
+
+`coverage` reports the share of a hold-out flight inside the bounds, by coefficient and manoeuvre;
+`leave_one_out` repeats the fit without each manoeuvre; `verdict` says whether bounds hold. Standard
+errors allow for autocorrelation.
+"""
 
 from __future__ import annotations
 
@@ -11,32 +16,35 @@ import numpy as np
 from sysid.aerodynamics import COEFFICIENTS, ResidualPiece, Residuals, noise_variance
 from sysid.arrays import FloatArray
 from sysid.estimation import effective_samples, integral_time
-from sysid.model_form.components import stretches
+from sysid.model_form.components import split_long_pieces
 from sysid.model_form.fit import (
     Design,
     FitOptions,
     FittedBounds,
     fit_bounds,
-    quiet,
+    remove_state_noise,
     with_components,
 )
 from sysid.model_form.model_form import CoefficientBounds, ModelForm, Outside
 
-# What the coverage of a new flight says of bounds: by speed and incidence, manoeuvre by
-# manoeuvre, and whether they hold.
+# Coverage of a hold-out flight: by speed and incidence, by manoeuvre, and the verdict.
 
 Verdict = Literal["holds", "fails", "inconclusive"]
-HOLDS_FROM = 0.85
-"""Share of a new flight that 95 % bounds must contain, whatever its standard error: single flights scatter by 0.02 to 0.04."""
-SURE_TO = 0.02
-"""Standard error above which a share says neither that bounds hold nor that they do not."""
-_ONE_SIDED = 1.6448536269514722  # standard normal quantile of 95 %
+MIN_SHARE_INSIDE = 0.85
+"""Share of a hold-out flight that 95 % bounds must contain, whatever its standard error.
+
+Single flights scatter by 0.02 to 0.04.
+"""
+MAX_SHARE_ERROR = 0.02
+"""Standard error of the share above which the verdict is inconclusive."""
+_ONE_SIDED = 1.6448536269514722
+"""Standard normal quantile of 95 %."""
 _BINS = 3
 
 
 @dataclass(frozen=True)
 class Bin:
-    """Share of the samples inside whose state lies from ``low`` to ``high``, unit of the state; n of them."""
+    """Share inside of the n samples whose state lies from ``low`` to ``high``, in its unit."""
 
     low: float
     high: float
@@ -46,10 +54,12 @@ class Bin:
 
 @dataclass(frozen=True)
 class Conformal:
-    """Bounds ``factor`` times as wide hold 95 % of the samples of a further manoeuvre with a probability of ``level`` or more.
+    """Bounds ``factor`` times as wide hold 95 % of a further manoeuvre's samples.
 
-    Distribution-free, if manoeuvres are alike: the factor is an order statistic of those that the manoeuvres need (Vovk et al.,
-    "Algorithmic Learning in a Random World" (2005)); with fewer than 19 the largest, at the level m/(m + 1).
+    They do so with a probability of at least ``level``. The statement is distribution-free if
+    manoeuvres are exchangeable: the factor is an order statistic of the factors that the manoeuvres
+    need (Vovk et al., "Algorithmic Learning in a Random World" (2005)); with fewer than 19
+    manoeuvres it is the largest, at the level m/(m + 1).
     """
 
     factor: float
@@ -58,34 +68,58 @@ class Conformal:
 
 
 def verdict(share: float, error: float, level: float) -> Verdict:
-    """Whether bounds of confidence ``level`` hold, from the share of a new flight inside and its standard error.
+    """Decide whether bounds hold, from the share of a hold-out flight inside.
 
-    ``fails`` where the share's upper 95 % limit lies below the level, or the share below HOLDS_FROM; ``inconclusive`` where the
-    standard error exceeds SURE_TO or is not known.
+    Parameters
+    ----------
+    share : float
+        Share of samples inside.
+    error : float
+        Its standard error; NaN if unknown.
+    level : float
+        Confidence of the bounds.
+
+    Returns
+    -------
+    {"holds", "fails", "inconclusive"}
+        "fails" where the share's upper 95 % limit lies below the level, or the share below
+        MIN_SHARE_INSIDE; "inconclusive" where the standard error exceeds MAX_SHARE_ERROR or is
+        unknown.
+
+    Examples
+    --------
+    >>> verdict(0.96, 0.01, 0.95), verdict(0.80, 0.01, 0.95), verdict(0.96, 0.05, 0.95)
+    ('holds', 'fails', 'inconclusive')
     """
-    if not share >= HOLDS_FROM or share + _ONE_SIDED * error < level:
+    if not share >= MIN_SHARE_INSIDE or share + _ONE_SIDED * error < level:
         return "fails"
-    return "holds" if error <= SURE_TO else "inconclusive"
+    return "holds" if error <= MAX_SHARE_ERROR else "inconclusive"
 
 
 def bins(residuals: Residuals, state: str, inside: Sequence[FloatArray]) -> tuple[Bin, ...]:
-    """Thirds of the samples by a state, and the share inside in each; ``inside`` 0 or 1 for each sample, piece by piece."""
-    values, within = residuals.states.get(state), np.concatenate(list(inside))
+    """Compute the share inside for thirds of the samples by a state.
+
+    ``inside`` is 0 or 1 for each sample, piece by piece.
+    """
+    values, is_inside = residuals.states.get(state), np.concatenate(list(inside))
     if values is None:
         return ()
     edges = np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1))
     out = []
     for k in range(_BINS):
-        of_bin = (values >= edges[k]) & ((values < edges[k + 1]) | (k == _BINS - 1))
-        share = float(within[of_bin].mean()) if of_bin.any() else float("nan")
-        out.append(Bin(float(edges[k]), float(edges[k + 1]), share, int(of_bin.sum())))
+        in_bin = (values >= edges[k]) & ((values < edges[k + 1]) | (k == _BINS - 1))
+        share = float(is_inside[in_bin].mean()) if in_bin.any() else float("nan")
+        out.append(Bin(float(edges[k]), float(edges[k + 1]), share, int(in_bin.sum())))
     return tuple(out)
 
 
 def conformal(
     pieces: Sequence[ResidualPiece], stretch: Sequence[FloatArray], level: float = 0.95
 ) -> Conformal:
-    """Conformal factor over manoeuvres. stretch: factor (n,) that each sample of a piece needs."""
+    """Compute the conformal factor over manoeuvres.
+
+    ``stretch`` holds the factor (n,) that each sample of a piece needs.
+    """
     labels = [(p.flight, p.label) for p in pieces]
     needed = np.sort(
         [
@@ -99,6 +133,7 @@ def conformal(
         ]
     )
     m = len(needed)
+    # Order statistic for the level, or the largest factor of few manoeuvres.
     rank = int(np.ceil((m + 1) * level))
     if rank > m:
         return Conformal(float(needed[-1]), m / (m + 1.0), m)
@@ -111,14 +146,25 @@ BLOCKS = 10
 
 @dataclass(frozen=True)
 class Coverage:
-    """Of one coefficient on one flight.
+    """Coverage of one coefficient on one flight.
 
-    share, error   level -> share of samples within the bounds of that confidence; its standard error, autocorrelation counted
-    n, n_effective samples, and independent ones they are worth (of the residual about the interval's middle)
-    mean_width     of the 95 % bounds, without the sensors' noise        outside  share of samples outside the data
-    manoeuvres     label -> level -> share
-    speeds, incidences  shares at the 95 % level in thirds of the flight's airspeed and angle of attack
-    conformal      factor by which the 95 % bounds must be widened, by what manoeuvres show
+    Attributes
+    ----------
+    share, error : mapping of float to float
+        Level to the share of samples within the bounds of that confidence, and to its standard
+        error.
+    n, n_effective : int, float
+        Samples, and effective sample size of the residual about the interval's middle.
+    mean_width : float
+        Of the 95 % bounds, without the sensors' noise [-].
+    outside : float
+        Share of samples outside the data.
+    manoeuvres : mapping
+        Label to level to share.
+    speeds, incidences : tuple of Bin
+        Shares at the 95 % level in thirds of airspeed and angle of attack.
+    conformal : Conformal or None
+        Factor by which manoeuvres show that the 95 % bounds must be widened.
     """
 
     share: Mapping[float, float]
@@ -136,22 +182,45 @@ class Coverage:
 def coverage(
     form: ModelForm, residuals: Residuals, levels: Sequence[float] = LEVELS
 ) -> dict[str, Coverage]:
-    """Coverage of a form on a flight's residuals, filtered as the form's own were. Raises KeyError for a missing state.
+    """Compute the coverage of a form on a flight's residuals.
 
-    Samples are measured: where the form keeps noise apart, that of the flight's own sensors is added to the interval.
+    The samples are measured, so where the form separates noise, that of the flight's own sensors is
+    added to the interval.
+
+    Parameters
+    ----------
+    form : ModelForm
+        Bounds.
+    residuals : Residuals
+        Filtered as the form's own were.
+    levels : sequence of float
+        Confidences.
+
+    Returns
+    -------
+    dict of str to Coverage
+        One a coefficient.
+
+    Raises
+    ------
+    KeyError
+        For a missing state.
     """
     if any(b.parts is not None for b in form.coefficients.values()):
-        residuals = quiet(residuals)
-    return {c: _of(c, b, form.outside, residuals, levels) for c, b in form.coefficients.items()}
+        residuals = remove_state_noise(residuals)
+    return {
+        c: _coverage(c, b, form.outside, residuals, levels) for c, b in form.coefficients.items()
+    }
 
 
-def _of(
+def _coverage(
     coefficient: str,
     bounds: CoefficientBounds,
     outside: Outside,
     residuals: Residuals,
     levels: Sequence[float],
 ) -> Coverage:
+    """Compute the coverage of one coefficient."""
     y = residuals.columns(coefficient)
     inside: dict[float, list[FloatArray]] = {}
     for level in levels:
@@ -160,6 +229,7 @@ def _of(
             ((v >= low) & (v <= high)).astype(float) for v, (low, high) in zip(y, ends, strict=True)
         ]
     share = {level: float(np.concatenate(rows).mean()) for level, rows in inside.items()}
+    # Effective sample size from the residual about the interval's middle.
     middle = [0.5 * np.add(*bounds.interval(p.states, None, outside)) for p in residuals.pieces]
     ends = [bounds.bounds(p.states, 0.95, outside) for p in residuals.pieces]
     labels = [p.label for p in residuals.pieces]
@@ -186,7 +256,7 @@ def _of(
         speeds=bins(residuals, "V_mps", inside[0.95]) if 0.95 in inside else (),
         incidences=bins(residuals, "alpha_rad", inside[0.95]) if 0.95 in inside else (),
         conformal=conformal(
-            told_apart(residuals).pieces,
+            with_distinct_labels(residuals).pieces,
             [_stretch(bounds, coefficient, p, outside) for p in residuals.pieces],
         ),
     )
@@ -195,7 +265,11 @@ def _of(
 def _stretch(
     bounds: CoefficientBounds, coefficient: str, piece: ResidualPiece, outside: Outside
 ) -> FloatArray:
-    """(n,) by what factor the 95 % bounds of measured samples must be widened about their middle to hold each sample and zero."""
+    """Compute the factor (n,) by which the 95 % bounds must be widened to hold each sample and
+    zero.
+
+    Bounds are those of measured samples, widened about their middle.
+    """
     middle, half = bounds.sample_middle(piece.states, _noise(coefficient, piece), 0.95, outside)
     y = piece.delta[:, COEFFICIENTS.index(coefficient)]
     return np.maximum(np.where(y >= 0.0, y - middle, middle - y), 0.0) / np.maximum(
@@ -210,36 +284,59 @@ def measured_bounds(
     confidence: float | None,
     outside: Outside,
 ) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper end (n,) of the interval for a piece's measured samples, its sensors' noise and all."""
+    """Compute the interval (n,) of a piece's measured samples, its sensors' noise included.
+
+    Parameters
+    ----------
+    bounds : CoefficientBounds
+        Interval of the coefficient.
+    coefficient : str
+        Among COEFFICIENTS.
+    piece : ResidualPiece
+        Samples.
+    confidence : float, optional
+        By default that of the bounds.
+    outside : {"grow", "clamp"}
+        Behaviour outside the data.
+
+    Returns
+    -------
+    tuple of two arrays (n,)
+        Lower and upper end [-].
+    """
     return bounds.sample_interval(piece.states, _noise(coefficient, piece), confidence, outside)
 
 
 def _noise(coefficient: str, piece: ResidualPiece) -> FloatArray:
-    """(n,) variance of the sensors' noise in a piece's samples; 0 where it is not known."""
+    """Return the variance (n,) of the sensors' noise in a piece's samples; 0 where unknown."""
     if piece.noise is None:
         return np.zeros(len(piece))
     return noise_variance(piece.noise)[:, COEFFICIENTS.index(coefficient)]
 
 
 def share_error(inside: Sequence[FloatArray]) -> float:
-    """Standard error of a share of samples, given 0 or 1 for each, piece by piece: samples in a row fall outside together."""
+    """Compute the standard error of a share, from 0 or 1 for each sample, piece by piece.
+
+    Consecutive samples fall outside together, so autocorrelation counts.
+    """
     values = np.concatenate(list(inside))
+    # Binomial variance times the integral time.
     p = float(values.mean())
     return float(np.sqrt(p * (1.0 - p) * integral_time([v - p for v in inside]) / len(values)))
 
 
-def told_apart(residuals: Residuals) -> Residuals:
-    """The same; pieces that all have one name are given names by the stretch of the flight they lie in."""
+def with_distinct_labels(residuals: Residuals) -> Residuals:
+    """Rename pieces that all have one label by the part of the flight in which they lie."""
     n = len(residuals.pieces)
     if len(residuals.labels) != 1 or n < 2:
         return residuals
     blocks = [block for block in np.array_split(np.arange(n), min(BLOCKS, n)) if len(block)]
-    named = []
+    labelled = []
     for block in blocks:
         first, last = residuals.pieces[block[0]], residuals.pieces[block[-1]]
         name = f"{first.label}, {first.time_s[0]:.0f} to {last.time_s[-1]:.0f} s"
-        named += [replace(residuals.pieces[k], label=name) for k in block]
-    return replace(residuals, pieces=tuple(named))
+        labelled += [replace(residuals.pieces[k], label=name) for k in block]
+    return replace(residuals, pieces=tuple(labelled))
 
 
 def leave_one_out(
@@ -249,42 +346,63 @@ def leave_one_out(
     outside: Outside = "grow",
     fitted: Mapping[str, FittedBounds] | None = None,
 ) -> dict[str, dict[str, float]]:
-    """Manoeuvre -> coefficient -> share of its samples within the bounds that the other manoeuvres give.
+    """Compute the coverage of each manoeuvre by bounds from the other manoeuvres.
 
-    A share far below the confidence says that the manoeuvre holds something that the others do not. NaN where the rest is too
-    short for a fit. Where all pieces have one name, BLOCKS stretches of the flight stand for manoeuvres; empty for a single piece.
-    fitted: what `fit_bounds` made of the same residuals.
+    A share far below the confidence shows that a manoeuvre contains something that the others do
+    not.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of all manoeuvres. Where all pieces have one label, BLOCKS parts of the flight replace
+        manoeuvres.
+    designs : mapping of str to Design
+        As given to `fit_bounds`.
+    options : FitOptions
+        As given to `fit_bounds`.
+    outside : {"grow", "clamp"}
+        Behaviour outside the data.
+    fitted : mapping of str to FittedBounds, optional
+        Result of `fit_bounds` for the same residuals.
+
+    Returns
+    -------
+    dict
+        Manoeuvre to coefficient to share. NaN where the other manoeuvres are too short for a fit;
+        empty for a single piece.
     """
     out: dict[str, dict[str, float]] = {}
-    residuals = told_apart(residuals)
+    residuals = with_distinct_labels(residuals)
     if len(residuals.labels) < 2:
         return out
-    whole = dict(fitted) if fitted is not None else fit_bounds(residuals, designs, options)
-    blocks = [p.label for p in stretches(residuals).pieces]
+    fits = dict(fitted) if fitted is not None else fit_bounds(residuals, designs, options)
+    blocks = [p.label for p in split_long_pieces(residuals).pieces]
     for label in residuals.labels:
         left_out = residuals.only([label])
         try:
-            others = {
-                c: _without(f, [k for k, name in enumerate(blocks) if name == label])
-                for c, f in whole.items()
+            other_bounds = {
+                c: _bounds_without(f, [k for k, name in enumerate(blocks) if name == label])
+                for c, f in fits.items()
             }
-            if not all(others.values()):
-                rest = residuals.only([other for other in residuals.labels if other != label])
-                others = {c: f.bounds for c, f in fit_bounds(rest, designs, options).items()}
+            if not all(other_bounds.values()):
+                remaining = residuals.only([other for other in residuals.labels if other != label])
+                other_bounds = {
+                    c: f.bounds for c, f in fit_bounds(remaining, designs, options).items()
+                }
         except ValueError:
             out[label] = dict.fromkeys(designs, float("nan"))
             continue
         out[label] = {
-            c: _of(c, b, outside, left_out, [options.confidence]).share[options.confidence]
-            for c, b in others.items()
+            c: _coverage(c, b, outside, left_out, [options.confidence]).share[options.confidence]
+            for c, b in other_bounds.items()
             if b
         }
     return out
 
 
-def _without(fitted: FittedBounds, blocks: Sequence[int]) -> CoefficientBounds | None:
-    """The interval of the other blocks; None where only another fit tells."""
+def _bounds_without(fitted: FittedBounds, blocks: Sequence[int]) -> CoefficientBounds | None:
+    """Return the interval of the other blocks; None if that needs another fit."""
     if fitted.separation is None or fitted.bounds.parts is None:
         return None
     presumed = fitted.bounds.parts.noise / fitted.bounds.parts.noise_scale
-    return with_components(fitted.bounds, fitted.separation.without(blocks), presumed)
+    return with_components(fitted.bounds, fitted.separation.excluding(blocks), presumed)

@@ -1,19 +1,22 @@
-"""What more data would do to a model-form interval: the answer of the linear model, before anybody has flown.
+"""Information gain: what further data would do to a model-form interval, before they are flown.
 
-With C = (X'X)^-1 of the data behind the interval and K = Z'Z of further data, in the same normalised states,
+`uqharness.next_flight` plans manoeuvres with it. With C = (X'X)^-1 of the data behind the interval
+and K = Z'Z of further data, in the same normalised states,
 
     C+ = (X'X + K)^-1                                                           (1)
     n+ = n + n_Z,   dof+ = n+/f - m,   t+ = t(dof+)                             (2)
     beta+ = C+ (X'X beta_hat + K b),  b = beta + noise of variance f s2 K^-1    (3)
 
-(1), (2): least squares, the residual's variance s2 and colour f being what they are (model_form.py). (3): a width depends on beta+
-because bounds are stretched to hold zero. What is believed of beta today is not beta_hat +- its standard error: far from the data
-that would be a model error as large as the interval, and an interval is wide there for want of knowledge, not for error. Terms are
-as likely to be up as down, with one size for all, which beta_hat tells (empirical Bayes; Efron and Morris, JASA 68 (1973) 117).
-The mean over futures is taken (preposterior analysis: Raiffa and Schlaifer, "Applied Statistical Decision Theory" (1961), ch. 5).
+(1), (2): least squares, with the same residual variance s2 and colour f (`model_form`). (3): a
+width depends on beta+, because bounds are stretched to include zero. The prior of beta is not
+beta_hat +- its standard error: far from the data that would be a model error as large as the
+interval, which is wide there for lack of data, not for error. Terms have mean zero and one common
+size, estimated from beta_hat (empirical Bayes; Efron and Morris, JASA 68 (1973) 117). The mean over
+possible data is taken (preposterior analysis: Raiffa and Schlaifer, "Applied Statistical Decision
+Theory" (1961), ch. 5).
 
-Data narrow f x'Cx, the *parameter part*, and t. They do not narrow s2: what scatters about the best polynomial, be it noise or a
-term that is missing, stays.
+Data reduce f x'Cx, the *parameter part*, and t. They do not reduce s2: the scatter about the best
+polynomial, noise or a missing term, stays.
 """
 
 from __future__ import annotations
@@ -30,12 +33,23 @@ from sysid.distributions import normal_quantile, student_quantile
 from sysid.model_form.model_form import CoefficientBounds, Outside
 
 DRAWS = 200
-_MAX_STATES = 400  # at which the mean over draws is taken
+_MAX_STATES = 400
+"""States at which the mean over draws is taken."""
 
 
 @dataclass(frozen=True)
 class Information:
-    """What some data say about one coefficient: Z'Z (m, m) over its terms, n samples, smallest and largest state (k,)."""
+    """Information of some data on one coefficient.
+
+    Attributes
+    ----------
+    ZtZ : array (m, m)
+        Z'Z over its terms.
+    n : float
+        Samples.
+    low, high : array (k,)
+        Smallest and largest value of each state.
+    """
 
     ZtZ: FloatArray
     n: float
@@ -45,7 +59,15 @@ class Information:
 
 @dataclass(frozen=True)
 class Width:
-    """Mean widths over states. total: of the bounds; parameter: 2 t sqrt(f s2 x'Cx), from the uncertainty of the polynomial."""
+    """Mean widths over states [-].
+
+    Attributes
+    ----------
+    total : float
+        Of the bounds.
+    parameter : float
+        2 t sqrt(f s2 x'Cx), from the uncertainty of the polynomial.
+    """
 
     total: float
     parameter: float
@@ -54,36 +76,68 @@ class Width:
 def information(
     bounds: CoefficientBounds, states: Mapping[str, FloatArray], weight: float = 1.0
 ) -> Information:
-    """Of data at states (n,). weight: samples of the data behind ``bounds`` that one of these is worth (ratio of the rates).
+    """Compute the information of data at states (n,).
 
-    Raises KeyError for a missing state.
+    Parameters
+    ----------
+    bounds : CoefficientBounds
+        Terms and normalisation.
+    states : mapping of str to array (n,)
+        Flight states of the data.
+    weight : float
+        Samples of the data behind ``bounds`` that count as much as one of these (ratio of the
+        rates).
+
+    Returns
+    -------
+    Information
+        Z'Z, weighted.
+
+    Raises
+    ------
+    KeyError
+        For a missing state.
     """
     x = stack(states, bounds.states)
-    # Data count where they are: clamping is for the interval's use, not for its making.
+    # States are not clamped here: clamping applies when an interval is used, not when it is made.
     z = regressors((x - bounds.centre) / bounds.scale, bounds.terms)
     return Information(weight * (z.T @ z), weight * len(z), x.min(axis=0), x.max(axis=0))
 
 
-def after(
-    bounds: CoefficientBounds, more: Sequence[Information], scatter: float = 1.0
+def with_more_data(
+    bounds: CoefficientBounds, additional: Sequence[Information], scatter: float = 1.0
 ) -> CoefficientBounds:
-    """The interval as it will be with ``more`` data, but for beta, which nobody knows yet.
+    """Predict the interval with additional data, except for beta, which is unknown.
 
-    scatter: residual variance of the further data over that of the data behind ``bounds``; the pooled one is expected.
-    The envelope box grows with the data; its largest leverage is not known without the samples and stays.
+    The envelope box grows with the data; its largest leverage stays, as it depends on the samples.
+
+    Parameters
+    ----------
+    bounds : CoefficientBounds
+        Current interval.
+    additional : sequence of Information
+        Further data.
+    scatter : float
+        Residual variance of the further data over that of the data behind ``bounds``; the pooled
+        one is expected.
+
+    Returns
+    -------
+    CoefficientBounds
+        By (1) and (2).
     """
-    if not more:
+    if not additional:
         return bounds
-    C = np.linalg.inv(np.linalg.inv(bounds.XtX_inv) + sum(item.ZtZ for item in more))  # (1)
-    added = sum(item.n for item in more)
+    C = np.linalg.inv(np.linalg.inv(bounds.XtX_inv) + sum(item.ZtZ for item in additional))  # (1)
+    added = sum(item.n for item in additional)
     n = bounds.n + added
     n_effective = n / bounds.leverage_factor
     dof = n_effective - len(bounds.terms)  # (2)
     low, high = (
-        np.min([bounds.hull.low, *(item.low for item in more)], axis=0),
-        np.max([bounds.hull.high, *(item.high for item in more)], axis=0),
+        np.min([bounds.hull.low, *(item.low for item in additional)], axis=0),
+        np.max([bounds.hull.high, *(item.high for item in additional)], axis=0),
     )
-    more_known = replace(
+    updated = replace(
         bounds,
         XtX_inv=0.5 * (C + C.T),
         n=round(n),
@@ -91,14 +145,15 @@ def after(
         hull=replace(bounds.hull, low=low, high=high),
     )
     if bounds.parts is not None:
-        # What persists and how sure that is are the model's; samples alone do not change them, and noise is in no width.
-        return more_known
+        # The persistent part and its uncertainty do not change with more samples, and noise is in
+        # no width.
+        return updated
     t = float(student_quantile(0.5 + 0.5 * bounds.confidence, dof))
-    return replace(more_known, s2=bounds.s2 * (bounds.n + scatter * added) / n, dof=dof, t=t)
+    return replace(updated, s2=bounds.s2 * (bounds.n + scatter * added) / n, dof=dof, t=t)
 
 
-def for_ever(bounds: CoefficientBounds) -> CoefficientBounds:
-    """The limit of endless data: no parameter part left, all else as it is."""
+def asymptotic(bounds: CoefficientBounds) -> CoefficientBounds:
+    """Return the limit of unlimited data: the parameter part vanishes, all else stays."""
     if bounds.parts is not None:
         return replace(bounds, XtX_inv=np.zeros_like(bounds.XtX_inv))
     t = float(normal_quantile(0.5 + 0.5 * bounds.confidence))
@@ -108,24 +163,25 @@ def for_ever(bounds: CoefficientBounds) -> CoefficientBounds:
 def parameter_variance(
     bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow"
 ) -> FloatArray:
-    """(n,) f s2 x'Cx: variance of the fitted polynomial at states."""
+    """Compute f s2 x'Cx (n,), the variance of the fitted polynomial at states."""
     return bounds.leverage_factor * bounds.s2 * bounds.leverage(bounds.normalised(states, outside))
 
 
 def width(
     bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow"
 ) -> Width:
-    """Mean widths of an interval over states (n,)."""
+    """Compute the mean widths of an interval over states (n,)."""
     low, high = bounds.bounds(states, outside=outside)
     parameter = 2.0 * bounds.t * np.sqrt(parameter_variance(bounds, states, outside))
     return Width(float(np.mean(high - low)), float(np.mean(parameter)))
 
 
 def belief(bounds: CoefficientBounds) -> tuple[FloatArray, FloatArray]:
-    """Mean (m,) and covariance (m, m) of beta: beta_hat is N(beta, f s2 C), beta is N(0, v I), v where beta_hat is likeliest.
+    """Return prior mean (m,) and covariance (m, m) of beta.
 
-    Terms are of normalised states, so that one size for all of them has a meaning. Where model error was taken apart from noise,
-    beta_hat and its covariance are a posterior already.
+    beta_hat is N(beta, f s2 C) and beta is N(0, v I), with v of maximum likelihood. Terms are of
+    normalised states, so that a common size is meaningful. Where model error was separated from
+    noise, beta_hat and its covariance are a posterior already.
     """
     if bounds.parts is not None:
         return bounds.beta_hat, bounds.leverage_factor * bounds.s2 * bounds.XtX_inv
@@ -134,64 +190,95 @@ def belief(bounds: CoefficientBounds) -> tuple[FloatArray, FloatArray]:
     values = np.maximum(values, 0.0)
     b = vectors.T @ bounds.beta_hat
 
-    def unlikely(log_v: float) -> float:
+    def neg2_log_likelihood(log_v: float) -> float:
         total = np.exp(log_v) + values
         return float(np.sum(np.log(total) + b**2 / total))
 
+    # Search v between negligible and the size of beta_hat itself.
     top = float(np.log(max(float(b @ b), 1e-300)))
-    # The likelihood may have two maxima: the best of a grid, then refined beside it.
+    # The likelihood may have two maxima: take the best of a grid and refine it.
     grid = np.linspace(top - 30.0, top, 121)
-    best = float(grid[int(np.argmin([unlikely(g) for g in grid]))])
+    best = float(grid[int(np.argmin([neg2_log_likelihood(g) for g in grid]))])
     v = float(
         np.exp(
             optimize.minimize_scalar(
-                unlikely, bounds=(best - 0.25, best + 0.25), method="bounded"
+                neg2_log_likelihood, bounds=(best - 0.25, best + 0.25), method="bounded"
             ).x
         )
     )
+    # Posterior of beta: shrunk towards zero along the eigenvectors.
     shrink = v / (v + values)
     return vectors @ (shrink * b), (vectors * (shrink * values)) @ vectors.T
 
 
 def expected_width(
-    now: CoefficientBounds,
-    then: CoefficientBounds,
+    current: CoefficientBounds,
+    future: CoefficientBounds,
     states: Mapping[str, FloatArray],
     outside: Outside = "grow",
     draws: int = DRAWS,
     seed: int = 1,
 ) -> Width:
-    """Mean widths that ``then`` (from `after` or `for_ever`) will have, over states and over what may be learnt of beta."""
-    kept = thinned(states, now.states, _MAX_STATES)
-    z = then.normalised(kept, outside)
-    X = regressors(z, then.terms)
-    half = then.half_width(then.leverage(z), then.t)
-    mean, covariance = belief(now)
-    if then.XtX_inv.any():
-        M = np.linalg.inv(now.XtX_inv)
-        K, C = np.linalg.inv(then.XtX_inv) - M, then.XtX_inv
-        covariance = C @ (K @ covariance @ K + now.leverage_factor * now.s2 * K) @ C  # (3)
-        mean = C @ (M @ now.beta_hat + K @ mean)
+    """Compute the expected mean widths of a future interval.
+
+    The mean is taken over states and over possible values of beta.
+
+    Parameters
+    ----------
+    current : CoefficientBounds
+        The interval as it is.
+    future : CoefficientBounds
+        From `with_more_data` or `asymptotic`.
+    states : mapping of str to array (n,)
+        Flight states of interest.
+    outside : {"grow", "clamp"}
+        Behaviour outside the data.
+    draws, seed : int
+        Random draws of beta.
+
+    Returns
+    -------
+    Width
+        Total and parameter part [-].
+    """
+    thinned_states = thinned(states, current.states, _MAX_STATES)
+    z = future.normalised(thinned_states, outside)
+    X = regressors(z, future.terms)
+    half = future.half_width(future.leverage(z), future.t)
+    mean, covariance = belief(current)
+    if future.XtX_inv.any():
+        M = np.linalg.inv(current.XtX_inv)
+        K, C = np.linalg.inv(future.XtX_inv) - M, future.XtX_inv
+        covariance = C @ (K @ covariance @ K + current.leverage_factor * current.s2 * K) @ C  # (3)
+        mean = C @ (M @ current.beta_hat + K @ mean)
+    # Draw beta from its predictive distribution.
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     noise = np.random.default_rng(seed).standard_normal((len(mean), draws))
-    # Antithetic: the draws have the mean that they should.
+    # Antithetic draws have the exact mean.
     y = X @ (mean[:, None] + root @ np.hstack([noise, -noise]))
     total = np.maximum(y + half[:, None], 0.0) - np.minimum(y - half[:, None], 0.0)
-    return Width(float(np.mean(total)), width(then, states, outside).parameter)
+    return Width(float(np.mean(total)), width(future, states, outside).parameter)
 
 
 def thinned(
-    states: Mapping[str, FloatArray], names: Sequence[str], most: int
+    states: Mapping[str, FloatArray], names: Sequence[str], max_states: int
 ) -> dict[str, FloatArray]:
-    """At most ``most`` of the states, evenly chosen."""
+    """Return at most ``max_states`` of the states, evenly spaced."""
     n = len(states[names[0]])
-    rows = np.linspace(0, n - 1, min(n, most)).round().astype(int)
+    rows = np.linspace(0, n - 1, min(n, max_states)).round().astype(int)
     return {name: np.asarray(states[name])[rows] for name in names}
 
 
 def weighted_quartiles(values: FloatArray, weights: FloatArray) -> FloatArray:
-    """(3,) of values (n,) that count by weights (n,) >= 0; NaN where all weights are 0."""
+    """Compute the quartiles (3,) of values (n,) with weights (n,) >= 0; NaN if all weights are 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> weighted_quartiles(np.array([1.0, 2.0, 3.0, 4.0]), np.ones(4)).tolist()
+    [1.0, 2.0, 3.0]
+    """
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     if not total[-1] > 0.0:
@@ -201,46 +288,72 @@ def weighted_quartiles(values: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def speed_power(speeds_mps: FloatArray, variances: FloatArray, counts: FloatArray) -> float:
-    """b of variance ~ V^b, from stretches of flight with these mean speeds (p,), residual variances (p,) and samples (p,).
+    """Estimate b of variance ~ V^b from parts of flights.
 
-    Noise of a sensor becomes noise of a coefficient through the dynamic pressure: b is -4 in still air; gusts make it less steep.
-    0 where the speeds do not tell: fewer than three, within 5 %, or a standard error above 1.
+    Sensor noise enters a coefficient through the dynamic pressure: b is -4 in still air; gusts make
+    it less steep.
+
+    Parameters
+    ----------
+    speeds_mps, variances, counts : array (p,)
+        Mean speed [m/s], residual variance and samples of each part.
+
+    Returns
+    -------
+    float
+        0 where the speeds do not determine it: fewer than three, within 5 %, or a standard error
+        above 1.
     """
-    good = (variances > 0.0) & (counts > 0.0) & np.isfinite(variances)
-    if good.sum() < 3:
+    valid = (variances > 0.0) & (counts > 0.0) & np.isfinite(variances)
+    if valid.sum() < 3:
         return 0.0
-    x, y, w = np.log(speeds_mps[good]), np.log(variances[good]), counts[good] / counts[good].sum()
+    x, y, w = (
+        np.log(speeds_mps[valid]),
+        np.log(variances[valid]),
+        counts[valid] / counts[valid].sum(),
+    )
     x, y = x - w @ x, y - w @ y
     sxx = float(w @ x**2)
     if np.ptp(x) < np.log(1.05) or not sxx > 0.0:
         return 0.0
     b = float(w @ (x * y)) / sxx
-    error = np.sqrt(float(w @ (y - b * x) ** 2) / sxx / max(good.sum() - 2, 1))
-    return b if error <= 1.0 else 0.0
+    standard_error = np.sqrt(float(w @ (y - b * x) ** 2) / sxx / max(valid.sum() - 2, 1))
+    return b if standard_error <= 1.0 else 0.0
 
 
 def mean_power(middle: FloatArray, low: float, high: float, power: float) -> float:
-    """Mean of V^power over a distribution known by its quartiles (3,), smallest and largest value, straight lines in between."""
+    """Compute the mean of V^power over a distribution given by quartiles (3,) and extremes.
+
+    The distribution function is linear in between.
+    """
     at = np.interp(
         np.linspace(0.005, 0.995, 100), [0.0, 0.25, 0.5, 0.75, 1.0], [low, *middle, high]
     )
     return float(np.mean(at**power))
 
 
-# Which manoeuvres to fly: greedily those that narrow an interval most, for each second, in the
-# mission's flight states.
+# Choice of manoeuvres: greedily those that narrow an interval most per second.
 #
-# The measure is the mean half-width of the prediction interval over the states of the mission:
-# a design for prediction where it is needed (I-optimality; Studden, Ann. Math. Stat. 42 (1971)
-# 1613), not for parameters as such. Greedy: the best manoeuvre, then the next best given that
-# one.
+# The measure is the mean half-width of the prediction interval over the mission's flight states:
+# a design for prediction (I-optimality; Studden, Ann. Math. Stat. 42 (1971) 1613), not for
+# parameters. Greedy: the best manoeuvre, then the next best given that one.
 
 _FLIGHT_CHOICE_MAX_STATES = 500
 
 
 @dataclass(frozen=True)
 class Offer:
-    """A manoeuvre that could be flown: ``seconds`` it takes, ``group`` of those that need no transition between them."""
+    """A manoeuvre that could be flown.
+
+    Attributes
+    ----------
+    group : str
+        Manoeuvres of one group need no transition between them.
+    seconds : float
+        Duration [s].
+    information : Information
+        Of its data.
+    """
 
     group: str
     seconds: float
@@ -248,8 +361,18 @@ class Offer:
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """One choice: index of the offer, seconds with the transition that it needs, mean half-width once it is flown."""
+class Choice:
+    """A chosen manoeuvre.
+
+    Attributes
+    ----------
+    index : int
+        Of the offer.
+    seconds : float
+        With the transition that it needs [s].
+    half_width : float
+        Mean half-width once it is flown [-].
+    """
 
     index: int
     seconds: float
@@ -263,38 +386,61 @@ def choose(
     budget_s: float,
     transition_s: float,
     outside: Outside = "grow",
-) -> list[Chosen]:
-    """Offers to fly within ``budget_s`` seconds, best first; an offer may be taken several times.
+) -> list[Choice]:
+    """Choose offers to fly within a time budget, best first.
 
-    transition_s: what the first offer of a group costs besides. Empty when no offer fits, or none narrows anything.
+    Parameters
+    ----------
+    bounds : CoefficientBounds
+        Interval to narrow.
+    offers : sequence of Offer
+        An offer may be chosen several times.
+    states : mapping of str to array (n,)
+        Flight states of the mission.
+    budget_s, transition_s : float
+        Time budget, and extra time for the first offer of a group [s].
+    outside : {"grow", "clamp"}
+        Behaviour outside the data.
+
+    Returns
+    -------
+    list of Choice
+        Empty if no offer fits or none narrows the interval.
     """
-    kept = thinned(states, bounds.states, _FLIGHT_CHOICE_MAX_STATES)
-    X = regressors(bounds.normalised(kept, outside), bounds.terms)
+    thinned_states = thinned(states, bounds.states, _FLIGHT_CHOICE_MAX_STATES)
+    X = regressors(bounds.normalised(thinned_states, outside), bounds.terms)
+    # Add the best offer per second until none fits or helps.
     M: FloatArray = np.asarray(np.linalg.inv(bounds.XtX_inv), dtype=np.float64)
     n = float(bounds.n)
-    found: list[Chosen] = []
-    now, left, begun = _half_width(bounds, X, M, n), budget_s, set[str]()
+    choices: list[Choice] = []
+    half_width, remaining_s, visited_groups = _half_width(bounds, X, M, n), budget_s, set[str]()
     while True:
-        best: tuple[float, Chosen] | None = None
+        best: tuple[float, Choice] | None = None
         for index, offer in enumerate(offers):
-            seconds = offer.seconds + (0.0 if offer.group in begun else transition_s)
-            if seconds > left + 1e-9:
+            seconds = offer.seconds + (0.0 if offer.group in visited_groups else transition_s)
+            if seconds > remaining_s + 1e-9:
                 continue
-            more = offer.information
-            half = _half_width(bounds, X, M + more.ZtZ, n + more.n)
-            rate = (now - half) / seconds
+            information = offer.information
+            half = _half_width(bounds, X, M + information.ZtZ, n + information.n)
+            rate = (half_width - half) / seconds
             if best is None or rate > best[0]:
-                best = rate, Chosen(index, seconds, half)
+                best = rate, Choice(index, seconds, half)
         if best is None or not best[0] > 0.0:
-            return found
-        taken = best[1]
-        more = offers[taken.index].information
-        M, n, now, left = M + more.ZtZ, n + more.n, taken.half_width, left - taken.seconds
-        begun.add(offers[taken.index].group)
-        found.append(taken)
+            return choices
+        choice = best[1]
+        information = offers[choice.index].information
+        M, n, half_width, remaining_s = (
+            M + information.ZtZ,
+            n + information.n,
+            choice.half_width,
+            remaining_s - choice.seconds,
+        )
+        visited_groups.add(offers[choice.index].group)
+        choices.append(choice)
 
 
 def _half_width(bounds: CoefficientBounds, X: FloatArray, M: FloatArray, n: float) -> float:
+    """Compute the mean half-width at regressors X (n, m) for information M (m, m) and n samples."""
     t = bounds.t
     if bounds.parts is None:
         t = float(

@@ -1,11 +1,15 @@
-"""ModelForm: the waist between flights and everything that samples what a flight model does not know.
+"""ModelForm: bounds of the model error per coefficient, and their file.
 
-Per coefficient an interval for the residual dC = flight minus model at flight states x (dissertation eqs 2.17, 2.18):
+It connects flights with everything that samples model error (campaigns, corners). Each coefficient
+has an interval for the residual dC = flight minus model at flight states x (dissertation eqs 2.17,
+2.18):
 
     y(x) +/- t sqrt(s2 (1 + f x' (X'X)^-1 x)),        upper := max(upper, 0), lower := min(lower, 0)
 
-with x the polynomial terms of normalised states (polynomial.py), so that the identified model always lies inside. dC adds to the
-model's own coefficient, body axes, SI (CZ down). f is 1 as published; above 1 when the samples' autocorrelation is allowed for.
+with x the polynomial terms of normalised states (`sysid.aerodynamics.coefficients`). The interval
+is stretched to include zero, so that the identified model always lies inside. dC adds to the
+model's coefficient, body axes, SI (CZ down). f is 1 as published, and above 1 when the samples'
+autocorrelation is allowed for.
 """
 
 from __future__ import annotations
@@ -31,18 +35,28 @@ from sysid.foreign.regular_files import ParseError, parse_json, read_regular
 BoolArray = NDArray[np.bool_]
 FORMAT = "model-form 2"
 WITHOUT_PARTS = "model-form 1"
-"""Format of files whose intervals are not separated into parts; they are read as well."""
+"""Format of files whose intervals are not separated into parts; they can be read as well."""
 Outside = Literal["grow", "clamp"]
-_ROUNDING = 1e-9  # of a hull's edge: a sample on the edge lies inside, whatever the last digits say
+_ROUNDING = 1e-9
+"""Part of a hull's edge within which a sample counts as inside."""
 
 
 @dataclass(frozen=True)
 class Hull:
-    """Where the data are: per state the smallest and largest value (k,), and the largest leverage x'(X'X)^-1 x of a sample.
+    """Region of the data.
 
-    The box stops single states, the leverage their combinations: the ellipsoid-like set of leverages up to the data's largest
-    is the region that a regression's regressors cover (Cook 1979; Montgomery, Peck and Vining, "Linear Regression Analysis", 3.8).
-    middle (k, 3): quartiles of each state, which say where inside the box the data are dense.
+    The box limits single states, the leverage their combinations: leverages up to the data's
+    largest are the region that a regression's regressors cover (Cook 1979; Montgomery, Peck and
+    Vining, "Linear Regression Analysis", 3.8).
+
+    Attributes
+    ----------
+    low, high : array (k,)
+        Smallest and largest value of each state.
+    leverage : float
+        Largest leverage x'(X'X)^-1 x of a sample.
+    middle : array (k, 3)
+        Quartiles of each state.
     """
 
     low: FloatArray
@@ -53,15 +67,30 @@ class Hull:
 
 @dataclass(frozen=True)
 class Parts:
-    """What the difference between flight and model consists of beside the polynomial; standard deviations [-].
+    """Components of the difference between flight and model besides the polynomial.
 
-    persistent        constant through a manoeuvre, of all flights       transient    changes within a manoeuvre
-    flight            part of ``persistent`` that is common to a flight; NaN: not estimable, there was one flight
-    transient_time_s  correlation time of the transient part; NaN where there is none
-    noise             of the sensors, in the data's samples (rms)        noise_scale  their size over what was presumed
-    total_dof, total_t  degrees of freedom and two-sided quantile of persistent and transient part together
-    not_above         upper 95 % limit of the root of persistent plus transient variance
-    found             whether the data show any model error: polynomial, persistent or transient
+    Standard deviations are dimensionless like the coefficients.
+
+    Attributes
+    ----------
+    persistent : float
+        Standard deviation of what is constant through a manoeuvre, over all flights.
+    transient : float
+        Standard deviation of what changes within a manoeuvre.
+    flight : float
+        Part of ``persistent`` that is common to a flight; NaN with a single flight.
+    transient_time_s : float
+        Correlation time of the transient part [s]; NaN without one.
+    noise : float
+        Sensor noise in the data's samples (rms).
+    noise_scale : float
+        Size of the noise over the presumed one.
+    total_dof, total_t : float
+        Degrees of freedom and two-sided quantile of persistent and transient part together.
+    not_above : float
+        Upper 95 % limit of the root of persistent plus transient variance.
+    found : bool
+        Whether the data show any model error: polynomial, persistent or transient.
     """
 
     persistent: float
@@ -82,9 +111,10 @@ class Parts:
 
     @property
     def transient_rate_per_sqrt_s(self) -> float:
-        """Rate [1/sqrt(s)] of a walk between reflecting ends 0 and 1 whose correlation time is the transient part's.
+        """Rate [1/sqrt(s)] of a reflected walk on 0 to 1 with the transient part's correlation
+        time.
 
-        The slowest mode of such a walk decays with rate**2 pi**2 / 2. 0 where there is no transient part.
+        The slowest mode of such a walk decays with rate**2 pi**2 / 2. 0 without a transient part.
         """
         if not self.transient_time_s > 0.0:
             return 0.0
@@ -95,15 +125,36 @@ class Parts:
 class CoefficientBounds:
     """The interval of one coefficient.
 
-    With ``parts`` it is that of the model's error which persists: y(x) +/- t sqrt(persistent**2 + s2 f x' (X'X)^-1 x).
+    With ``parts`` it is that of the persistent model error:
+    y(x) +/- t sqrt(persistent**2 + s2 f x' (X'X)^-1 x). Without, it includes the sensors' noise, as
+    published.
 
-    states (k,)          record columns, units as named         centre, scale (k,)  z = (x - centre)/scale
-    terms (m,)           powers of z                            beta_hat (m,), XtX_inv (m, m)  over the terms
-    s2, dof, t           residual variance, degrees of freedom, two-sided quantile of Student's t at ``confidence``
-    leverage_factor      f above        n, n_effective  samples, and how many independent ones they are worth
-    walk_rate            1/sqrt(s), of the interval's width; NaN (null in the file) where the flight is too short
-    parts                model error apart from noise; None: not separated, the interval holds the sensors' noise as published
-    hull                 where the data are
+    Attributes
+    ----------
+    states : tuple of str
+        k record columns, units as named.
+    centre, scale : array (k,)
+        z = (x - centre)/scale.
+    terms : tuple of m Terms
+        Powers of z.
+    beta_hat, XtX_inv : array (m,), (m, m)
+        Estimate [-] and (X'X)^-1 over the terms.
+    s2, dof, t : float
+        Residual variance, its degrees of freedom, two-sided quantile of Student's t at
+        ``confidence``.
+    confidence : float
+        Level of the interval.
+    leverage_factor : float
+        f above.
+    n, n_effective : int, float
+        Samples and effective sample size.
+    walk_rate : float
+        Rate of variation in widths of the interval [1/sqrt(s)]; NaN (null in the file) where the
+        flight is too short.
+    hull : Hull
+        Region of the data.
+    parts : Parts or None
+        Model error separated from noise.
     """
 
     states: tuple[str, ...]
@@ -125,40 +176,43 @@ class CoefficientBounds:
 
     @property
     def constant_variance(self) -> float:
-        """What the interval's variance is where the polynomial is known: persistent model error; the residual's without parts."""
+        """Variance of the interval where the polynomial is known exactly."""
         return self.s2 if self.parts is None else self.parts.persistent**2
 
     def half_width(self, leverage: FloatArray, t: float) -> FloatArray:
-        """(n,) half-width of the interval at leverages (n,)."""
+        """Compute the half-width (n,) at leverages (n,)."""
         return np.asarray(
             t * np.sqrt(self.constant_variance + self.s2 * self.leverage_factor * leverage)
         )  # (2.18)
 
     def normalised(self, states: Mapping[str, FloatArray], outside: Outside = "grow") -> FloatArray:
-        """(n, k) z of the states; with ``clamp`` each state goes no further than the data's box."""
+        """Normalise states to z (n, k); "clamp" limits each state to the data's box first."""
         x = stack(states, self.states)
         if outside == "clamp":
             x = np.clip(x, self.hull.low, self.hull.high)
         return np.asarray((x - self.centre) / self.scale)
 
     def leverage(self, z: FloatArray) -> FloatArray:
-        """(n,) x'(X'X)^-1 x at normalised states (n, k)."""
+        """Compute x'(X'X)^-1 x (n,) at normalised states (n, k)."""
         x = regressors(z, self.terms)
         return np.asarray(np.einsum("nj,nj->n", x @ self.XtX_inv, x))
 
     def t_at(self, confidence: float) -> float:
-        """Two-sided quantile ``t`` at another confidence."""
+        """Return the two-sided quantile ``t`` at another confidence."""
         return self._quantile(confidence, self.t, self.dof)
 
     def _quantile(self, confidence: float, t: float, dof: float) -> float:
-        """``t`` is that at the form's confidence; at another one a Student distribution's, in proportion where parts are kept."""
+        """Convert the quantile ``t`` to another confidence.
+
+        Student's t replaces it, or scales it where parts are separated.
+        """
         if confidence == self.confidence:
             return t
-        asked, known = (
+        t_requested, t_of_form = (
             float(student_quantile(0.5 + 0.5 * level, dof))
             for level in (confidence, self.confidence)
         )
-        return asked if self.parts is None else t * asked / known
+        return t_requested if self.parts is None else t * t_requested / t_of_form
 
     def interval(
         self,
@@ -166,7 +220,23 @@ class CoefficientBounds:
         confidence: float | None = None,
         outside: Outside = "grow",
     ) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper end (n,) of the prediction interval, before the sign clip."""
+        """Compute lower and upper end (n,) of the prediction interval, before it is stretched to
+        zero.
+
+        Parameters
+        ----------
+        states : mapping of str to array (n,)
+            Flight states.
+        confidence : float, optional
+            By default the form's.
+        outside : {"grow", "clamp"}
+            Extrapolate the polynomial outside the data, or hold the states at the box.
+
+        Returns
+        -------
+        tuple of two arrays (n,)
+            Lower and upper end [-].
+        """
         z = self.normalised(states, outside)
         t = self.t if confidence is None else self.t_at(confidence)
         y = regressors(z, self.terms) @ self.beta_hat  # (2.17)
@@ -180,9 +250,11 @@ class CoefficientBounds:
         confidence: float | None = None,
         outside: Outside = "grow",
     ) -> tuple[FloatArray, FloatArray]:
-        """Lower <= 0 <= upper (n,) for one measured sample: model error, persistent and transient, and the sensors' noise.
+        """Compute lower <= 0 <= upper (n,) for a measured sample.
 
-        noise_variance (n,): of the samples; it counts only where the interval has parts, others hold the noise already.
+        The interval covers model error, persistent and transient, and the sensors' noise.
+        ``noise_variance`` (n,) counts only where the interval has parts; other intervals include
+        noise.
         """
         y, half = self.sample_middle(states, noise_variance, confidence, outside)
         return np.minimum(y - half, 0.0), np.maximum(y + half, 0.0)
@@ -194,7 +266,7 @@ class CoefficientBounds:
         confidence: float | None = None,
         outside: Outside = "grow",
     ) -> tuple[FloatArray, FloatArray]:
-        """Middle and half-width (n,) of that interval before it is stretched to hold zero; without noise of the model error."""
+        """Compute middle and half-width (n,) of `sample_interval` before stretching it to zero."""
         z = self.normalised(states, outside)
         y = regressors(z, self.terms) @ self.beta_hat
         if self.parts is None:
@@ -203,8 +275,10 @@ class CoefficientBounds:
             )
         p = self.parts
         t = p.total_t if confidence is None else self._quantile(confidence, p.total_t, p.total_dof)
-        known = self.s2 * self.leverage_factor * self.leverage(z)
-        return y, np.asarray(t * np.sqrt(known + p.persistent**2 + p.transient**2 + noise_variance))
+        polynomial_variance = self.s2 * self.leverage_factor * self.leverage(z)
+        return y, np.asarray(
+            t * np.sqrt(polynomial_variance + p.persistent**2 + p.transient**2 + noise_variance)
+        )
 
     def bounds(
         self,
@@ -212,23 +286,26 @@ class CoefficientBounds:
         confidence: float | None = None,
         outside: Outside = "grow",
     ) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bound (n,), lower <= 0 <= upper."""
+        """Compute lower and upper bound (n,) with lower <= 0 <= upper; arguments as `interval`."""
         lower, upper = self.interval(states, confidence, outside)
         return np.minimum(lower, 0.0), np.maximum(upper, 0.0)
 
     def distance(self, states: Mapping[str, FloatArray]) -> FloatArray:
-        """(n,) how far states lie outside the data: 0 inside, else the larger of box excess in widths and sqrt(h/h_max) - 1."""
+        """Compute the distance (n,) of states from the data.
+
+        It is 0 inside, else the larger of the box excess in widths and sqrt(h/h_max) - 1.
+        """
         x = stack(states, self.states)
         width = np.where(self.hull.high > self.hull.low, self.hull.high - self.hull.low, 1.0)
         box = np.max(np.maximum(self.hull.low - x, x - self.hull.high) / width, axis=1)
         ellipse = np.sqrt(self.leverage(self.normalised(states)) / self.hull.leverage) - 1.0
-        far = np.maximum(box, ellipse)
-        return np.where(far > _ROUNDING, far, 0.0)
+        excess = np.maximum(box, ellipse)
+        return np.where(excess > _ROUNDING, excess, 0.0)
 
 
 @dataclass(frozen=True)
 class AircraftReference:
-    """Name and SHA-256 (of XML and card) of the aircraft whose residuals these are: bounds around another model mean nothing."""
+    """Name and SHA-256 (of XML and card) of the aircraft to which the bounds belong."""
 
     name: str
     sha256: str
@@ -236,7 +313,10 @@ class AircraftReference:
 
 @dataclass(frozen=True)
 class FlightUsed:
-    """A flight behind the bounds. estimates: channels that an estimator made up and no sensor measured (alpha without a vane)."""
+    """A flight behind the bounds.
+
+    ``estimates`` are channels from an estimator and not from a sensor (alpha without a vane).
+    """
 
     name: str
     sha256: str
@@ -247,12 +327,18 @@ class FlightUsed:
 
 @dataclass(frozen=True)
 class Filtering:
-    """What the intervals' widths hang on, cut-offs (half power) in Hz.
+    """Filters on which the intervals' widths depend; cut-offs (half power) in Hz.
 
-    cutoff_hz           differentiator and smoother of everything that is compared
-    airspeed_cutoff_hz  low-pass of the airspeed before that; inf (null in the file): none
-    walk_cutoff_hz      low-pass of the residual before its rate of variation is taken
-    rate_hz             samples a second
+    Attributes
+    ----------
+    cutoff_hz : float
+        Differentiator and smoother of everything that is compared.
+    airspeed_cutoff_hz : float
+        Low-pass of the airspeed before that; inf (null in the file) for none.
+    walk_cutoff_hz : float
+        Low-pass of the residual before its rate of variation is taken.
+    rate_hz : float
+        Samples a second.
     """
 
     cutoff_hz: float
@@ -263,9 +349,22 @@ class Filtering:
 
 @dataclass(frozen=True)
 class ModelForm:
-    """Bounds of the coefficients (keys of COEFFICIENTS), where they come from and what happens outside the data.
+    """Bounds of the coefficients and their origin.
 
-    outside  "grow": the polynomial goes on (published); "clamp": states are held at the data's box
+    Attributes
+    ----------
+    aircraft : AircraftReference
+        The model that the bounds refer to.
+    flights : tuple of FlightUsed
+        Data.
+    filtering : Filtering
+        Filters of the residuals.
+    confidence : float
+        Level of the intervals.
+    outside : {"grow", "clamp"}
+        Outside the data the polynomial is extrapolated (published), or states are held at the box.
+    coefficients : mapping of str to CoefficientBounds
+        Keys among COEFFICIENTS.
     """
 
     aircraft: AircraftReference
@@ -276,7 +375,10 @@ class ModelForm:
     coefficients: Mapping[str, CoefficientBounds]
 
     def __repr__(self) -> str:
-        return f"ModelForm({', '.join(self.coefficients)}; {len(self.flights)} flights, confidence {self.confidence:g})"
+        return (
+            f"ModelForm({', '.join(self.coefficients)}; {len(self.flights)} flights, confidence"
+            f" {self.confidence:g})"
+        )
 
     def _repr_html_(self) -> str:
         rows: list[dict[str, object]] = [
@@ -299,21 +401,25 @@ class ModelForm:
     def bounds(
         self, states: Mapping[str, FloatArray], confidence: float | None = None
     ) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """Coefficient -> lower and upper (n,) at states (n,) each, lower <= 0 <= upper. Raises KeyError for a missing state."""
+        """Return lower and upper (n,) of every coefficient at states (n,) each, lower <= 0 <=
+        upper.
+
+        Raises KeyError for a missing state.
+        """
         return {c: b.bounds(states, confidence, self.outside) for c, b in self.coefficients.items()}
 
     def extrapolated(self, states: Mapping[str, FloatArray]) -> BoolArray:
-        """(n,) whether any coefficient's data do not reach these states."""
+        """Return whether the states (n,) lie outside any coefficient's data."""
         return np.any([b.distance(states) > 0.0 for b in self.coefficients.values()], axis=0)
 
     @property
     def states(self) -> tuple[str, ...]:
-        """All states that the bounds depend on, in the vocabulary's order."""
+        """All states on which the bounds depend, in the vocabulary's order."""
         used = {s for b in self.coefficients.values() for s in b.states}
         return tuple(s for s in STATES if s in used)
 
     def to_json(self) -> str:
-        """The file's text; the same form gives the same bytes."""
+        """Return the file's text; equal forms give identical bytes."""
         parted = any(bounds.parts is not None for bounds in self.coefficients.values())
         document: dict[str, Any] = {"format": FORMAT if parted else WITHOUT_PARTS, **asdict(self)}
         if not np.isfinite(self.filtering.airspeed_cutoff_hz):
@@ -330,11 +436,12 @@ class ModelForm:
         return json.dumps(document, indent=1, default=_plain, allow_nan=False) + "\n"
 
     def write(self, path: Path) -> None:
-        """Write model-form.json."""
+        """Write the model form to a file."""
         path.write_text(self.to_json(), encoding="utf-8")
 
 
 def _plain(value: Any) -> Any:
+    """Convert arrays for `json`."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} has no place in a model form")
@@ -351,7 +458,8 @@ def read_model_form(path: Path) -> ModelForm:
     Returns
     -------
     ModelForm
-        Per coefficient the polynomial of its bounds [-] in the flight states; ``bounds(states)`` gives lower and upper (n,).
+        Per coefficient the polynomial of its bounds [-] in the flight states; ``bounds(states)``
+        gives lower and upper (n,).
 
     Raises
     ------
@@ -379,10 +487,14 @@ def read_model_form(path: Path) -> ModelForm:
             str(error), path, None if error.line is None else f"line {error.line}"
         ) from None
     if not isinstance(document, dict) or document.get("format") not in (FORMAT, WITHOUT_PARTS):
-        found = document.get("format") if isinstance(document, dict) else type(document).__name__
+        file_format = (
+            document.get("format") if isinstance(document, dict) else type(document).__name__
+        )
         read = f"'{FORMAT}' and '{WITHOUT_PARTS}' are read"
         raise LogError(
-            f"is no model form: format is {found!r}, {read}; make one with `uqharness bounds`", path
+            f"is no model form: format is {file_format!r}, {read}; make one with `uqharness"
+            " bounds`",
+            path,
         )
     where = ""
     try:
@@ -414,6 +526,7 @@ def read_model_form(path: Path) -> ModelForm:
 
 
 def _flight(row: Mapping[str, Any]) -> FlightUsed:
+    """Parse a flight."""
     estimates = tuple(row["estimates"])
     if not all(isinstance(name, str) for name in estimates):
         raise ValueError("estimates must be names of channels")
@@ -427,12 +540,14 @@ def _flight(row: Mapping[str, Any]) -> FlightUsed:
 
 
 def _text(row: Mapping[str, Any], key: str) -> str:
+    """Return a text entry."""
     if not isinstance(row[key], str):
         raise ValueError(f"{key} must be text; received {str(row[key])[:80]}")
     return str(row[key])
 
 
 def _filtering(row: Mapping[str, Any]) -> Filtering:
+    """Parse the filters; null is no low-pass."""
     values = dict(row)
     if values["airspeed_cutoff_hz"] is None:
         values["airspeed_cutoff_hz"] = float("inf")
@@ -440,6 +555,7 @@ def _filtering(row: Mapping[str, Any]) -> Filtering:
 
 
 def _outside(value: Any) -> Outside:
+    """Parse the behaviour outside the data."""
     if value == "grow":
         return "grow"
     if value == "clamp":
@@ -448,6 +564,7 @@ def _outside(value: Any) -> Outside:
 
 
 def _coefficient(name: str, row: Mapping[str, Any]) -> CoefficientBounds:
+    """Parse and check the interval of one coefficient; raises ValueError or KeyError."""
     if name not in COEFFICIENTS:
         raise ValueError(f"'{name}' is no coefficient; allowed are {', '.join(COEFFICIENTS)}")
     states = tuple(row["states"])
@@ -499,6 +616,7 @@ def _coefficient(name: str, row: Mapping[str, Any]) -> CoefficientBounds:
 
 
 def _parts(row: Mapping[str, Any]) -> Parts:
+    """Parse and check the parts of an interval; raises ValueError or KeyError."""
     if not isinstance(row["found"], bool):
         raise ValueError("parts: found must be true or false")
     values = {
@@ -527,9 +645,11 @@ def _parts(row: Mapping[str, Any]) -> Parts:
 
 
 def _array(row: Mapping[str, Any], key: str, *shape: int) -> FloatArray:
+    """Return an entry as finite numbers of a given shape."""
     values = np.asarray(row[key], dtype=float)
     if values.shape != shape or not np.isfinite(values).all():
         raise ValueError(
-            f"{key} must be {' x '.join(map(str, shape))} finite numbers; received shape {values.shape}"
+            f"{key} must be {' x '.join(map(str, shape))} finite numbers; received shape"
+            f" {values.shape}"
         )
     return values

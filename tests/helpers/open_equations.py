@@ -113,7 +113,7 @@ class OpenEquations:
     def _coefficients(
         self, V: Any, alpha: Any, beta: Any, p: Any, q: Any, r: Any, u: Any, theta: Any
     ) -> list[Any]:
-        found = variables(V, alpha, beta, p, q, r, u[0], u[1], u[2], self.mass.b, self.mass.c)
+        found = variables(V, alpha, beta, p, q, r, u[0], u[1], u[2], b=self.mass.b, c=self.mass.c)
         C = [u[10 + k] for k in range(6)]
         for k, name in enumerate(self.terms):
             parsed = split_name(name)

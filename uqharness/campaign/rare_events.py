@@ -20,7 +20,7 @@ from sysid.arrays import FloatArray
 from uqharness.batch import Branch, Course, compiled_mission
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec, Split, record_stride, row_counts
-from uqharness.statistics import Seen
+from uqharness.statistics import Checkpoint
 
 DISTANCE = "cross_track"
 """Channel of the distance from the commanded path."""
@@ -175,7 +175,7 @@ class LoiterPaths:
         self._numbers: dict[tuple[int, int], int] = {}
         self.hits: list[FirstExcursion] = []
 
-    def advance(self) -> Seen | None:
+    def advance(self) -> Checkpoint | None:
         """Fly to the next checkpoint; return None after the last one.
 
         The result holds scores (paths,), -inf for ended paths, and the excursions (paths, radii)
@@ -207,7 +207,7 @@ class LoiterPaths:
         closing_mps = (distance[:, -1] - distance[:, -2]) / self._row_s
         score_inputs = {name: course.slot_values(name) for name in self._watch.score.properties}
         score = self._watch.score.of(score_inputs, distance[:, -1], closing_mps)
-        return Seen(np.where(ended, -np.inf, score), events, ended)
+        return Checkpoint(np.where(ended, -np.inf, score), events, ended)
 
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
         """Continue with the given paths in the given order.

@@ -27,7 +27,7 @@ from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.flight import FlightSpec
-from uqharness.statistics import Evidence, Question, add, begin, close, look, upper_limits
+from uqharness.statistics import Evidence, Question, add, begin, close, decide_cell, upper_limits
 from uqharness.text_tables import csv_rows
 
 # Aborted flights: loss of control, ground contact, divergence, or another early end. What such a
@@ -389,7 +389,7 @@ class _Cell:
                 low[row, column], high[row, column] = _excursion_range(outcome, self._column)
         # An aborted flight counts as at least one excursion.
         high = np.fmax(high, np.where(is_aborted > 0.0, 1.0, high))
-        self.evidence = look(
+        self.evidence = decide_cell(
             add(self.evidence, self._question, low, high, is_aborted, missing), self._question
         )
 

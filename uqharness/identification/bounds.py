@@ -18,14 +18,14 @@ import numpy as np
 
 from sysid.aerodynamics import (
     COEFFICIENTS,
-    AirFound,
     AirPiece,
+    AirRotation,
     Cutoffs,
     Residuals,
     air_pieces,
+    combine_flights,
     noise_variance,
     offset_records,
-    together,
     with_noise_of,
     with_sensor_noise,
     without_air_rotation,
@@ -34,7 +34,7 @@ from sysid.errors import LogError
 from sysid.estimation import NoiseSize, noise_size
 from sysid.foreign.regular_files import parse_json, read_regular
 from sysid.model_form import (
-    NOISY,
+    SENSOR_CHANNELS,
     WALK_CUTOFF_HZ,
     AircraftReference,
     CoefficientBounds,
@@ -52,9 +52,9 @@ from sysid.model_form import (
     fit_bounds,
     leave_one_out,
     read_model_form,
-    told_apart,
     variation,
     verdict,
+    with_distinct_labels,
     with_walk_rates,
 )
 from sysid.model_form.coverage import coverage
@@ -78,7 +78,7 @@ def noise_sizes(
     """
     record = flight.record
     out = {}
-    for name in NOISY:
+    for name in SENSOR_CHANNELS:
         if name not in record:
             continue
         # Pieces with gaps have no spectrum above the cut-off.
@@ -133,7 +133,7 @@ class NoisyFlight:
             model,
             arm,
             std,
-            {c: size.spread for c, size in sizes.items()},
+            relative_std={c: size.relative_std for c, size in sizes.items()},
         )
         # Angles of an estimator do not contain the rotation of gusts.
         measures_wind_angles = not set(VANES) & set(flight.record.metadata.estimates)
@@ -144,7 +144,7 @@ class NoisyFlight:
         )
         return NoisyFlight(noisy, std, air, arm)
 
-    def in_still_air(self, residuals: Residuals) -> tuple[Residuals, AirFound | None]:
+    def in_still_air(self, residuals: Residuals) -> tuple[Residuals, AirRotation | None]:
         """Return residuals of any filter with noise and without the air's rotation, and the
         rotation found.
         """
@@ -165,7 +165,7 @@ def noisy_residuals(
     return noisy.in_still_air(noisy.residuals)[0]
 
 
-def air_note(flight: Flight, air: AirFound) -> str:
+def air_note(flight: Flight, air: AirRotation) -> str:
     """Describe the rotation of the air that was removed."""
     return (
         f"{flight.name}: the residuals contain {100.0 * air.share:.0f} ± {100.0 * air.std:.0f} %"
@@ -350,7 +350,7 @@ def make_bounds(
             if options.fit.noise == "apart"
             else [(n.residuals, None) for n in noisy]
         )
-        residuals = together([r for r, _ in calm_residuals])
+        residuals = combine_flights([r for r, _ in calm_residuals])
         callback("model error apart from noise" if options.fit.noise == "apart" else "intervals")
         # 4: bounds as functions of the flight state.
         fitted = _fit(residuals, options.designs, options.fit)
@@ -400,7 +400,7 @@ def make_bounds(
         baseline=_baseline(residuals, options),
         variations=walks,
         widths=mean_widths(form, residuals),
-        noise=_noise_rms(together([n.residuals for n in noisy])),
+        noise=_noise_rms(combine_flights([n.residuals for n in noisy])),
         left_out=left_out,
         cutoffs=tuple(cutoff_rows),
         notes=(
@@ -489,7 +489,7 @@ def _with_cutoffs(
         ]
         if options.fit.noise == "apart":
             parts = [u.in_still_air(r)[0] for u, r in zip(used, parts, strict=True)]
-        residuals = together(parts)
+        residuals = combine_flights(parts)
         fitted = fit_bounds(residuals, options.designs, options.fit)
     # A filter may leave too few samples; that is a result, not an error.
     except (ValueError, BadInputError):
@@ -511,7 +511,7 @@ def mean_left_out(
     """
     if not left_out:
         return dict.fromkeys(COEFFICIENTS, float("nan"))
-    by_manoeuvre = told_apart(residuals)
+    by_manoeuvre = with_distinct_labels(residuals)
     # Weigh each manoeuvre by its samples.
     n = {label: sum(by_manoeuvre.only([label]).lengths) for label in left_out}
     names = next(iter(left_out.values()))
@@ -524,7 +524,7 @@ def mean_left_out(
 def _flight_used(flight: Flight, residuals: Residuals, sha256: str) -> FlightUsed:
     """Describe a flight for the model form."""
     seconds = sum(p.time_s[-1] - p.time_s[0] for p in residuals.pieces)
-    estimates = tuple(c for c in flight.record.metadata.estimates if c in NOISY)
+    estimates = tuple(c for c in flight.record.metadata.estimates if c in SENSOR_CHANNELS)
     return FlightUsed(
         flight.name, sha256, round(float(seconds), 6), sum(residuals.lengths), estimates
     )
@@ -556,7 +556,7 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
     out = []
     for flight in flights:
         record = flight.record
-        estimated = [c for c in record.metadata.estimates if c in NOISY]
+        estimated = [c for c in record.metadata.estimates if c in SENSOR_CHANNELS]
         if estimated:
             out.append(
                 f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor; the"
@@ -566,7 +566,7 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
         slow = [
             c
             for c, hz in record.metadata.native_hz.items()
-            if c in NOISY and hz < 2.5 * cutoffs.all_hz and c != "V_mps"
+            if c in SENSOR_CHANNELS and hz < 2.5 * cutoffs.all_hz and c != "V_mps"
         ]
         if slow:
             out.append(
@@ -777,7 +777,7 @@ def validate(
     flights = [f.with_smoothing_delay() for f in flights] if ideal_servos else flights
     with prediction_of(aircraft, measured, ideal_servos, values) as pair:
         parts = [flight_residuals(pair, f, arm, cutoffs) for f in flights]
-        residuals = together(
+        residuals = combine_flights(
             [noisy_residuals(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)]
         )
     # Bounds cannot be evaluated without their states.

@@ -18,9 +18,18 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from sysid.estimation import NOISE_FLOOR, Shift, Theil, channel_noise, rms, theil, time_shift, worst
+from sysid.estimation import (
+    NOISE_FLOOR,
+    Shift,
+    Theil,
+    channel_noise,
+    largest_residuals,
+    rms,
+    theil,
+    time_shift,
+)
 from sysid.logs import Relation, relate
-from sysid.model_form import floor_of
+from sysid.model_form import noise_floor
 from uqharness.errors import BadInputError
 from uqharness.identification.replay_fit import (
     BIASES,
@@ -629,7 +638,7 @@ def _coefficients(
     channels = [states(flight, piece) for piece in flight.pieces]
     gaps = coefficient_gaps(model, direct_model, segments, channels, noise, rng, late_s=late_s)
     demand, predicted, change = (list(part) for part in zip(*gaps, strict=True))
-    return demand, predicted, floor_of([np.concatenate(change)])
+    return demand, predicted, noise_floor([np.concatenate(change)])
 
 
 def _control_delay_s(names: Sequence[str], theta: FloatArray) -> float:
@@ -715,7 +724,7 @@ def _moments(
     for segment, gap in zip(segments, gaps, strict=True):
         for channel in judged_channels:
             # At most three moments of a channel and segment, one second apart.
-            for at, size in worst(
+            for at, size in largest_residuals(
                 gap[:, list(present).index(channel)], segment.time_s, noise[channel], 3, 1.0
             ):
                 moments.append(Moment(at, channel, segment.label, size, abs(size) / noise[channel]))

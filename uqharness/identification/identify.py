@@ -21,8 +21,8 @@ from sysid.estimation import (
     channel_noise,
     colour,
     colour_warnings,
-    process_noise_shown,
     rms,
+    shows_process_noise,
 )
 from uqharness.errors import BadInputError
 from uqharness.identification.excitation import restrict_to_excited
@@ -374,7 +374,7 @@ def identify(
                 *result.warnings,
             ),
         )
-        gusty = process_noise_shown(*_inertial_channels(result))
+        gusty = shows_process_noise(*_inertial_channels(result))
         if method == "output-error" or (method == "auto" and not gusty):
             if message_callback is not None:
                 message_callback(_no_filter_message(method, gusty))

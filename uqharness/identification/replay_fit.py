@@ -422,7 +422,10 @@ def forced_at(
             for c in ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps")
         )
         out.append(
-            (forced, variables(V, alpha, beta, p, q, r, de, da, dr, forced.mass.b, forced.mass.c))
+            (
+                forced,
+                variables(V, alpha, beta, p, q, r, de, da, dr, b=forced.mass.b, c=forced.mass.c),
+            )
         )
     return out
 
@@ -514,8 +517,8 @@ def demanded_coefficients(
         forced.mass,
         forced.other_force,
         forced.other_moment,
-        segment.dt_s,
-        np.array(segment.arm_m),
+        dt_s=segment.dt_s,
+        arm_m=np.array(segment.arm_m),
     )
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.aerodynamics import COEFFICIENTS, Cutoffs, Residuals, together
+from sysid.aerodynamics import COEFFICIENTS, Cutoffs, Residuals, combine_flights
 from sysid.arrays import FloatArray
 from sysid.digests import file_sha256
 from sysid.model_form import (
@@ -30,11 +30,10 @@ from sysid.model_form import (
     ModelForm,
     Offer,
     Width,
-    after,
+    asymptotic,
     choose,
     expected_width,
     fit_bounds,
-    for_ever,
     information,
     mean_power,
     missing_terms,
@@ -42,6 +41,7 @@ from sysid.model_form import (
     speed_power,
     weighted_quartiles,
     width,
+    with_more_data,
 )
 from sysid.units import percent
 from uqharness.errors import BadInputError
@@ -162,12 +162,12 @@ def prospects(
             bounds.hull.low,
             bounds.hull.high,
         )
-        repeated = after(bounds, [repeated_information]) if math.isfinite(share) else bounds
+        repeated = with_more_data(bounds, [repeated_information]) if math.isfinite(share) else bounds
         expected_forms = (
-            after(bounds, gained),
-            after(bounds, gained, scatter[c]),
+            with_more_data(bounds, gained),
+            with_more_data(bounds, gained, scatter[c]),
             repeated,
-            for_ever(bounds),
+            asymptotic(bounds),
         )
         out[c] = Prospect(
             width(bounds, states, form.outside),
@@ -593,7 +593,7 @@ def plan_from(
         refused=(*refused, *rejected),
         n_points=len(trials) + len(refused),
         states=simulated.states,
-        bounds_after=after(bounds, [information(bounds, simulated.states, weight)]),
+        bounds_after=with_more_data(bounds, [information(bounds, simulated.states, weight)]),
     )
 
 
@@ -781,7 +781,7 @@ def missing_in(
         If the flights cannot be read or are too short.
     """
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
-    residuals = together(residuals_of(aircraft, flights, cutoffs))
+    residuals = combine_flights(residuals_of(aircraft, flights, cutoffs))
     try:
         return missing_terms(residuals, coefficient, form.coefficients[coefficient])
     except ValueError as error:

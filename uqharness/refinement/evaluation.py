@@ -11,7 +11,7 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.effects import COLOURED_P, Gusts
 from sysid.estimation import NOISE_FLOOR, ljung_box, rms, theil
-from sysid.model_form import floor_of
+from sysid.model_form import noise_floor
 from sysid.parallel import Processes
 from uqharness.identification import coefficient_gaps, fit_replays
 from uqharness.identification.linearised import (
@@ -137,7 +137,7 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
             cost = float(sum(np.nansum(r**2) for r in white))
             outputs = [z - r for z, r in zip(setup.measured, residual, strict=True)]
             flown = replace(reached, outputs=outputs, cost=cost)
-    floor = floor_of([np.concatenate([change for *_, change in gaps])])
+    floor = noise_floor([np.concatenate([change for *_, change in gaps])])
     coefficients = [demand - said for demand, said, _ in gaps]
     return Shown(flown, residual, noise, coefficients, floor, white, cost, tuple(logdet))
 

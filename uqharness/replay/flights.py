@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut
+from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut_pieces
 from sysid.arrays import FloatArray
 from sysid.digests import file_sha256
 from sysid.errors import LogError
@@ -574,7 +574,7 @@ def prepare(
     record, alignment_notes = _align_channels(record, align or bool(record.metadata.native_hz))
     notes += [f"{name}: {text}" for text in alignment_notes]
     # Pieces need all channels without a gap; maximum length limits the divergence of replays.
-    pieces, cut_note = cut(record, (*_NEEDED, *columns), min_s, max_s)
+    pieces, cut_note = cut_pieces(record, (*_NEEDED, *columns), min_s, max_s)
     if not pieces:
         raise BadInputError(
             f"{name}: no stretch of {min_s:g} s has all of {', '.join((*_NEEDED, *columns))}"

@@ -22,7 +22,7 @@ from sysid.aerodynamics import (
     Piece,
     Prediction,
     Residuals,
-    cut,
+    cut_pieces,
     demanded,
     half_width,
     residual_coefficients,
@@ -198,9 +198,9 @@ def _sampling_error(
         forced.mass,
         forced.other_force,
         forced.other_moment,
-        segment.dt_s,
-        np.array(segment.arm_m),
-        cutoff_hz,
+        dt_s=segment.dt_s,
+        arm_m=np.array(segment.arm_m),
+        cutoff_hz=cutoff_hz,
     )
     return np.asarray(demanded_coefficients - smooth(forced.coefficients, segment.dt_s, cutoff_hz))
 
@@ -532,7 +532,7 @@ def cut_for_residuals(flight: Flight, measured: Sequence[str]) -> Flight:
             f" {', '.join(NEEDED)}. Without vanes an autopilot's estimate will do (uqharness log"
             " import makes alpha and beta from EKF and wind)"
         )
-    pieces, cut_note = cut(flight.record, (*NEEDED, *control_columns(measured)))
+    pieces, cut_note = cut_pieces(flight.record, (*NEEDED, *control_columns(measured)))
     if not pieces:
         raise BadInputError(
             f"{flight.name}: no stretch of two seconds has all of {', '.join(NEEDED)} without a gap"

@@ -7,7 +7,9 @@
         ...
 
     study = sensitivity.run_study(
-        sink_rate, epistemic={"CD0": (0.02, 0.03), "k": (0.05, 0.06)}, aleatory={"mass": stats.norm(21.3, 0.5)}
+        sink_rate,
+        epistemic={"CD0": (0.02, 0.03), "k": (0.05, 0.06)},
+        aleatory={"mass": stats.norm(21.3, 0.5)},
     )
     print(sensitivity.analyse(study).text())
 

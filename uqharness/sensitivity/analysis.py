@@ -1,4 +1,8 @@
-"""All five methods over one stored study."""
+"""Apply the five methods of sensitivity to a stored study, and average repeats.
+
+`analyse` is the public entry; `Sensitivity` holds an index [-] per output, method and parameter and
+prints it as a table.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +36,13 @@ assert tuple(_FUNCTIONS) == METHODS
 
 @dataclass(frozen=True)
 class Sensitivity(TabularResult):
-    """Results by output, then by method."""
+    """Results by output, then by method.
+
+    Attributes
+    ----------
+    results : mapping
+        Output to method to `MethodResult`.
+    """
 
     results: Mapping[str, Mapping[str, MethodResult]]
 
@@ -43,7 +53,7 @@ class Sensitivity(TabularResult):
         return self.results[output]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain JSON types; null where an index is undefined, its reason beside it."""
+        """Return plain JSON types; null with a reason where an index is undefined."""
         return {
             output: {method: result.as_dict() for method, result in methods.items()}
             for output, methods in self.results.items()
@@ -52,8 +62,9 @@ class Sensitivity(TabularResult):
     def to_dataframe(self) -> pd.DataFrame:
         """One row per output, parameter and method.
 
-        Columns: the index [-], from ``smallest`` to ``largest`` (equal unless the method gives a range over pairs of corners), the
-        ends ``low`` and ``high`` of its 95 % interval, and the ``reason`` where it is undefined (NaN).
+        Columns: the index [-], from ``smallest`` to ``largest`` (equal unless the method gives a
+        range over pairs of corners), the ends ``low`` and ``high`` of its 95 % interval, and the
+        ``reason`` where it is undefined (NaN).
         """
         import pandas as pd
 
@@ -78,7 +89,9 @@ class Sensitivity(TabularResult):
         return pd.DataFrame(rows).set_index(["output", "parameter", "method"]).sort_index()
 
     def text(self) -> str:
-        """Tables to read: one per output, each index with its interval, then what each method costs and assumes."""
+        """Return tables: one per output, each index with its interval, then cost and assumption of
+        methods.
+        """
         return "\n\n".join(_table(output, methods) for output, methods in self.results.items())
 
 
@@ -90,7 +103,7 @@ def analyse(
     Parameters
     ----------
     study : Study
-        What `run_study` gave.
+        From `run_study`.
     methods : sequence of str
         Among ``METHODS``; one that the study was not run for is undefined.
     seed : int
@@ -101,8 +114,8 @@ def analyse(
     Returns
     -------
     Sensitivity
-        Output, method and parameter to an `Index` [-] with its 95 % interval, NaN with a reason where it is undefined; ``text()``
-        is the table.
+        Output, method and parameter to an `Index` [-] with its 95 % interval, NaN with a reason
+        where it is undefined; ``text()`` is the table.
 
     Raises
     ------
@@ -116,9 +129,11 @@ def analyse(
     Examples
     --------
     >>> from uqharness import sensitivity
-    >>> study = sensitivity.run_study(lambda a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)}, samples=16)
-    >>> found = sensitivity.analyse(study, methods=["local"])["output"]["local"]
-    >>> bool(found.indices["a"].value > found.indices["b"].value)
+    >>> study = sensitivity.run_study(
+    ...     lambda a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)}, samples=16
+    ... )
+    >>> local = sensitivity.analyse(study, methods=["local"])["output"]["local"]
+    >>> bool(local.indices["a"].value > local.indices["b"].value)
     True
     """
     instance("study", study, Study, "a Study, as run_study gives it,")
@@ -136,6 +151,7 @@ def analyse(
 
 
 def _table(output: str, methods: Mapping[str, MethodResult]) -> str:
+    """Format the table of one output."""
     names = list(next(iter(methods.values())).indices)
     width = max(9, *(len(name) for name in names))
     head = f"  {'':<{width}}" + "".join(f"{method:>27}" for method in methods)
@@ -152,7 +168,7 @@ def _table(output: str, methods: Mapping[str, MethodResult]) -> str:
 
 
 def cell(index: Index | PairRange) -> str:
-    """One number, or a range, with its interval behind it where it has one."""
+    """Format an index or a range, with its interval if it has one."""
     if isinstance(index, PairRange):
         text, low, high = (
             f"{index.minimum.value:.3f}..{index.maximum.value:.3f}",
@@ -168,13 +184,14 @@ def cell(index: Index | PairRange) -> str:
     return text if math.isnan(low) else f"{text} [{low:.3f}, {high:.3f}]"
 
 
-# Independent repeats of one study: the mean, and how much one run alone varies.
+# Independent repeats of one study: the mean, and the variation of a single run.
 #
-# The plainest sampling error, where a model is cheap.
+# This is the simplest sampling error, for models that are cheap.
 
 
 def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
-    """Mean over repeats that differ in their seed alone; each interval is that of the mean (Student's t).
+    """Average repeats that differ in their seed alone; each interval is that of the mean (Student's
+    t).
 
     Parameters
     ----------
@@ -184,8 +201,9 @@ def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
     Returns
     -------
     Sensitivity
-        ``details["std_of_one_run"]`` (d,) [-] of each method is the standard deviation of a single repeat (of the larger end for
-        the proposed method). An index that is undefined in one repeat is undefined.
+        ``details["std_of_one_run"]`` (d,) [-] of each method is the standard deviation of a single
+        repeat (of the larger end for the proposed method). An index that is undefined in one repeat
+        is undefined.
 
     Raises
     ------
@@ -196,7 +214,9 @@ def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
     --------
     >>> from uqharness import sensitivity
     >>> def once(seed):
-    ...     study = sensitivity.run_study(lambda a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)}, samples=16, seed=seed)
+    ...     study = sensitivity.run_study(
+    ...         lambda a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)}, samples=16, seed=seed
+    ...     )
     ...     return sensitivity.analyse(study, intervals=False)
     >>> mean = sensitivity.average([once(1), once(2), once(3)])
     >>> mean["output"]["anova"].details["std_of_one_run"].shape
@@ -218,9 +238,10 @@ def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
 
 
 def _average(results: Sequence[MethodResult]) -> MethodResult:
+    """Average one method's results."""
     first = results[0]
     indices: dict[str, Index | PairRange] = {}
-    spread = []
+    stds = []
     for name in first.indices:
         same = [result.indices[name] for result in results]
         pairs = [item for item in same if isinstance(item, PairRange)]
@@ -231,13 +252,14 @@ def _average(results: Sequence[MethodResult]) -> MethodResult:
             indices[name] = PairRange(low, high)
         else:
             indices[name], std = _mean(single)
-        spread.append(std)
-    details = dict(first.details) | {"repeats": len(results), "std_of_one_run": np.array(spread)}
+        stds.append(std)
+    details = dict(first.details) | {"repeats": len(results), "std_of_one_run": np.array(stds)}
     runs = sum(result.runs for result in results)
     return replace(first, runs=runs, indices=indices, details=details)
 
 
 def _mean(same: Sequence[Index]) -> tuple[Index, float]:
+    """Return the mean index with its interval, and the standard deviation of a single run."""
     values = np.array([item.value for item in same])
     if np.isnan(values).any():
         return next(item for item in same if np.isnan(item.value)), float("nan")

@@ -1,4 +1,10 @@
-"""Total-effect Sobol indices of the aleatory mean (Hale 2016, eqs 4.4, 4.5), estimated by scipy."""
+"""Five measures of sensitivity, one function each over a stored study (Hale 2016, chapter 4).
+
+`anova`: total-effect Sobol indices of the aleatory mean (eqs 4.4, 4.5), estimated by scipy;
+`corner_pairs`: areas between corners; `local`: finite differences; `pinching`: p-box pinching;
+`scatter`: regression. Each takes a study, the evaluations of one output, a seed, and whether to
+compute intervals, and returns a `MethodResult` with indices [-]. `analysis.analyse` calls them.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +16,8 @@ from uqharness.sensitivity.areas import (
     OUTSIDE_ALLOWED,
     RESAMPLES,
     Z,
-    beyond_corners,
     box_area,
+    excess_over_corners,
     is_flat,
     log_area,
     pair_band,
@@ -33,10 +39,11 @@ _RESAMPLES = 200
 
 
 def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
-    """Share of the variance of the aleatory mean that would go with each parameter, under uniform intervals.
+    """Compute the share of the aleatory mean's variance that is due to each parameter.
 
-    Nothing is clipped: a total effect above 1 is chance or few samples, and stays. The interval joins a bootstrap over the
-    epistemic samples with half-sampling over the draws.
+    Parameters are uniform over their intervals. Nothing is clipped: a total effect above 1 is
+    sampling error and stays. The interval combines a bootstrap over the epistemic samples with
+    half-sampling of the draws.
     """
     if runs.sampled is None or runs.second is None or runs.mixed is None:
         return all_undefined(METHOD, study.names, "the study has no pair of sampled matrices")
@@ -45,22 +52,25 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     reason = missing_values(sampled=first, second=second, mixed=mixed)
     if reason:
         return all_undefined(METHOD, study.names, reason, cost)
-    # To examine what epistemic inputs do, the mean over the aleatory draws is the output (section 4.5.3).
+    # The output is the mean over the aleatory draws (section 4.5.3).
     f_A, f_B, f_AB = first.mean(axis=1), second.mean(axis=1), mixed.mean(axis=2)
+    # Without variance the indices are undefined.
     if is_flat(float(np.ptp(np.concatenate([f_A, f_B]))), f_A, f_B):
         reason = "the aleatory mean has no variance: the output's mean depends on no parameter"
         return all_undefined(METHOD, study.names, reason, cost)
     samples = f_A.size
     from scipy import stats
 
-    # Twice the same output: for one output of one parameter scipy squeezes its result to a scalar and fails on it.
-    twice = {
+    # The output is passed twice, because scipy fails on one output of one parameter.
+    duplicated = {
         "f_A": np.stack([f_A] * 2),
         "f_B": np.stack([f_B] * 2),
         "f_AB": np.stack([f_AB] * 2, axis=1),
     }
-    found = stats.sobol_indices(func=twice, n=samples)
-    total, order_one = found.total_order.reshape(2, -1)[0], found.first_order.reshape(2, -1)[0]
+    # First-order and total effects.
+    sobol = stats.sobol_indices(func=duplicated, n=samples)
+    total, order_one = sobol.total_order.reshape(2, -1)[0], sobol.first_order.reshape(2, -1)[0]
+    # Intervals: epistemic samples by bootstrap, aleatory draws by halves.
     low = high = np.full_like(total, np.nan)
     if intervals:
         by_draws = std_by_draws(
@@ -77,11 +87,11 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         name: Index(float(value), float(lo), float(hi))
         for name, value, lo, hi in zip(study.names, total, low, high, strict=True)
     }
-    together = float(total.sum())
+    total_sum = float(total.sum())
     above = [name for name, index in indices.items() if index.value > 1.0]
     statement = (
-        f"total effects add up to {together:.2f} (1 without interactions); they assume uniform distributions, which "
-        "were not measured, and divide variance, not width"
+        f"total effects add up to {total_sum:.2f} (1 without interactions); they assume uniform"
+        " distributions, which were not measured, and divide variance, not width"
     )
     if above:
         statement += (
@@ -93,12 +103,12 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         indices,
         not above,
         statement,
-        {"first_order": order_one, "total_sum": together},
+        {"first_order": order_one, "total_sum": total_sum},
     )
 
 
 def _total(f_A: np.ndarray, f_B: np.ndarray, f_AB: np.ndarray) -> np.ndarray:
-    """(d,) total effects."""
+    """Compute the total effects (d,)."""
     variance = np.var(np.concatenate([f_A, f_B], axis=-1), axis=-1)
     return np.mean((f_A - f_AB) ** 2, axis=-1) / (
         2.0 * variance
@@ -108,18 +118,17 @@ def _total(f_A: np.ndarray, f_B: np.ndarray, f_AB: np.ndarray) -> np.ndarray:
 def _bootstrap(
     f_A: np.ndarray, f_B: np.ndarray, f_AB: np.ndarray, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Percentile limits (d,) over resampled rows."""
+    """Compute percentile limits (d,) over resampled rows."""
     rng = np.random.default_rng(seed)
     rows = rng.integers(f_A.size, size=(_RESAMPLES, f_A.size))
-    again = np.array([_total(f_A[k], f_B[k], f_AB[:, k]) for k in rows])
+    resampled = np.array([_total(f_A[k], f_B[k], f_AB[:, k]) for k in rows])
     tail = 0.5 * (1.0 - CONFIDENCE)
-    low, high = np.quantile(again, [tail, 1.0 - tail], axis=0)
+    low, high = np.quantile(resampled, [tail, 1.0 - tail], axis=0)
     return low, high
 
 
-# The proposed method (Hale 2016, section 4.6): areas between the corners that differ in one
-# parameter alone, over the envelope's area, as a range over the 2^(d-1) pairs. No run beyond
-# the corners.
+# The proposed method (Hale 2016, section 4.6): areas between corners that differ in one parameter,
+# over the envelope's area, as a range over the 2^(d-1) pairs. It needs no run besides the corners.
 
 CORNER_PAIRS_METHOD = "proposed"
 
@@ -127,10 +136,12 @@ CORNER_PAIRS_METHOD = "proposed"
 def corner_pairs(
     study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
 ) -> MethodResult:
-    """[min, max] share of the envelope's area. Intervals hold for all parameters and pairs at once (see ``pair_band``).
+    """Compute the range [min, max] of each parameter's share of the envelope's area.
 
-    ``details`` tell by which share the envelope shrinks with a parameter fixed at either bound (``shrink_min``, ``shrink_max``,
-    (d,), and their band), and ``lead`` (d, d) which parameter certainly comes before which.
+    Intervals hold for all parameters and pairs at once (see `pair_band`). ``details`` contain the
+    share by which the envelope shrinks with a parameter fixed at either bound (``shrink_min``,
+    ``shrink_max``, (d,), and their band), and ``lead`` (d, d): which parameter certainly exceeds
+    which.
     """
     if runs.corners is None:
         return all_undefined(CORNER_PAIRS_METHOD, study.names, "the study has no corner runs")
@@ -143,16 +154,20 @@ def corner_pairs(
     if is_flat(area, y) or (interior is not None and is_flat(area, interior)):
         reason = "the corners' envelope has no width"
         if interior is not None and not is_flat(box_area(interior), interior):
-            reason += ", though samples inside the box differ: the output is not monotone and the corners do not show it"
+            reason += (
+                ", though samples inside the box differ: the output is not monotone and the corners"
+                " do not show it"
+            )
         return all_undefined(CORNER_PAIRS_METHOD, study.names, reason, y.size)
+    # Indices of all pairs with their simultaneous band.
     band = pair_band(y, d, seed, resamples=RESAMPLES if intervals else 0, chance=study.chance)
     indices = {}
     for i, name in enumerate(study.names):
         index, low, high = band.index[i, :-2], band.low[i, :-2], band.high[i, :-2]
-        why = _no_interval(y.shape[1], intervals) if np.isnan(low).any() else ""
+        no_interval_reason = _no_interval(y.shape[1], intervals) if np.isnan(low).any() else ""
         indices[name] = PairRange(
-            Index(float(index.min()), float(low.min()), float(high.min()), why),
-            Index(float(index.max()), float(low.max()), float(high.max()), why),
+            Index(float(index.min()), float(low.min()), float(high.min()), no_interval_reason),
+            Index(float(index.max()), float(low.max()), float(high.max()), no_interval_reason),
             tuple(index.tolist()),
         )
     holds, statement, outside = _smoothness(y, interior, band.area)
@@ -175,8 +190,9 @@ def corner_pairs(
     return MethodResult(CORNER_PAIRS_METHOD, y.size, indices, holds, statement, details)
 
 
-def _no_interval(draws: int, wanted: bool) -> str:
-    if not wanted:
+def _no_interval(draws: int, requested: bool) -> str:
+    """Return why there is no interval; "" if none was requested."""
+    if not requested:
         return ""
     if draws < MIN_DRAWS:
         return f"no interval from {draws} aleatory draws: at least {MIN_DRAWS} are needed"
@@ -186,7 +202,11 @@ def _no_interval(draws: int, wanted: bool) -> str:
 def _smoothness(
     corners: FloatArray, interior: FloatArray | None, area: float
 ) -> tuple[bool | None, str, float]:
-    """Whether interior samples stay within the corners' envelope: the area by which the worst leaves it, over the envelope's."""
+    """Check that interior samples stay within the corners' envelope.
+
+    Returns whether they do (None: not checked), a sentence, and the largest area by which a sample
+    leaves it, over the envelope's.
+    """
     if interior is None:
         return (
             None,
@@ -196,27 +216,37 @@ def _smoothness(
     if missing_values(interior=interior):
         return (
             False,
-            f"{missing_values(interior=interior)}, so the corners do not bound what lies between them",
+            (
+                f"{missing_values(interior=interior)}, so the corners do not bound what lies"
+                " between them"
+            ),
             float("nan"),
         )
-    worst = beyond_corners(corners, interior, area)
+    worst = excess_over_corners(corners, interior, area)
     holds = worst <= OUTSIDE_ALLOWED
-    text = f"of {len(interior)} interior samples the worst leaves the corners' envelope by {100 * worst:.1f} % of its area"
+    text = (
+        f"of {len(interior)} interior samples the worst leaves the corners' envelope by"
+        f" {100 * worst:.1f} % of its area"
+    )
     if not holds:
-        text += ": the output is not monotone enough, the corners miss part of the p-box and these ranges are too small"
+        text += (
+            ": the output is not monotone enough, the corners miss part of the p-box and these"
+            " ranges are too small"
+        )
     return holds, text, worst
 
 
-# Local finite difference (Hale 2016, eqs 4.1, 4.2): d + 1 runs at the centre of the aleatory
+# Local finite differences (Hale 2016, eqs 4.1, 4.2): d + 1 runs at the centre of the aleatory
 # variables.
 
 LOCAL_METHOD = "local"
 LINEAR_WITHIN = 0.1
-"""Share by which the sum of the ranges may miss the corners' p-box before linearity is denied."""
+"""Share by which the sum of the ranges may differ from the corners' p-box for a linear output."""
 
 
 def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
-    """Share range x |slope| of the sampled p-box's width, or of the corners' where nothing was sampled.
+    """Compute range x |slope| over the width of the sampled p-box, or of the corners' without
+    samples.
 
     The differences are exact; the interval is that of the width.
     """
@@ -239,13 +269,14 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
             "the p-box has no width: the output depends on no parameter",
             cost,
         )
+    # One parameter at a time.
     slope = np.abs((runs.forward - runs.nominal) / study.step)  # (4.1)
     share = study.width * slope / area  # (4.2)
     reach = np.nan
     if intervals and runs.sampled is not None:
         reach = float(reach_of_box(lambda e, a: log_area(box[np.ix_(e, a)]), box.shape, seed))
     elif intervals:
-        # All corners there are: only the draws are a sample.
+        # The corners are complete: only the draws are a sample.
         reach = Z * float(std_by_draws(lambda a: log_area(box[:, a]), box.shape[1], seed))
     factor = np.exp(reach)
     indices = {
@@ -271,40 +302,46 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
 def _linearity(
     predicted: float, corners: FloatArray, interior: FloatArray | None, flat: bool
 ) -> tuple[bool, str]:
-    """For a linear output the corners' p-box is as wide as the slopes' ranges together, and no interior sample leaves it."""
+    """Check linearity: the corners' p-box is as wide as the sum of ranges, and contains all
+    samples.
+    """
     corner_area = box_area(corners)
     holds = not flat and corner_area > 0.0 and abs(predicted / corner_area - 1.0) <= LINEAR_WITHIN
-    beyond = 0.0
+    excess = 0.0
     if interior is not None and not missing_values(interior=interior):
-        beyond = beyond_corners(corners, interior, corner_area)
-    holds = holds and beyond <= OUTSIDE_ALLOWED
+        excess = excess_over_corners(corners, interior, corner_area)
+    holds = holds and excess <= OUTSIDE_ALLOWED
     verdict = (
         "linearity holds roughly"
         if holds
         else "not linear over the intervals, so do not rely on it"
     )
-    if beyond > OUTSIDE_ALLOWED:
+    if excess > OUTSIDE_ALLOWED:
         verdict = "samples between the corners leave it; " + verdict
-    return holds, (
-        f"the ranges that the slopes predict add up to {predicted:.4g}, the corners' p-box is {corner_area:.4g} wide (the same "
-        f"for a linear output): {verdict}"
+    return (
+        holds,
+        (
+            f"the ranges that the slopes predict add up to {predicted:.4g}, the corners' p-box is"
+            f" {corner_area:.4g} wide (the same for a linear output): {verdict}"
+        ),
     )
 
 
-# P-box pinching (Guo & Du 2007; Hale 2016, section 4.5.4): how much narrower is the p-box with
-# one parameter known?
+# P-box pinching (Guo & Du 2007; Hale 2016, section 4.5.4): how much narrower the p-box is with one
+# parameter fixed.
 
 PINCHING_METHOD = "pbox"
 FILLED = 0.9
-"""Share of the corners' p-box that the sampled one must fill before it stands for the intervals."""
+"""Share of the corners' p-box that the sampled one must fill to represent the intervals."""
 
 
 def pinching(
     study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
 ) -> MethodResult:
-    """1 - area with the parameter at its nominal value / area with all free, over the same samples otherwise.
+    """Compute 1 - area with the parameter at its nominal value / area with all free.
 
-    Less than 0 where pinching widened the sampled p-box: chance, or a nominal value that lies worse than most.
+    Both areas are of the same samples otherwise. Below 0 pinching widened the sampled p-box:
+    sampling error, or a nominal value that is worse than most.
     """
     if runs.sampled is None or runs.pinned is None:
         return all_undefined(
@@ -327,12 +364,14 @@ def pinching(
         )
 
     def shares(e: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Compute the shares (d,) for some samples ``e`` and draws ``a``."""
         part = np.ix_(e, a)
-        whole = box_area(free[part])
+        full_area = box_area(free[part])
         return np.array(
-            [1.0 - box_area(y[part]) / whole if whole > 0.0 else np.nan for y in pinned]
+            [1.0 - box_area(y[part]) / full_area if full_area > 0.0 else np.nan for y in pinned]
         )
 
+    # Shares of all samples and draws, with the scatter over parts of them.
     value = shares(np.arange(free.shape[0]), np.arange(free.shape[1]))
     reach = reach_of_box(shares, free.shape, seed) if intervals else np.full_like(value, np.nan)
     indices = {
@@ -341,12 +380,13 @@ def pinching(
     }
     holds, statement = (
         None,
-        "the nominal value is taken for the true one; not checked against the corners",
+        "assumes that the nominal value is the true one; not checked against the corners",
     )
     if runs.corners is not None and not missing_values(corners=runs.corners):
         corner_area = box_area(runs.corners)
-        beyond = beyond_corners(runs.corners, free, corner_area)
-        filled, inside = area >= FILLED * corner_area, beyond <= OUTSIDE_ALLOWED
+        excess = excess_over_corners(runs.corners, free, corner_area)
+        # The sampled p-box should fill the corners' one and stay within.
+        filled, inside = area >= FILLED * corner_area, excess <= OUTSIDE_ALLOWED
         holds = filled and inside
         statement = (
             f"the sampled p-box is {area:.4g} wide, the corners' one {corner_area:.4g}"
@@ -358,26 +398,30 @@ def pinching(
             + (
                 ""
                 if inside
-                else ": samples between the corners leave it, so an extremum inside decides these shares"
+                else (
+                    ": samples between the corners leave it, so an extremum inside decides these"
+                    " shares"
+                )
             )
-            + "; the nominal value is taken for the true one"
+            + "; assumes that the nominal value is the true one"
         )
     return MethodResult(PINCHING_METHOD, cost, indices, holds, statement, {"area": area})
 
 
-# Scatter regression (Hale 2016, eq. 4.3): one straight line per parameter through all E A runs,
-# with R^2 and its sum.
+# Scatter regression (Hale 2016, eq. 4.3): a straight line per parameter through all E A runs, with
+# R^2 and its sum.
 
 SCATTER_METHOD = "scatter"
 R2_NEAR_ONE = 0.1
-"""How far the sum of R^2 may lie from 1."""
+"""Largest difference of the sum of R^2 from 1."""
 
 
 def scatter(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
-    """Share range x |slope| of the sampled p-box's width.
+    """Compute range x |slope| over the width of the sampled p-box.
 
-    The interval joins the slope's (runs of one epistemic sample count as one, since they share its parameters) and the width's.
-    An absolute value is never less than chance makes it: an interval that reaches 0 says that no slope was seen.
+    The interval combines the errors of the slope and of the width; runs of one epistemic sample
+    count as one, since they share its parameters. An absolute value is biased upwards by chance: an
+    interval that reaches 0 means that no slope is significant.
     """
     if runs.sampled is None:
         return all_undefined(
@@ -399,40 +443,46 @@ def scatter(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = Tr
     x = theta - theta.mean(axis=0)
     sxx = np.sum(x**2, axis=0)
     mean = y.mean(axis=1) - y.mean()
-    # With the same draws in every row the line through all points is the line through the rows' means.
+    # The draws are the same in every row, so the regression needs the rows' means alone.
     slope = x.T @ mean / sxx  # (4.3)
     total = float(np.sum((y - y.mean()) ** 2))
     r2 = slope**2 * sxx * y.shape[1] / total
     residual = mean[:, None] - x * slope
-    # Heteroscedasticity-consistent (HC1): the scatter about one line is the effect of all other parameters, not noise.
+    # Heteroscedasticity-consistent (HC1): the scatter about one line is due to the other
+    # parameters.
     error = np.sqrt(np.sum((x * residual) ** 2, axis=0) * samples / (samples - 2)) / sxx
     scale = study.width / area
     signed = slope * scale
     reach = np.full_like(signed, np.nan)
     if intervals:
-        of_width = reach_of_box(lambda e, a: log_area(y[np.ix_(e, a)]), y.shape, seed)
-        reach = np.hypot(Z * error * scale, signed * of_width)
+        width_reach = reach_of_box(lambda e, a: log_area(y[np.ix_(e, a)]), y.shape, seed)
+        reach = np.hypot(Z * error * scale, signed * width_reach)
     indices = {}
     for name, value, half in zip(study.names, signed, reach, strict=True):
         low = 0.0 if abs(value) <= half else abs(value) - half
         indices[name] = Index(abs(float(value)), float(low), float(abs(value) + half))
+    # R^2 adds up to 1 if straight lines explain the output.
     r2_sum = float(r2.sum())
-    of_means = float(np.sum(slope**2 * sxx) / np.sum(mean**2))
+    r2_of_means = float(np.sum(slope**2 * sxx) / np.sum(mean**2))
     holds = abs(r2_sum - 1.0) <= R2_NEAR_ONE
     return MethodResult(
         SCATTER_METHOD,
         y.size,
         indices,
         holds,
-        _words(r2_sum, of_means, holds),
-        {"slope": slope, "r2": r2, "r2_sum": r2_sum, "r2_sum_of_means": of_means, "area": area},
+        _words(r2_sum, r2_of_means, holds),
+        {"slope": slope, "r2": r2, "r2_sum": r2_sum, "r2_sum_of_means": r2_of_means, "area": area},
     )
 
 
-def _words(r2_sum: float, of_means: float, holds: bool) -> str:
-    text = f"R^2 adds up to {r2_sum:.2f} over the runs, {of_means:.2f} over the aleatory means"
+def _words(r2_sum: float, r2_of_means: float, holds: bool) -> str:
+    """Write whether straight lines explain the output."""
+    text = f"R^2 adds up to {r2_sum:.2f} over the runs, {r2_of_means:.2f} over the aleatory means"
     if holds:
         return f"{text}: straight lines explain the output"
-    if abs(of_means - 1.0) <= R2_NEAR_ONE:
+    if abs(r2_of_means - 1.0) <= R2_NEAR_ONE:
         return f"{text}: scatter hides straight lines, but the means follow them"
-    return f"{text}: far from 1, so straight lines do not explain the output and these shares are not to be relied on"
+    return (
+        f"{text}: far from 1, so straight lines do not explain the output and these shares are not"
+        " to be relied on"
+    )

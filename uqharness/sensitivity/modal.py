@@ -1,8 +1,10 @@
-"""The dissertation's modal example: its linear longitudinal model of the E-SPAARO (Hale 2016, section 4.7.1), and its study.
+"""The dissertation's modal example: the linear longitudinal model of the E-SPAARO and its study.
 
-Two readings. ``as_corrected`` is physics: the trim's sign is repaired and CZ at trim is CZ_0 + CZ_alpha alpha + CZ_de de.
-``as_published`` is what the printed tables follow: CZ at trim begins with CX_0 in place of CZ_0, and "natural frequency"
-is zeta / sqrt(1 - zeta^2) of the short period. In both the intervals are +-5 % about Table 2.6, because Table 4.3's are misprinted.
+Hale 2016, section 4.7.1, in two readings. ``as_corrected`` is physics: the trim's sign is repaired
+and CZ at trim is CZ_0 + CZ_alpha alpha + CZ_de de. ``as_published`` reproduces the printed tables:
+CZ at trim begins with CX_0 in place of CZ_0, and "natural frequency" is zeta / sqrt(1 - zeta^2) of
+the short period. In both the intervals are +-5 % about Table 2.6, because Table 4.3's are
+misprinted.
 """
 
 from __future__ import annotations
@@ -48,7 +50,7 @@ ALEATORY = {
 
 
 def intervals() -> dict[str, tuple[float, float]]:
-    """+-5 % about the nominal value, in order."""
+    """Return the intervals +-5 % about the nominal values, in order."""
     return {
         name: (value - HALF_WIDTH * abs(value), value + HALF_WIDTH * abs(value))
         for name, value in NOMINAL.items()
@@ -56,7 +58,8 @@ def intervals() -> dict[str, tuple[float, float]]:
 
 
 def trim(values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """alpha [rad] and elevator [deg] of level flight by eqs 4.14 (sign repaired) and 4.15: two linear equations."""
+    """Compute alpha [rad] and elevator [deg] of level flight by eqs 4.14 (repaired) and 4.15."""
+    # Two linear equations in alpha and elevator.
     lift = -values["M_kg"] * G_MPS2 / (QBAR_PA * values["S_m2"]) - values["CZ_0"]
     det = values["CZ_alpha"] * values["Cm_de"] - values["CZ_de"] * values["Cm_alpha"]
     alpha = (lift * values["Cm_de"] + values["CZ_de"] * values["Cm_0"]) / det
@@ -66,7 +69,10 @@ def trim(values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class SystemMatrix:
-    """The entries of eq. 4.9 that are not 0, 1 or -g, over (u, w, q, theta); ``row column`` from 1, each an array."""
+    """Elements of eq. 4.9 that are not 0, 1 or -g, over (u, w, q, theta).
+
+    Names are row and column from 1; each is an array.
+    """
 
     a11: FloatArray
     a12: FloatArray
@@ -77,7 +83,7 @@ class SystemMatrix:
     a33: FloatArray
 
     def dense(self) -> FloatArray:
-        """A (..., 4, 4)."""
+        """Return A (..., 4, 4)."""
         A = np.zeros((*np.broadcast(self.a11, self.a22, self.a32, self.a33).shape, 4, 4))
         A[..., 0, 0], A[..., 0, 1], A[..., 0, 3] = self.a11, self.a12, -G_MPS2
         A[..., 1, 0], A[..., 1, 1], A[..., 1, 2] = self.a21, self.a22, self.a23
@@ -86,7 +92,7 @@ class SystemMatrix:
 
 
 def system_matrix(reading: Reading, values: Mapping[str, Any]) -> SystemMatrix:
-    """Eq. 4.9 for values that broadcast together."""
+    """Compute eq. 4.9 for values that broadcast together."""
     alpha, elevator = trim(values)
     k = QBAR_PA * values["S_m2"] / (values["M_kg"] * V_MPS)
     pitch = QBAR_PA * values["S_m2"] * values["c_m"] / (values["Iyy_kgm2"] * V_MPS)
@@ -106,18 +112,18 @@ def system_matrix(reading: Reading, values: Mapping[str, Any]) -> SystemMatrix:
 
 
 def longitudinal_modes(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Damping and frequency [rad/s] of phugoid and short period, in this order, from A (..., 4, 4).
+    """Compute damping [-] and frequency [rad/s] of phugoid and short period from A (..., 4, 4).
 
-    The two slower eigenvalues make the phugoid. wn = sqrt(l1 l2) and zeta = -(l1 + l2) / 2 wn serve a pair that has split into two
-    real roots as well. NaN where there is no such mode: a pair of real roots of opposite sign, and
-    all four where a conjugate pair lies between two real roots (the third oscillatory mode of a
-    statically unstable aircraft).
+    The two slower eigenvalues are the phugoid. wn = sqrt(l1 l2) and zeta = -(l1 + l2) / 2 wn also
+    hold for a pair that has split into two real roots. NaN without such a mode: real roots of
+    opposite sign, and all four where a conjugate pair lies between two real roots (the third
+    oscillatory mode of a statically unstable aircraft).
     """
     unsorted = np.linalg.eigvals(A)
     values = np.take_along_axis(unsorted, np.argsort(np.abs(unsorted), axis=-1), axis=-1)
-    # Conjugates differ in modulus by rounding only, so a cut pair shows on both sides of the cut.
-    cut = (values[..., 0].imag == 0) & (values[..., 1].imag != 0)
-    values = np.where(cut[..., None], np.nan, values)
+    # Conjugates have equal moduli up to rounding, so a pair that was split shows on both sides.
+    is_split = (values[..., 0].imag == 0) & (values[..., 1].imag != 0)
+    values = np.where(is_split[..., None], np.nan, values)
     slow, fast = values[..., :2], values[..., 2:]
     return *_damping(-slow.sum(axis=-1).real, slow.prod(axis=-1).real), *_damping(
         -fast.sum(axis=-1).real, fast.prod(axis=-1).real
@@ -125,16 +131,17 @@ def longitudinal_modes(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def _damping(r: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """zeta and wn of l^2 + r l + s."""
+    """Return zeta and wn of l^2 + r l + s."""
     wn = np.sqrt(np.where(s > 0.0, s, np.nan))
     return r / (2.0 * wn), wn
 
 
 def modes_of(matrix: SystemMatrix) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The same as ``longitudinal_modes`` of the dense matrix, twenty times as fast.
+    """Compute `longitudinal_modes` of a system matrix, twenty times as fast.
 
-    The characteristic polynomial is split into a slow and a fast quadratic by Lin's iteration, which gains two digits a turn
-    where the modes lie as far apart as an aeroplane's; where it does not settle, eigenvalues are taken.
+    The characteristic polynomial is split into a slow and a fast quadratic by Lin's iteration,
+    which gains two digits per iteration for an aeroplane's modes; without convergence eigenvalues
+    are used.
     """
     a11, a12, a21, a22, a23, a32, a33 = (getattr(matrix, field.name) for field in fields(matrix))
     # |l I - A| = l^4 + c3 l^3 + c2 l^2 + c1 l + c0
@@ -144,26 +151,28 @@ def modes_of(matrix: SystemMatrix) -> tuple[FloatArray, FloatArray, FloatArray, 
     c1 = -a33 * force + a32 * a23 * a11
     c0 = G_MPS2 * a21 * a32
     with np.errstate(all="ignore"):
+        # Lin's iteration from the slow quadratic's leading coefficients.
         r, s = c1 / c2, c0 / c2
         for _ in range(12):
-            before = r
+            previous_r = r
             m = c3 - r
             n = c2 - s - r * m
             s = c0 / n
             r = (c1 - s * m) / n
         m = c3 - r
         n = c2 - s - r * m
-        settled = (np.abs(r - before) <= 1e-13 * np.abs(m)) & (np.abs(s) < np.abs(n))
-    found = np.array([*_damping(r, s), *_damping(m, n)])
-    if not np.all(settled):
-        found[:, ~settled] = np.array(longitudinal_modes(matrix.dense()))[:, ~settled]
-    return found[0], found[1], found[2], found[3]
+        has_converged = (np.abs(r - previous_r) <= 1e-13 * np.abs(m)) & (np.abs(s) < np.abs(n))
+    modes = np.array([*_damping(r, s), *_damping(m, n)])
+    if not np.all(has_converged):
+        modes[:, ~has_converged] = np.array(longitudinal_modes(matrix.dense()))[:, ~has_converged]
+    return modes[0], modes[1], modes[2], modes[3]
 
 
 def modal_model(reading: Reading) -> Callable[..., dict[str, FloatArray]]:
-    """The model as a function of its fourteen values by name, giving the three outputs; arrays in, arrays out."""
+    """Return the model as a function of its fourteen values by name, with three outputs."""
 
     def outputs(**values: FloatArray) -> dict[str, FloatArray]:
+        """Compute damping of the phugoid, damping and frequency of the short period."""
         phugoid_zeta, _, zeta, wn = modes_of(system_matrix(reading, values))
         if reading == "as_published":
             wn = zeta / np.sqrt(np.where(zeta < 1.0, 1.0 - zeta**2, np.nan))
@@ -179,7 +188,10 @@ def run_modal_study(
     seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Study:
-    """The chapter's study: ten intervals, four normal variables; finite differences by 1 % of the nominal value."""
+    """Run the chapter's study: ten intervals, four normal variables.
+
+    Finite differences take 1 % of the nominal value.
+    """
     from scipy import stats
 
     return run_study(
@@ -201,11 +213,11 @@ def modal_sensitivity(
     seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Sensitivity:
-    """Mean over independent repeats of the chapter's study, each index with the interval of the mean."""
-    found = []
+    """Average independent repeats of the chapter's study, indices with the interval of the mean."""
+    results = []
     for k, stream in enumerate(np.random.SeedSequence(seed).spawn(repeats)):
         number = int(stream.generate_state(1)[0])
-        found.append(analyse(run_modal_study(reading, seed=number), intervals=False))
+        results.append(analyse(run_modal_study(reading, seed=number), intervals=False))
         if on_progress is not None:
             on_progress(k + 1, repeats)
-    return average(found)
+    return average(results)

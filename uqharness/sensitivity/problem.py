@@ -1,4 +1,8 @@
-"""What is uncertain: epistemic intervals and aleatory distributions, checked."""
+"""The uncertain parameters of a study, checked, and the reader of its arrays.
+
+`make_problem` checks epistemic intervals and aleatory distributions; `corners` and `aleatory_draws`
+make the points. `read_arrays` reads .npz files of unknown origin safely.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +28,18 @@ from uqharness.errors import BadInputError
 
 @dataclass(frozen=True)
 class Problem:
-    """d epistemic parameters, each an interval with a nominal value inside, and a aleatory variables, each a distribution.
+    """d epistemic parameters and a aleatory variables.
 
-    ``lower``, ``upper``, ``nominal`` (d,) in the parameters' own units. ``step`` (d,), signed, is what the local method adds to one
-    parameter at a time. ``aleatory`` maps a name to anything with ``ppf`` (a frozen scipy.stats distribution).
+    Attributes
+    ----------
+    names : tuple of str
+        Epistemic parameters.
+    lower, upper, nominal : array (d,)
+        Intervals and nominal values in the parameters' own units.
+    step : array (d,)
+        Signed steps of the local method.
+    aleatory : mapping
+        Name to anything with ``ppf`` (a frozen scipy.stats distribution).
     """
 
     names: tuple[str, ...]
@@ -39,7 +51,7 @@ class Problem:
 
     @property
     def width(self) -> FloatArray:
-        """(d,) widths of the intervals."""
+        """Widths (d,) of the intervals."""
         return self.upper - self.lower
 
 
@@ -49,10 +61,29 @@ def make_problem(
     nominal: Mapping[str, float] | None = None,
     step: Mapping[str, float] | None = None,
 ) -> Problem:
-    """Check and collect. ``nominal`` defaults to the middle of each interval, ``step`` to a hundredth of its width.
+    """Check and collect the uncertain parameters.
 
-    Raises BadInputError for an interval that is not lower < upper, a nominal value outside, a step of 0, a name that is not known
-    or used twice, and a distribution without ``ppf``.
+    Parameters
+    ----------
+    epistemic : mapping of str to (float, float)
+        Intervals.
+    aleatory : mapping, optional
+        Distributions with ``ppf``.
+    nominal : mapping of str to float, optional
+        By default the middle of each interval.
+    step : mapping of str to float, optional
+        By default a hundredth of the interval's width.
+
+    Returns
+    -------
+    Problem
+        In the order of ``epistemic``.
+
+    Raises
+    ------
+    BadInputError
+        For an interval that is not lower < upper, a nominal value outside, a step of 0, an unknown
+        or repeated name, and a distribution without ``ppf``.
     """
     aleatory = dict(aleatory or {})
     if not epistemic:
@@ -69,7 +100,8 @@ def make_problem(
     for name, distribution in aleatory.items():
         if not callable(getattr(distribution, "ppf", None)):
             raise BadInputError(
-                f"aleatory {name}: {distribution!r} has no ppf; give a frozen distribution, as scipy.stats.norm(2.0, 0.1)"
+                f"aleatory {name}: {distribution!r} has no ppf; give a frozen distribution, as"
+                " scipy.stats.norm(2.0, 0.1)"
             )
     lower = np.array([float(epistemic[name][0]) for name in names])
     upper = np.array([float(epistemic[name][1]) for name in names])
@@ -87,6 +119,7 @@ def make_problem(
 
 
 def _check_interval(name: str, interval: Any) -> None:
+    """Raise BadInputError unless the interval is finite with lower < upper."""
     try:
         low, high = (float(end) for end in interval)
     except (TypeError, ValueError):
@@ -95,28 +128,36 @@ def _check_interval(name: str, interval: Any) -> None:
         ) from None
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise BadInputError(
-            f"epistemic {name} = ({low:g}, {high:g}): must be finite with lower < upper; a known value belongs into the model"
+            f"epistemic {name} = ({low:g}, {high:g}): must be finite with lower < upper; a known"
+            " value belongs into the model"
         )
 
 
 def _over(
-    names: tuple[str, ...], given: Mapping[str, float] | None, default: FloatArray, what: str
+    names: tuple[str, ...], overrides: Mapping[str, float] | None, default: FloatArray, label: str
 ) -> FloatArray:
-    unknown = sorted(set(given or {}) - set(names))
+    """Replace elements of ``default`` by name; raises BadInputError."""
+    unknown = sorted(set(overrides or {}) - set(names))
     if unknown:
         raise BadInputError(
-            f"{what}: {', '.join(unknown)} not among the epistemic parameters {', '.join(names)}"
+            f"{label}: {', '.join(unknown)} not among the epistemic parameters {', '.join(names)}"
         )
     values = np.array(
-        [float((given or {}).get(name, other)) for name, other in zip(names, default, strict=True)]
+        [
+            float((overrides or {}).get(name, other))
+            for name, other in zip(names, default, strict=True)
+        ]
     )
     if not np.all(np.isfinite(values)):
-        raise BadInputError(f"{what}: must be finite numbers, received {values.tolist()}")
+        raise BadInputError(f"{label}: must be finite numbers, received {values.tolist()}")
     return values
 
 
 def aleatory_draws(problem: Problem, draws: int, rng: np.random.Generator) -> FloatArray:
-    """(draws, a) by Latin hypercube: the same draws serve every epistemic sample, so that differences are not chance's."""
+    """Draw the aleatory variables (draws, a) by Latin hypercube.
+
+    The same draws serve every epistemic sample, so that differences are no sampling error.
+    """
     if not problem.aleatory:
         return np.empty((1, 0))
     from scipy.stats import qmc
@@ -127,7 +168,7 @@ def aleatory_draws(problem: Problem, draws: int, rng: np.random.Generator) -> Fl
 
 
 def aleatory_centre(problem: Problem) -> FloatArray:
-    """(1, a) means, or the median of a distribution that has no mean."""
+    """Return the means (1, a), or the median of a distribution without a mean."""
     centre = []
     for distribution in problem.aleatory.values():
         mean = (
@@ -140,18 +181,27 @@ def aleatory_centre(problem: Problem) -> FloatArray:
 
 
 def corners(lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """(2^d, d) corners of the box, first parameter slowest."""
+    """Return the corners (2^d, d) of the box, first parameter slowest.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> corners(np.zeros(2), np.ones(2)).tolist()
+    [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]
+    """
     d = lower.size
     bits = (np.arange(2**d)[:, None] >> np.arange(d - 1, -1, -1)) & 1
     return np.where(bits == 1, upper, lower)
 
 
-# Arrays of a .npz that may come from anybody: nothing is unpickled, and no more memory is taken
-# than the file is said to need.
+# Arrays of a .npz of unknown origin: nothing is unpickled, and memory is limited.
 
-MOST_FILE_BYTES = 500_000_000
-MOST_BYTES = 1_000_000_000
-"""Of all arrays together, unpacked: a study of 12 parameters, 8192 samples and 100 draws has 200 MB an output."""
+MAX_FILE_BYTES = 500_000_000
+MAX_BYTES = 1_000_000_000
+"""Largest size of all arrays, unpacked.
+
+A study of 12 parameters, 8192 samples and 100 draws has 200 MB an output.
+"""
 _KINDS = "fiub"
 _DAMAGED = (
     zipfile.BadZipFile,
@@ -169,22 +219,27 @@ _DAMAGED = (
     LookupError,
     MemoryError,
 )
-"""What zipfile and numpy raise of a damaged file, an encrypted or an unknown one."""
+"""Exceptions of zipfile and numpy for a damaged, encrypted or unknown file."""
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Arrays of numbers by name. Raises BadInputError for anything else, and for more than MOST_BYTES of them."""
+    """Read arrays of numbers by name from a .npz file.
+
+    Raises BadInputError for anything else, and for more than MAX_BYTES.
+    """
     try:
-        content = read_regular(path, MOST_FILE_BYTES)
+        content = read_regular(path, MAX_FILE_BYTES)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     try:
+        # Check the unpacked size before reading a member.
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
             size = sum(member.file_size for member in members)
-            if size > MOST_BYTES:
+            if size > MAX_BYTES:
                 raise ValueError(
-                    f"its arrays would take {in_words(size)}, at most {in_words(MOST_BYTES)} are read"
+                    f"its arrays would take {in_words(size)}, at most {in_words(MAX_BYTES)} are"
+                    " read"
                 )
             return {
                 member.filename.removesuffix(".npy"): _array(archive.read(member))
@@ -193,12 +248,16 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     except _DAMAGED as error:
         words = one_line(error)
         raise BadInputError(
-            f"{path}: not a study written by uqharness, nor any other archive of arrays: {words}; write it again"
+            f"{path}: not a study written by uqharness, nor any other archive of arrays: {words};"
+            " write it again"
         ) from None
 
 
 def _array(content: bytes) -> NDArray[Any]:
-    """One array. ValueError for one that holds other things than numbers, and for a header that promises what does not follow."""
+    """Parse one array.
+
+    Raises ValueError for other data than numbers, and for a header that does not match the length.
+    """
     file = io.BytesIO(content)
     version = np.lib.format.read_magic(file)
     read = {
@@ -206,6 +265,7 @@ def _array(content: bytes) -> NDArray[Any]:
         (2, 0): np.lib.format.read_array_header_2_0,
     }[version]
     shape, fortran, dtype = read(file)
+    # Numbers alone, of the length that the header says.
     if dtype.kind not in _KINDS or dtype.hasobject:
         raise ValueError(f"an array of type {dtype} among its arrays")
     if math.prod(shape) * dtype.itemsize != len(content) - file.tell():

@@ -1,4 +1,8 @@
-"""One study: the model is run once at every point that any of the methods needs, and the raw outputs are kept."""
+"""A study: the model is run once at every point that any method needs, and all outputs are kept.
+
+`run_study` runs it, `write_study` and `read_study` store it as .npz; `analysis.analyse` applies the
+methods.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +31,13 @@ from uqharness.sensitivity.problem import (
 )
 
 METHODS = ("local", "scatter", "anova", "pbox", "proposed")
-"""Finite difference, scatter regression, total-effect Sobol, p-box pinching, corner pairs: chapter 4's five."""
+"""Finite difference, scatter regression, total-effect Sobol, p-box pinching, corner pairs.
+
+The five methods of chapter 4.
+"""
 
 INTERIOR_SAMPLES = 16
-"""Interior samples that check the corner envelope where a study has no other inside the box."""
+"""Interior samples that check the corners' envelope in a study without other interior samples."""
 
 MAX_CORNERS = 2**16
 _ROWS_AT_ONCE = 65536
@@ -40,12 +47,24 @@ Model = Callable[..., Any]
 
 @dataclass(frozen=True)
 class Evaluations:
-    """Raw outputs of one quantity; a stage that was not run is None.
+    """Outputs of one quantity, one array a stage; None for a stage that was not run.
 
-    ``nominal`` (1,) and ``forward`` (d,) at the centre of the aleatory variables; ``sampled``, ``second`` (E, A), ``mixed``
-    (d, E, A: the sampled matrix with column i from the second) and ``pinned`` (d, E, A: column i at its nominal value);
-    ``corners`` (2^d, A), first parameter slowest; ``interior`` (n, A), inside the box. Columns are the same A aleatory draws
-    everywhere.
+    Columns are the same A aleatory draws in all stages.
+
+    Attributes
+    ----------
+    nominal, forward : array (1,), (d,)
+        At the centre of the aleatory variables: nominal, and one parameter changed by its step.
+    sampled, second : array (E, A)
+        Two independent sets of epistemic samples.
+    mixed : array (d, E, A)
+        The first set with column i from the second.
+    pinned : array (d, E, A)
+        The first set with column i at its nominal value.
+    corners : array (2^d, A)
+        First parameter slowest.
+    interior : array (n, A)
+        Samples inside the box.
     """
 
     nominal: FloatArray | None = None
@@ -59,15 +78,26 @@ class Evaluations:
 
     @property
     def between(self) -> FloatArray | None:
-        """Samples inside the box beside the corners: ``interior``, else ``sampled``; None where there are none."""
+        """Samples inside the box: ``interior``, else ``sampled``; None without any."""
         return self.interior if self.interior is not None else self.sampled
 
 
 @dataclass(frozen=True)
 class Study:
-    """What was run: intervals (d,), ``theta`` (E, d) of the sampled matrix, and the evaluations of each output.
+    """Points and outputs of a study.
 
-    ``chance`` says whether the columns of the evaluations are draws of something random; without, one column is exact.
+    Attributes
+    ----------
+    names : tuple of str
+        d epistemic parameters.
+    lower, upper, nominal, step : array (d,)
+        Intervals, nominal values and steps in the parameters' own units.
+    theta : array (E, d)
+        Sampled points.
+    chance : bool
+        Columns of the evaluations are random draws; if not, a single column is exact.
+    outputs : mapping of str to Evaluations
+        By output.
     """
 
     names: tuple[str, ...]
@@ -80,11 +110,14 @@ class Study:
     outputs: Mapping[str, Evaluations]
 
     def __repr__(self) -> str:
-        return f"Study({len(self.theta)} samples of {', '.join(self.names)}; {', '.join(self.outputs)})"
+        return (
+            f"Study({len(self.theta)} samples of {', '.join(self.names)};"
+            f" {', '.join(self.outputs)})"
+        )
 
     @property
     def width(self) -> FloatArray:
-        """Width of each parameter's interval, (d,)."""
+        """Width (d,) of each parameter's interval."""
         return self.upper - self.lower
 
 
@@ -107,8 +140,8 @@ def run_study(
     Parameters
     ----------
     model : callable
-        ``model(**values)`` receives every epistemic and aleatory value by name and returns the output, or a mapping of named
-        outputs. A NaN output is kept and reported.
+        ``model(**values)`` receives every epistemic and aleatory value by name and returns the
+        output, or a mapping of named outputs. A NaN output is kept and reported.
     epistemic : Mapping
         Parameter to its interval (lower, upper), in its own unit.
     aleatory : Mapping, optional
@@ -120,13 +153,13 @@ def run_study(
     samples : int
         E, epistemic samples; a power of two for ``anova``.
     draws : int
-        A, draws of the aleatory variables; 1 where there are none.
+        A, draws of the aleatory variables; 1 if there are none.
     seed : int
         Of samples and draws.
     methods : sequence of str
         Among ``METHODS``.
     vectorised : bool
-        Whether the model takes arrays (n,) and returns such; else it is called with floats, one by one.
+        Whether the model takes and returns arrays (n,); else it is called with floats, one by one.
     on_progress : callable, optional
         Called with runs done and runs to do.
 
@@ -138,11 +171,13 @@ def run_study(
     Raises
     ------
     BadInputError
-        For intervals, distributions, sizes and methods that make no study, and for a model that does not return what it should.
+        For intervals, distributions, sizes and methods that are not valid, and for a model that
+        returns something else than it should.
 
     References
     ----------
-    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4: the five methods and their costs (Table 4.1).
+    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4: the five methods and their costs
+    (Table 4.1).
 
     Examples
     --------
@@ -150,7 +185,8 @@ def run_study(
     >>> import uqharness as uq
     >>> def sink_rate(CD0, k, mass):
     ...     return mass * (CD0 + k)
-    >>> intervals, masses = {"CD0": (0.02, 0.03), "k": (0.05, 0.06)}, {"mass": stats.norm(21.3, 0.5)}
+    >>> intervals = {"CD0": (0.02, 0.03), "k": (0.05, 0.06)}
+    >>> masses = {"mass": stats.norm(21.3, 0.5)}
     >>> study = uq.sensitivity.run_study(sink_rate, intervals, masses, samples=64, draws=10)
     >>> study.theta.shape, list(study.outputs)
     ((64, 2), ['output'])
@@ -164,11 +200,13 @@ def run_study(
     rng = np.random.default_rng(seed)
     chance = aleatory_draws(problem, draws, rng)
     centre = aleatory_centre(problem)
+    # Two independent sets of epistemic samples, and interior samples.
     first, second = (
         problem.lower + rng.random((samples, len(problem.names))) * problem.width for _ in range(2)
     )
     inside = problem.lower + rng.random((INTERIOR_SAMPLES, len(problem.names))) * problem.width
 
+    # Points of each stage that the methods need.
     stages: dict[str, tuple[FloatArray, FloatArray]] = {}
     if "local" in methods:
         stages["nominal"] = problem.nominal[None], centre
@@ -190,17 +228,19 @@ def run_study(
         if "sampled" not in stages:
             stages["interior"] = inside, chance
 
+    # Run the model stage by stage.
     total = sum(len(theta) * len(draw) for theta, draw in stages.values())
     done = 0
-    found: dict[str, dict[str, FloatArray]] = {}
+    stage_outputs: dict[str, dict[str, FloatArray]] = {}
     for stage, (theta, draw) in stages.items():
         values = _evaluate(model, problem, theta, draw, vectorised)
         done += len(theta) * len(draw)
         if on_progress is not None:
             on_progress(done, total)
+        # One array a stage for each output.
         for output, y in values.items():
-            found.setdefault(output, {})[stage] = _shaped(stage, y, len(problem.names))
-    outputs = {output: Evaluations(**found[output]) for output in found}
+            stage_outputs.setdefault(output, {})[stage] = _shaped(stage, y, len(problem.names))
+    outputs = {output: Evaluations(**stage_outputs[output]) for output in stage_outputs}
     return Study(
         problem.names,
         problem.lower,
@@ -214,6 +254,7 @@ def run_study(
 
 
 def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -> None:
+    """Raise BadInputError for sizes and methods that do not fit."""
     unknown = sorted(set(methods) - set(METHODS))
     if unknown or not methods:
         raise BadInputError(
@@ -225,7 +266,8 @@ def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -
         )
     if problem.aleatory and draws < 2:
         raise BadInputError(
-            f"draws = {draws}: with aleatory variables at least 2 draws are needed, and 8 for intervals"
+            f"draws = {draws}: with aleatory variables at least 2 draws are needed, and 8 for"
+            " intervals"
         )
     if "anova" in methods and samples & (samples - 1):
         raise BadInputError(
@@ -234,13 +276,13 @@ def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -
         )
     if "proposed" in methods and 2 ** len(problem.names) > MAX_CORNERS:
         raise BadInputError(
-            f"{len(problem.names)} epistemic parameters have 2^{len(problem.names)} corners, more than {MAX_CORNERS}; "
-            "leave 'proposed' out of methods, or fewer parameters in"
+            f"{len(problem.names)} epistemic parameters have 2^{len(problem.names)} corners, more"
+            f" than {MAX_CORNERS}; leave 'proposed' out of methods, or fewer parameters in"
         )
 
 
 def _columns_from(first: FloatArray, other: FloatArray) -> FloatArray:
-    """(d, E, d): copies of ``first`` with column i from ``other``."""
+    """Return copies (d, E, d) of ``first`` with column i from ``other``."""
     d = first.shape[1]
     copies = np.repeat(first[None], d, axis=0)
     for i in range(d):
@@ -249,6 +291,7 @@ def _columns_from(first: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _shaped(stage: str, y: FloatArray, d: int) -> FloatArray:
+    """Reshape the outputs (n, A) of a stage as in `Evaluations`."""
     if stage in ("nominal", "forward"):
         return y[:, 0]
     return y.reshape(d, -1, y.shape[1]) if stage in ("mixed", "pinned") else y
@@ -257,7 +300,7 @@ def _shaped(stage: str, y: FloatArray, d: int) -> FloatArray:
 def _evaluate(
     model: Model, problem: Problem, theta: FloatArray, draws: FloatArray, vectorised: bool
 ) -> dict[str, FloatArray]:
-    """Every row of theta (n, d) with every draw (A, a): (n, A) per output."""
+    """Run the model at every row of theta (n, d) with every draw (A, a): (n, A) per output."""
     rows = max(1, _ROWS_AT_ONCE // len(draws))
     parts: dict[str, list[FloatArray]] = {}
     for start in range(0, len(theta), rows):
@@ -275,33 +318,37 @@ def _evaluate(
             raise BadInputError(f"the model gave outputs {sorted(called)} after {sorted(parts)}")
         for output, y in called.items():
             parts.setdefault(output, []).append(y.reshape(len(block), len(draws)))
-    return {output: np.concatenate(found) for output, found in parts.items()}
+    return {output: np.concatenate(blocks) for output, blocks in parts.items()}
 
 
-def _named(returned: Any) -> Mapping[str, Any]:
+def _as_mapping(returned: Any) -> Mapping[str, Any]:
+    """Name a single output "output"."""
     return returned if isinstance(returned, Mapping) else {"output": returned}
 
 
 def _call(model: Model, values: dict[str, FloatArray], n: int) -> dict[str, FloatArray]:
-    found = {}
-    for output, y in _named(model(**values)).items():
+    """Call the model with arrays (n,)."""
+    outputs = {}
+    for output, y in _as_mapping(model(**values)).items():
         y = np.asarray(y, dtype=float)
         if y.shape not in ((n,), ()):
             raise BadInputError(
-                f"the model gave an array of shape {y.shape} for values of shape ({n},); return one number per value, or "
-                "pass vectorised=False to have it called with floats"
+                f"the model gave an array of shape {y.shape} for values of shape ({n},); return one"
+                " number per value, or pass vectorised=False to have it called with floats"
             )
-        # A model that depends on nothing may say so with one number.
-        found[str(output)] = np.broadcast_to(y, (n,)).copy()
-    return found
+        # A constant model may return one number.
+        outputs[str(output)] = np.broadcast_to(y, (n,)).copy()
+    return outputs
 
 
 def _call_each(model: Model, values: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Call the model with floats, value by value."""
     rows = zip(*(column.tolist() for column in values.values()), strict=True)
-    results = [_named(model(**dict(zip(values, row, strict=True)))) for row in rows]
+    results = [_as_mapping(model(**dict(zip(values, row, strict=True)))) for row in rows]
     if any(set(item) != set(results[0]) for item in results):
         raise BadInputError(
-            "the model names different outputs at different values; give every output a value, NaN where it has none"
+            "the model names different outputs at different values; give every output a value, NaN"
+            " where it has none"
         )
     return {
         str(output): np.array([float(item[output]) for item in results]) for output in results[0]
@@ -336,6 +383,7 @@ def write_study(study: Study, path: str | Path) -> None:
     target = file_path("path", path)
     arrays: dict[str, Any] = {name: getattr(study, name) for name in _ARRAYS}
     header = {"names": list(study.names), "outputs": list(study.outputs), "chance": study.chance}
+    # Names and outputs as JSON bytes, so that the file holds numbers alone.
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
     for number, evaluations in enumerate(study.outputs.values()):
         for field in fields(Evaluations):
@@ -375,10 +423,11 @@ def read_study(path: str | Path) -> Study:
     """
     arrays = read_arrays(Path(path))
     try:
+        # Every array is checked, as the file may come from anybody.
         header = parse_json(arrays["header"].tobytes())
         names, outputs = list(map(_text, header["names"])), list(map(_text, header["outputs"]))
         d, samples = len(names), len(arrays["theta"])
-        found = {
+        by_output = {
             output: Evaluations(
                 **{
                     field.name: arrays[f"{k}/{field.name}"]
@@ -390,39 +439,43 @@ def read_study(path: str | Path) -> Study:
         }
         for name in _ARRAYS:
             _require(name, arrays[name], (samples, d) if name == "theta" else (d,))
-        for evaluations in found.values():
+        for evaluations in by_output.values():
             _check_evaluations(evaluations, d, samples)
-        kept: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
-        return Study(names=tuple(names), chance=header["chance"] is True, outputs=found, **kept)
+        stored: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
+        return Study(
+            names=tuple(names), chance=header["chance"] is True, outputs=by_output, **stored
+        )
     except (ValueError, KeyError, TypeError) as error:
-        what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise BadInputError(f"{path}: not a study written by uqharness: {what}") from None
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise BadInputError(f"{path}: not a study written by uqharness: {reason}") from None
 
 
 def _text(value: Any) -> str:
+    """Return a text entry; raises ValueError."""
     if not isinstance(value, str):
         raise ValueError(f"a name is {value!r}")
     return value
 
 
 def _require(name: str, values: FloatArray, shape: tuple[int | None, ...]) -> None:
+    """Raise ValueError unless an array has the dtype and the shape required."""
     fits = values.ndim == len(shape) and all(
         n is None or n == m for n, m in zip(shape, values.shape, strict=True)
     )
     if values.dtype != np.float64 or not fits:
-        wanted = " x ".join("any" if n is None else str(n) for n in shape)
+        expected = " x ".join("any" if n is None else str(n) for n in shape)
         raise ValueError(
-            f"{name} is {values.dtype} of shape {values.shape}; {wanted} numbers are needed"
+            f"{name} is {values.dtype} of shape {values.shape}; {expected} numbers are needed"
         )
 
 
-def _check_evaluations(found: Evaluations, d: int, samples: int) -> None:
-    """ValueError unless every stage has the shape that its docstring tells, with the same draws everywhere."""
-    given = {field.name: getattr(found, field.name) for field in fields(Evaluations)}
-    given = {name: values for name, values in given.items() if values is not None}
+def _check_evaluations(evaluations: Evaluations, d: int, samples: int) -> None:
+    """Raise ValueError unless every stage has its shape and the same draws."""
+    stages = {field.name: getattr(evaluations, field.name) for field in fields(Evaluations)}
+    stages = {name: values for name, values in stages.items() if values is not None}
     draws = {
         values.shape[-1]
-        for name, values in given.items()
+        for name, values in stages.items()
         if name not in ("nominal", "forward") and values.ndim
     }
     if len(draws) > 1:
@@ -437,5 +490,5 @@ def _check_evaluations(found: Evaluations, d: int, samples: int) -> None:
         "corners": (2**d if d < 64 else -1, None),
         "interior": (None, None),
     }
-    for name, values in given.items():
+    for name, values in stages.items():
         _require(name, values, shapes[name])

@@ -1,4 +1,4 @@
-"""Statistics of campaigns: p-boxes, rates, decisions, area metric, convergence."""
+"""Statistics of simulated campaigns: p-boxes, rates and their limits, decisions, rare events."""
 
 import lazy_loader
 

@@ -6,8 +6,8 @@ from .decide import Question as Question
 from .decide import add as add
 from .decide import begin as begin
 from .decide import close as close
+from .decide import decide_cell as decide_cell
 from .decide import evidence_of_either as evidence_of_either
-from .decide import look as look
 from .pbox import AreaMetric as AreaMetric
 from .pbox import ExcursionRate as ExcursionRate
 from .pbox import Growth as Growth
@@ -32,9 +32,9 @@ from .rates import observed_dispersion as observed_dispersion
 from .rates import quiet_flights as quiet_flights
 from .rates import share_upper as share_upper
 from .rates import upper_limits as upper_limits
+from .splitting import Checkpoint as Checkpoint
 from .splitting import Levels as Levels
 from .splitting import Occupancy as Occupancy
-from .splitting import Seen as Seen
 from .splitting import interval as interval
 from .splitting import pilot as pilot
 from .splitting import run as run

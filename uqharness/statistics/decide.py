@@ -1,19 +1,22 @@
-"""Is the excursion rate acceptable? Wrong no more often than stated, however often one looks.
+"""Sequential decision: is the excursion rate of a cell acceptable?
 
-A cell is one condition with all its corners. "yes": every corner's rate is below the threshold; "no": some corner's is above. Only
-one of the two can be wrong in a given cell, so each may use the cell's whole error rate:
+A cell is one condition with all its corners. "yes": every corner's rate is below the threshold;
+"no": some corner's is above. The error rate holds however often the evidence is examined. Only one
+of the two answers can be wrong in a given cell, so each may use the cell's full error rate:
 
-* "no" asks for evidence against "all corners are at or below the threshold": the mean of the corners' evidence, whatever their
-  dependence, is itself evidence of that kind, so nothing is paid for the corner that was picked;
-* "yes" asks for evidence from every corner. It is wrong only if the corner that is in truth above the threshold was let pass, so
-  nothing is paid for their number either.
+* "no" needs evidence against "all corners are at or below the threshold". The mean of the corners'
+  e-values is an e-value for that hypothesis, whatever their dependence, so picking a corner costs
+  nothing.
+* "yes" needs evidence from every corner. It is wrong only if a corner above the threshold passes,
+  so the number of corners costs nothing.
 
-The same is asked of aborted flights. "yes" needs both, each at half the error rate: of excursions and of aborted flights per hour
-flown, in which the time that an aborted flight did not fly is charged at the tested rate. "no" takes a weighted mean of the
-evidence of both.
+Aborted flights are tested in the same way. "yes" needs both tests, each at half the error rate: of
+excursions and of aborted flights per hour flown, where the time that an aborted flight did not fly
+is charged at the tested rate. "no" takes a weighted mean of both e-values.
 
-Corners share their air; the arguments need the flights of one corner to be independent of each other and a corner that has been
-settled never to fly again, no more. Pure: counts in, answers out.
+Corners share their air. The flights of one corner must be independent of each other, and a corner
+with an answer is not flown again. `uqharness.campaign` calls `begin`, `add`, `decide_cell` and
+`close` in this order.
 """
 
 from __future__ import annotations
@@ -31,14 +34,28 @@ WITHIN_ZONE, USED_UP = "within the indifference zone", "all flights flown"
 
 
 LOSS_WEIGHT = 0.1
+"""Weight of aborted flights in the evidence for "no"."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is to be settled, in mean excursions per flight (rate times duration).
+    """What is to be decided, in mean excursions per flight (rate times duration).
 
-    ``loss_threshold`` is that of aborted flights. ``error_rate`` is that of one cell, of each corner of it where ``every_corner``
-    is asked for. ``zone`` around the threshold: a corner shown to lie within is not flown further, its answer stays open.
+    Attributes
+    ----------
+    threshold : float
+        Acceptable mean.
+    zone : tuple of two floats
+        Indifference zone around it: a corner shown to lie within is not flown further, its answer
+        stays open.
+    dispersion : float
+        Variance over mean that is allowed for.
+    error_rate : float
+        Of one cell, or of each corner with ``every_corner``.
+    every_corner : bool
+        Answer for every corner.
+    loss_threshold : float
+        Acceptable mean of aborted flights.
     """
 
     threshold: float
@@ -51,12 +68,26 @@ class Question:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the flights of one cell say so far, per corner (c,).
+    """Evidence of the flights of one cell, per corner (c,).
 
-    ``total`` excursions with failed flights bounded from above, ``squares`` of them; logarithms of the ``bets`` against the
-    threshold and of ``bets_zone`` against the zone's lower end, counted from below. ``lost`` flights were aborted, ``bets_lost``
-    against their threshold, ``missing`` is the sum of the shares of their time they did not fly, ``ended`` the largest count of a
-    flight that ended early. ``answers``: of each corner, "" while it flies.
+    Attributes
+    ----------
+    flights : array (c,)
+        Number of flights.
+    total, squares : array (c,)
+        Excursions, with an upper bound for failed flights, and the sum of their squares.
+    bets, bets_zone : array (c, bets)
+        Log factors against the threshold and against the zone's lower end, from lower counts.
+    aborted, bets_lost : array (c,), (c, bets)
+        Aborted flights, and log factors against their threshold.
+    missing : array (c,)
+        Sum of the shares of time not flown.
+    ended : array (c,)
+        Largest count of a flight that ended early.
+    answers : tuple of str
+        Of each corner; "" while it is flown.
+    cell, reason : str
+        Answer of the cell, and why it is open.
     """
 
     flights: FloatArray
@@ -64,7 +95,7 @@ class Evidence:
     squares: FloatArray
     bets: FloatArray
     bets_zone: FloatArray
-    lost: FloatArray
+    aborted: FloatArray
     bets_lost: FloatArray
     missing: FloatArray
     ended: FloatArray
@@ -74,7 +105,7 @@ class Evidence:
 
     @property
     def open(self) -> NDArray[np.bool_]:
-        """Corners to be flown further."""
+        """Whether each corner is to be flown further."""
         return np.array([answer == "" and not self.cell for answer in self.answers])
 
     @property
@@ -82,16 +113,16 @@ class Evidence:
         """Observed variance over mean of each corner's counts."""
         n = np.maximum(self.flights, 2.0)
         mean = self.total / n
-        spread = np.maximum(self.squares - n * mean**2, 0.0) / (n - 1.0)
+        variance = np.maximum(self.squares - n * mean**2, 0.0) / (n - 1.0)
         return np.where(
-            (self.flights >= 2) & (mean > 0), spread / np.where(mean > 0, mean, 1.0), 1.0
+            (self.flights >= 2) & (mean > 0), variance / np.where(mean > 0, mean, 1.0), 1.0
         )
 
 
 def begin(corners: int) -> Evidence:
-    """No flight flown."""
-    none, bets = np.zeros(corners), bet_logs(np.zeros((corners, 1)), 1.0).sum(axis=1) * 0.0
-    return Evidence(none, none, none, bets, bets, none, bets, none, none, ("",) * corners)
+    """Return the evidence before the first flight."""
+    zeros, bets = np.zeros(corners), bet_logs(np.zeros((corners, 1)), 1.0).sum(axis=1) * 0.0
+    return Evidence(zeros, zeros, zeros, bets, bets, zeros, bets, zeros, zeros, ("",) * corners)
 
 
 def add(
@@ -99,37 +130,55 @@ def add(
     question: Question,
     low: FloatArray,
     high: FloatArray,
-    lost: FloatArray | None = None,
+    aborted_flights: FloatArray | None = None,
     missing: FloatArray | None = None,
 ) -> Evidence:
-    """Evidence with one round more: least and most excursions (c, k) of each flight of the open corners, NaN elsewhere.
+    """Add the flights of one round.
 
-    ``lost`` (c, k) is 1 where a flight was aborted, ``missing`` (c, k) the share of its time that it did not fly; none by default.
+    Parameters
+    ----------
+    evidence : Evidence
+        Before the round.
+    question : Question
+        Thresholds.
+    low, high : array (c, k)
+        Least and most excursions of each flight of the open corners, NaN elsewhere.
+    aborted_flights : array (c, k), optional
+        1 where a flight was aborted.
+    missing : array (c, k), optional
+        Share of time that a flight did not fly.
+
+    Returns
+    -------
+    Evidence
+        After the round.
     """
-    flown = np.isfinite(high)
-    counted, upper = np.where(flown, low, 0.0), np.where(flown, high, 0.0)
-    absent = np.where(flown, 0.0 if missing is None else missing, 0.0)
+    has_flown = np.isfinite(high)
+    counted, upper = np.where(has_flown, low, 0.0), np.where(has_flown, high, 0.0)
+    time_missing = np.where(has_flown, 0.0 if missing is None else missing, 0.0)
 
     def earned(counts: FloatArray, mean: float) -> FloatArray:
-        found: FloatArray = np.where(
-            flown[..., None], bet_logs(counts + mean * absent, mean), 0.0
+        """Sum the log factors of a round against a mean."""
+        log_earnings: FloatArray = np.where(
+            has_flown[..., None], bet_logs(counts + mean * time_missing, mean), 0.0
         ).sum(axis=1)
-        return found
+        return log_earnings
 
+    # Lower counts for the lower side; charge the time not flown at the tested mean.
     bets, zone = earned(counted, question.threshold), earned(counted, question.zone[0])
-    aborted = np.where(flown, 0.0 if lost is None else lost, 0.0)
+    aborted = np.where(has_flown, 0.0 if aborted_flights is None else aborted_flights, 0.0)
     bets_lost = np.zeros_like(bets)
     if np.isfinite(question.loss_threshold):
         bets_lost = earned(aborted, question.loss_threshold)
     return replace(
         evidence,
-        lost=evidence.lost + aborted.sum(axis=1),
+        aborted=evidence.aborted + aborted.sum(axis=1),
         bets_lost=evidence.bets_lost + bets_lost,
-        missing=evidence.missing + absent.sum(axis=1),
+        missing=evidence.missing + time_missing.sum(axis=1),
         ended=np.maximum(
-            evidence.ended, np.where(absent > 0.0, upper, 0.0).max(axis=1, initial=0.0)
+            evidence.ended, np.where(time_missing > 0.0, upper, 0.0).max(axis=1, initial=0.0)
         ),
-        flights=evidence.flights + flown.sum(axis=1),
+        flights=evidence.flights + has_flown.sum(axis=1),
         total=evidence.total + upper.sum(axis=1),
         squares=evidence.squares + (upper**2).sum(axis=1),
         bets=evidence.bets + bets,
@@ -137,12 +186,25 @@ def add(
     )
 
 
-def look(evidence: Evidence, question: Question) -> Evidence:
-    """Answer what the evidence settles: corners first, then the cell. A settled answer stays."""
+def decide_cell(evidence: Evidence, question: Question) -> Evidence:
+    """Answer the corners that the evidence decides, then the cell. An answer is never revised.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        So far.
+    question : Question
+        Thresholds and error rate.
+
+    Returns
+    -------
+    Evidence
+        With answers.
+    """
     if evidence.cell:
         return evidence
-    wanted, doubly = -np.log(question.error_rate), -np.log(question.error_rate / 2.0)
-    # A flight that ended early counts as a cluster of what it had seen (rates.py).
+    threshold, halved_threshold = -np.log(question.error_rate), -np.log(question.error_rate / 2.0)
+    # The excursions of a flight that ended early count as one cluster (`rates`).
     dispersion = np.maximum(np.maximum(evidence.dispersion, evidence.ended), question.dispersion)
 
     def below(mean: float) -> NDArray[np.bool_]:
@@ -155,30 +217,35 @@ def look(evidence: Evidence, question: Question) -> Evidence:
                 question.dispersion,
                 evidence.missing,
             )
-            >= doubly
+            >= halved_threshold
         )
 
     above = log_e_above(evidence.bets)
+    # "yes" needs excursions and aborted flights below their thresholds.
     acceptable = below(question.threshold)
     if np.isfinite(question.loss_threshold):
-        # A flight is aborted once: its count clusters no more than independent ones do.
-        least, limit = np.ones_like(evidence.lost), question.loss_threshold
+        # A flight is aborted at most once, so its dispersion is at most 1.
+        unit_dispersion, limit = np.ones_like(evidence.aborted), question.loss_threshold
         acceptable &= (
-            log_e_below(evidence.flights, evidence.lost, limit, least, 1.0, evidence.missing)
-            >= doubly
+            log_e_below(
+                evidence.flights, evidence.aborted, limit, unit_dispersion, 1.0, evidence.missing
+            )
+            >= halved_threshold
         )
         above = evidence_of_either(above, log_e_above(evidence.bets_lost))
-    marginal = below(question.zone[1]) & (log_e_above(evidence.bets_zone) >= wanted)
+    # Within the indifference zone: below its upper end and above its lower end.
+    marginal = below(question.zone[1]) & (log_e_above(evidence.bets_zone) >= threshold)
     answers = list(evidence.answers)
     for corner in np.flatnonzero(evidence.open):
-        if question.every_corner and above[corner] >= wanted:
+        if question.every_corner and above[corner] >= threshold:
             answers[corner] = NO
         elif acceptable[corner]:
             answers[corner] = YES
         elif marginal[corner]:
             answers[corner] = OPEN
+    # "no" needs the mean of the corners' e-values above 1/error rate.
     some_above = (
-        float(np.logaddexp.reduce(above)) - np.log(above.size) >= wanted
+        float(np.logaddexp.reduce(above)) - np.log(above.size) >= threshold
         and not question.every_corner
     )
     cell = reason = ""
@@ -192,18 +259,21 @@ def look(evidence: Evidence, question: Question) -> Evidence:
 
 
 def evidence_of_either(excursions: FloatArray, losses: FloatArray) -> FloatArray:
-    """Logarithm of the evidence that one of two means is too large: the weighted mean of that of each, for any weights.
+    """Combine the log evidence that one of two means is too large, by a weighted mean.
 
-    Most of the weight lies on excursions, of which there are more.
+    Any fixed weights are valid; most of the weight is on excursions, which are more frequent.
     """
-    found: FloatArray = np.logaddexp(
+    log_e: FloatArray = np.logaddexp(
         excursions + np.log(1.0 - LOSS_WEIGHT), losses + np.log(LOSS_WEIGHT)
     )
-    return found
+    return log_e
 
 
 def close(evidence: Evidence) -> Evidence:
-    """The end of the flights: what is not settled stays open; one corner shown to be above answers for its cell."""
+    """Close the evidence at the end of the flights.
+
+    Undecided corners are open; one corner above the threshold decides its cell.
+    """
     if evidence.cell:
         return evidence
     answers = tuple(answer or OPEN for answer in evidence.answers)

@@ -1,8 +1,10 @@
-"""P-boxes and excursion rates with their limits, from samples alone. Pure: arrays in, arrays out.
+"""P-boxes, their bands, excursion rates and convergence, from samples alone.
 
-A p-box is the envelope of the distribution functions of the epistemic samples (corners). Its band adds what a finite number of
-flights leaves open, simultaneously over all corners and values. A flight that failed, or whose metric is undefined, is bounded,
-never dropped: it counts as +inf for the lower side and as -inf for the upper side.
+A p-box is the envelope of the distribution functions of the epistemic samples (corners). Its band
+adds the sampling error of a finite number of flights, simultaneously over all corners and values. A
+flight that failed, or whose metric is undefined, is bounded and never dropped: it counts as +inf
+for the lower side and as -inf for the upper side. Campaign tables, comparisons and reports use
+these functions; arrays in, arrays out.
 """
 
 from __future__ import annotations
@@ -21,96 +23,127 @@ from sysid.display import rows_table, view
 from sysid.distributions import chi2_quantile, chi2_upper_quantile
 from uqharness.arguments import number
 
-# Band around empirical distribution functions of corners that flew the same air: a bootstrap
-# over airs.
+# Band around empirical distribution functions of corners that flew the same air: a bootstrap over
+# airs.
 #
-# Corners on common air err together, and Bonferroni pays as if they did not. The band's half-
-# width is a quantile of the largest distance between empirical and true distribution function,
-# over all values and corners. It is estimated by drawing airs with replacement, for all corners
-# the same ones (Efron and Tibshirani 1993; van der Vaart and Wellner 1996, theorem 3.6.1: the
-# bootstrap of the empirical process is consistent, jointly over a finite number of corners).
-# All counting is in integers, so that the result does not depend on the processor. Pure: arrays
-# in, arrays out.
+# Corners on common air have correlated errors, which Bonferroni's bound ignores. The band's
+# half-width is a quantile of the largest distance between empirical and true distribution function,
+# over all values and corners, estimated by drawing airs with replacement, the same for all corners
+# (Efron and Tibshirani 1993; van der Vaart and Wellner 1996, theorem 3.6.1: the bootstrap of the
+# empirical process is consistent, jointly over a finite number of corners). Counts are integers, so
+# that the result does not depend on the processor.
 
 MIN_AIRS = 40
-"""Fewer airs are resampled too coarsely to keep the level."""
+"""Fewer airs are too coarse a bootstrap to keep the level."""
 RESAMPLES = 1000
 MIN_BEYOND = 20
-"""Resamples that must lie beyond the wanted quantile."""
-MOST_FLIGHTS = 100_000
-"""Flights of one p-box beyond which drawing again costs more than the width is worth."""
+"""Resamples that must lie above the quantile."""
+MAX_FLIGHTS = 100_000
+"""Flights of one p-box above which a bootstrap costs more than the narrower band is worth."""
 _SEED = 20161224
 
 
 def is_enough(airs: int, flights: int, confidence: float) -> bool:
-    """Whether airs can be drawn again: neither too few nor too many flights, nor a quantile too far out."""
+    """Return whether a bootstrap over airs is possible.
+
+    It needs MIN_AIRS, at most MAX_FLIGHTS, and a quantile that is not too extreme.
+    """
     return (
-        airs >= MIN_AIRS
-        and flights <= MOST_FLIGHTS
-        and (1.0 - confidence) * RESAMPLES >= MIN_BEYOND
+        airs >= MIN_AIRS and flights <= MAX_FLIGHTS and (1.0 - confidence) * RESAMPLES >= MIN_BEYOND
     )
 
 
 def common_air_half_width(values: FloatArray, confidence: float, seed: int = _SEED) -> float:
-    """Half-width of a band that holds for all corners and values at once; ``values`` (c, n) of n common airs, NaN: not known.
+    """Compute the half-width of a band that holds for all corners and values at once.
 
-    What is not known counts as infinite for the lower side and as minus infinite for the upper side. Two corrections of order 1/n:
-    drawn distances scatter less than true ones by the root of (n - 1)/n, and are looked at after each step alone, so that up to 1/n
-    is missing.
+    Unknown values count as infinite for the lower side and as minus infinite for the upper side.
+    Two corrections of order 1/n apply: resampled distances scatter less than true ones by the root
+    of (n - 1)/n, and they are taken after each step only, which misses up to 1/n.
+
+    Parameters
+    ----------
+    values : array (c, n)
+        Metric of c corners in n common airs; NaN where unknown.
+    confidence : float
+        Of the band.
+    seed : int
+        Of the resampling.
+
+    Returns
+    -------
+    float
+        Probability, at most 1.
     """
     airs = values.shape[1]
-    more = _multiplicities(airs, seed) - 1
+    extra_draws = _multiplicities(airs, seed) - 1
     largest = np.zeros(RESAMPLES, dtype=np.int64)
+    # Largest distance of each resample, over all corners and both treatments of unknown values.
     for row in values:
         unknown = np.isnan(row)
         sides = (np.inf, -np.inf) if unknown.any() else (np.inf,)
         for side in sides:
-            np.maximum(largest, _distances(np.where(unknown, side, row), more), out=largest)
-    # The smallest resampled distance with at most the wanted share above it, of one more than were drawn.
-    place = min(int(np.ceil(confidence * (RESAMPLES + 1))), RESAMPLES) - 1
-    wanted = float(np.sort(largest)[place]) / airs
-    return min(1.0, float(np.sqrt(airs / (airs - 1.0))) * wanted + 1.0 / airs)
+            np.maximum(largest, _distances(np.where(unknown, side, row), extra_draws), out=largest)
+    # The conservative quantile of RESAMPLES + 1 distances, the observed one included.
+    rank = min(int(np.ceil(confidence * (RESAMPLES + 1))), RESAMPLES) - 1
+    quantile = float(np.sort(largest)[rank]) / airs
+    return min(1.0, float(np.sqrt(airs / (airs - 1.0))) * quantile + 1.0 / airs)
 
 
 @lru_cache(8)
 def _multiplicities(airs: int, seed: int) -> NDArray[np.int32]:
-    """(airs, resamples): how often each air was drawn."""
+    """Return how often each air was drawn in each resample, (airs, resamples)."""
     rng = np.random.default_rng(seed)
-    drawn = rng.integers(0, airs, (RESAMPLES, airs))
+    air_indices = rng.integers(0, airs, (RESAMPLES, airs))
     offset = airs * np.arange(RESAMPLES)[:, None]
-    times = np.bincount((drawn + offset).ravel(), minlength=RESAMPLES * airs)
-    found = np.ascontiguousarray(times.reshape(RESAMPLES, airs).T.astype(np.int32))
-    found.flags.writeable = False
-    return found
+    times = np.bincount((air_indices + offset).ravel(), minlength=RESAMPLES * airs)
+    multiplicities = np.ascontiguousarray(times.reshape(RESAMPLES, airs).T.astype(np.int32))
+    multiplicities.flags.writeable = False
+    return multiplicities
 
 
-def _distances(row: FloatArray, more: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(resamples,) largest difference between counts at or below a value, drawn and flown; ``more`` (airs, resamples): how much
-    oftener than once each air was drawn. Air by air, all resamples at once: a cumulative sum would leave the processor's cache."""
+def _distances(row: FloatArray, extra_draws: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Compute the largest difference (resamples,) between resampled and original counts at or below
+    a value.
+
+    ``extra_draws`` (airs, resamples) is how often each air was drawn, less one. Airs are processed
+    one by one for all resamples, because a cumulative sum would exceed the processor's cache.
+    """
     order = np.argsort(row, kind="stable")
     ordered = row[order]
     steps = np.append(ordered[1:] != ordered[:-1], True)
-    drawn, most, least = np.zeros((3, more.shape[1]), dtype=np.int32)
+    cumulative, largest, smallest = np.zeros((3, extra_draws.shape[1]), dtype=np.int32)
     for air, is_step in zip(order.tolist(), steps.tolist(), strict=True):
-        drawn += more[air]
+        cumulative += extra_draws[air]
         if is_step:
-            np.maximum(most, drawn, out=most)
-            np.minimum(least, drawn, out=least)
-    found: NDArray[np.int64] = np.maximum(most, -least).astype(np.int64)
-    return found
+            np.maximum(largest, cumulative, out=largest)
+            np.minimum(smallest, cumulative, out=smallest)
+    distances: NDArray[np.int64] = np.maximum(largest, -smallest).astype(np.int64)
+    return distances
 
 
 MAX_POINTS = 512
-"""Rows of a p-box; beyond that many distinct values the grid is thinned. The rows that remain are exact."""
+"""Rows of a p-box; with more distinct values the grid is thinned.
+
+The rows that remain are exact.
+"""
 
 _SHOWN_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Flights of one epistemic sample in one condition: known ``values`` (n,) and the number that are not known.
+    """Flights of one epistemic sample in one condition.
 
-    ``airs`` (n + unknown,) name the air of each flight, those of the unknown ones last; None where that is not said.
+    Attributes
+    ----------
+    epistemic_id : str
+        Name of the sample.
+    values : array (n,)
+        Known values of the metric.
+    unknown : int
+        Number of flights without a value.
+    airs : array (n + unknown,), optional
+        Air of each flight, those of unknown values last.
     """
 
     epistemic_id: str
@@ -126,10 +159,21 @@ class Sample:
 
 @dataclass(frozen=True)
 class PBox:
-    """Envelope at ``value`` (n,): P(X <= value) lies in [lower, upper], with the band at the stated confidence.
+    """Envelope of distribution functions, with its band.
 
-    Between two rows the lower side is that of the row to the left, the upper side at most that of the row to the right.
-    ``corner_*`` (n,) name the epistemic sample that sets each side (the first, where several do).
+    Between two rows the lower side is that of the row to the left, the upper side at most that of
+    the row to the right.
+
+    Attributes
+    ----------
+    value : array (n,)
+        Values of the metric, ascending.
+    lower, upper : array (n,)
+        P(X <= value) lies between them.
+    band_lower, band_upper : array (n,)
+        With the sampling error at the stated confidence.
+    corner_lower, corner_upper : array (n,) of str
+        Epistemic sample that sets each side (the first of several).
     """
 
     value: FloatArray
@@ -152,70 +196,93 @@ class PBox:
         return view(repr(self), rows_table(rows))
 
     def quantile(self, probability: float) -> tuple[float, float]:
-        """Interval of the p-box's quantile; the right end is inf where failures or chance leave it open.
+        """Return the interval of a quantile; the upper end is inf if failures or chance leave it
+        open.
 
-        Raises BadInputError for a probability that is none.
+        Raises BadInputError for a probability outside 0 to 1.
         """
-        return _first(self.value, self.upper, probability), _first(
+        return _first_reaching(self.value, self.upper, probability), _first_reaching(
             self.value, self.lower, probability
         )
 
     def set_by(self, probability: float) -> tuple[str, str]:
-        """Epistemic samples that set the two ends of :meth:`quantile`, best first; empty for an end that is open.
+        """Return the epistemic samples that set the two ends of :meth:`quantile`; "" for an open
+        end.
 
         Raises BadInputError likewise.
         """
-        found = []
+        setters = []
         for end, names in zip(
             self.quantile(probability), (self.corner_upper, self.corner_lower), strict=True
         ):
-            found.append(str(names[np.searchsorted(self.value, end)]) if np.isfinite(end) else "")
-        return found[0], found[1]
+            setters.append(str(names[np.searchsorted(self.value, end)]) if np.isfinite(end) else "")
+        return setters[0], setters[1]
 
     def band_quantile(self, probability: float) -> tuple[float, float]:
-        """The same for the band: -inf or inf where too few flights were flown to say. Raises BadInputError likewise."""
-        left = _first(self.value, self.band_upper, probability)
-        if left == self.value[0]:
-            left = -np.inf
-        return left, _first(self.value, self.band_lower, probability)
+        """Return the interval of a quantile of the band; -inf or inf where flights are too few.
+
+        Raises BadInputError likewise.
+        """
+        lower_end = _first_reaching(self.value, self.band_upper, probability)
+        if lower_end == self.value[0]:
+            lower_end = -np.inf
+        return lower_end, _first_reaching(self.value, self.band_lower, probability)
 
 
-def _first(value: FloatArray, probability: FloatArray, wanted: float) -> float:
-    wanted = number(
-        "probability", wanted, "a number from 0 to 1", lambda given: 0.0 <= given <= 1.0
+def _first_reaching(value: FloatArray, probability: FloatArray, target: float) -> float:
+    """Return the first value at which a distribution function reaches ``target``; inf if it never
+    does.
+    """
+    target = number(
+        "probability", target, "a number from 0 to 1", lambda share: 0.0 <= share <= 1.0
     )
-    reached = np.flatnonzero(probability >= wanted - 1e-12)
+    reached = np.flatnonzero(probability >= target - 1e-12)
     return float(value[reached[0]]) if reached.size else float("inf")
 
 
 def ecdf(sorted_values: FloatArray, at: FloatArray) -> FloatArray:
-    """Number of ``sorted_values`` (n,) that are <= each of ``at`` (m,)."""
+    """Count the ``sorted_values`` (n,) that are <= each of ``at`` (m,).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ecdf(np.array([1.0, 2.0, 2.0]), np.array([0.0, 2.0])).tolist()
+    [0.0, 3.0]
+    """
     return np.searchsorted(sorted_values, at, side="right").astype(float)
 
 
 def band_half_width(flights: int, corners: int, confidence: float) -> float:
-    """Half-width around an empirical distribution that holds for all values and all corners at once.
+    """Compute the half-width around empirical distributions that holds for all values and corners.
 
-    Bonferroni over the corners on the exact distribution of Kolmogorov's statistic, a little narrower than the DKW bound
-    sqrt(ln(2 corners / (1 - confidence)) / (2 flights)). Corners that share random numbers need no independence for it.
+    Bonferroni over the corners on the exact distribution of Kolmogorov's statistic, slightly
+    narrower than the DKW bound sqrt(ln(2 corners / (1 - confidence)) / (2 flights)). It is valid
+    for corners that share random numbers.
     """
     if flights < 1:
         return 1.0
-    # Rounded up, for the last bits differ between processors, and tables must not.
+    # Rounded up, because the last bits differ between processors.
     return min(1.0, math.ceil(_kolmogorov((1.0 - confidence) / corners, int(flights)) * 1e9) / 1e9)
 
 
 @lru_cache(256)
 def _kolmogorov(tail: float, flights: int) -> float:
-    """What Kolmogorov's statistic of so many flights exceeds with the probability ``tail``: one number for all metrics."""
+    """Return the upper quantile of Kolmogorov's statistic with probability ``tail``."""
     from scipy import stats
 
     return float(stats.kstwo.isf(tail, flights))
 
 
 def flights_for_band(half_width: float, corners: int, confidence: float) -> int:
-    """Flights per corner that bring the band within ``half_width`` (probability) of the envelope: known before the first."""
+    """Return the flights per corner that give a band of at most ``half_width`` (probability).
+
+    Examples
+    --------
+    >>> flights_for_band(0.1, corners=1, confidence=0.95)
+    181
+    """
     low, high = 0, 1
+    # Double until the band is narrow enough, then bisect.
     while band_half_width(high, corners, confidence) > half_width:
         low, high = high, 2 * high
     while high - low > 1:
@@ -229,7 +296,34 @@ def flights_for_band(half_width: float, corners: int, confidence: float) -> int:
 
 
 def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = MAX_POINTS) -> PBox:
-    """P-box of the samples. ValueError if there is none, one is empty, or no value is known."""
+    """Compute the p-box of samples.
+
+    Parameters
+    ----------
+    samples : sequence of Sample
+        One an epistemic sample.
+    confidence : float
+        Of the band.
+    max_points : int
+        Rows at most.
+
+    Returns
+    -------
+    PBox
+        Envelope and band.
+
+    Raises
+    ------
+    ValueError
+        If there is no sample, one is empty, or no value is known.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> box = pbox([Sample("a", np.array([1.0, 2.0])), Sample("b", np.array([2.0, 3.0]))])
+    >>> box.lower.tolist(), box.upper.tolist()
+    ([0.0, 0.5, 1.0], [0.5, 1.0, 1.0])
+    """
     if not samples or any(sample.size == 0 for sample in samples):
         raise ValueError(
             "a p-box needs at least one epistemic sample, each with at least one flight"
@@ -237,12 +331,14 @@ def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = 
     pooled = np.unique(np.concatenate([sample.values for sample in samples]))
     if pooled.size == 0 or not np.all(np.isfinite(pooled)):
         raise ValueError("a p-box needs at least one known value, and known values must be finite")
+    # Thin the grid evenly in rank.
     if pooled.size > max_points:
         pooled = pooled[np.unique(np.linspace(0, pooled.size - 1, max_points).round().astype(int))]
     width = {
         size: band_half_width(size, len(samples), confidence)
         for size in {sample.size for sample in samples}
     }
+    # Common air allows a narrower band.
     common = _on_common_air(samples, confidence)
     if common is not None:
         size = samples[0].size
@@ -250,6 +346,7 @@ def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = 
     lower = np.empty((len(samples), pooled.size))
     upper = np.empty_like(lower)
     margin = np.empty((len(samples), 1))
+    # Failed flights count above every value for the lower side and below for the upper side.
     for row, sample in enumerate(samples):
         below = ecdf(np.sort(sample.values), pooled)
         lower[row] = below / sample.size
@@ -268,14 +365,14 @@ def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = 
 
 
 def _on_common_air(samples: Sequence[Sample], confidence: float) -> FloatArray | None:
-    """Values (c, n) of corners that all flew the same n airs, NaN where not known; None where they did not, or too few or many."""
+    """Return values (c, n) of corners that flew the same n airs, NaN where unknown; else None."""
     size = samples[0].size
     flights = sum(sample.size for sample in samples)
     if len(samples) < 2 or samples[0].airs is None or not is_enough(size, flights, confidence):
         return None
     airs = np.unique(samples[0].airs)
-    found = np.full((len(samples), size), np.nan)
-    for row, sample in zip(found, samples, strict=True):
+    matrix = np.full((len(samples), size), np.nan)
+    for row, sample in zip(matrix, samples, strict=True):
         if (
             sample.size != size
             or sample.airs is None
@@ -283,11 +380,14 @@ def _on_common_air(samples: Sequence[Sample], confidence: float) -> FloatArray |
         ):
             return None
         row[np.searchsorted(airs, sample.airs[: sample.values.size])] = sample.values
-    return found
+    return matrix
 
 
 def envelope(samples: Sequence[Sample], at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper envelope (m,) of the samples' distribution functions at each of ``at`` (m,). ValueError for no flight."""
+    """Compute the lower and upper envelope (m,) of the samples' distribution functions.
+
+    Raises ValueError if a sample is empty or there is none.
+    """
     if not samples or any(sample.size == 0 for sample in samples):
         raise ValueError(
             "an envelope needs at least one epistemic sample, each with at least one flight"
@@ -301,9 +401,9 @@ def envelope(samples: Sequence[Sample], at: FloatArray) -> tuple[FloatArray, Flo
 
 
 def widened(samples: Sequence[Sample], added: Sequence[Sample]) -> float:
-    """By which share of its area the p-box of ``samples`` grows when ``added`` join it; NaN where it has no area.
+    """Return by which share the p-box's area grows when ``added`` join ``samples``.
 
-    Raises ValueError as :func:`envelope` does.
+    NaN if the p-box has no area. Raises ValueError as :func:`envelope` does.
     """
     value = np.unique(np.concatenate([sample.values for sample in (*samples, *added)]))
     lower, upper = envelope(samples, value)
@@ -317,11 +417,22 @@ def widened(samples: Sequence[Sample], added: Sequence[Sample]) -> float:
 
 @dataclass(frozen=True)
 class Containment:
-    """How one p-box lies to another, at all values at once.
+    """Relation of an inner p-box to an outer one, at all values.
 
-    ``value`` (n,) with both envelopes; ``excess_lower`` and ``excess_upper`` are the largest probabilities by which the inner
-    one reaches beyond the outer one, at ``at_lower`` and ``at_upper`` (0 and NaN if it never does); ``chance`` is what the finite
-    number of flights could make of that; ``area_ratio`` the inner area over the outer one (NaN if that is 0).
+    Attributes
+    ----------
+    value : array (n,)
+        Values of the metric.
+    inner, outer : tuple of two arrays (n,)
+        Lower and upper envelope.
+    excess_lower, excess_upper : float
+        Largest probability by which the inner one exceeds the outer one on each side; 0 if never.
+    at_lower, at_upper : float
+        Where; NaN if never.
+    chance : float
+        Excess that the finite number of flights can explain.
+    area_ratio : float
+        Inner area over outer area; NaN if the latter is 0.
     """
 
     value: FloatArray
@@ -336,7 +447,7 @@ class Containment:
 
     @property
     def verdict(self) -> str:
-        """inside, outside-by-chance (within the bands of both) or outside."""
+        """ "inside", "outside-by-chance" (within the bands of both) or "outside"."""
         worst = max(self.excess_lower, self.excess_upper)
         return (
             "inside" if worst <= 0.0 else "outside-by-chance" if worst <= self.chance else "outside"
@@ -346,21 +457,27 @@ class Containment:
 def containment(
     inner: Sequence[Sample], outer: Sequence[Sample], confidence: float = 0.95
 ) -> Containment:
-    """Whether the p-box of ``inner`` lies within that of ``outer``. Raises ValueError as :func:`envelope` does.
+    """Test whether the p-box of ``inner`` lies within that of ``outer``.
 
-    ``chance`` adds both simultaneous half-widths, each at half the error rate.
+    ``chance`` adds both simultaneous half-widths, each at half the error rate. Raises ValueError as
+    :func:`envelope` does.
     """
     value = np.unique(np.concatenate([sample.values for sample in (*inner, *outer)]))
     if value.size == 0:
         raise ValueError("a comparison needs at least one known value")
-    within, around = envelope(inner, value), envelope(outer, value)
-    beyond = {"lower": around[0] - within[0], "upper": within[1] - around[1]}
-    worst = {side: int(np.argmax(excess)) for side, excess in beyond.items()}
-    excess = {side: max(0.0, float(beyond[side][index])) for side, index in worst.items()}
+    # Excess of the inner p-box on each side, and where it is largest.
+    inner_sides, outer_sides = envelope(inner, value), envelope(outer, value)
+    differences = {
+        "lower": outer_sides[0] - inner_sides[0],
+        "upper": inner_sides[1] - outer_sides[1],
+    }
+    worst = {side: int(np.argmax(excess)) for side, excess in differences.items()}
+    excess = {side: max(0.0, float(differences[side][index])) for side, index in worst.items()}
     at = {
         side: float(value[index]) if excess[side] > 0.0 else float("nan")
         for side, index in worst.items()
     }
+    # Sampling error of both, each at half the error rate.
     share = 0.5 * (1.0 + confidence)
     chance = sum(
         band_half_width(min(sample.size for sample in samples), len(samples), share)
@@ -368,13 +485,14 @@ def containment(
     )
     chance = min(1.0, chance)
     widths = [
-        float(np.sum((upper - lower)[:-1] * np.diff(value))) for lower, upper in (within, around)
+        float(np.sum((upper - lower)[:-1] * np.diff(value)))
+        for lower, upper in (inner_sides, outer_sides)
     ]
     ratio = widths[0] / widths[1] if widths[1] > 0.0 else float("nan")
     return Containment(
         value,
-        within,
-        around,
+        inner_sides,
+        outer_sides,
         excess["lower"],
         excess["upper"],
         at["lower"],
@@ -386,7 +504,13 @@ def containment(
 
 @lru_cache(maxsize=4096)
 def poisson_limits(events: int, hours: float, confidence: float = 0.95) -> tuple[float, float]:
-    """Exact (Garwood) two-sided limits of a rate per hour from ``events`` in ``hours``."""
+    """Compute exact (Garwood) two-sided limits of a rate per hour from ``events`` in ``hours``.
+
+    Examples
+    --------
+    >>> [round(limit, 4) for limit in poisson_limits(0, 1.0)]
+    [0.0, 3.6889]
+    """
     if hours <= 0.0:
         return 0.0, float("inf")
     tail = (1.0 - confidence) / 2.0
@@ -395,7 +519,13 @@ def poisson_limits(events: int, hours: float, confidence: float = 0.95) -> tuple
 
 
 def poisson_upper(events: int, hours: float, confidence: float = 0.95) -> float:
-    """Exact one-sided upper limit of a rate per hour: what ``events`` in ``hours`` prove."""
+    """Compute the exact one-sided upper limit of a rate per hour from ``events`` in ``hours``.
+
+    Examples
+    --------
+    >>> round(poisson_upper(0, 1.0), 4)
+    2.9957
+    """
     return (
         float(chi2_upper_quantile(1.0 - confidence, 2 * events + 2) / (2.0 * hours))
         if hours > 0.0
@@ -407,9 +537,21 @@ def poisson_upper(events: int, hours: float, confidence: float = 0.95) -> float:
 class ExcursionRate:
     """Excursions of one epistemic sample in one condition.
 
-    ``events`` were counted; ``events_upper`` adds one for each flight that failed or has no count. ``rate`` and ``rate_upper``
-    per hour go with them. ``limits`` are exact Poisson limits of this sample alone; ``simultaneous`` hold for all corners at
-    once, so also for the best and the worst picked among them.
+    Attributes
+    ----------
+    epistemic_id : str
+        Name of the sample.
+    flights, failed : int
+        Flights, and those that failed.
+    hours : float
+        Scored flight time [h].
+    events, events_upper : int
+        Counted events; the upper number adds one for each flight that failed or has no count.
+    rate, rate_upper : float
+        Their rates per hour.
+    limits, simultaneous : tuple of two floats
+        Exact Poisson limits of this sample alone, and of all corners at once. The latter also hold
+        for the best and the worst corner picked among them.
     """
 
     epistemic_id: str
@@ -432,14 +574,40 @@ def excursion_rate(
     corners: int,
     confidence: float = 0.95,
 ) -> ExcursionRate:
-    """Rate from ``counts``, one per flight (None = unknown), of which ``failed`` flights failed, in ``hours`` of scored flight.
+    """Compute the excursion rate of one epistemic sample.
 
-    Lower limits rest on what was counted, upper limits on what may have happened. Without a scored hour the counted rate is NaN.
+    Lower limits use the counted events, upper limits the possible ones.
+
+    Parameters
+    ----------
+    epistemic_id : str
+        Name of the sample.
+    counts : sequence of int or None
+        Events of each flight; None if unknown.
+    failed : int
+        Flights that failed.
+    hours : float
+        Scored flight time [h].
+    corners : int
+        Samples among which the best and the worst will be picked.
+    confidence : float
+        Of the limits.
+
+    Returns
+    -------
+    ExcursionRate
+        The rate is NaN without a scored hour.
+
+    Examples
+    --------
+    >>> excursion_rate("a", [0, 2, None], failed=1, hours=2.0, corners=1).rate_upper
+    1.5
     """
     events = sum(count for count in counts if count is not None)
     unknown = sum(count is None for count in counts)
-    # A failed flight is an excursion beyond those it had, whether or not it has a count.
+    # A failed flight counts as one more excursion, whether or not it has a count.
     events_upper = events + max(failed, unknown)
+    # Bonferroni over the corners.
     strict = 1.0 - (1.0 - confidence) / corners
     return ExcursionRate(
         epistemic_id,
@@ -459,28 +627,36 @@ def excursion_rate(
 
 
 def best_and_worst(rates: Sequence[ExcursionRate]) -> tuple[ExcursionRate, ExcursionRate]:
-    """The corner with the fewest counted excursions per hour and that with the most possible ones; the first of equals.
+    """Return the corner with the lowest counted rate and that with the highest possible one.
 
-    A corner without a scored hour has no rate (NaN) and is not the best.
+    The first of equals wins. A corner without a scored hour has no rate (NaN) and is not the best.
     """
     counted = [item for item in rates if not np.isnan(item.rate)] or list(rates)
     return min(counted, key=lambda item: item.rate), max(rates, key=lambda item: item.rate_upper)
 
 
-# How far flight data lie outside a p-box: the area metric of Oberkampf and Roy (2010, section
-# 12.8), with its unit.
+# Area metric of flight data against a p-box (Oberkampf and Roy 2010, section 12.8).
 #
 # d = integral over x of the distance of the flights' empirical distribution function from the
-# interval [lower(x), upper(x)]: 0 where the flights could be drawn from within, else the area
-# by which they could not, in the metric's unit. Pure: arrays in, numbers out.
+# interval [lower(x), upper(x)]: 0 where the flights agree with the p-box, else the area outside,
+# in the metric's unit.
 
 
 @dataclass(frozen=True)
 class AreaMetric:
-    """``area`` outside the p-box, of which ``below`` lies at values smaller than the model allows and ``above`` at larger ones.
+    """Area of flight data outside a p-box.
 
-    ``beyond_chance`` is what remains when chance is allowed for on both sides: the p-box's band, and as many flights as were flown.
-    Above 0 the flights contradict the p-box; at 0 they may agree, or be too few to say.
+    Attributes
+    ----------
+    area : float
+        Total area [metric's unit].
+    below, above : float
+        Parts of it at values smaller and larger than the model allows.
+    beyond_chance : float
+        Area outside the bands of both. Above 0 the flights contradict the p-box; at 0 they agree,
+        or are too few for an answer.
+    flights : int
+        Number of flights.
     """
 
     area: float
@@ -491,9 +667,10 @@ class AreaMetric:
 
 
 def area_metric(box: PBox, values: FloatArray, confidence: float = 0.95) -> AreaMetric:
-    """Area metric of flight ``values`` (n,) in the p-box's unit; ``confidence`` is of the flights' own band.
+    """Compute the area metric of flight ``values`` (n,) in the p-box's unit.
 
-    ValueError for no value, or one that is not finite.
+    ``confidence`` is that of the flights' own band. Raises ValueError for no value, or one that is
+    not finite.
     """
     if values.size == 0 or not np.all(np.isfinite(values)):
         raise ValueError("the area metric needs at least one flight, and finite values")
@@ -505,35 +682,43 @@ def area_metric(box: PBox, values: FloatArray, confidence: float = 0.95) -> Area
         return np.concatenate([[0.0], side])[row]
 
     widths = np.append(np.diff(at), 0.0)
-    # Beyond the last value flown a side stays where it is: flights that failed, or were too few, leave it open.
+    # Above the last value a side is constant: failed or missing flights leave it open.
     below = float(widths @ np.maximum(share - steps(box.upper), 0.0))
     above = float(widths @ np.maximum(steps(box.lower) - share, 0.0))
-    # Below the first value flown nothing is known but how few flights there were.
+    # Below the first value only the number of flights limits the band.
     open_band = np.concatenate([[box.band_upper[0]], box.band_upper])[row]
     chance = band_half_width(values.size, 1, confidence)
-    beyond = np.maximum(share - chance - open_band, 0.0) + np.maximum(
+    excess = np.maximum(share - chance - open_band, 0.0) + np.maximum(
         steps(box.band_lower) - share - chance, 0.0
     )
-    return AreaMetric(below + above, below, above, float(widths @ beyond), int(values.size))
+    return AreaMetric(below + above, below, above, float(widths @ excess), int(values.size))
 
 
-# Have enough flights been flown, and enough epistemic samples? Answered from what was flown, by
-# taking parts of it.
+# Convergence: enough flights, and enough epistemic samples? Judged from parts of the data.
 #
-# Aleatory: the flights are cut into repeats, consecutive in aleatory id and so independent, as
+# Aleatory: the flights are split into repeats, consecutive in aleatory id and so independent, as
 # if the campaign had been flown several times with other seeds (Hale 2016, Fig 3.5); their
-# distribution functions should lie together. Epistemic: the p-box of a part of the samples,
-# drawn at random, against that of all; independent draws from one law are exchangeable, so at
-# any value one more has a chance of at most 2/(m + 1) to lie outside the envelope of m. Pure:
-# arrays in, tables out.
+# distribution functions should agree. Epistemic: the p-box of a random part of the samples is
+# compared with that of all. Independent draws from one law are exchangeable, so at any value one
+# more sample has a chance of at most 2/(m + 1) to lie outside the envelope of m.
 
 
 @dataclass(frozen=True)
 class Repeats:
-    """``repeats`` times ``flights`` flights of one epistemic sample: how far apart their distribution functions lie.
+    """Agreement of repeats of one epistemic sample.
 
-    ``distance`` is the largest between any two, ``expected`` what it stays below in 95 of 100 studies of independent draws;
-    ``medians`` (repeats,) in the metric's unit; ``curves`` (repeats, flights) sorted values, inf for failed flights.
+    Attributes
+    ----------
+    repeats, flights : int
+        Number of repeats, and flights in each.
+    distance : float
+        Largest difference between two distribution functions (probability).
+    expected : float
+        Limit that it does not exceed in 95 of 100 studies of independent draws.
+    medians : array (repeats,)
+        In the metric's unit.
+    curves : array (repeats, flights)
+        Sorted values, inf for failed flights.
     """
 
     repeats: int
@@ -546,9 +731,16 @@ class Repeats:
 
 @dataclass(frozen=True)
 class Growth:
-    """P-boxes of ``samples`` epistemic samples out of all: mean ``area`` between the sides (metric's unit), its spread over draws.
+    """Area of p-boxes of a part of the epistemic samples.
 
-    ``chance_of_more`` bounds, for any value of the metric, the chance that one more sample lies outside.
+    Attributes
+    ----------
+    samples : int
+        Number of epistemic samples.
+    area, area_low, area_high : float
+        Mean area over random choices, and its 95 % range [metric's unit].
+    chance_of_more : float
+        Bound, for any value, of the chance that one more sample lies outside.
     """
 
     samples: int
@@ -559,18 +751,23 @@ class Growth:
 
 
 def repeats(values: FloatArray, number: int, confidence: float = 0.95) -> Repeats:
-    """Cut the flights ``values`` (n,), in the order of their ids, into ``number`` repeats. ValueError if they are too few."""
+    """Split the flights ``values`` (n,), in the order of their ids, into ``number`` repeats.
+
+    Raises ValueError if they are too few.
+    """
     flights = values.size // number
     if number < 2 or flights < 2:
         raise ValueError(f"{values.size} flights do not make {number} repeats of at least 2")
     curves = np.sort(values[: number * flights].reshape(number, flights), axis=1)
     distance = max(_distance(first, second) for first, second in itertools.combinations(curves, 2))
-    # Two repeats differ by no more than the sum of their distances from the truth, which one band bounds for all at once.
+    # Two repeats differ by at most the sum of their distances from the truth, which one band bounds
+    # for all repeats.
     expected = min(1.0, 2.0 * band_half_width(flights, number, confidence))
     return Repeats(number, flights, distance, expected, _median(curves), curves)
 
 
 def _median(curves: FloatArray) -> FloatArray:
+    """Return the median (repeats,) of sorted curves, also where the upper values are infinite."""
     middle = curves.shape[1] // 2
     return (
         curves[:, middle]
@@ -580,12 +777,28 @@ def _median(curves: FloatArray) -> FloatArray:
 
 
 def _distance(first: FloatArray, second: FloatArray) -> float:
+    """Return the largest difference of two empirical distribution functions."""
     at = np.concatenate([first, second])
     return float(np.max(np.abs(ecdf(first, at) / first.size - ecdf(second, at) / second.size)))
 
 
 def growth(samples: Sequence[FloatArray], seed: int, draws: int = 40) -> list[Growth]:
-    """P-box area against the number of epistemic samples, doubling up to all; ``samples`` are the flights' values of each."""
+    """Compute the p-box area against the number of epistemic samples, doubling up to all.
+
+    Parameters
+    ----------
+    samples : sequence of array
+        Values of the flights of each epistemic sample.
+    seed : int
+        Of the random choices.
+    draws : int
+        Random choices of each number of samples.
+
+    Returns
+    -------
+    list of Growth
+        One a number of samples.
+    """
     at = np.unique(np.concatenate(list(samples)))
     at = at[np.isfinite(at)]
     if at.size > 512:
@@ -597,15 +810,16 @@ def growth(samples: Sequence[FloatArray], seed: int, draws: int = 40) -> list[Gr
     sizes = sorted(
         {*(2**power for power in range(1, count.bit_length()) if 2**power < count), count}
     )
-    found = []
+    rows = []
     for size in sizes:
         tries = 1 if size == count else draws
         areas = []
         for _ in range(tries):
+            # P-box of a random part of the samples.
             part = curves[generator.choice(count, size, replace=False)]
             areas.append(float(widths @ (part.max(axis=0) - part.min(axis=0))[:-1]))
         low, high = np.quantile(areas, [0.025, 0.975])
-        found.append(
+        rows.append(
             Growth(size, float(np.mean(areas)), float(low), float(high), 2.0 / (size + 1.0))
         )
-    return found
+    return rows

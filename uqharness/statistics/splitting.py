@@ -1,15 +1,18 @@
-"""Multilevel splitting: the probability of a rare event from paths that are copied where they come near to it.
+"""Multilevel splitting: the probability of a rare event from paths that are copied near it.
 
-All paths go from one checkpoint to the next together. A score says how near a path is; levels are scores s1 < s2 < ... A path that
-rises to level k goes on as ``copies`` paths for each level that it has risen, each of weight copies^-k; those that were made at a
-level end when they fall below it, and the one that was copied goes on with the weight of the level to which it falls. A weighted
-count of events is unbiased whatever the levels and the score (RESTART: Villen-Altamirano 1991; Garvels 2000, chapter 2): they
-decide its spread alone. Levels come from a pilot, whose paths are not counted. A path keeps its level until it falls below the one
-beneath, so that one that moves about a level is not copied again and again.
+All paths advance from one checkpoint to the next together. A score measures the distance to the
+event; levels are scores s1 < s2 < ... A path that rises to level k continues as ``copies`` paths
+for each level that it rises, each of weight copies^-k. Copies made at a level end when they fall
+below it; the path that was copied continues with the weight of the level to which it falls. A
+weighted count of events is unbiased whatever the levels and the score (RESTART: Villen-Altamirano
+1991; Garvels 2000, chapter 2), which decide its variance alone. Levels come from a pilot, whose
+paths are not counted. A path keeps its level until it falls below the level beneath, so that paths
+that oscillate about a level are not copied repeatedly.
 
-An event is a first excursion, and each that follows it on the same path. Both are counted: P is the probability that a path of
-fixed length has one, N the mean number of events of a path, N/P the events of a path that has one. Intervals come from independent
-replicates: t on the logarithm of their mean, whose standard error is that of the mean over the mean. Pure: no file, no clock.
+An event is a first excursion, or one that follows it on the same path. P is the probability that a
+path of fixed length has an event, N the mean number of events of a path, N/P the events of a path
+that has any. Intervals come from independent replicates: Student's t on the logarithm of their
+mean. `uqharness.campaign.rare_events` supplies the paths.
 """
 
 from __future__ import annotations
@@ -27,32 +30,40 @@ from sysid.arrays import FloatArray
 from sysid.distributions import student_quantile
 
 COPIES = 3
-"""Paths that go on for one that rises a level: between 2 and 4 the cost differs by some per cent."""
+"""Paths that continue for one that rises a level.
+
+Between 2 and 4 the cost differs by some per cent.
+"""
 SHARE = 0.1
-"""Share of its time that a path spends above the first level: the time above a level is then flown ``COPIES * SHARE`` times."""
-LEAST_SEEN = 200
-"""Checkpoints of paths above a score from which the pilot takes a level: fewer are too few clusters."""
-MOST_PATHS = 50_000
+"""Share of its time that a path spends above the first level.
+
+The time above a level is flown ``COPIES * SHARE`` times.
+"""
+MIN_CHECKPOINTS = 200
+"""Checkpoints of paths above a score that the pilot needs to place a level there."""
+MAX_PATHS = 50_000
 _ROUNDS, _PATIENCE = 30, 4
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Scores of the levels (k,), each above the one before; a path at level k has the weight ``copies``^-k."""
+    """Scores of the levels (k,), ascending; a path at level k has the weight ``copies``^-k."""
 
     scores: tuple[float, ...]
     copies: int = COPIES
 
     @property
     def floors(self) -> tuple[float, ...]:
-        """The score of each level (k,) below which a path loses it: the level beneath, for the first one as far below as the second
-        is above."""
+        """Score (k,) below which a path loses each level: the level beneath.
+
+        For the first level as far below as the second is above.
+        """
         if len(self.scores) < 2:
             return self.scores
         return (2.0 * self.scores[0] - self.scores[1], *self.scores[:-1])
 
     def __post_init__(self) -> None:
-        """Raises ValueError for scores that do not rise, and for less than 2 copies."""
+        """Raise ValueError for scores that do not rise, and for less than 2 copies."""
         if self.copies < 2 or any(not a < b for a, b in itertools.pairwise(self.scores)):
             raise ValueError(
                 f"levels rise and have 2 copies or more; received {self.scores} and {self.copies}"
@@ -60,8 +71,18 @@ class Levels:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """Paths at a checkpoint: score (n,), events since the last one (n, kinds), and which have ended (n,)."""
+class Checkpoint:
+    """Paths at a checkpoint.
+
+    Attributes
+    ----------
+    score : array (n,)
+        Of each path.
+    events : array (n, kinds)
+        Events since the last checkpoint.
+    ended : array (n,) of bool
+        Whether the path has ended.
+    """
 
     score: FloatArray
     events: NDArray[np.int64]
@@ -69,39 +90,68 @@ class Seen:
 
 
 class Paths(Protocol):
-    """Paths that go on together, and can be copied where they stand.
+    """Paths that advance together and can be copied at a checkpoint.
 
-    Where all go on and none is copied, ``follow`` is not called.
+    ``follow`` is not called when all paths continue and none is copied.
     """
 
-    def advance(self) -> Seen | None:
-        """Go on to the next checkpoint; None behind the last."""
+    def advance(self) -> Checkpoint | None:
+        """Advance to the next checkpoint; None behind the last."""
 
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
-        """Go on with copies of these paths, in that order. Level 0: the path itself; else a branch made at that level."""
+        """Continue with these paths, in this order.
+
+        Level 0 is the path itself; others are copies made at that level.
+        """
 
 
 @dataclass(frozen=True)
 class Occupancy:
-    """Of each score of a grid (g,): the share of time above it, by weights, and how many checkpoints of paths were seen there."""
+    """Time above each score of a grid (g,).
+
+    Attributes
+    ----------
+    grid : array (g,)
+        Scores.
+    share : array (g,)
+        Weighted share of time above each.
+    count : array (g,)
+        Checkpoints of paths above each.
+    """
 
     grid: FloatArray
     share: FloatArray
-    seen: FloatArray
+    count: FloatArray
 
 
 @dataclass(frozen=True)
 class Replicate:
-    """One run of ``roots`` paths. probability, events: of each kind (kinds,), per path, weighted; ended: weighted share of paths
-    that ended early; steps: checkpoints of paths that were flown; most: paths side by side at most; highest: level reached.
-    probability_by_root, events_by_root: the same of each root and what branched from it (roots, kinds); roots are independent."""
+    """One run of ``roots`` paths.
+
+    Attributes
+    ----------
+    roots : int
+        Independent paths at the start.
+    probability, events : array (kinds,)
+        Probability of an event and mean number of events of a path, weighted.
+    ended : float
+        Weighted share of paths that ended early.
+    steps : int
+        Checkpoints of paths that were flown.
+    max_paths, highest : int
+        Largest number of paths, and highest level.
+    occupancy : Occupancy
+        Time above scores.
+    probability_by_root, events_by_root : array (roots, kinds)
+        The same of each root and its copies; roots are independent.
+    """
 
     roots: int
     probability: FloatArray
     events: FloatArray
     ended: float
     steps: int
-    most: int
+    max_paths: int
     highest: int
     occupancy: Occupancy
     probability_by_root: FloatArray
@@ -111,14 +161,38 @@ class Replicate:
 def run(
     paths: Paths, roots: int, levels: Levels, kinds: int, grid: FloatArray | None = None
 ) -> Replicate:
-    """Fly ``roots`` paths to their end. An ended path counts one event of each kind that it has not had.
+    """Run ``roots`` paths to their end.
 
-    Raises ValueError where more than MOST_PATHS would go on side by side: the levels lie too close.
+    An ended path counts one event of each kind that it has not had.
+
+    Parameters
+    ----------
+    paths : Paths
+        At their start.
+    roots : int
+        Number of paths.
+    levels : Levels
+        Splitting levels.
+    kinds : int
+        Kinds of events.
+    grid : array (g,), optional
+        Scores of the occupancy.
+
+    Returns
+    -------
+    Replicate
+        Weighted counts.
+
+    Raises
+    ------
+    ValueError
+        If more than MAX_PATHS would run side by side: the levels lie too close.
     """
     grid = np.zeros(0) if grid is None else grid
     thresholds, floors = np.array(levels.scores), np.array(levels.floors)
+    # Weight of a path by its level.
     weights = float(levels.copies) ** -np.arange(len(levels.scores) + 1)
-    level, born, had = (
+    level, birth_level, had_event = (
         np.zeros(roots, np.intp),
         np.zeros(roots, np.intp),
         np.zeros((roots, kinds), bool),
@@ -130,55 +204,67 @@ def run(
         0.0,
     )
     share, seen_above, checkpoints = np.zeros(grid.size), np.zeros(grid.size), 0
-    steps, most, highest = 0, roots, 0
-    while (seen := paths.advance()) is not None:
+    steps, max_paths, highest = 0, roots, 0
+    while (checkpoint := paths.advance()) is not None:
         weight = weights[level]
-        counts = np.where(seen.ended[:, None] & ~had & (seen.events == 0), 1, seen.events)
-        first = ~had & (counts > 0)
+        # A path that ends without an event counts as one with an event.
+        counts = np.where(
+            checkpoint.ended[:, None] & ~had_event & (checkpoint.events == 0), 1, checkpoint.events
+        )
+        first = ~had_event & (counts > 0)
         happened = np.flatnonzero(counts.any(axis=1))
+        # Weighted counts by root: first events, and all events.
         np.add.at(probability, root[happened], weight[happened, None] * first[happened])
         np.add.at(events, root[happened], weight[happened, None] * counts[happened])
-        ended += float(weight @ seen.ended)
-        had |= first
+        ended += float(weight @ checkpoint.ended)
+        had_event |= first
         steps, checkpoints = steps + level.size, checkpoints + 1
         if grid.size:
-            above = seen.score[:, None] >= grid
+            # Occupancy of the grid of scores.
+            above = checkpoint.score[:, None] >= grid
             share += weight @ above
             seen_above += above.sum(axis=0)
-        reached = np.searchsorted(thresholds, seen.score, side="right")
-        now = np.maximum(
-            reached, np.minimum(level, np.searchsorted(floors, seen.score, side="right"))
+        # New level: up to the score reached, down only below the floor of the level.
+        reached = np.searchsorted(thresholds, checkpoint.score, side="right")
+        new_level = np.maximum(
+            reached, np.minimum(level, np.searchsorted(floors, checkpoint.score, side="right"))
         )
-        goes_on = ~seen.ended & (now >= born)
-        parents, made_at = _descendants(level, now, goes_on, levels.copies)
-        if parents.size > MOST_PATHS:
+        # Copies end below the level at which they were made.
+        goes_on = ~checkpoint.ended & (new_level >= birth_level)
+        # Continue with the remaining paths and their copies.
+        parents, branch_level = _descendants(level, new_level, goes_on, levels.copies)
+        if parents.size > MAX_PATHS:
             raise ValueError(
-                f"{parents.size} paths would go on side by side, {MOST_PATHS} at most can: the levels lie too close"
+                f"{parents.size} paths would go on side by side, {MAX_PATHS} at most can: the"
+                " levels lie too close"
             )
-        level, had, root = now[parents], had[parents], root[parents]
-        born = np.where(made_at > 0, made_at, born[parents])
-        most, highest = max(most, parents.size), max(highest, int(now.max()))
+        # Copies inherit the history of their parent.
+        level, had_event, root = new_level[parents], had_event[parents], root[parents]
+        birth_level = np.where(branch_level > 0, branch_level, birth_level[parents])
+        max_paths, highest = max(max_paths, parents.size), max(highest, int(new_level.max()))
         if not parents.size:
             break
-        if parents.size != seen.score.size or made_at.any():
-            paths.follow(parents.tolist(), made_at.tolist())
+        if parents.size != checkpoint.score.size or branch_level.any():
+            paths.follow(parents.tolist(), branch_level.tolist())
     occupancy = Occupancy(grid, share / max(roots * checkpoints, 1), seen_above)
     means = (probability.mean(axis=0), events.mean(axis=0), ended / roots)
-    return Replicate(roots, *means, steps, most, highest, occupancy, probability, events)
+    return Replicate(roots, *means, steps, max_paths, highest, occupancy, probability, events)
 
 
 def _descendants(
-    level: NDArray[np.intp], now: NDArray[np.intp], goes_on: NDArray[np.bool_], copies: int
+    level: NDArray[np.intp], new_level: NDArray[np.intp], goes_on: NDArray[np.bool_], copies: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Parents of the paths that go on, and the level at which each was made (0: the parent itself)."""
-    parents, made_at = [np.flatnonzero(goes_on)], [np.zeros(int(goes_on.sum()), np.intp)]
-    for path in np.flatnonzero(goes_on & (now > level)):
+    """Return the parent of each path that continues, and the level of the copy (0: the parent
+    itself).
+    """
+    parents, branch_level = [np.flatnonzero(goes_on)], [np.zeros(int(goes_on.sum()), np.intp)]
+    for path in np.flatnonzero(goes_on & (new_level > level)):
         number = copies - 1
-        for step in range(level[path] + 1, now[path] + 1):
+        for step in range(level[path] + 1, new_level[path] + 1):
             parents.append(np.full(number, path))
-            made_at.append(np.full(number, step))
+            branch_level.append(np.full(number, step))
             number *= copies
-    return np.concatenate(parents), np.concatenate(made_at)
+    return np.concatenate(parents), np.concatenate(branch_level)
 
 
 def pilot(
@@ -187,57 +273,86 @@ def pilot(
     kinds: int,
     grid: FloatArray,
     top: float,
+    *,
     share: float = SHARE,
     plain: Occupancy | None = None,
 ) -> Levels:
-    """Levels up to the score ``top``: a path is above the first a ``share`` of its time, above each next a ``COPIES``-th of that.
+    """Find levels up to the score ``top``.
 
-    ``plain``: occupancy of paths that were not split, where they are there: the first levels come from it.
+    A path is above the first level a ``share`` of its time, above each further one a COPIES-th of
+    that. Rounds with the same levels are pooled and add levels as far as they have enough
+    checkpoints.
 
-    ``start`` gives the paths of each round; rounds with the same levels are pooled and add levels as far as enough was seen. Raises
-    ValueError where four rounds add none short of ``top``: longer or more paths are needed.
+    Parameters
+    ----------
+    start : callable
+        Number of a round to its `Paths`.
+    roots, kinds : int
+        As in `run`.
+    grid : array (g,)
+        Scores.
+    top : float
+        Score of the event.
+    share : float
+        Time above the first level.
+    plain : Occupancy, optional
+        Of paths without splitting, for the first levels.
+
+    Returns
+    -------
+    Levels
+        Up to ``top``.
+
+    Raises
+    ------
+    ValueError
+        If four rounds add no level: longer or more paths are needed.
     """
-    levels, known = Levels(()), list[Occupancy]()
+    levels, occupancies = Levels(()), list[Occupancy]()
     if plain is not None:
-        levels, whole = more_levels(plain, levels, top, share)
-        if whole:
+        levels, is_complete = more_levels(plain, levels, top, share)
+        if is_complete:
             return levels
     for number in range(_ROUNDS):
-        known.append(run(start(number), roots, levels, kinds, grid).occupancy)
+        occupancies.append(run(start(number), roots, levels, kinds, grid).occupancy)
+        # Rounds with the same levels are averaged.
         pooled = Occupancy(
             grid,
-            np.mean([one.share for one in known], axis=0),
-            np.sum([one.seen for one in known], axis=0),
+            np.mean([one.share for one in occupancies], axis=0),
+            np.sum([one.count for one in occupancies], axis=0),
         )
-        found, whole = more_levels(pooled, levels, top, share)
-        if whole:
-            return found
-        if len(found.scores) > len(levels.scores):
-            levels, known = found, []
-        elif len(known) == _PATIENCE:
+        new_levels, is_complete = more_levels(pooled, levels, top, share)
+        if is_complete:
+            return new_levels
+        if len(new_levels.scores) > len(levels.scores):
+            levels, occupancies = new_levels, []
+        elif len(occupancies) == _PATIENCE:
             raise ValueError(
-                f"{_PATIENCE} rounds of the pilot found no level above {levels.scores[-1] if levels.scores else 0:g}, {top:g} is "
-                f"asked for: fly more or longer paths than {roots} in the pilot"
+                f"{_PATIENCE} rounds of the pilot found no level above"
+                f" {levels.scores[-1] if levels.scores else 0:g}, {top:g} is asked for: fly more or"
+                f" longer paths than {roots} in the pilot"
             )
     raise ValueError(
-        f"the pilot has not reached the score {top:g} in {_ROUNDS} rounds: fly more paths than {roots} in it"
+        f"the pilot has not reached the score {top:g} in {_ROUNDS} rounds: fly more paths than"
+        f" {roots} in it"
     )
 
 
 def more_levels(
-    occupancy: Occupancy, known: Levels, top: float, share: float = SHARE
+    occupancy: Occupancy, existing: Levels, top: float, share: float = SHARE
 ) -> tuple[Levels, bool]:
-    """``known`` levels and those that follow them as far as LEAST_SEEN checkpoints were seen; whether the next is above ``top``.
+    """Add levels as far as there are enough checkpoints.
 
-    A path is above the first level a ``share`` of its time, above each further one a COPIES-th of that.
+    Returns the levels, and whether the next one would lie above ``top``.
     """
-    enough = (occupancy.seen >= LEAST_SEEN) & (occupancy.share > 0.0)
+    enough = (occupancy.count >= MIN_CHECKPOINTS) & (occupancy.share > 0.0)
     grid, logs = occupancy.grid[enough], -np.log(occupancy.share[enough])
-    # Where neighbouring scores have equal shares, the last of them.
+    # Of neighbouring scores with equal shares take the last.
     rising = np.append(np.diff(logs) > 0.0, True)[: grid.size]
     grid, logs = grid[rising], logs[rising]
-    scores = list(known.scores)
+    scores = list(existing.scores)
     while grid.size > 1:
+        # The time above the next level is a COPIES-th of that above the last.
         target = (
             float(np.interp(scores[-1], grid, logs)) + math.log(COPIES)
             if scores
@@ -249,18 +364,21 @@ def more_levels(
         if score > top:
             return Levels(tuple(scores)), True
         scores.append(score)
-    # The next level lies above the top where a path is above that more than a COPIES-th of its time above the last level.
+    # The next level lies above the top if a path spends more than a COPIES-th of its time above the
+    # last level above the top.
     place = int(np.searchsorted(occupancy.grid, top - 1e-9))
-    near = bool(scores) and occupancy.seen[place] * COPIES >= LEAST_SEEN and grid.size > 1
-    within = near and -math.log(occupancy.share[place]) < float(
+    last_is_reached = (
+        bool(scores) and occupancy.count[place] * COPIES >= MIN_CHECKPOINTS and grid.size > 1
+    )
+    top_is_reached = last_is_reached and -math.log(occupancy.share[place]) < float(
         np.interp(scores[-1], grid, logs)
     ) + math.log(COPIES)
-    return Levels(tuple(scores)), within
+    return Levels(tuple(scores)), top_is_reached
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Mean of independent replicates with limits; NaN where it is not defined, and why."""
+    """Mean of independent replicates with limits; NaN where undefined, with a ``reason``."""
 
     estimate: float
     lower: float
@@ -270,21 +388,43 @@ class Interval:
 
 
 def interval(values: Sequence[float] | FloatArray, confidence: float = 0.95) -> Interval:
-    """Mean of positive replicates (n,) and its limits: mean times exp(+-t s / (mean sqrt(n))), t with n - 1 degrees of freedom.
+    """Compute the mean of positive replicates (n,) and its limits.
 
-    NaN with a reason where a replicate reached nothing, or where there are fewer than two.
+    Limits are mean times exp(+-t s / (mean sqrt(n))), t with n - 1 degrees of freedom.
+
+    Parameters
+    ----------
+    values : array (n,)
+        One a replicate.
+    confidence : float
+        Of the interval.
+
+    Returns
+    -------
+    Interval
+        NaN with a reason if a replicate has no event or there are fewer than two.
+
+    Examples
+    --------
+    >>> result = interval([1.0, 1.0, 1.0])
+    >>> result.estimate, result.lower, result.upper
+    (1.0, 1.0, 1.0)
     """
     values = np.asarray(values, dtype=float)
-    nothing, nan = int((values <= 0.0).sum()), math.nan
+    n_without_event, nan = int((values <= 0.0).sum()), math.nan
     if values.size < 2:
-        known = float(values[0]) if values.size else nan
+        estimate = float(values[0]) if values.size else nan
         return Interval(
-            known, nan, nan, values.size, f"{values.size} replicates: 2 at least are needed"
+            estimate, nan, nan, values.size, f"{values.size} replicates: 2 at least are needed"
         )
     mean = float(values.mean())
-    if nothing:
-        reason = f"{nothing} of {values.size} replicates have no event: fly more paths in each"
-        return Interval(mean if nothing < values.size else nan, nan, nan, values.size, reason)
+    if n_without_event:
+        reason = (
+            f"{n_without_event} of {values.size} replicates have no event: fly more paths in each"
+        )
+        return Interval(
+            mean if n_without_event < values.size else nan, nan, nan, values.size, reason
+        )
     error = float(values.std(ddof=1)) / math.sqrt(values.size) / mean
     factor = math.exp(float(student_quantile(0.5 + 0.5 * confidence, values.size - 1)) * error)
     return Interval(mean, mean / factor, mean * factor, values.size)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sysid.digests import sha256_hex
-from sysid.model_form import HOLDS_FROM
+from sysid.model_form import MIN_SHARE_INSIDE
 from sysid.units import counted, percent
 from uqharness.campaign import (
     CONFIDENCE,
@@ -1018,7 +1018,7 @@ def _coverage(out: Path, flights: Sequence[str], refined: bool) -> Iterator[Sent
         verdicts = documents[when].get("verdicts", {})
         # Documents without verdicts are judged by the share of samples inside.
         failing = [c for c, verdict in verdicts.items() if verdict == "fails"] or [
-            c for c in shares if not shares[c] >= HOLDS_FROM
+            c for c in shares if not shares[c] >= MIN_SHARE_INSIDE
         ]
         undecided = [c for c, verdict in verdicts.items() if verdict == "inconclusive"]
         if failing:

@@ -10,7 +10,7 @@ from sysid.aerodynamics.air_motion import (
     ROLLING,
     AirPiece,
     air_pieces,
-    as_measured,
+    with_channels_of,
     without_air_rotation,
 )
 from sysid.aerodynamics.coefficients import half_width, smooth
@@ -159,6 +159,6 @@ def test_slopes_are_asked_of_the_model_and_channels_can_be_replaced():
     assert air.slopes[:, 0, 3] == pytest.approx(-0.2 * 3.66 / (2 * record["V_mps"]))
     assert not air.slopes[:, 0, 4].any()
     moved = FlightRecord({c: record[c] + (c == "alpha_rad") for c in record.columns})
-    (other,) = as_measured([air], moved, [Piece("m", slice(0, 300), 0.0, 6.0)], float("inf"))
+    (other,) = with_channels_of([air], moved, [Piece("m", slice(0, 300), 0.0, 6.0)], float("inf"))
     assert other.channels["alpha_rad"] == pytest.approx(air.channels["alpha_rad"] + 1.0)
     assert other.slopes is air.slopes

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from sysid.aerodynamics import flight_equations as equations
 from sysid.aerodynamics.air_motion import GustStates
-from sysid.aerodynamics.flight_equations import Along, Body, loops, motion, sines
+from sysid.aerodynamics.flight_equations import Body, ReferenceFlight, loops, motion, sines
 
 INERTIA = np.array([[2.0, 0.0, -0.2], [0.0, 3.0, 0.0], [-0.2, 0.0, 4.0]])
 SIZES = {True: 13, False: 8}
@@ -16,13 +16,13 @@ SIZES = {True: 13, False: 8}
 
 def system(
     gusty: bool, by_flow: bool, passing_mps: float = 0.0, n: int = 3
-) -> tuple[np.ndarray, Body, Along]:
+) -> tuple[np.ndarray, Body, ReferenceFlight]:
     rng = np.random.default_rng(3)
     x = np.array([20.0, 0.06, 0.02, 0.3, 0.2, 0.1, 0.4, 0.1, 0.05, 0.01, -0.02, 20.5, 0.03])[
         : SIZES[gusty]
     ]
     x = x + 0.01 * rng.standard_normal((n, len(x)))
-    along = Along(
+    along = ReferenceFlight(
         x[:, :8] + 0.01 * rng.standard_normal((n, 8)),
         rng.normal(0.0, 10.0, (n, 6)),
         rng.normal(0.0, 5.0, (n, 6, 6)),
@@ -45,8 +45,8 @@ def system(
     )
 
 
-def at(along: Along, k: int) -> Along:
-    return Along(*(v[k] for v in along))
+def at(along: ReferenceFlight, k: int) -> ReferenceFlight:
+    return ReferenceFlight(*(v[k] for v in along))
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_compiled_rates_are_those_of_the_equations(
 ) -> None:
     x, body, along = system(gusty, by_flow, passing)
     rate, seen = np.empty(x.shape), np.empty((len(x), 11))
-    loops().rated(x, body, along, along.load, rate, seen)
+    loops().rates(x, body, along, along.load, rate, seen)
     for k in range(len(x)):
         own, out = np.empty(x.shape[1]), np.empty(11)
         motion(x[k], sines(x[k]), body, at(along, k), along.load[k], np.empty(12), own, out)
@@ -98,7 +98,7 @@ def test_a_step_is_the_exponential_and_inputs_are_linear_in_between() -> None:
     A, B, h = rng.standard_normal((4, 4)), rng.standard_normal((4, 6)), 0.05
     both_A, both_B = np.stack([A, A]), np.stack([B, B])
     phi, g0, g1 = np.empty((1, 4, 4)), np.zeros((1, 4, 6)), np.zeros((1, 4, 6))
-    loops().stepped(both_A, both_B, h, phi, g0, g1)
+    loops().discretise(both_A, both_B, h, phi, g0, g1)
     # A ramp of the input is another state.
     wide = np.zeros((16, 16))
     wide[:4, :4], wide[:4, 4:10], wide[4:10, 10:] = A, B, np.eye(6)

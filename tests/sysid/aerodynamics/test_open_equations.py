@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.coefficients import MassProperties, split_name
-from sysid.aerodynamics.residuals import as_logged, cut
+from sysid.aerodynamics.residuals import as_logged, cut_pieces
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.open_equations import OUTPUTS, OpenEquations
 from tests.helpers.sixdof import TABLE_2_6, Airframe, derivative, isa_density, thrust
@@ -101,21 +101,21 @@ def record(**columns):
 def test_segments_are_manoeuvres_else_excitation_else_everything():
     time = np.arange(0.0, 60.0, 0.02)
     labels = np.where((time >= 10) & (time < 15), "doublet", "").astype(object)
-    pieces, how = cut(record(manoeuvre=labels), ("q_radps",))
+    pieces, how = cut_pieces(record(manoeuvre=labels), ("q_radps",))
     assert [(p.label, round(p.start_s, 2), round(p.end_s, 2)) for p in pieces] == [
         ("doublet", 10.0, 14.98)
     ]
     assert "labelled" in how
     moved = np.where((time >= 20) & (time < 21), 5.0, 0.0)
-    pieces, how = cut(record(elevator_deg=moved), ("q_radps",))
+    pieces, how = cut_pieces(record(elevator_deg=moved), ("q_radps",))
     assert len(pieces) == 1
     assert pieces[0].start_s == pytest.approx(19.0, abs=0.05)
     assert pieces[0].end_s == pytest.approx(24.0, abs=0.05)
-    pieces, how = cut(record(), ("q_radps",), max_s=20.0)
+    pieces, how = cut_pieces(record(), ("q_radps",), max_s=20.0)
     assert [p.rows.stop - p.rows.start for p in pieces] == [1000, 1000, 1000]
     gap = np.zeros(time.size)
     gap[1500] = np.nan
-    pieces, _ = cut(record(q_radps=gap), ("q_radps",), max_s=100.0)
+    pieces, _ = cut_pieces(record(q_radps=gap), ("q_radps",), max_s=100.0)
     assert [p.rows for p in pieces] == [slice(0, 1500), slice(1501, 3000)]
 
 

@@ -10,7 +10,7 @@ from sysid.aerodynamics.residuals import (
     Cutoffs,
     Piece,
     Prediction,
-    cut,
+    cut_pieces,
     residual_coefficients,
     steady_airspeed,
 )
@@ -77,7 +77,7 @@ def still() -> FlightRecord:
 
 
 def pieces_of(record: FlightRecord) -> list[Piece]:
-    return cut(record, NEEDED)[0]
+    return cut_pieces(record, NEEDED)[0]
 
 
 def test_a_model_that_is_the_truth_leaves_nothing(still):

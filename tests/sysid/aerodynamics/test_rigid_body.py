@@ -16,7 +16,7 @@ from sysid.aerodynamics.rigid_body import (
     linearise,
     rates,
     unforced,
-    whole_states,
+    with_gust_states,
 )
 from tests.helpers.open_equations import OpenEquations
 
@@ -88,7 +88,7 @@ def test_the_system_is_that_of_the_open_equations(rotating, turning, monkeypatch
     monkeypatch.setattr(OpenEquations, "gusts", gusts)
     x = flight(4)
     found = linearise(reference(x, equations), MASS, gusts=gusts)
-    wide = whole_states(x, gusts)
+    wide = with_gust_states(x, gusts)
     middle = 0.5 * (wide[1] + wide[2])
 
     def f(state: np.ndarray) -> np.ndarray:
@@ -118,7 +118,7 @@ def test_rates_of_change_are_those_of_the_open_equations(turning, monkeypatch):
     away = np.array(
         [0.3, 0.004, -0.003, 0.02, -0.01, 0.01, 0.02, 0.01, 0.05, 0.01, -0.01, 1.5, 0.04]
     )
-    state = whole_states(x, gusts) + away
+    state = with_gust_states(x, gusts) + away
     found = rates(reference(x, equations), MASS, state, gusts=gusts)
     expected = np.array([equations.f(row, INPUTS, VALUES) for row in state], dtype=float)
     # Forces are linear about the reference: what is left is of second order.
@@ -127,7 +127,7 @@ def test_rates_of_change_are_those_of_the_open_equations(turning, monkeypatch):
         reference(x, equations), MASS, state, gusts=GustStates(MASS.b, turning_with=False)
     )
     assert (np.abs(found - still)[:, :3].max() > 1e-3) == turning
-    at = whole_states(x, gusts)
+    at = with_gust_states(x, gusts)
     exact = np.array([equations.f(row, INPUTS, VALUES) for row in at], dtype=float)
     np.testing.assert_allclose(
         rates(reference(x, equations), MASS, at, gusts=gusts), exact, atol=1e-9
@@ -152,7 +152,7 @@ def test_without_forces_the_wind_angles_turn_with_the_body_and_weight():
 def test_a_moment_by_alphadot_follows_the_motion_and_not_the_air_that_rotates():
     """M = L alphadot of a body without other forces: where the air rotates, slopes by rates relative to it are not all of it."""
     x, L, gusts = flight(4), -30.0, GustStates(MASS.b, turning_with=False)
-    state = whole_states(x, gusts) + np.array(
+    state = with_gust_states(x, gusts) + np.array(
         [0.1, 0.002, -0.001, 0.01, -0.01, 0.01, 0.01, 0.01, 0.05, 0.02, -0.01, 0.5, 0.01]
     )
     moment = np.zeros((4, 3))
@@ -185,7 +185,7 @@ def test_a_moment_by_alphadot_follows_the_motion_and_not_the_air_that_rotates():
 def test_still_air_stays_still_wherever_the_flight_begins():
     equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
     x = flight(80)
-    state = whole_states(x[:1], GustStates(MASS.b))[0]
+    state = with_gust_states(x[:1], GustStates(MASS.b))[0]
     for k in range(len(x)):
         x[k] = state[:8]
         for _ in range(10):

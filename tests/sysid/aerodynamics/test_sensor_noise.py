@@ -11,7 +11,7 @@ from scipy import fft, linalg
 from sysid.aerodynamics.coefficients import MassProperties, kernel
 from sysid.aerodynamics.residuals import Cutoffs, Piece, Prediction, residual_coefficients
 from sysid.aerodynamics.sensor_noise import (
-    REACHING,
+    NOISY_CHANNELS,
     autocorrelation,
     cosine_variance,
     noise_cosines,
@@ -83,7 +83,9 @@ def predict(record: FlightRecord, piece: Piece) -> Prediction:
 
 def made(record, pieces, cutoffs=AS_USUAL, std=STD, arm=ARM):
     plain = residual_coefficients(record, pieces, predict, arm, cutoffs)
-    return with_sensor_noise(plain, record, pieces, predict, arm, std, dict.fromkeys(std, 0.1))
+    return with_sensor_noise(
+        plain, record, pieces, predict, arm, std, relative_std=dict.fromkeys(std, 0.1)
+    )
 
 
 def drawn(record, pieces, repeats, cutoffs=AS_USUAL, std=STD):
@@ -111,7 +113,7 @@ def test_the_variance_is_that_of_drawn_noise_at_every_speed():
     assert abs(found.mean(axis=0)[1] / measured[-200:].mean(axis=0)[1] - 1.0) > 0.3
 
 
-@pytest.mark.parametrize("channel", REACHING)
+@pytest.mark.parametrize("channel", NOISY_CHANNELS)
 def test_each_channel_comes_through_by_itself(channel):
     record, pieces = flight()
     std = {channel: STD[channel]}
@@ -214,7 +216,7 @@ def test_a_flight_at_rest_by_hand():
     """The smoother's weights are .1 .25 .3 .25 .1, a slope's (-2 -1 0 1 2)/(10 dt); variances follow by hand."""
     n, V = 300, 20.0
     columns = {
-        c: np.full(n, V if c == "V_mps" else 0.0) for c in (*REACHING, "phi_rad", "theta_rad")
+        c: np.full(n, V if c == "V_mps" else 0.0) for c in (*NOISY_CHANNELS, "phi_rad", "theta_rad")
     }
     record = FlightRecord(columns | {"time_s": DT * np.arange(n)})
     pieces = [Piece("x", slice(0, n), 0.0, DT * (n - 1))]

@@ -20,7 +20,7 @@ MASS = MassProperties(18.0, np.diag([2.0, 3.0, 4.0]), 1.9, 3.7, 0.5)
 def compiled() -> dict[str, int]:
     """How many kinds of arguments each loop is compiled for."""
     found = {
-        name: getattr(kalman_loops, name) for name in ("follow", "carry", "backward")
+        name: getattr(kalman_loops, name) for name in ("filter_gains", "whiten_columns", "backward")
     } | loops()._asdict()
     return {name: len(loop.signatures) for name, loop in found.items()}
 
@@ -61,7 +61,7 @@ def test_a_flight_compiles_nothing_that_was_not_compiled_ahead() -> None:
 def test_another_kind_of_array_would_be_seen() -> None:
     compile_loops()
     before = compiled()
-    loops().stepped(
+    loops().discretise(
         np.zeros((2, 4, 4)),
         np.zeros((2, 4, 12))[:, :, ::2],
         0.1,

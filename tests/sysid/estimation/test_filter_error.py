@@ -321,9 +321,9 @@ def test_inputs_between_samples_are_used():
             0 * one,
             0.1 * one,
             x0[:, None, :],
-            1e-12 * one,
-            np.array([1e-5]),
-            1,
+            p0=1e-12 * one,
+            difference=np.array([1e-5]),
+            every=1,
         )
         return -found.raw[1, 0, 0]
 

@@ -9,13 +9,13 @@ from scipy.signal import lfilter
 
 from sysid.estimation.gaps import (
     channel_noise,
-    process_noise_shown,
+    largest_residuals,
     quiet_share,
     rms,
+    shows_process_noise,
     theil,
     time_shift,
     white_noise,
-    worst,
 )
 
 NOISE = np.full(4, 0.1)
@@ -43,30 +43,30 @@ def flights(gusty, formed, waits=False, seed=0):
 
 
 def test_turbulence_is_seen():
-    assert process_noise_shown(*flights([0, 1, 2, 3], []))
+    assert shows_process_noise(*flights([0, 1, 2, 3], []))
 
 
 def test_a_wrong_sensor_in_turbulence_does_not_hide_it():
-    assert process_noise_shown(*flights([0, 1, 2], [3]))
+    assert shows_process_noise(*flights([0, 1, 2], [3]))
 
 
 def test_calm_air_is_calm():
-    assert not process_noise_shown(*flights([], []))
+    assert not shows_process_noise(*flights([], []))
 
 
 def test_beside_a_wrong_force_half_of_the_channels_must_be_gusty():
-    assert process_noise_shown(*flights([0, 1], [3]))
-    assert not process_noise_shown(*flights([0], [3]))
-    assert process_noise_shown(*flights([0], []))
+    assert shows_process_noise(*flights([0, 1], [3]))
+    assert not shows_process_noise(*flights([0], [3]))
+    assert shows_process_noise(*flights([0], []))
 
 
 def test_what_is_wrong_in_most_channels_is_the_models_form():
-    assert not process_noise_shown(*flights([0], [1, 2, 3]))
-    assert not process_noise_shown(*flights([], [0]))
+    assert not shows_process_noise(*flights([0], [1, 2, 3]))
+    assert not shows_process_noise(*flights([], [0]))
 
 
 def test_what_waits_for_manoeuvres_is_not_the_air():
-    assert not process_noise_shown(*flights([0, 1, 2, 3], [], waits=True))
+    assert not shows_process_noise(*flights([0, 1, 2, 3], [], waits=True))
 
 
 def test_gap_figures_of_known_series():
@@ -86,7 +86,7 @@ def test_gap_figures_of_known_series():
     assert (found.bias, found.variance, found.covariance) == pytest.approx((1.0, 0.0, 0.0))
     gap = np.zeros(1000)
     gap[[100, 102, 500]] = [3.0, 2.9, -5.0]
-    assert worst(gap, t, 1.0, 2, 0.5) == [(t[500], -5.0), (t[100], 3.0)]
+    assert largest_residuals(gap, t, 1.0, 2, 0.5) == [(t[500], -5.0), (t[100], 3.0)]
 
 
 def test_noise_shows_in_third_differences_and_motion_does_not():
@@ -134,9 +134,9 @@ def test_a_model_that_stands_still_shows_no_shift():
     assert np.isnan(time_shift([z], [np.ones(100)], 0.02).seconds)
     # No further than asked for.
     t = np.arange(500) * 0.02
-    assert time_shift([np.sin(t - 0.5)], [np.sin(t)], 0.02, at_most_s=0.1).seconds == pytest.approx(
-        0.1
-    )
+    assert time_shift(
+        [np.sin(t - 0.5)], [np.sin(t)], 0.02, max_shift_s=0.1
+    ).seconds == pytest.approx(0.1)
 
 
 def test_the_quiet_share_of_air_and_of_a_wrong_model():
@@ -148,4 +148,8 @@ def test_the_quiet_share_of_air_and_of_a_wrong_model():
 
 def test_worst_moments_leave_out_what_was_not_measured():
     gap = np.array([1.0, np.nan, -7.0, 2.0])
-    assert worst(gap, np.arange(4.0), 0.0, 9, 0.5) == [(2.0, -7.0), (3.0, 2.0), (0.0, 1.0)]
+    assert largest_residuals(gap, np.arange(4.0), 0.0, 9, 0.5) == [
+        (2.0, -7.0),
+        (3.0, 2.0),
+        (0.0, 1.0),
+    ]

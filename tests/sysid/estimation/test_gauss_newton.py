@@ -41,7 +41,7 @@ def rosenbrock(**more) -> Curve:
     )
 
 
-def run(problem, theta, limits=FREE, iterations=200, tolerance=1e-6):
+def run(problem, theta, limits=FREE, iterations=200, tolerance=1e-6, callback=None):
     theta = np.asarray(theta, dtype=float)
     return minimise(
         problem,
@@ -51,6 +51,7 @@ def run(problem, theta, limits=FREE, iterations=200, tolerance=1e-6):
         tolerance=tolerance,
         max_iterations=iterations,
         always_central=True,
+        callback=callback,
     )
 
 
@@ -134,8 +135,6 @@ def test_a_step_over_a_bound_is_put_on_it_and_the_rest_solved_again():
 
 def test_each_iteration_is_told_with_the_length_of_its_step():
     said = []
-    problem = rosenbrock()
-    problem.told = lambda iteration, length: said.append((iteration, length))
-    found = run(problem, [-1.2, 1.0])
+    found = run(rosenbrock(), [-1.2, 1.0], callback=lambda *step: said.append(step))
     assert [iteration for iteration, _ in said] == list(range(1, found.iterations + 1))
     assert said[-1][1] == found.decrement < 1e-6

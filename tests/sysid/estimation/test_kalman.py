@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.rigid_body import NX, Steps
-from sysid.estimation.kalman import carried, gains
-from sysid.estimation.kalman_loops import Seen
+from sysid.estimation.kalman import gains, whiten_innovations
+from sysid.estimation.kalman_loops import MeasuredSystem
 from tests.helpers.linear_systems import system
 
 ROWS = (0, 1, 2, 5, 6, 7, 8)
@@ -67,15 +67,17 @@ def test_state_likelihood_and_variances_are_the_textbooks(step: float) -> None:
     steps.phi[11] *= step
     z = measured(steps, 2)
     states, costs, own = textbook(steps, z, noise, begin)
-    seen = Seen.of(steps, z, ROWS)
+    seen = MeasuredSystem.of(steps, z, ROWS)
     by = gains(seen, NOISE, (noise, begin))
-    found = carried(seen, by)
+    found = whiten_innovations(seen, by)
     np.testing.assert_allclose(found.path, states, rtol=1e-6, atol=1e-8 * step)
     np.testing.assert_allclose(
-        np.sum(found.innovations**2 + np.log(by.spread), axis=1), costs, rtol=1e-7, atol=1e-7
+        np.sum(found.innovations**2 + np.log(by.variance), axis=1), costs, rtol=1e-7, atol=1e-7
     )
-    np.testing.assert_allclose(by.whole[np.isfinite(own)], own[np.isfinite(own)], rtol=1e-7)
-    assert by.logdet == pytest.approx(0.5 * np.log(by.spread).sum())
+    np.testing.assert_allclose(
+        by.prior_variance[np.isfinite(own)], own[np.isfinite(own)], rtol=1e-7
+    )
+    assert by.logdet == pytest.approx(0.5 * np.log(by.variance).sum())
     assert not found.innovations[~np.isfinite(z)].any()
     wrong = textbook(steps, z, 1.1 * noise, begin)[1]
     assert not np.allclose(wrong, costs, rtol=1e-3)
@@ -88,12 +90,12 @@ def test_columns_are_what_a_change_of_coefficients_and_of_the_channels_does(gust
     z = measured(steps, 4)
     rng = np.random.default_rng(7)
     u, offset = rng.standard_normal((12, 6)), rng.standard_normal(z.shape)
-    seen = Seen.of(steps, z, ROWS)
+    seen = MeasuredSystem.of(steps, z, ROWS)
     by = gains(seen, NOISE, air(6) if gusty else None)
     names = [f"c{k}" for k in range(150)]
     inputs = {"c3": (-1, u), "c120": (2, u[:, 2]), "c140": (4, u[:, 4]), "c149": (5, u[:, 5])}
     jump, unseen = np.where(np.arange(12) % 5 == 3, 0.7, 0.0), 0.3
-    found = carried(
+    found = whiten_innovations(
         seen,
         by,
         names,
@@ -117,9 +119,9 @@ def test_columns_are_what_a_change_of_coefficients_and_of_the_channels_does(gust
                     + steps.g1[k] @ (u[k + 1] - jump[k + 1])
                 )
         changed = seen._replace(
-            z=np.where(seen.there, seen.z - np.array(moved)[:, list(ROWS)] - offset, 0.0)
+            z=np.where(seen.is_measured, seen.z - np.array(moved)[:, list(ROWS)] - offset, 0.0)
         )
-        return found.innovations - carried(changed, by).innovations
+        return found.innovations - whiten_innovations(changed, by).innovations
 
     alone = [np.where(np.arange(6) == c, u, 0.0) for c in (2, 4, 5)]
     expected = {
@@ -140,15 +142,15 @@ def test_columns_are_what_a_change_of_coefficients_and_of_the_channels_does(gust
 def test_the_columns_of_the_start_are_what_another_start_does() -> None:
     steps, (noise, begin) = system(12, 3), air(6)
     z = measured(steps, 4)
-    by = gains(Seen.of(steps, z, ROWS), NOISE, (noise, begin))
-    plain = carried(Seen.of(steps, z, ROWS), by)
+    by = gains(MeasuredSystem.of(steps, z, ROWS), NOISE, (noise, begin))
+    plain = whiten_innovations(MeasuredSystem.of(steps, z, ROWS), by)
     assert steps.start is not None
     for j in range(8):
         state, moved = steps.start[:, j], []
         for k in range(12):
             moved.append((steps.H[k] @ state)[list(ROWS)])
             state = steps.phi[k] @ state if k < 11 else state
-        less = carried(Seen.of(steps, z - np.array(moved), ROWS), by)
+        less = whiten_innovations(MeasuredSystem.of(steps, z - np.array(moved), ROWS), by)
         np.testing.assert_allclose(
             plain.starts[:, :, j], plain.innovations - less.innovations, atol=1e-9
         )
@@ -157,8 +159,8 @@ def test_the_columns_of_the_start_are_what_another_start_does() -> None:
 def test_in_calm_air_the_state_is_not_corrected() -> None:
     steps = system(15, 8)
     z = measured(steps, 1)
-    seen = Seen.of(steps, z, ROWS)
-    found = carried(seen, gains(seen, NOISE, None))
+    seen = MeasuredSystem.of(steps, z, ROWS)
+    found = whiten_innovations(seen, gains(seen, NOISE, None))
     state = np.zeros(NX)
     for k in range(15):
         np.testing.assert_allclose(found.path[k], state, rtol=1e-12, atol=1e-14)
@@ -171,7 +173,7 @@ def test_in_calm_air_the_state_is_not_corrected() -> None:
 
 def test_what_is_no_air_is_refused() -> None:
     steps, (noise, begin) = system(20, 2), air(3)
-    seen = Seen.of(steps, measured(steps, 2), ROWS)
+    seen = MeasuredSystem.of(steps, measured(steps, 2), ROWS)
     with pytest.raises(np.linalg.LinAlgError, match="below zero"):
         gains(seen, NOISE, (noise, begin - 1.0))
     steps.phi[3:] *= 1e200

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sysid.estimation.noise import Noise, concentrated, residual_noise
+from sysid.estimation.noise import Noise, concentrated_cost, residual_noise
 
 COV = np.array([[4.0, 1.5, 0.0], [1.5, 1.0, -0.3], [0.0, -0.3, 0.25]])
 
@@ -37,7 +37,7 @@ def test_the_cost_is_the_normal_likelihood(full):
     noise = residual_noise(v, np.full(3, 1e-9), full)
     there = np.isfinite(v).sum()
     expected = -log_likelihood(v, noise.cov) - 0.5 * there * (1.0 + np.log(2.0 * np.pi))
-    assert concentrated(v, noise) == pytest.approx(expected, rel=1e-9)
+    assert concentrated_cost(v, noise) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_diagonal_noise_is_the_likeliest():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.estimation.noise import _SIGNALS, PRIOR_SPREAD, _cost, noise_size
+from sysid.estimation.noise import _SIGNALS, PRIOR_STD, _whittle_cost, noise_size
 
 DT, FROM = 0.02, 6.0
 
@@ -28,32 +28,35 @@ def channel(seed, std, gusts=0.0, n=300, pieces=9):
 def test_the_samples_decide_whatever_the_card_says(card):
     found = [noise_size(channel(seed, 0.05), DT, FROM, card) for seed in range(8)]
     assert np.mean([f.std for f in found]) == pytest.approx(0.05, rel=0.03)
-    assert np.std([f.std for f in found]) < 2.0 * 0.05 * np.mean([f.spread for f in found])
-    assert all(f.spread < 0.06 for f in found)
+    assert np.std([f.std for f in found]) < 2.0 * 0.05 * np.mean([f.relative_std for f in found])
+    assert all(f.relative_std < 0.06 for f in found)
 
 
 def test_the_spread_is_as_large_as_the_error():
     """Where gusts hide the noise the spread says so, within a factor of three: the gusts' spectrum is a model too."""
     found = [noise_size(channel(seed, 0.02, gusts=0.3), DT, FROM, 0.02) for seed in range(12)]
-    off = np.array([np.log(f.std / 0.02) / f.spread for f in found])
+    off = np.array([np.log(f.std / 0.02) / f.relative_std for f in found])
     assert np.sqrt(np.mean(off**2)) < 3.0
     still = noise_size(channel(1, 0.02), DT, FROM, 0.02)
-    assert np.mean([f.spread for f in found]) > 2.0 * still.spread
+    assert np.mean([f.relative_std for f in found]) > 2.0 * still.relative_std
 
 
 def test_gusts_far_above_the_noise_leave_the_cards_figure():
     found = noise_size(channel(3, 0.0005, gusts=0.5), DT, FROM, 0.0005)
     assert found.std == pytest.approx(0.0005, rel=1.5)
-    assert found.spread > 0.3
+    assert found.relative_std > 0.3
 
 
 def test_what_tells_nothing():
     short = [np.random.default_rng(1).standard_normal(20)]
     assert noise_size(short, DT, FROM) is None
     assert noise_size(short, DT, FROM, 0.3) is not None
-    assert (noise_size(short, DT, FROM, 0.3).std, noise_size(short, DT, FROM, 0.3).spread) == (
+    assert (
+        noise_size(short, DT, FROM, 0.3).std,
+        noise_size(short, DT, FROM, 0.3).relative_std,
+    ) == (
         0.3,
-        PRIOR_SPREAD,
+        PRIOR_STD,
     )
     # A channel that stands still, or is logged without noise, shows none; the card may know of a sensor behind it.
     assert noise_size([np.ones(500)], DT, FROM) is None
@@ -75,11 +78,11 @@ def test_logarithms_of_products_are_those_of_each_variance(scale, n):
         variance = (_SIGNALS * some.mean())[None, :, None] + square[:, None, None] * shape
         written_out = np.sum(np.log(variance) + some / variance, axis=2)
         np.testing.assert_allclose(
-            _cost(some, shape, square, scale), written_out, rtol=1e-12, atol=1e-9
+            _whittle_cost(some, shape, square, scale), written_out, rtol=1e-12, atol=1e-9
         )
     assert not np.allclose(
-        _cost(power, shape, 1.01 * square, scale),
-        _cost(power, shape, square, scale),
+        _whittle_cost(power, shape, 1.01 * square, scale),
+        _whittle_cost(power, shape, square, scale),
         rtol=1e-12,
         atol=1e-9,
     )

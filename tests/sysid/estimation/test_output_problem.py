@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.estimation.noise import Noise, concentrated
-from sysid.estimation.output_error import CARRIED, OutputErrorProblem, SafeSimulation, first_steps
+from sysid.estimation.noise import Noise, concentrated_cost
+from sysid.estimation.output_error import (
+    MAX_SECANT_UPDATES,
+    OutputErrorProblem,
+    SafeSimulation,
+    first_steps,
+)
 
 T = np.linspace(0.0, 4.0, 80)
 TRUE = np.array([1.5, 0.7, 0.2])
@@ -69,13 +74,13 @@ def test_information_is_that_of_whitened_sensitivities():
     )
     residual = ours.measured - outputs
     assert ours.evaluate(TRUE)[0] == pytest.approx(
-        concentrated(residual, Noise(np.diag(np.mean(residual**2, axis=0)), False))
+        concentrated_cost(residual, Noise(np.diag(np.mean(residual**2, axis=0)), False))
     )
 
 
 def test_fixed_parameters_stay_and_failures_are_told():
     ours = problem(columns=(1,))
-    assert ours.whole(np.array([9.0])).tolist() == [1.5, 9.0, 0.2]
+    assert ours.full_vector(np.array([9.0])).tolist() == [1.5, 9.0, 0.2]
     broken = problem(simulate=lambda theta: {}[0])
     assert broken.evaluate(TRUE) is None
     assert broken.last_failure == "simulate raised KeyError: 0"
@@ -112,7 +117,7 @@ def test_carried_sensitivities_meet_the_change_that_was_seen_and_cost_no_run():
 def test_sensitivities_are_renewed_after_so_many_updates():
     ours = problem(secant=True)
     theta, fresh = np.array([1.3, 0.9, 0.3]), []
-    for k in range(CARRIED + 2):
+    for k in range(MAX_SECANT_UPDATES + 2):
         theta = theta + np.array([0.01, -0.01, 0.005 * (-1) ** k])
         fresh.append(ours.linearise(theta, ours.evaluate(theta)[1], False).fresh)
-    assert fresh == [True, *[False] * CARRIED, True]
+    assert fresh == [True, *[False] * MAX_SECANT_UPDATES, True]

@@ -48,7 +48,7 @@ def differences(theta, model=decay, limits=FREE, central=True, columns=(0, 1), m
         limits,
         np.abs(base).max(axis=0),
         central=central,
-        map_=map_,
+        map_fn=map_,
     )
 
 
@@ -140,7 +140,7 @@ def test_roughness_is_that_of_printed_digits():
     def rough(decimals):
         simulation = SafeSimulation(lambda p: np.round(decay(p), decimals), (T.size,), 2)
         base = simulation(theta)
-        return roughness(simulation, theta, base, small, FREE, np.ones(2), None)[0]
+        return roughness(simulation, theta, base, small, FREE, np.ones(2), map_fn=None)[0]
 
     # Rounding to a unit u has the deviation u/sqrt(12).
     assert rough(0) < 1.0
@@ -148,7 +148,7 @@ def test_roughness_is_that_of_printed_digits():
         assert rough(decimals) == pytest.approx(10.0**-decimals / np.sqrt(12.0), rel=0.5)
     assert rough(15) < 1e-8
     broken = SafeSimulation(lambda p: {}[1], (T.size,), 2)
-    assert roughness(broken, theta, decay(theta), small, FREE, np.ones(2), None) == (0.0, 6)
+    assert roughness(broken, theta, decay(theta), small, FREE, np.ones(2), map_fn=None) == (0.0, 6)
 
 
 def test_the_wanted_change_balances_and_is_bounded():

@@ -8,12 +8,12 @@ import pytest
 from sysid.estimation.output_error import (
     SafeSimulation,
     Shift,
-    answers,
     first_steps,
     forward_differences,
-    grouped,
-    rows_moved,
+    group_shifts,
+    rows_affected,
     sensitivities,
+    simulate_shifts,
 )
 
 LENGTHS = (30, 40, 50)
@@ -48,7 +48,7 @@ def differences(model, central):
     limits = (np.full(5, -np.inf), np.full(5, np.inf))
     step, spread = first_steps(THETA, *limits), np.ones(2)
     return sensitivities(
-        simulation, THETA, base, step, range(5), limits, spread, central=central, map_=None
+        simulation, THETA, base, step, range(5), limits, spread, central=central, map_fn=None
     )
 
 
@@ -87,20 +87,21 @@ def test_one_that_fails_does_not_take_its_group_along():
 
 
 def test_groups_share_no_row():
-    rows = [rows_moved(Decays(), index, EDGES) for index in range(5)]
+    rows = [rows_affected(Decays(), index, EDGES) for index in range(5)]
     assert rows[0] == (slice(0, 120),)
     assert rows[4] == (slice(30, 70), slice(70, 120))
-    groups = grouped([Shift(index, index, 0.1, rows[index]) for index in range(5)])
+    groups = group_shifts([Shift(index, index, 0.1, rows[index]) for index in range(5)])
     assert [[shift.index for shift in group] for group in groups] == [[0], [1, 2, 3], [4]]
-    assert rows_moved(lambda theta: theta, 1, EDGES) == (slice(0, 120),)
+    assert rows_affected(lambda theta: theta, 1, EDGES) == (slice(0, 120),)
 
 
 def test_each_answer_is_of_its_own_rows():
     simulation = SafeSimulation(Decays(), LENGTHS, 2)
     shifts = [
-        Shift(index, index, 0.25, rows_moved(simulation.simulate, index, EDGES)) for index in (1, 3)
+        Shift(index, index, 0.25, rows_affected(simulation.simulate, index, EDGES))
+        for index in (1, 3)
     ]
-    found = list(answers(lambda points: map(simulation, points), THETA, shifts))
+    found = list(simulate_shifts(lambda points: map(simulation, points), THETA, shifts))
     assert [(shift.index, by) for shift, by, _ in found] == [(1, 0.25), (3, 0.25)]
     for shift, by, parts in found:
         moved = THETA.copy()

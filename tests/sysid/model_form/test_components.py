@@ -8,7 +8,7 @@ from scipy import stats
 
 from sysid.aerodynamics.coefficients import regressors
 from sysid.model_form import components
-from sysid.model_form.components import TIMES_S, Uncertain, blocks_of, separate
+from sysid.model_form.components import TIMES_S, UncertainVariance, make_blocks, separate
 from sysid.model_form.fit import Design, FitOptions, fit_bounds
 from tests.helpers.residual_pieces import HALF, filtered, first_order, residuals_of
 
@@ -185,13 +185,13 @@ def test_points_together_are_the_dense_formulas_one_by_one(monkeypatch):
     found = fitted(
         draw(2, 0.005, 0.01, 0.01, 0.02, blocks=4, flights=2, of_flight=0.01)[0]
     ).separation
-    monkeypatch.setattr(components, "_TOGETHER", 500)  # a few points and rows at a time
+    monkeypatch.setattr(components, "_BLOCK_SIZE", 500)  # a few points and rows at a time
     problem, blocks, some = (
         found.problem,
         found.problem.blocks,
-        np.argsort(-found.found.weights)[:7],
+        np.argsort(-found.posterior.weights)[:7],
     )
-    points = found.points.taken(some)
+    points = found.points.subset(some)
     solved = problem.solve(points)
     for k in range(len(some)):
         low = min(int(points.colour[k]), len(TIMES_S) - 2)
@@ -236,10 +236,10 @@ def test_leaving_blocks_out_is_fitting_the_others():
     rest = type(residuals)(residuals.pieces[2:], 0.02, residuals.cutoffs)
     terms, b = whole.bounds.terms, whole.bounds
     again = separate(
-        blocks_of(rest, "CX", [regressors(b.normalised(p.states), terms) for p in rest.pieces])
+        make_blocks(rest, "CX", [regressors(b.normalised(p.states), terms) for p in rest.pieces])
     ).components()
-    quick, all_blocks = whole.separation.without([0, 1]), whole.separation.components()
-    assert quick.whole.mean == pytest.approx(again.whole.mean, rel=0.15)
+    quick, all_blocks = whole.separation.excluding([0, 1]), whole.separation.components()
+    assert quick.total_variance.mean == pytest.approx(again.total_variance.mean, rel=0.15)
     assert quick.transient == pytest.approx(again.transient, rel=0.15)
     spread = np.sqrt(np.diag(again.covariance))
     assert np.all(np.abs(quick.beta - again.beta) < 0.5 * spread)
@@ -250,11 +250,11 @@ def test_a_quantile_of_an_uncertain_variance():
     """Inverse chi-square weights of nu degrees of freedom make Student's t (scaled to unit variance)."""
     nu = 6.0
     values = stats.invgamma(nu / 2.0, scale=nu / 2.0).ppf((np.arange(20_000) + 0.5) / 20_000)
-    found = Uncertain(values, np.full(len(values), 1.0 / len(values)))
+    found = UncertainVariance(values, np.full(len(values), 1.0 / len(values)))
     assert found.quantile(0.95) == pytest.approx(
         stats.t.ppf(0.975, nu) * np.sqrt((nu - 2.0) / nu), rel=0.01
     )
-    sure = Uncertain(np.ones(3), np.full(3, 1.0 / 3.0))
+    sure = UncertainVariance(np.ones(3), np.full(3, 1.0 / 3.0))
     assert sure.quantile(0.95) == pytest.approx(1.959964, rel=1e-5)
     assert sure.dof > 1e5
 

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sysid.model_form.information_gain import Offer, after, choose, information
+from sysid.model_form.information_gain import Offer, choose, information, with_more_data
 from tests.helpers.model_forms import bounds_from
 
 STATE = "alpha_rad"
@@ -28,8 +28,8 @@ def test_the_choice_is_the_best_set_where_all_sets_can_be_tried():
     halves = {
         s: float(
             np.mean(
-                after(now, [offers[k].information for k in s]).interval(mission)[1]
-                - after(now, [offers[k].information for k in s]).interval(mission)[0]
+                with_more_data(now, [offers[k].information for k in s]).interval(mission)[1]
+                - with_more_data(now, [offers[k].information for k in s]).interval(mission)[0]
             )
         )
         / 2.0

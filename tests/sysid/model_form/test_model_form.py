@@ -11,7 +11,7 @@ import pytest
 import statsmodels.api as sm
 
 from sysid.aerodynamics.coefficients import full_polynomial, regressors, term_name
-from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals, together
+from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals, combine_flights
 from sysid.errors import LogError
 from sysid.model_form.coverage import coverage, leave_one_out, share_error
 from sysid.model_form.fit import Design, FitOptions, default_designs, fit_bounds, with_walk_rates
@@ -373,7 +373,7 @@ def test_pieces_of_one_name_are_left_out_by_stretch():
 
 def test_flights_of_other_filters_are_not_mixed():
     with pytest.raises(ValueError, match="different cut-offs"):
-        together([made_up(1), dataclasses.replace(made_up(2), cutoffs=Cutoffs(3.0))])
+        combine_flights([made_up(1), dataclasses.replace(made_up(2), cutoffs=Cutoffs(3.0))])
     with pytest.raises(ValueError, match="no beta_rad"):
         fit_bounds(made_up(1))
 

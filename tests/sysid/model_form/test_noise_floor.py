@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.model_form.fit import floor_of, with_noise
+from sysid.model_form.fit import noise_floor, with_noise
 
 
 def test_noise_is_added_where_there_is_a_figure_for_it():
@@ -22,5 +22,5 @@ def test_noise_is_added_where_there_is_a_figure_for_it():
 
 def test_a_floor_is_the_rms_over_experiments():
     first, second = np.array([[3.0, 0.0], [-3.0, 0.0]]), np.array([[1.0, 2.0], [1.0, 2.0]])
-    np.testing.assert_allclose(floor_of([first]), [3.0, 0.0])
-    np.testing.assert_allclose(floor_of([first, second]), [np.sqrt(5.0), np.sqrt(2.0)])
+    np.testing.assert_allclose(noise_floor([first]), [3.0, 0.0])
+    np.testing.assert_allclose(noise_floor([first, second]), [np.sqrt(5.0), np.sqrt(2.0)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.model_form.fit import quiet, quiet_states
+from sysid.model_form.fit import denoised_states, remove_state_noise
 from tests.helpers.residual_pieces import DT, filtered, noise_of, residuals_of
 
 STD = 0.5
@@ -38,7 +38,7 @@ def cleaned(noisy, std=STD):
         )
         for p in made.pieces
     ]
-    return quiet_states(pieces, DT)
+    return denoised_states(pieces, DT)
 
 
 def rms(parts):
@@ -88,5 +88,5 @@ def test_pieces_that_do_not_know_their_noise_stay_as_they_are():
     bare = type(made)(
         tuple(type(p)(p.label, p.time_s, p.delta, p.states) for p in made.pieces), DT, made.cutoffs
     )
-    assert quiet(bare) is bare
-    assert quiet(made).pieces[0].noise is made.pieces[0].noise
+    assert remove_state_noise(bare) is bare
+    assert remove_state_noise(made).pieces[0].noise is made.pieces[0].noise

@@ -10,16 +10,16 @@ from scipy import stats
 
 from sysid.aerodynamics.coefficients import full_polynomial, regressors
 from sysid.model_form.information_gain import (
-    after,
+    asymptotic,
     belief,
     expected_width,
-    for_ever,
     information,
     mean_power,
     parameter_variance,
     speed_power,
     weighted_quartiles,
     width,
+    with_more_data,
 )
 from tests.helpers.model_forms import bounds_from
 
@@ -32,7 +32,7 @@ def test_a_straight_line_follows_the_textbook():
     x = np.linspace(-1.0, 1.0, 40)
     now = bounds_from(x, 0.3 * x + 0.1 * rng.standard_normal(40), f=2.0)
     more = np.repeat([-3.0, 3.0], 10)
-    then = after(now, [information(now, {STATE: more})])
+    then = with_more_data(now, [information(now, {STATE: more})])
     at = np.array([-2.0, 0.0, 0.7, 5.0])
     both = np.concatenate([x, more])
     for bounds, data in ((now, x), (then, both)):
@@ -46,10 +46,10 @@ def test_a_straight_line_follows_the_textbook():
     assert then.t == pytest.approx(stats.t.ppf(0.975, 28.0))
     assert then.hull.low[0] == -3.0
     # No more data, no change; endless data, no parameter part and the normal's quantile.
-    assert after(now, []) is now
-    ever = width(for_ever(now), {STATE: at})
+    assert with_more_data(now, []) is now
+    ever = width(asymptotic(now), {STATE: at})
     assert ever.parameter == 0.0
-    assert for_ever(now).t == pytest.approx(1.959964, rel=1e-6)
+    assert asymptotic(now).t == pytest.approx(1.959964, rel=1e-6)
 
 
 def test_a_refit_of_both_data_sets_has_the_predicted_interval():
@@ -64,14 +64,14 @@ def test_a_refit_of_both_data_sets_has_the_predicted_interval():
     y = rng.standard_normal(500)
     now = bounds_from(first, y[:300], names, 2, centre=first.mean(axis=0), scale=first.std(axis=0))
     refit = bounds_from(both, y, names, 2, centre=both.mean(axis=0), scale=both.std(axis=0))
-    then = after(now, [information(now, dict(zip(names, second.T, strict=True)))])
+    then = with_more_data(now, [information(now, dict(zip(names, second.T, strict=True)))])
     at = dict(zip(names, rng.normal([23.0, 0.03], [1.0, 0.03], (50, 2)).T, strict=True))
     assert parameter_variance(then, at) / now.s2 == pytest.approx(
         parameter_variance(refit, at) / refit.s2, rel=1e-6
     )
     # Samples at twice the rate are worth half as much.
     twice = {name: np.repeat(v, 2) for name, v in zip(names, second.T, strict=True)}
-    assert after(now, [information(now, twice, 0.5)]).XtX_inv == pytest.approx(
+    assert with_more_data(now, [information(now, twice, 0.5)]).XtX_inv == pytest.approx(
         then.XtX_inv, rel=1e-9
     )
 
@@ -87,7 +87,7 @@ def test_the_expected_width_is_that_of_futures_played_out(offset):
     x, z = rng.uniform(-1.0, 1.0, 60), rng.uniform(1.0, 3.0, 200)
     now = bounds_from(x, offset + 0.2 * x + sigma * rng.standard_normal(60))
     at = {STATE: np.linspace(0.0, 3.0, 15)}
-    then = after(now, [information(now, {STATE: z})])
+    then = with_more_data(now, [information(now, {STATE: z})])
     predicted = expected_width(now, then, at, draws=2000)
     X, Z, A = (np.column_stack([np.ones(len(v)), v]) for v in (x, z, at[STATE]))
     mean, covariance = belief(now)
@@ -143,8 +143,8 @@ def test_scatter_of_the_new_data_is_pooled():
     rng = np.random.default_rng(4)
     now = bounds_from(rng.uniform(-1.0, 1.0, 100), rng.standard_normal(100))
     more = [information(now, {STATE: rng.uniform(-1.0, 1.0, 300)})]
-    assert after(now, more).s2 == now.s2
-    assert after(now, more, 0.6).s2 == pytest.approx(now.s2 * (100 + 0.6 * 300) / 400)
+    assert with_more_data(now, more).s2 == now.s2
+    assert with_more_data(now, more, 0.6).s2 == pytest.approx(now.s2 * (100 + 0.6 * 300) / 400)
 
 
 def test_scatter_falls_with_speed_as_it_was_made_to():
@@ -175,6 +175,6 @@ def test_clamped_bounds_look_no_further_than_their_data():
     far, edge = {STATE: np.array([4.0])}, {STATE: np.array([float(now.hull.high[0])])}
     assert parameter_variance(now, far, "clamp") == pytest.approx(parameter_variance(now, edge))
     # With data out there the clamp moves out too, and they count where they were taken.
-    then = after(now, [information(now, {STATE: np.full(50, 4.0)})])
+    then = with_more_data(now, [information(now, {STATE: np.full(50, 4.0)})])
     assert parameter_variance(then, far, "clamp") == pytest.approx(parameter_variance(then, far))
     assert replace(then, hull=now.hull).hull.high[0] < 4.0

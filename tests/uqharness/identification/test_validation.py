@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from sysid.model_form import HOLDS_FROM
+from sysid.model_form import MIN_SHARE_INSIDE
 from tests.helpers.model_forms import made_up_form
 from uqharness.errors import BadInputError
 from uqharness.identification.bounds import failed, load_form, validate, verdicts
@@ -24,7 +24,7 @@ def test_coefficients_that_contain_too_little_are_named():
     assert failed(covered(CX=0.95, CZ=0.94, Cm=0.93)) == ("Cm",)
     assert verdicts(covered(CX=0.95, Cm=0.93)) == {"CX": "holds", "Cm": "fails"}
     # A short flight says neither, but where next to nothing lies inside.
-    assert verdicts(covered(0.05, CX=0.93, Cm=HOLDS_FROM - 1e-9)) == {
+    assert verdicts(covered(0.05, CX=0.93, Cm=MIN_SHARE_INSIDE - 1e-9)) == {
         "CX": "inconclusive",
         "Cm": "fails",
     }

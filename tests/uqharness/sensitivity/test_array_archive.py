@@ -118,6 +118,6 @@ def test_a_damaged_archive_is_refused_or_gives_the_same_arrays(study, tmp_path):
 
 def test_a_bomb_is_refused_before_it_is_unpacked(study, tmp_path, monkeypatch):
     path = packed(study, tmp_path / "study.npz")
-    monkeypatch.setattr(problem, "MOST_BYTES", 100)
+    monkeypatch.setattr(problem, "MAX_BYTES", 100)
     with pytest.raises(BadInputError, match="would take"):
         sensitivity.read_study(path)

@@ -99,7 +99,7 @@ def test_resamples_are_drawn_one_after_the_other_however_many_are_computed_toget
     areas = [box_area(y[:, rng.integers(24, size=24)]) for _ in range(30)]
     small = np.sqrt(24 / 23) * stats.t.ppf(0.975, 23)
     assert band.area_high - band.area == pytest.approx(small * np.std(areas, ddof=1))
-    monkeypatch.setattr(resampling, "TOGETHER", 1)
+    monkeypatch.setattr(resampling, "BLOCK_VALUES", 1)
     for item in fields(PairBand):
         one_by_one, together = (
             getattr(pair_band(y, 2, 11, resamples=30), item.name),

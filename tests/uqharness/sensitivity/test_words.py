@@ -40,7 +40,7 @@ def result(ranges, lead, shrink_low=0.4) -> MethodResult:
 def test_a_clear_lead_is_certain():
     clear = result({"a": (0.1, 0.2), "b": (0.6, 0.7)}, [[0.0, -0.5], [0.3, 0.0]])
     assert rank(clear) == Ranking("b", certain=True)
-    assert not rank(clear, lost=1).certain
+    assert not rank(clear, n_lost=1).certain
     text = words(clear, "cross_track_m", rank(clear), 0, 20)
     assert text.startswith("cross_track_m: reduce b first. The p-box is 12.3 m wide")
     assert "shrink by 50 to 60 % (40 to 70 % with sampling error)" in text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.few import few
-from uqharness.statistics.decide import NO, OPEN, YES, Question, add, begin, close, look
+from uqharness.statistics.decide import NO, OPEN, YES, Question, add, begin, close, decide_cell
 
 # Worst corner's excursions per hour beyond 15 m (Hale 2016, Table 3.2): light, moderate, severe turbulence at 0 to 7 m/s.
 PUBLISHED = (
@@ -38,7 +38,7 @@ def decide(counts, asked, look_every=LOOK):
     evidence = begin(counts.shape[0])
     for first in range(0, counts.shape[1], look_every):
         block = np.where(evidence.open[:, None], counts[:, first : first + look_every], np.nan)
-        evidence = look(add(evidence, asked, block, block), asked)
+        evidence = decide_cell(add(evidence, asked, block, block), asked)
         if not evidence.open.any():
             break
     return close(evidence)
@@ -151,10 +151,10 @@ def test_what_lies_within_the_zone_is_left_open_before_the_flights_are_used_up()
 def test_failed_flights_count_against_yes_and_not_for_no():
     asked = question()
     zero, failed = np.zeros((1, 80)), np.zeros((1, 80))
-    assert look(add(begin(1), asked, zero, zero), asked).cell == YES
+    assert decide_cell(add(begin(1), asked, zero, zero), asked).cell == YES
     failed[0, :20] = 1.0
-    assert look(add(begin(1), asked, zero, failed), asked).cell == ""
-    assert look(add(begin(1), asked, failed, failed), asked).cell == NO
+    assert decide_cell(add(begin(1), asked, zero, failed), asked).cell == ""
+    assert decide_cell(add(begin(1), asked, failed, failed), asked).cell == NO
 
 
 def test_observed_dispersion_takes_over_where_it_is_larger():

@@ -19,9 +19,9 @@ from campaigns.rare_events.closed_form import (
     exact,
 )
 from uqharness.statistics.splitting import (
+    Checkpoint,
     Levels,
     Occupancy,
-    Seen,
     interval,
     more_levels,
     pilot,
@@ -53,7 +53,7 @@ class Scripted:
             return None
         score = np.array([self.scores[self.step][k] for k in self.who])
         ended = np.array([(self.step, k) in self.ended for k in self.who])
-        return Seen(score, (score[:, None] > 9.0).astype(np.int64), ended)
+        return Checkpoint(score, (score[:, None] > 9.0).astype(np.int64), ended)
 
     def follow(self, parents, levels):
         self.followed.append((list(parents), list(levels)))
@@ -77,7 +77,7 @@ def test_frequent_events_are_those_of_plain_paths():
     plain = run(paths(1, 4000), 4000, Levels(()), 2)
     split = [run(paths(10 + k, 100), 100, Levels((1.3, 1.9, 2.4, 2.9, 3.4)), 2) for k in range(20)]
     assert plain.steps == 4000 * STEPS // EACH
-    assert plain.most == 4000
+    assert plain.max_paths == 4000
     assert abs(plain.probability[0] - first) < 4.0 * math.sqrt(first / 4000)
     assert abs(plain.events[0] - events) < 6.0 * math.sqrt(events / 4000)
     means = np.array([one.probability[0] for one in split])
@@ -95,7 +95,7 @@ def test_weights_of_paths_that_rise_fall_and_end():
         "where nothing changes nobody is followed"
     )
     assert sorted(one.followed[0][1]) == [0, 1, 1, 2, 2, 2, 2, 2, 2]
-    assert found.most == 9
+    assert found.max_paths == 9
     # Everything ends in an event at the last checkpoint: nine paths of a ninth.
     hit = run(Scripted([[0.0], [7.0], [9.5]]), 1, Levels((2.0, 6.0)), 1)
     np.testing.assert_allclose([hit.probability[0], hit.events[0]], 1.0)
@@ -119,19 +119,25 @@ def test_plain_paths_give_the_first_levels():
     grid = np.arange(0.0, 8.0)
     plain = Occupancy(grid, 0.3 * 3.0**-grid, np.full(8, 1000.0))
     levels = pilot(
-        lambda number: pytest.fail("no round is needed"), 10, 1, grid, 4.5, 0.3 / 9.0, plain
+        lambda number: pytest.fail("no round is needed"),
+        10,
+        1,
+        grid,
+        4.5,
+        share=0.3 / 9.0,
+        plain=plain,
     )
     np.testing.assert_allclose(levels.scores, [2.0, 3.0, 4.0])
 
 
 def test_a_path_about_a_level_is_not_copied_again_and_again():
     found = run(Scripted([[3.0], [1.0], [3.0], [1.0], [3.0]]), 1, Levels((0.5, 2.0)), 1)
-    assert found.most == 9
+    assert found.max_paths == 9
 
 
 def test_a_path_that_has_fallen_back_is_one_again():
     one = Scripted([[3.0], [-2.0], [-2.0]])
-    assert run(one, 1, Levels((0.5, 2.0)), 1).most == 9
+    assert run(one, 1, Levels((0.5, 2.0)), 1).max_paths == 9
     assert [len(parents) for parents, _ in one.followed] == [9, 1]
     assert Levels((0.5, 2.0, 3.0)).floors == (-1.0, 0.5, 2.0)
     assert Levels((0.5,)).floors == (0.5,)

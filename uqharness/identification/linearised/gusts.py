@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, whole_states
+from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, with_gust_states
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.arrays import FloatArray
 from sysid.effects import (
@@ -417,7 +417,7 @@ class _Linear:
         point = self.flown.point
         gain = np.array([sensor_gain(c, point) for c in self.setup.outputs])
         H = steps.H[:, self.setup.which] / gain[:, None]
-        x = whole_states(p.reference.x, acting)
+        x = with_gust_states(p.reference.x, acting)
         first = rates(p.reference, p.mass, x, gusts=acting) * steps.dt_s
         bent = steps.defect + np.diff(x, axis=0) - first[:-1]
         # A sensor that is late sees the step before a row, one that is early the step behind it.
@@ -482,7 +482,7 @@ def predicted(
     for p, s, d, acting in zip(
         found, steps, (one.alone.path for one in followed), gusts.states, strict=True
     ):
-        x = whole_states(p.reference.x, acting) + d
+        x = with_gust_states(p.reference.x, acting) + d
         air = x[:, 3:6] - np.column_stack(acting.rotation(x.T))
         whole = rates(p.reference, p.mass, x, gusts=acting)
         flow = rates(p.reference, p.mass, x, gusts=acting._replace(turning_with=False))

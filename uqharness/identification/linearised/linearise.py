@@ -19,7 +19,7 @@ from sysid.aerodynamics import (
     split_name,
     unforced,
     variables,
-    whole_states,
+    with_gust_states,
 )
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
@@ -150,7 +150,7 @@ class Probe:
         V, alpha, beta, p, q, r = self.x.T[:6]
         de, da, dr, dt = self.controls.T[:4]
         return {
-            **variables(V, alpha, beta, p, q, r, de, da, dr, b, c),
+            **variables(V, alpha, beta, p, q, r, de, da, dr, b=b, c=c),
             "alphadot_hat": self.flow_rate[:, 0] * 0.5 * c / V,
             "betadot_hat": self.flow_rate[:, 1] * 0.5 * b / V,
             "dt": dt / 100.0,
@@ -548,7 +548,7 @@ def at_vane(y: FloatArray, outputs: Sequence[str]) -> FloatArray:
 def vane_slopes(x: FloatArray, gusts: GustStates | None) -> FloatArray:
     """(n, outputs, states) change with the states, at X_STATES (n, 8), of what vanes feel each metre further forward: the rates
     there are those relative to the air, which rotates."""
-    at = (x if gusts is None else whole_states(x, gusts)).T
+    at = (x if gusts is None else with_gust_states(x, gusts)).T
     out = np.zeros((at.shape[1], len(STEP_OUTPUTS), len(at)))
 
     def felt(z: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.arrays import FloatArray
 from sysid.effects import Effect
-from sysid.estimation import channel_noise, process_noise_shown
+from sysid.estimation import channel_noise, shows_process_noise
 from uqharness.errors import BadInputError
 from uqharness.identification.replay_fit import BIASES, OUTPUTS
 from uqharness.replay import (
@@ -247,7 +247,7 @@ def turbulent(setup: Setup, flown: Flown) -> bool:
         k for k, c in enumerate(setup.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
     ]
     residual = [(z - y)[:, columns] for z, y in zip(setup.measured, flown.outputs, strict=True)]
-    return process_noise_shown(
+    return shows_process_noise(
         residual, [y[:, columns] for y in flown.outputs], setup.noise[columns]
     )
 

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sysid.model_form import HOLDS_FROM
+from sysid.model_form import MIN_SHARE_INSIDE
 from uqharness.replay import History, read_histories, shown_channel
 from uqharness.report.pages.model_form import COVERAGE, RESIDUALS, within_section
 from uqharness.report.parts import (
@@ -72,7 +72,7 @@ def coverage_page_of(
     sections.append(provenance(("Command", document.get("command") or "not recorded")))
     # Older documents have no verdicts; they follow from the coverage.
     verdicts = document.get("verdicts") or {
-        c: "holds" if row["0.95"] >= HOLDS_FROM else "fails"
+        c: "holds" if row["0.95"] >= MIN_SHARE_INSIDE else "fails"
         for c, row in document["coverage"].items()
     }
     failing, unsure = (
@@ -107,7 +107,9 @@ def _coverage_section(document: Mapping[str, Any]) -> Section:
     rows = []
     for c, row in document["coverage"].items():
         level = _LEVELS[
-            document.get("verdicts", {}).get(c, "holds" if row["0.95"] >= HOLDS_FROM else "fails")
+            document.get("verdicts", {}).get(
+                c, "holds" if row["0.95"] >= MIN_SHARE_INSIDE else "fails"
+            )
         ]
         # Coverage with its standard error, at both confidences.
         errors = document.get("errors", {}).get(c, {})

@@ -19,7 +19,7 @@ from sysid.aerodynamics import Residuals, term_name
 from sysid.arrays import FloatArray
 from sysid.distributions import normal_quantile
 from sysid.model_form import (
-    HOLDS_FROM,
+    MIN_SHARE_INSIDE,
     STEP_S,
     CoefficientBounds,
     ModelForm,
@@ -159,7 +159,7 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Sentence, ...
     if coverage:
         # Lowest leave-one-manoeuvre-out coverage.
         worst = min(coverage, key=lambda c: coverage[c])
-        level: Any = "good" if coverage[worst] >= HOLDS_FROM else "warn"
+        level: Any = "good" if coverage[worst] >= MIN_SHARE_INSIDE else "warn"
         text = (
             f"Bounds made without a manoeuvre hold {100 * coverage[worst]:.0f} % of its samples or"
             f" more ({worst} least)."
@@ -583,7 +583,7 @@ def _share(value: float | None) -> Cell:
     """Return a share with its level."""
     return Cell(
         format_value(value, ".2f"),
-        "" if value is None else "good" if value >= HOLDS_FROM else "warn",
+        "" if value is None else "good" if value >= MIN_SHARE_INSIDE else "warn",
     )
 
 

@@ -38,7 +38,7 @@ def test_paths_that_are_not_split_have_the_excursions_of_plain_flights():
     assert counts.sum() > 2
     np.testing.assert_array_equal(found.events, counts.mean(axis=0))
     np.testing.assert_array_equal(found.probability, (counts > 0).mean(axis=0))
-    assert (found.steps, found.most, found.ended) == (90, 3, 0.0)
+    assert (found.steps, found.max_paths, found.ended) == (90, 3, 0.0)
     for hit in paths.hits:
         signal = np.abs(flown[hit.aleatory_id].signals["cross_track"])
         assert hit.splits == ()
@@ -51,7 +51,7 @@ def test_the_same_paths_again_and_branches_that_part(split):
     other = run(again, 3, Levels((3.0, 6.0), 2), 2)
     assert other.events.tobytes() == found.events.tobytes()
     assert again.hits == paths.hits
-    assert found.most > 3
+    assert found.max_paths > 3
     assert found.steps > 90
     keys = [(s.aleatory_id, s.level, s.branch) for hit in paths.hits for s in hit.splits]
     assert keys

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.estimation import Seen, carried, gains
+from sysid.estimation import MeasuredSystem, gains, whiten_innovations
 from sysid.parallel import SERIAL
 from tests.uqharness.identification.linearised.test_gusts import DT, MASS, N, probe_of
 from uqharness.identification.linearised import linearise
@@ -165,10 +165,10 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
         point = Point(values, {unseen("f"): share}, (segment.start,))
         fit = fit_at(model, straight, setup, names, fly(model, setup, point, SERIAL), SERIAL)
         (of,), (steps,) = fit.columns, fit.steps
-        seen = Seen.of(steps, setup.measured[0], setup.which)
+        seen = MeasuredSystem.of(steps, setup.measured[0], setup.which)
         by = gains(seen, noise, None)
-        found = carried(seen, by, names, of.inputs, {}, of.ends, of.felt).columns
-        ramped = carried(seen, by, names, of.inputs, {}).columns
+        found = whiten_innovations(seen, by, names, of.inputs, {}, of.ends, of.felt).columns
+        ramped = whiten_innovations(seen, by, names, of.inputs, {}).columns
         for k, name in enumerate(names):
             step = 0.02 * values[name]
             sides = [

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sysid.aerodynamics import rates, whole_states
+from sysid.aerodynamics import rates, with_gust_states
 from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
@@ -159,7 +159,7 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     steps = linearise(rolled, probe.mass, gusts=acting)
     y = steps.y_ref[:, which]
     behind = linear._behind(probe, steps, y, acting, np.array([late, late, 0.0]))
-    x = whole_states(rolled.x, acting)
+    x = with_gust_states(rolled.x, acting)
 
     def after(part: float, at: np.ndarray) -> np.ndarray:
         """States that the model takes in a part of each step, in many small ones; loads are on straight lines between the rows."""
@@ -199,7 +199,7 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     y = steps.y_ref[:, which]
     found = linear._behind(flat, steps, y, acting, np.array([0.0, 0.0, 1e-6]))
     first = h * rates(
-        flat.reference, flat.mass, whole_states(flat.reference.x, acting), gusts=acting
+        flat.reference, flat.mass, with_gust_states(flat.reference.x, acting), gusts=acting
     )
     ended = -first[:-1]
     still = np.einsum("nj,nj->n", steps.H[1:, which[2]], ended)
