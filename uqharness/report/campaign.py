@@ -228,7 +228,7 @@ def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> lis
         allowance += (
             f" Where the same air shows {ENOUGH_EXCURSIONS} excursions or more at less than one per"
             f" hour at a smaller radius, the upper limit of the ratio there ({100 * CONFIDENCE:g}"
-            " %) stands in place of the assumed one."
+            " %) replaces the assumed one."
         )
     lines = [
         "Flights are independent of each other; within a flight excursions may come in clusters.",
@@ -716,7 +716,7 @@ def sensitivity_section(
         "How much of the p-box's width each coefficient's interval makes: the thick bar runs from"
         " the smallest to the largest share over the values of the others, the wide pale one is"
         " its 95 % sampling interval. Ranges that overlap do not rank."
-        f" {hardest.words[0].upper()}{hardest.words[1:]}; all conditions and metrics stand in"
+        f" {hardest.words[0].upper()}{hardest.words[1:]}; all conditions and metrics are in"
         " sensitivity.csv."
     )
     table = Table(
@@ -917,7 +917,7 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
         )
     worst = worst_case(frame)
     text = (
-        "No record of a flight stands in this folder. The worst flight of the hardest condition is"
+        "This folder holds no record of a flight. The worst flight of the hardest condition is"
         " flown again, and drawn here, by:"
     )
     commands = (

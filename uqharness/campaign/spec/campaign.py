@@ -249,7 +249,7 @@ class EpistemicSection(Section):
             )
         if self.interior and self.method != "corners":
             raise ValueError(
-                f"interior = {self.interior}: interior points are flown beside corners, not with"
+                f"interior = {self.interior}: interior points are flown with corners, not with"
                 f' method = "{self.method}"'
             )
         if self.nominal and self.method != "corners":

@@ -73,7 +73,7 @@ def instrument_page(done: Instrumentation, form: ModelForm | None, constant: Con
     """
     question = (
         f"By how much may the coefficients of {done.aircraft} be off in a campaign? Each delta"
-        " coefficient, dimensionless, in body axes, stands between the lower and the upper bound:"
+        " coefficient, dimensionless, in body axes, lies between the lower and the upper bound:"
         " delta = lower + level (upper − lower), level 0 to 1."
     )
     sections = [_sizes(form, constant)]

@@ -83,7 +83,7 @@ def next_flight_page(
         *remarks(document, key=()),
         provenance(
             ("Command", command),
-            ("Files", "next-flight.json, next-flight.xml, test-points.csv, beside this page"),
+            ("Files", "next-flight.json, next-flight.xml, test-points.csv, next to this page"),
         ),
     )
     question = (
@@ -181,6 +181,7 @@ def _profile(
     quantity, unit, factor = shown_channel(state)
     # Ignore the most extreme 0.2 % on either side.
     low, high = (float(v) for v in np.quantile(values, [0.002, 0.998]))
+    # Bins of equal width over the mission.
     edges = np.linspace(low, high, _BINS + 1)
     bins = np.clip(np.digitize(values, edges) - 1, 0, _BINS - 1)
     count = np.bincount(bins, minlength=_BINS)
@@ -368,6 +369,7 @@ def _first_points(plan: NextFlight) -> list[str]:
             break
     if 2 * len(few) > len(plan.plan):
         return []
+    # Points are numbered from 1.
     numbers = ", ".join(str(k + 1) for k in sorted(few))
     subject = f"point {numbers} brings" if len(few) == 1 else f"points {numbers} bring"
     return [
@@ -382,7 +384,7 @@ def _reason_not_to_fly(plan: NextFlight, p: Prospect) -> str:
     """Return why the flight is not worth flying."""
     if p.at_most >= WORTH:
         return (
-            f"Not worth flying for {plan.coefficient} alone ({_percent(WORTH)} is asked for): more"
+            f"Not worth flying for {plan.coefficient} alone ({_percent(WORTH)} is required): more"
             f" minutes would bring up to {_percent(p.at_most)}."
         )
     text = (
