@@ -384,7 +384,7 @@ def _reason_not_to_fly(plan: NextFlight, p: Prospect) -> str:
     """Return why the flight is not worth flying."""
     if p.at_most >= WORTH:
         return (
-            f"Not worth flying for {plan.coefficient} alone ({_percent(WORTH)} is required): more"
+            f"Not worth flying for {plan.coefficient} alone ({_percent(WORTH)} is asked for): more"
             f" minutes would bring up to {_percent(p.at_most)}."
         )
     text = (
