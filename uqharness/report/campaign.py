@@ -159,7 +159,18 @@ def row(item: Statement) -> dict[str, str]:
 
 
 def aborted_kinds(claims: Sequence[Statement]) -> tuple[str, ...]:
-    """Return the kinds of aborted flights that get a column; empty if no flight was aborted."""
+    """Return the kinds of aborted flights that get a column; empty if no flight was aborted.
+
+    Parameters
+    ----------
+    claims : sequence of Statement
+        Claims of all campaigns in the table.
+
+    Returns
+    -------
+    tuple of str
+        The three usual kinds, and "other" if such flights occurred.
+    """
     # Count by kind over all statements.
     totals = {kind: sum(item.aborted[kind] for item in claims) for kind in _KIND_WORDS}
     return (
@@ -444,7 +455,18 @@ class CampaignReport:
 
 
 def read_campaign_report(folder: Path) -> CampaignReport:
-    """Read a complete campaign. Raises BadInputError."""
+    """Read a complete campaign and formulate its verdict.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+
+    Raises
+    ------
+    BadInputError
+        If the campaign is not complete or a table is damaged.
+    """
     # Tables first, then what follows from them.
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
@@ -767,7 +789,19 @@ def by_condition(rows: Sequence[Row]) -> dict[Condition, list[Row]]:
 def range_figures(
     rows: Sequence[Row], metrics: Sequence[str], condition: Condition, file: str, prefix: str = ""
 ) -> Figures:
-    """Return a chart per metric with a share; ``file`` as in `Figures`."""
+    """Return a chart per metric with a share.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Rows of sensitivity.csv of one condition.
+    metrics : sequence of str
+        Metrics to draw.
+    condition : Condition
+        The condition, for captions.
+    file, prefix : str
+        File as in `Figures`, and prefix of figure names.
+    """
     by_metric = {m: [r for r in rows if r["metric"] == m and r["share_min"]] for m in metrics}
     figures = tuple(
         _figure(m, _ordered(metric_rows), condition, prefix)

@@ -181,7 +181,23 @@ def _channel(
     prefix: str,
     legend: bool = False,
 ) -> Figure:
-    """Draw the log and the models of one channel; with ``legend`` the chart has its own legend."""
+    """Draw the log and the models of one channel.
+
+    Parameters
+    ----------
+    history : History
+        Segment.
+    name : str
+        Channel.
+    noise : float or None
+        Noise in the unit of the channel; None draws no band.
+    models : sequence of Model
+        Models; the band is drawn around the last.
+    prefix : str
+        Prefix of the figure name.
+    legend : bool
+        Whether the chart has its own legend.
+    """
     quantity, unit, factor = shown_channel(name)
     # Log and models in displayed units.
     measured = factor * history.columns[name]

@@ -133,7 +133,15 @@ def _verdict(
 
 
 def main_state(b: CoefficientBounds, form: ModelForm) -> str:
-    """Return the state along which the bounds vary most, the others at their medians."""
+    """Return the state along which the bounds vary most, the others at their medians.
+
+    Parameters
+    ----------
+    b : CoefficientBounds
+        Bounds of one coefficient.
+    form : ModelForm
+        Gives confidence and behaviour outside the data.
+    """
 
     def range_of_bounds(k: int) -> float:
         """Return by how much both bounds vary along a state."""
