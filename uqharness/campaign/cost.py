@@ -363,6 +363,7 @@ def time_in_words(seconds: float) -> str:
 
 def disk_in_words(size: float) -> str:
     """Return a size as ``12 kB``, ``3.4 MB``, ``1.2 GB`` or ``2 TB``."""
+    # Largest unit that the size reaches.
     for unit, length in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
         if size >= length:
             return (

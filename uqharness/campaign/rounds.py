@@ -446,6 +446,7 @@ class _Cell:
 
 def _cells(cases: Sequence[Case], rule: Rule) -> list[_Cell]:
     """Return a cell per condition."""
+    # One cell per condition, in case order.
     grouped: dict[tuple[float, str], list[Case]] = {}
     for case in cases:
         grouped.setdefault((case.wind_mps, case.turbulence), []).append(case)

@@ -611,7 +611,7 @@ def find_winner(
         )
     if name not in COEFFICIENTS:
         raise BadInputError(
-            f"{folder}: {name} drives {chosen}; it is a quantity of its own and no model form:"
+            f"{folder}: {name} drives {chosen}; it is not an aerodynamic coefficient:"
             " measure it. For the aerodynamic coefficient that matters most name it:"
             " --coefficient C"
         )

@@ -1,4 +1,4 @@
-"""Results told: words, tables, pages, charts."""
+"""Report results: sentences, tables, pages and charts."""
 
 import lazy_loader
 

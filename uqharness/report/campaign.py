@@ -159,7 +159,18 @@ def row(item: Statement) -> dict[str, str]:
 
 
 def aborted_kinds(claims: Sequence[Statement]) -> tuple[str, ...]:
-    """Return the kinds of aborted flights that get a column; empty if no flight was aborted."""
+    """Return the kinds of aborted flights that get a column; empty if no flight was aborted.
+
+    Parameters
+    ----------
+    claims : sequence of Statement
+        Claims of all campaigns in the table.
+
+    Returns
+    -------
+    tuple of str
+        The three usual kinds, and "other" if such flights occurred.
+    """
     # Count by kind over all statements.
     totals = {kind: sum(item.aborted[kind] for item in claims) for kind in _KIND_WORDS}
     return (
@@ -228,7 +239,7 @@ def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> lis
         allowance += (
             f" Where the same air shows {ENOUGH_EXCURSIONS} excursions or more at less than one per"
             f" hour at a smaller radius, the upper limit of the ratio there ({100 * CONFIDENCE:g}"
-            " %) stands in place of the assumed one."
+            " %) replaces the assumed one."
         )
     lines = [
         "Flights are independent of each other; within a flight excursions may come in clusters.",
@@ -444,7 +455,18 @@ class CampaignReport:
 
 
 def read_campaign_report(folder: Path) -> CampaignReport:
-    """Read a complete campaign. Raises BadInputError."""
+    """Read a complete campaign and formulate its verdict.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+
+    Raises
+    ------
+    BadInputError
+        If the campaign is not complete or a table is damaged.
+    """
     # Tables first, then what follows from them.
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
@@ -716,7 +738,7 @@ def sensitivity_section(
         "How much of the p-box's width each coefficient's interval makes: the thick bar runs from"
         " the smallest to the largest share over the values of the others, the wide pale one is"
         " its 95 % sampling interval. Ranges that overlap do not rank."
-        f" {hardest.words[0].upper()}{hardest.words[1:]}; all conditions and metrics stand in"
+        f" {hardest.words[0].upper()}{hardest.words[1:]}; all conditions and metrics are in"
         " sensitivity.csv."
     )
     table = Table(
@@ -767,7 +789,19 @@ def by_condition(rows: Sequence[Row]) -> dict[Condition, list[Row]]:
 def range_figures(
     rows: Sequence[Row], metrics: Sequence[str], condition: Condition, file: str, prefix: str = ""
 ) -> Figures:
-    """Return a chart per metric with a share; ``file`` as in `Figures`."""
+    """Return a chart per metric with a share.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Rows of sensitivity.csv of one condition.
+    metrics : sequence of str
+        Metrics to draw.
+    condition : Condition
+        The condition, for captions.
+    file, prefix : str
+        File as in `Figures`, and prefix of figure names.
+    """
     by_metric = {m: [r for r in rows if r["metric"] == m and r["share_min"]] for m in metrics}
     figures = tuple(
         _figure(m, _ordered(metric_rows), condition, prefix)
@@ -917,7 +951,7 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
         )
     worst = worst_case(frame)
     text = (
-        "No record of a flight stands in this folder. The worst flight of the hardest condition is"
+        "This folder holds no record of a flight. The worst flight of the hardest condition is"
         " flown again, and drawn here, by:"
     )
     commands = (

@@ -207,6 +207,7 @@ def _channel(
     for flag in channel_flags:
         for start, end in flag.spans:
             # Widen short intervals: a gap of some samples in an hour would be invisible.
+            # Half the missing width on either side.
             reach = 0.5 * max(0.0, 0.004 * (x.high - x.low) - (end - start))
             chart.band(
                 np.array([start - reach, end + reach]),
@@ -296,6 +297,7 @@ def channels_of(finding: Finding, record: FlightRecord) -> tuple[str, ...]:
         return (name,)
     if name in _GROUPS:
         return tuple(n for n in _GROUPS[name] if n in record)
+    # The finding names the message that channels were made from.
     sources = record.metadata.channels
     return tuple(
         n

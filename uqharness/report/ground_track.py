@@ -413,6 +413,7 @@ def _places(columns: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray] 
     else:
         return None
     is_known = np.isfinite(north) & np.isfinite(east)
+    # A receiver at rest has no track.
     moved = is_known.any() and max(float(np.ptp(v[is_known])) for v in (north, east)) >= _LEAST_M
     return (north, east) if moved else None
 
@@ -447,6 +448,7 @@ def _turn(time_s: FloatArray, north: FloatArray, east: FloatArray, at: int) -> t
         if not is_in_turn[at:].all()
         else len(is_in_turn) - 1
     )
+    # Limit the interval for a flight that does not turn.
     begin, end = (
         max(time_s[first], time_s[at] - 0.5 * _LONGEST_S),
         min(time_s[last], time_s[at] + 0.5 * _LONGEST_S),
@@ -456,6 +458,7 @@ def _turn(time_s: FloatArray, north: FloatArray, east: FloatArray, at: int) -> t
 
 def _rings(circle: Circle, radius_m: float) -> Iterator[tuple[FloatArray, FloatArray, str]]:
     """Yield east and north [m] of the path and of circles ``radius_m`` outside and inside it."""
+    # Two degrees per point.
     angle = np.linspace(0.0, 2.0 * math.pi, 181)
     for size, kind in (
         (circle.radius_m, "third"),

@@ -76,6 +76,7 @@ def history_section(
     if not histories:
         return ()
     # The reader sees the worst segments first.
+    # The reader sees the worst segments first.
     ranked = sorted(histories, key=lambda h: -_worst(h, noise, models[0])[0])[:max_segments]
     # Name the models only if there are several.
     first, last = ((f" {m.words}" if len(models) > 1 else "") for m in (models[0], models[-1]))
@@ -86,7 +87,7 @@ def history_section(
             " from the log"
         )
     text = (
-        f"{selection}, the worst first; every segment stands in histories.parquet. The band is the"
+        f"{selection}, the worst first; histories.parquet has every segment. The band is the"
         f" model{last} plus and minus 1.96 times the noise of the channel: with a right model 95 %"
         " of the samples lie inside."
     )
@@ -180,7 +181,23 @@ def _channel(
     prefix: str,
     legend: bool = False,
 ) -> Figure:
-    """Draw the log and the models of one channel; with ``legend`` the chart has its own legend."""
+    """Draw the log and the models of one channel.
+
+    Parameters
+    ----------
+    history : History
+        Segment.
+    name : str
+        Channel.
+    noise : float or None
+        Noise in the unit of the channel; None draws no band.
+    models : sequence of Model
+        Models; the band is drawn around the last.
+    prefix : str
+        Prefix of the figure name.
+    legend : bool
+        Whether the chart has its own legend.
+    """
     quantity, unit, factor = shown_channel(name)
     # Log and models in displayed units.
     measured = factor * history.columns[name]
@@ -255,6 +272,7 @@ def _worst(history: History, noise: Mapping[str, float | None], model: Model) ->
     """Return the largest ratio of residual rms to noise and its channel; -inf if nothing is
     comparable.
     """
+    # Only channels with a known noise can be ranked.
     ratios = {name: _ratio(history, name, std, model) for name, std in noise.items()}
     return max(
         [(-math.inf, ""), *((ratio, name) for name, ratio in ratios.items() if ratio is not None)]
@@ -401,6 +419,7 @@ def _panels(record: pd.DataFrame) -> Iterator[tuple[str, str, Mapping[str, str],
         {c: c for c in _rerun_control(record, "throttle")},
     )
     # A coefficient without a delta is not varied in this flight, whatever its level.
+    # Levels of coefficients with a delta in this flight.
     active = [
         name for name in COEFFICIENTS if f"delta_{name}" in record and record[f"delta_{name}"].any()
     ]

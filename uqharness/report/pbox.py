@@ -169,6 +169,7 @@ def _sides(
     if labelled_box.smooth:
         return box.value, box.lower, box.upper
     # Flights without a value may lie below every value observed.
+    # Upper side at the left end of the axis.
     unseen = max(sample.unknown / sample.size for sample in labelled_box.samples)
     return (
         np.concatenate([[x.low], box.value, [x.high]]),
@@ -330,6 +331,7 @@ def _cursor(number: int, labelled_box: LabelledBox, box: PBox, is_single: bool) 
     """Return what the page's script reads out under the pointer."""
     names = _samples_on_sides(box) if is_single or not labelled_box.smooth else []
     place = {name: k for k, name in enumerate(names)}
+    # Sides and band, rounded to keep the page small.
     sides = {
         "lower": box.lower,
         "upper": box.upper,

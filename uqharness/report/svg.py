@@ -474,6 +474,7 @@ def standalone(
     """
     columns = min(columns, len(charts))
     width = columns * (WIDTH + _GAP) + _GAP
+    # Parts of the file from top to bottom.
     parts, y = [], 0
     # Title, legend, then the charts row by row.
     for line in textwrap.wrap(title, int(width / 9.5)):
@@ -548,6 +549,7 @@ def thin_line(
 
     Peaks and gaps survive: each bucket keeps its smallest and largest value and its first NaN.
     """
+    # Short lines stay as they are.
     if x.size <= max_points:
         return x, y
     # Two points per bucket.
@@ -611,6 +613,7 @@ def _legend(
 
 def _swatch(kind: str, x: float, y: float) -> str:
     """Return the sample mark of a legend entry."""
+    # The class begins with the shape of the mark.
     shape, _, css_class = kind.partition(" ")
     if shape == "mark-disc":
         return f'<circle class="mark {css_class}" cx="{x + 11:g}" cy="{y:g}" r="4"/>'

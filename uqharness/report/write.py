@@ -273,6 +273,7 @@ def write_figures(folder: Path, sections: Iterable[Section], title: str) -> list
     list of Path
         Files written.
     """
+    # Refuses a folder that is a link.
     place, paths = inner_folder(folder, "figures"), []
 
     def write(name: str, text: str) -> None:
@@ -337,6 +338,7 @@ def write_results(done: Refinement, out: Path) -> None:
         CONTROLS, [s.controls for s in setup.segments]
     )
     for suffix, evaluation in models.items():
+        # Model output = measurement minus residual.
         modelled = [z - r for z, r in zip(setup.measured, evaluation.residual, strict=True)]
         columns |= columns_of(setup.outputs, modelled, suffix)
         columns |= columns_of(COEFFICIENTS, evaluation.coefficients, f"_gap{suffix}")

@@ -73,5 +73,7 @@ def test_what_has_no_winner_is_refused(flown):
     with pytest.raises(BadInputError, match="no sensitivity of cross_track_median_m"):
         find_winner(Path("c"))
     flown(item("rough", 10.0, CX=(0.1, 0.2), **{"load/kg": (0.8, 0.9)}))
-    with pytest.raises(BadInputError, match=r"load/kg drives .*no model form: measure it"):
+    with pytest.raises(
+        BadInputError, match=r"load/kg drives .*not an aerodynamic coefficient: measure it"
+    ):
         find_winner(Path("c"))

@@ -209,7 +209,7 @@ def _find_case(cases: tuple[Case, ...], case_id: str, folder: Path) -> Case:
             f"--case {case_id}: {len(matches)} cases of {folder} begin so; give more of the id"
         )
     raise BadInputError(
-        f"--case {case_id}: {folder} has no such case; ids stand in cases.parquet and, for failed"
+        f"--case {case_id}: {folder} has no such case; ids are in cases.parquet and, for failed"
         " ones, in report.html"
     )
 

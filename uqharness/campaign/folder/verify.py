@@ -571,6 +571,7 @@ def _with_engine_of_journal(folder: Path, campaign: CampaignSpec, mission: Missi
         for engine in (JSBSIM, BATCH)
     }
     sound_ids = _sound_ids(folder, set().union(*ids_by_engine.values()))
+    # The engine with most of its case ids in the journal.
     hits = {engine: len(sound_ids & ids) for engine, ids in ids_by_engine.items()}
     return (
         campaign.with_engine(max(hits, key=lambda engine: hits[engine]))
@@ -729,6 +730,7 @@ def _out_of(folder: Path, shard: Shard | None) -> Path:
     """Return the output folder with which a run flies into ``folder``."""
     if shard is None:
         return folder
+    # A shard lies two levels below its campaign.
     place = folder.resolve()
     if (place.parent.name, place.name) != (SHARDS, shard.folder):
         raise BadInputError(

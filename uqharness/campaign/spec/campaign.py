@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 Turbulence = Literal["none", "light", "moderate", "severe"]
 Coefficient = Literal["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
+_Coefficients = Annotated[tuple[Coefficient, ...], BeforeValidator(tupled)]
 assert set(TURBULENCE_W20_KT) == set(Turbulence.__args__)  # type: ignore[attr-defined]
 assert Coefficient.__args__ == COEFFICIENTS  # type: ignore[attr-defined]
 
@@ -110,9 +111,7 @@ class EpistemicSection(Section):
     """
 
     method: Literal["none", "corners", "levels", "lhs", "white", "walk"]
-    coefficients: Annotated[  # type: ignore[assignment]
-        tuple[Coefficient, ...], BeforeValidator(list_as_tuple)
-    ] = COEFFICIENTS
+    coefficients: _Coefficients = COEFFICIENTS  # type: ignore[assignment]
     bounds: dict[Coefficient, tuple[Number, Number]] | str | None = None
     levels: tuple[Number, ...] | None = None
     samples: int | None = Field(default=None, ge=1, le=MAX_SAMPLES)
@@ -249,7 +248,7 @@ class EpistemicSection(Section):
             )
         if self.interior and self.method != "corners":
             raise ValueError(
-                f"interior = {self.interior}: interior points are flown beside corners, not with"
+                f"interior = {self.interior}: interior points are flown with corners, not with"
                 f' method = "{self.method}"'
             )
         if self.nominal and self.method != "corners":

@@ -230,7 +230,7 @@ def grid_section(
         f"The question of each cell: at most {acceptable} excursions per flight hour at every"
         " corner? ✓ yes: every corner lies at or below; ✕ no: some corner lies above; ?"
         " inconclusive: too few flight hours, or for the reason in the cell. Below the answer"
-        f" stands the rate at the worst corner with its {_SURE} limits, in excursions per flight"
+        f" is the rate at the worst corner with its {_SURE} limits, in excursions per flight"
         " hour."
     )
     if not signed:
@@ -444,7 +444,7 @@ def _provenance(report: CampaignReport) -> Section:
             "Tables",
             (
                 "cases.parquet (one row per flight), pbox.parquet, excursions.csv, statements.csv,"
-                " beside this page"
+                " next to this page"
             ),
         ),
     )

@@ -85,7 +85,7 @@ def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEG
     )
     files = (
         "compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv,"
-        " histories.parquet, beside this page"
+        " histories.parquet, next to this page"
     )
     facts = (
         ("Command", document.get("command") or "not recorded"),
@@ -98,7 +98,7 @@ def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEG
         " sensors' noise?"
     )
     return Page(
-        f"{document['flight']} beside {document['aircraft']}",
+        f"{document['aircraft']} compared with {document['flight']}",
         question,
         _verdict(document),
         tuple(sections),

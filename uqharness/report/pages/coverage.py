@@ -75,6 +75,7 @@ def coverage_page_of(
         c: "holds" if row["0.95"] >= MIN_SHARE_INSIDE else "fails"
         for c, row in document["coverage"].items()
     }
+    # Failure outweighs an inconclusive result.
     failing, unsure = (
         [c for c, v in verdicts.items() if v == kind] for kind in ("fails", "inconclusive")
     )

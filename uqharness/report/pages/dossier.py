@@ -385,6 +385,7 @@ def _chart(
         chart.band(t, *band, "fill1")
     for kind, y in series:
         if kind == "dot":
+            # A few hundred dots per chart.
             few = np.unique(np.linspace(0, y.size - 1, min(y.size, _MOST_DOTS)).round().astype(int))
             chart.dots(t[few], y[few], kind)
         else:
@@ -557,7 +558,7 @@ def _provenance(title: str, evidence: Evidence) -> Section:
         rows.append((f"S{number}", step.kind, where, _outcome(step), digest))
     text = (
         "Steps in the order in which they were made, each with the model that it wrote or used (the"
-        " first 16 digits of the SHA-256 over its files). Commands and versions stand with the"
+        " first 16 digits of the SHA-256 over its files). Commands and versions are listed with the"
         " sources."
     )
     blocks: list[Block] = [
@@ -617,6 +618,7 @@ def _model(step: Step) -> str:
         return ""
     try:
         # identify writes the aircraft there, refine one folder further down.
+        # identify and refine write an aircraft folder.
         home = step.folder / "aircraft"
         # The aircraft folder itself, or the one below it.
         places = [home, *(p for p in sorted(home.glob("*")) if p.is_dir())]
@@ -653,7 +655,7 @@ def _outcome(step: Step) -> str:
         )
         return f"{document['verdict']}: {effect_names or 'no effect'}; {flights}"
     if step.kind == "compare":
-        return f"{document['aircraft']} beside {document['flight']}"
+        return f"{document['aircraft']} compared with {document['flight']}"
     if step.kind == "bounds":
         return f"intervals for {len(document.get('coefficients', {}))} coefficients"
     if step.kind == "validate-bounds":
@@ -799,7 +801,7 @@ def _statement_section(
         if len(sentences) > _MOST_SENTENCES:
             blocks.append(
                 Words(
-                    f"{len(sentences) - _MOST_SENTENCES} further sentences stand in report.html.",
+                    f"{len(sentences) - _MOST_SENTENCES} further sentences are in report.html.",
                     note=True,
                 )
             )

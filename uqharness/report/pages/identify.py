@@ -233,6 +233,7 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
             if is_identified
             else ("not identified", "not identified")
         )
+        # Parameters keep the unit of the XML.
         value = format_value(row["value"], ".5g")
         rows.append(
             (Cell(name, code=True), format_value(row.get("initial"), ".5g"), value, *errors, status)
@@ -332,6 +333,7 @@ def _provenance(fit: Mapping[str, Any]) -> Section:
         ("Command", fit.get("command") or "not recorded"),
         ("Method", fit.get("method", "not recorded")),
     ]
+    # Older documents have no hashes.
     hashes = fit.get("flights_sha256") or []
     items += [
         (f"Flight {name} (SHA-256)", digest)
@@ -349,7 +351,7 @@ def _provenance(fit: Mapping[str, Any]) -> Section:
             "Files",
             (
                 "fit.json, parameters.csv, histories.parquet, aircraft/ (the XML with the"
-                " estimates), beside this page"
+                " estimates), next to this page"
             ),
         )
     )
@@ -385,6 +387,7 @@ def fit_document(
         np.concatenate([block[:, k] for block in identification.residual])
         for k in range(len(identification.outputs))
     ]
+    # Whiteness of the residuals, with the model output as context.
     tint = colour(list(identification.residual), list(identification.modelled))
     fit = {}
     for k, channel in enumerate(identification.outputs):

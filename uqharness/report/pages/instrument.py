@@ -73,7 +73,7 @@ def instrument_page(done: Instrumentation, form: ModelForm | None, constant: Con
     """
     question = (
         f"By how much may the coefficients of {done.aircraft} be off in a campaign? Each delta"
-        " coefficient, dimensionless, in body axes, stands between the lower and the upper bound:"
+        " coefficient, dimensionless, in body axes, lies between the lower and the upper bound:"
         " delta = lower + level (upper − lower), level 0 to 1."
     )
     sections = [_sizes(form, constant)]
@@ -133,7 +133,15 @@ def _verdict(
 
 
 def main_state(b: CoefficientBounds, form: ModelForm) -> str:
-    """Return the state along which the bounds vary most, the others at their medians."""
+    """Return the state along which the bounds vary most, the others at their medians.
+
+    Parameters
+    ----------
+    b : CoefficientBounds
+        Bounds of one coefficient.
+    form : ModelForm
+        Gives confidence and behaviour outside the data.
+    """
 
     def range_of_bounds(k: int) -> float:
         """Return by how much both bounds vary along a state."""

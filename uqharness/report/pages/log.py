@@ -182,7 +182,7 @@ def _findings(record: FlightRecord) -> Section:
     head = ("Finding", "Severity", "Where", "What", "Spoils")
     table = Table("Findings by severity, one row a kind.", head, tuple(rows))
     text = (
-        "In the charts below a finding stands in the caption of its channel; where the log tells"
+        "In the charts below a finding is in the caption of its channel; where the log tells"
         " when, the time is shaded."
     )
     return Section("Findings", (Words(text, note=True), table))

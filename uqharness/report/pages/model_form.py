@@ -271,7 +271,7 @@ def slice_section(
         Bounds to draw for comparison.
     """
     text = (
-        "Along each state the others stand at the medians of the data. Solid: "
+        "Along each state the others are at the medians of the data. Solid: "
         f"{100 * form.confidence:g} % bounds, dotted: 68 %; shaded: where the data are."
         + (
             " Dots: flight minus model where the other states are within a standard deviation of"
@@ -610,7 +610,7 @@ def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
             "Files",
             (
                 "model-form.json, model-form.xml (the same as a JSBSim system), residuals.parquet,"
-                " beside this page"
+                " next to this page"
             ),
         ),
     ]

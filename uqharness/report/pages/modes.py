@@ -160,6 +160,7 @@ def _eigenvalues(point: LocusPoint) -> Section:
     """Return the table of eigenvalues."""
     rows = []
     for m in point.modes:
+        # Undamped or real roots have no finite period.
         period = 2.0 * math.pi / m.imag if m.imag else math.inf
         # Time to half the amplitude, or to twice of it where the mode grows.
         time = math.log(2.0) / abs(m.real) if m.real else math.inf
@@ -301,6 +302,7 @@ def _labels(
         if any(mode == m.name for mode, *_ in out):
             continue
         (u,), (v,) = (np.atleast_1d(w) for w in chart.at(m.real, m.imag))
+        # Approximate width of the label.
         wide = 6.2 * len(NAMES[m.name])
         sides = ((6.0, "start"), (-6.0, "end"), (0.0, "middle"))
         for dx, dy, anchor in [

@@ -89,7 +89,7 @@ def next_flight_page(
         *remarks(document, key=()),
         provenance(
             ("Command", command),
-            ("Files", "next-flight.json, next-flight.xml, test-points.csv, beside this page"),
+            ("Files", "next-flight.json, next-flight.xml, test-points.csv, next to this page"),
         ),
     )
     question = (
@@ -187,6 +187,7 @@ def _profile(
     quantity, unit, factor = shown_channel(state)
     # Ignore the most extreme 0.2 % on either side.
     low, high = (float(v) for v in np.quantile(values, [0.002, 0.998]))
+    # Bins of equal width over the mission.
     edges = np.linspace(low, high, _BINS + 1)
     bins = np.clip(np.digitize(values, edges) - 1, 0, _BINS - 1)
     count = np.bincount(bins, minlength=_BINS)
@@ -375,6 +376,7 @@ def _first_points(plan: NextFlight) -> list[str]:
             break
     if 2 * len(few) > len(plan.plan):
         return []
+    # Points are numbered from 1.
     numbers = ", ".join(str(k + 1) for k in sorted(few))
     subject = f"point {numbers} brings" if len(few) == 1 else f"points {numbers} bring"
     return [

@@ -46,7 +46,7 @@ from uqharness.result_documents import Refinement, read_document
 
 MAX_UNLISTED = 8
 """Candidates in the chart that the page does not list elsewhere."""
-LEGEND = (("wide", "alone, beside the parameters"), ("thick", "the same of a chosen effect"))
+LEGEND = (("wide", "alone, with the parameters"), ("thick", "the same of a chosen effect"))
 _MARKS = {
     "chosen": "\N{BLACK CIRCLE}",
     "withdrawn": "\N{MULTIPLICATION X}",
@@ -619,7 +619,7 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
             Figure(
                 chart.name,
                 chart.svg(),
-                "Share of the test samples inside; the dashed line is what is asked for.",
+                "Share of the test samples inside; the dashed line is the stated confidence.",
             )
         )
     return tuple(out)
@@ -665,6 +665,7 @@ def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> S
         pair = [read_campaign_report(folder / name) for name in folders]
     except BadInputError as error:
         return Section(title, (Words(f"{flown_text} The campaigns cannot be read: {error}"),))
+    # Same charts as for two campaigns, with a file name of their own.
     overlay = overlay_section(
         pair[0],
         pair[1],
@@ -716,6 +717,7 @@ def smooth_sections(done: Mapping[str, Any], prefix: str = "") -> list[Section]:
 
 def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
     """Draw the smooth term with its band and the density of the data."""
+    # Curve of the term with its band and the number of samples.
     at, value, low, high, samples = (
         np.array(smooth["curve"][k], dtype=float) for k in ("at", "value", "low", "high", "samples")
     )
@@ -872,7 +874,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
             "Files",
             (
                 "refinement.json, model.diff, histories.parquet, aircraft/ (the refined model),"
-                " beside this page"
+                " next to this page"
             ),
         ),
     )
@@ -954,7 +956,7 @@ def _largest_fall(gap: Mapping[str, Any]) -> str:
     change = f"stays at {last}" if first == last else f"goes from {first} to {last}"
     return (
         f"On the test flights the error of {quantity} {change} {unit} (rms), "
-        f"beside noise of {noise:.3g} {unit}."
+        f"with noise of {noise:.3g} {unit}."
     )
 
 
@@ -1042,6 +1044,7 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
             f"{prefix}shrinkage-{kind}", ratios, series, f"{kind} on the test flights"
         )
         figures += [figure] if figure else []
+    # Theil's coefficient summarises all channels.
     theil = gap.get("theil", {})
     if theil:
         rows.append(
@@ -1131,7 +1134,9 @@ def _remaining_section(done: Mapping[str, Any]) -> Section:
         "What is left",
         (
             Words(
-                "More than noise, and nothing tells where." if unplaced else "Nothing beyond noise."
+                "More than noise, at no identifiable place."
+                if unplaced
+                else "Nothing beyond noise."
             ),
         ),
     )

@@ -106,6 +106,7 @@ def _lap(path: Path, tracks: Mapping[str, Any]) -> list[Figure]:
     if "radius_m" not in tracks:
         return []
     frame = read_table(path).to_pandas()
+    # Tracks of other versions may lack columns.
     lacking = [name for name in _TRACK_COLUMNS if name not in frame]
     if lacking:
         raise BadInputError(f"{path}: has no column {', '.join(lacking)}; run the study again")
@@ -125,6 +126,7 @@ def _pbox(sides: Sides) -> Figure | None:
     condition = hardest_condition(conditions(last.frame))
     # The first metric that all campaigns have in this condition.
     for metric in _FIRST:
+        # Finding of this metric in each campaign.
         items = {
             w: next((f for f in s.findings if (f.metric, f.condition) == (metric, condition)), None)
             for w, s in sides.items()
@@ -178,6 +180,7 @@ def effect_section(folder: Path) -> Section:
         unit = "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
         t = e.get("evidence", {}).get("t")
         test_gap = (e.get("test") or {}).get("gap")
+        # Result of the effect on the hold-out flights.
         tested = (
             Cell("smaller residual", "good")
             if test_gap == "shrank"

@@ -72,7 +72,7 @@ def test_one_rate_is_everyones():
             {"method": "walk", "samples": 5, "bounds": "model-form.json", "set": "ellipsoid"},
             "belongs to the methods corners and lhs",
         ),
-        ({"method": "lhs", "samples": 5, "bounds": BOUNDS, "interior": 4}, "flown beside corners"),
+        ({"method": "lhs", "samples": 5, "bounds": BOUNDS, "interior": 4}, "flown with corners"),
         ({"method": "lhs", "samples": 5, "bounds": BOUNDS, "nominal": True}, "flies it alone"),
         ({"method": "corners", "bounds": BOUNDS, "interior": -1}, "interior"),
         ({"method": "corners", "bounds": BOUNDS, "set": "ball"}, "set"),

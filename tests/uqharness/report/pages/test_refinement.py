@@ -23,7 +23,7 @@ def test_a_refinement(refined):
     )
     assert "Pitching moment due to roll rate squared is confounded with: aileron squared." in words
     assert "Would separate them: a roll at rest." in words
-    assert "goes from 0.407 to 0.195 deg/s (rms), beside noise of 0.201 deg/s" in words
+    assert "goes from 0.407 to 0.195 deg/s (rms), with noise of 0.201 deg/s" in words
     assert "stays at" not in words
     assert "+ <property>aero/Cm_p2</property>" in words
     assert "p 28.6 to 115 deg/s" in words
@@ -42,7 +42,7 @@ def test_an_error_that_does_not_change_stays(tmp_path):
     for row in document["gap"]["test"]["channels"].values():
         row["rms_after"] = row["rms_before"]
     words = words_of(page_of(written(tmp_path / "refined", "refinement.json", document)))
-    assert "stays at 0.407 deg/s (rms), beside noise of 0.201 deg/s" in words
+    assert "stays at 0.407 deg/s (rms), with noise of 0.201 deg/s" in words
     assert "goes from" not in words
 
 
