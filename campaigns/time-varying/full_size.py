@@ -64,7 +64,7 @@ def tables(
     results = list(comparisons(outer, inner))
     growth = [item for m in MEDIANS for item in metric_convergence(inner, m, _ALL, True, seed)]
     write_table(results, out)
-    write_bytes(out / "walks-enough.csv", table(growth))
+    write_bytes(out / "walks-enough.csv", convergence_table(growth))
     kinds = {"corners": outer, "walks": inner}
     write_rates(out, kinds)
     counts = (frame["epistemic_id"].nunique() for frame in (outer, inner))

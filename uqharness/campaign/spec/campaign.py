@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 Turbulence = Literal["none", "light", "moderate", "severe"]
 Coefficient = Literal["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
-_Coefficients = Annotated[tuple[Coefficient, ...], BeforeValidator(tupled)]
+_Coefficients = Annotated[tuple[Coefficient, ...], BeforeValidator(list_as_tuple)]
 assert set(TURBULENCE_W20_KT) == set(Turbulence.__args__)  # type: ignore[attr-defined]
 assert Coefficient.__args__ == COEFFICIENTS  # type: ignore[attr-defined]
 
