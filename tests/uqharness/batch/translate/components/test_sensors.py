@@ -145,7 +145,7 @@ def test_gyros_and_accelerometers_of_a_tumbling_body(axis: str) -> None:
     [
         (
             '<noise variation="PERCENT" distribution="UNIFORM">1</noise>',
-            "uniform <noise> draws from JSBSim's generator",
+            "uniform <noise> draws random numbers",
         ),
         (
             '<noise variation="percent" distribution="GAUSSIAN">1</noise>',
