@@ -23,7 +23,7 @@ from campaigns.library.store import (
 )
 from sysid.digests import sha256_hex
 from uqharness.campaign.cases import Case
-from uqharness.campaign.engines import compared, refuse_difference, spread
+from uqharness.campaign.engines import compare_outcomes, difference_scale, refuse_difference
 from uqharness.campaign.execution.processes import Executor
 from uqharness.campaign.execution.worker import (
     BATCH,
@@ -143,7 +143,7 @@ def check_engines(
     batch = {outcome.case_id: outcome for outcome in outcomes.cases}
     names = {name for outcome in outcomes.cases for name in outcome.metrics}
     spreads = {
-        name: spread([o.metrics[name] for o in outcomes.cases if name in o.metrics])
+        name: difference_scale([o.metrics[name] for o in outcomes.cases if name in o.metrics])
         for name in names
     }
 
@@ -153,7 +153,9 @@ def check_engines(
     rows = [
         row
         for case, other in zip(chosen, jsbsim.cases, strict=True)
-        for row in compared(tables.WHOLE, case, (batch[case.case_id], other), spreads, refly)
+        for row in compare_outcomes(
+            tables.FULL_FLIGHT, case, (batch[case.case_id], other), spreads, refly
+        )
     ]
     refuse_difference(folder / shard.cell, rows)
     excused = {row.case_id for row in rows if row.verdict == "excused"}

@@ -29,7 +29,7 @@ from sysid.digests import sha256_hex
 from uqharness.campaign.cases import Case
 from uqharness.campaign.conditions import Condition
 from uqharness.errors import BadInputError
-from uqharness.files import lock_at_once, write_bytes
+from uqharness.files import try_lock, write_bytes
 from uqharness.parquet_files import parse_table
 from uqharness.text_tables import csv_rows
 
@@ -238,6 +238,6 @@ def locked(folder: Path) -> Iterator[None]:
     """Hold a folder for one run. Raises BadInputError where another holds it."""
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / _LOCK).open("a+b") as handle:
-        if not lock_at_once(handle.fileno()):
+        if not try_lock(handle.fileno()):
             raise BadInputError(f"{folder}: another run is flying into it; wait for it, or end it")
         yield

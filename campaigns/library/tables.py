@@ -17,7 +17,7 @@ from campaigns.library.study import cells, write_csv
 from sysid.arrays import FloatArray
 from uqharness.campaign.conditions import CONFIDENCE, excursion_cells, samples
 from uqharness.errors import BadInputError
-from uqharness.report.pbox import DrawnBox, metric_label, pbox_figure
+from uqharness.report.pbox import LabelledBox, metric_label, pbox_figure
 from uqharness.report.svg import standalone
 from uqharness.statistics import best_and_worst
 from uqharness.statistics.pbox import pbox
@@ -123,7 +123,7 @@ def pbox_drawing(
         for label, frame in tables.items():
             curves = [replace(s, values=smoothed(s.values)) for s in samples(frame, metric)]
             legend = label if len(tables) > 1 else ""
-            boxes.append(DrawnBox(legend, pbox(curves, CONFIDENCE), curves, {}))
+            boxes.append(LabelledBox(legend, pbox(curves, CONFIDENCE), curves, {}))
         quantity, _, unit = metric_label(metric).rpartition(" [")
         name, unit = metric.replace("_", "-"), unit.removesuffix("]")
         charts.append((pbox_figure(name, quantity, unit, boxes, "", marks.get(metric)).svg, ""))

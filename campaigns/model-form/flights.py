@@ -244,6 +244,8 @@ def _resized(noise: PieceNoise, sizes: Mapping[str, NoiseSize]) -> PieceNoise:
     std, passages = table_noise(), []
     for p in (p for p in noise.passages if p.channel in sizes):
         size = sizes[p.channel]
-        passages.append(replace(p, gain=p.gain * (size.std / std[p.channel]), relative_std=size.relative_std))
+        passages.append(
+            replace(p, gain=p.gain * (size.std / std[p.channel]), relative_std=size.relative_std)
+        )
     states = {c: (sizes[c].std, weights) for c, (_, weights) in noise.states.items() if c in sizes}
     return PieceNoise(tuple(passages), states, noise.n)

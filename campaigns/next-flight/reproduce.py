@@ -164,7 +164,12 @@ class Study:
             p = plan.prospects[c]
             row = {"case": case.name, "seed": seed, "for": case.coefficient, "coefficient": c}
             row["seconds"] = plan.end_s
-            widths = {"current": p.current, "known": p.planned, "predicted": p.refitted, "achieved": achieved[c]}
+            widths = {
+                "current": p.current,
+                "known": p.planned,
+                "predicted": p.refitted,
+                "achieved": achieved[c],
+            }
             widths |= {"old_predicted": expected[c].refitted, "old_achieved": old_achieved[c]}
             for name, width in widths.items():
                 row[name] = width.total

@@ -573,7 +573,12 @@ def sensitivity(
     words = ["sensitivity"] + ([] if folder is None else [str(path("folder", folder))])
     words += _files(interior=interior)
     words += [] if modal is None else ["--modal", modal]
-    words += ["--repeats", str(integer("repeats", repeats, 2)), "--seed", str(integer("seed", seed))]
+    words += [
+        "--repeats",
+        str(integer("repeats", repeats, 2)),
+        "--seed",
+        str(integer("seed", seed)),
+    ]
     return _document(words)
 
 

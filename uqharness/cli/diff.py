@@ -174,7 +174,10 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _text(
-    flights: Sequence[MatchedFlight], first: Sequence[Difference], terms: Sequence[Term], differ: bool
+    flights: Sequence[MatchedFlight],
+    first: Sequence[Difference],
+    terms: Sequence[Term],
+    differ: bool,
 ) -> str:
     """Return the differences as text, the likeliest cause first."""
     flight_summary = (

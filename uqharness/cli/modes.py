@@ -188,7 +188,13 @@ def _write(
 
     with counting("speeds trimmed") as callback:
         locus = root_locus(
-            aircraft, condition, speeds, args.category, args.aircraft_class, first=point, callback=callback
+            aircraft,
+            condition,
+            speeds,
+            args.category,
+            args.aircraft_class,
+            first=point,
+            callback=callback,
         )
     _, *trim_lines = [line.strip() for line in _trim_lines(aircraft.name, trim)]
     altitude = f"{condition.altitude_m:g} m above sea level"

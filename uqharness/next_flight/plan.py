@@ -162,7 +162,9 @@ def prospects(
             bounds.hull.low,
             bounds.hull.high,
         )
-        repeated = with_more_data(bounds, [repeated_information]) if math.isfinite(share) else bounds
+        repeated = (
+            with_more_data(bounds, [repeated_information]) if math.isfinite(share) else bounds
+        )
         expected_forms = (
             with_more_data(bounds, gained),
             with_more_data(bounds, gained, scatter[c]),

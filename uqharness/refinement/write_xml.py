@@ -177,7 +177,10 @@ def write_servo(
                 if own is None
                 else replace_text(document, own, name)
             )
-            edits = [insert_before(document, _channel(actuator), [declare(name, text, remark)]), named]
+            edits = [
+                insert_before(document, _channel(actuator), [declare(name, text, remark)]),
+                named,
+            ]
         _write(document, edits)
 
 
@@ -250,13 +253,17 @@ def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Exp
         return call(
             "product",
             per_rate,
-            property_value(f"velocities/{rate}-aero-rad_sec" if of_body else f"aero/{rate}-rad_sec"),
+            property_value(
+                f"velocities/{rate}-aero-rad_sec" if of_body else f"aero/{rate}-rad_sec"
+            ),
         )
     if variable in _CONTROLS:
         source, factor = state_source(_CONTROLS[variable], aircraft)
         factor *= 0.01 if variable == "dt" else 1.0
         return (
-            property_value(source) if factor == 1.0 else call("product", value(factor, ".10g"), property_value(source))
+            property_value(source)
+            if factor == 1.0
+            else call("product", value(factor, ".10g"), property_value(source))
         )
     if variable == "CT":
         thrust = aircraft.card.outputs.get("thrust_N")
@@ -267,10 +274,14 @@ def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Exp
         )
         return call("quotient", force, call("product", *_QBAR_S))
     if variable == "V_rel":
-        return call("product", value(FT_M / V_REFERENCE_MPS, ".10g"), property_value("velocities/vt-fps"))
+        return call(
+            "product", value(FT_M / V_REFERENCE_MPS, ".10g"), property_value("velocities/vt-fps")
+        )
     if variable == "h_over_b":
         return call(
-            "max", value(0.1), call("quotient", property_value("position/h-agl-ft"), property_value("metrics/bw-ft"))
+            "max",
+            value(0.1),
+            call("quotient", property_value("position/h-agl-ft"), property_value("metrics/bw-ft")),
         )
     raise BadInputError(f"variable '{variable}' has no JSBSim form")
 
@@ -337,7 +348,9 @@ def subsystem_terms(
                 "sum", value(1, "g"), call("product", property_value(effect.property_name), near)
             )
             force = call("product", *_QBAR_S, with_effect)
-            return [("CZ", 1.0, [near, call("quotient", property_value("forces/fbz-aero-lbs"), force)])]
+            return [
+                ("CZ", 1.0, [near, call("quotient", property_value("forces/fbz-aero-lbs"), force)])
+            ]
     raise BadInputError(f"effect {effect.key}: no JSBSim form is known")
 
 
@@ -540,7 +553,12 @@ def _author_style(
         name = f"{folder}/{leaf}-effect"
     reference = coefficient_reference(aircraft, section)
     lengths = [] if force else [reference.lengths[slot - 3]]
-    parts = [property_value("aero/qbar-psf"), reference.area, *lengths, property_value(w.effect.property_name)]
+    parts = [
+        property_value("aero/qbar-psf"),
+        reference.area,
+        *lengths,
+        property_value(w.effect.property_name),
+    ]
     lines = [part.line() for part in (*parts, *factors)]
     if not any(node.find("description") for node in authored):
         return slot, function_lines(name, "product", lines, force, w.effect.name)

@@ -192,7 +192,9 @@ def performance(campaigns: Mapping[str, FlownCampaign]) -> Iterator[Sentence]:
     elif len(all_conditions) > 1:
         yield _tally(last)
     listed = (
-        all_conditions if len(all_conditions) <= MAX_CONDITIONS else [hardest_condition(all_conditions)]
+        all_conditions
+        if len(all_conditions) <= MAX_CONDITIONS
+        else [hardest_condition(all_conditions)]
     )
     for condition in listed:
         for item in _tightest_statement(last.statements, condition):

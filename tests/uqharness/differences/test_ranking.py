@@ -47,7 +47,9 @@ def test_what_a_nudged_start_does_is_benign():
     a = exact.a["q"]
     assert (
         differences(
-            CHANNELS, [MatchedFlight("d", TIME, exact.a, exact.b, {**exact.nudged, "q": a + grown})], ()
+            CHANNELS,
+            [MatchedFlight("d", TIME, exact.a, exact.b, {**exact.nudged, "q": a + grown})],
+            (),
         )
         == []
     )

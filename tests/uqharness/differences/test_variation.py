@@ -55,5 +55,7 @@ def test_nothing_to_vary():
     ):
         with pytest.raises(BadInputError, match=said):
             fly_matched(
-                aircraft, aircraft, MatchedRequest(speeds_mps=(50.0,), missions=("steady",), **asked)
+                aircraft,
+                aircraft,
+                MatchedRequest(speeds_mps=(50.0,), missions=("steady",), **asked),
             )

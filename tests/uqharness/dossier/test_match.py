@@ -95,7 +95,8 @@ def test_rates_by_the_less_restrictive_of_two(control, channel, entry):
 def test_noise_that_is_as_large_as_the_tolerance_decides_nothing():
     noisy = segment(theta_rad=1.6 * DEG, q_radps=2.1 * DEG)
     assert (
-        answers(noisy, noise={"theta_rad": 0.5 * DEG, "q_radps": 0.1 * DEG})[0]["2.c.10"] == INCONCLUSIVE
+        answers(noisy, noise={"theta_rad": 0.5 * DEG, "q_radps": 0.1 * DEG})[0]["2.c.10"]
+        == INCONCLUSIVE
     )
     assert answers(noisy, noise={"theta_rad": 0.1 * DEG, "q_radps": 0.1 * DEG})[0]["2.c.10"] == FAIL
 

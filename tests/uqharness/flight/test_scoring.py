@@ -59,7 +59,8 @@ def test_deviations_by_hand():
         [rows, [0.0, 10.0, 20.0], [0.0, 10.0, 52.0], [5.0, 0.0, 0.0], [5.0, 9.0, 9.0]]
     )
     onwards = score_from_start(
-        SPEC, RecordedFlight([*names, "north_m", "east_m", "vn_mps", "ve_mps"], straight, "ok", "", 3.0)
+        SPEC,
+        RecordedFlight([*names, "north_m", "east_m", "vn_mps", "ve_mps"], straight, "ok", "", 3.0),
     )
     # Began towards the north-east; 52 m east and 20 m north lies 32/sqrt(2) m to the right of that line.
     assert onwards.metrics["cross_track_max_m"] == pytest.approx(32.0 / np.sqrt(2.0))

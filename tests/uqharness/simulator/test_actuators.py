@@ -37,9 +37,13 @@ def test_a_command_is_held_until_its_own_row():
     """Rows four steps apart: only the last step before a row has seen its command."""
     rows = Actuator(None, rate=100.0).follow(np.array([0.0, 4.0, 4.0]), 4 * STEP, STEP)
     assert rows.tolist() == [0.0, 1.0, 4.0]
-    _, middle = Actuator(None, rate=100.0).follow_with_midpoints(np.array([0.0, 4.0, 4.0]), 4 * STEP, STEP)
+    _, middle = Actuator(None, rate=100.0).follow_with_midpoints(
+        np.array([0.0, 4.0, 4.0]), 4 * STEP, STEP
+    )
     assert middle.tolist() == [0.0, 3.0]
-    _, odd = Actuator(None, rate=100.0).follow_with_midpoints(np.array([0.0, 3.0, 3.0]), 3 * STEP, STEP)
+    _, odd = Actuator(None, rate=100.0).follow_with_midpoints(
+        np.array([0.0, 3.0, 3.0]), 3 * STEP, STEP
+    )
     assert odd.tolist() == [0.0, 2.5]
 
 

@@ -58,7 +58,9 @@ def test_with_the_control_system_at_rest_the_thrust_is_that_of_the_throttle_and_
     )
     fdm, _ = open_forced(aircraft, state, {"throttle": 0.5}, 300.0, None)
     rest = forced_state.control_equilibrium(aircraft, fdm)
-    rested = force_state(aircraft, state, {"throttle": 0.5}, 300.0, None, (thrust,), equilibrium=rest)
+    rested = force_state(
+        aircraft, state, {"throttle": 0.5}, 300.0, None, (thrust,), equilibrium=rest
+    )
     first = force_state(aircraft, state, {"throttle": 0.5}, 300.0, None, (thrust,))
     assert rested[1][thrust] > 10.0 * first[1][thrust]
     # Both engines; the flaps that go down meanwhile brake a little.

@@ -45,7 +45,10 @@ def test_the_digits_of_a_number(number, form, text):
 @pytest.mark.parametrize("tag", ["sum", "product", "min", "max"])
 def test_an_operation_on_one_argument_is_the_argument(tag):
     assert call(tag, property_value("a")) == property_value("a")
-    assert Expression(tag, "", (property_value("a"),)).line() == f"<{tag}> <property>a</property> </{tag}>"
+    assert (
+        Expression(tag, "", (property_value("a"),)).line()
+        == f"<{tag}> <property>a</property> </{tag}>"
+    )
     assert call("sqrt", property_value("a")) != property_value("a")
 
 
@@ -62,7 +65,11 @@ def test_a_polynomial_without_terms_is_zero():
 
 def test_a_function_of_one_operation():
     lines = function_lines(
-        "uq/a", "product", [property_value("a").line(), value(2, "g").line()], at_cg=True, remark="of -- two"
+        "uq/a",
+        "product",
+        [property_value("a").line(), value(2, "g").line()],
+        at_cg=True,
+        remark="of -- two",
     )
     assert lines == [
         '<function name="uq/a" apply_at_cg="true">',

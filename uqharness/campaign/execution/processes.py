@@ -329,7 +329,11 @@ class ProcessExecutor:
             return []
         outside = code in _OUTSIDE_SIGNALS
         return self._second_chance(
-            worker, retry_queue, outside, "crashed", f"the worker process ended: {describe_exit(code)}"
+            worker,
+            retry_queue,
+            outside,
+            "crashed",
+            f"the worker process ended: {describe_exit(code)}",
         )
 
     def _give_up(

@@ -349,7 +349,9 @@ def parameter_draws(
     """
     if section.distribution == "normal":
         rows = [
-            random_numbers.draw_normals(numbered_stream(root_seed, "parameters", n), len(estimates.names))
+            random_numbers.draw_normals(
+                numbered_stream(root_seed, "parameters", n), len(estimates.names)
+            )
             for n in range(samples)
         ]
         draws = np.tile(estimates.values, (samples, 1))

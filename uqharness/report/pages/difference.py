@@ -133,7 +133,9 @@ def _channels(differences: Sequence[Difference]) -> Section:
     )
 
 
-def _histories(flights: Sequence[MatchedFlight], differences: Sequence[Difference]) -> list[Section]:
+def _histories(
+    flights: Sequence[MatchedFlight], differences: Sequence[Difference]
+) -> list[Section]:
     """Return the histories of the first channels that differ."""
     by_name = {f.name: f for f in flights}
     figures = [

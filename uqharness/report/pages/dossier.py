@@ -202,7 +202,9 @@ def _summary(match: Match) -> Table:
         results = match.of(test.entry)
         answers = [j.answer for j in results]
         answer = next((a for a in (FAIL, INCONCLUSIVE, PASS) if a in answers), ABSENT)
-        words = ", ".join(f"{answers.count(a)} {a}" for a in (PASS, FAIL, INCONCLUSIVE) if a in answers)
+        words = ", ".join(
+            f"{answers.count(a)} {a}" for a in (PASS, FAIL, INCONCLUSIVE) if a in answers
+        )
         small = words if results else match.missing.get(test.entry, "")
         rows.append(
             (
