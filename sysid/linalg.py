@@ -14,8 +14,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numba import njit
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
@@ -188,6 +186,9 @@ def compiled(loop: Loop) -> Loop:
     of the source, or in the user's cache folder if that is read-only; if neither can be written,
     every process compiles anew.
     """
+    # Block systems need no numba, which takes a third of a second to load.
+    from numba import njit
+
     try:
         dispatcher: Loop = njit(cache=True, nogil=True, error_model="numpy")(loop)
     except RuntimeError:
@@ -201,5 +202,7 @@ def jitable(part: Loop) -> Loop:
     Compiled loops of other files must not call it: numba's cache does not notice changes in
     another file.
     """
+    from numba.extending import register_jitable
+
     registered: Loop = register_jitable(part)
     return registered

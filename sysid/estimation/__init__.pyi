@@ -22,9 +22,9 @@ from .kalman import gains as gains
 from .kalman import predicted_path as predicted_path
 from .kalman import variance_gradient as variance_gradient
 from .kalman import whiten_innovations as whiten_innovations
-from .kalman_loops import START_COLUMNS as START_COLUMNS
-from .kalman_loops import Gains as Gains
-from .kalman_loops import MeasuredSystem as MeasuredSystem
+from .kalman_arrays import START_COLUMNS as START_COLUMNS
+from .kalman_arrays import Gains as Gains
+from .kalman_arrays import MeasuredSystem as MeasuredSystem
 from .noise import NoiseSize as NoiseSize
 from .noise import noise_size as noise_size
 from .output_error import forward_differences as forward_differences

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from sysid.estimation.kalman_loops import START_COLUMNS, ColumnInputs, Gains, MeasuredSystem
+from sysid.estimation.kalman_arrays import START_COLUMNS, ColumnInputs, Gains, MeasuredSystem
 
 _COLUMN_BLOCK = 96
 """Columns that pass the gains together, as many as the processor's first cache holds."""

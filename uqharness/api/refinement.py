@@ -31,7 +31,7 @@ from uqharness.refinement import Refinement, Request
 from uqharness.refinement import run as running
 from uqharness.replay import unique_names
 from uqharness.report import write_report
-from uqharness.report.write import write_results
+from uqharness.report.refinement import write_results
 from uqharness.simulator import Aircraft
 
 

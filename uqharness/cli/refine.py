@@ -28,7 +28,7 @@ from uqharness.refinement import Request
 from uqharness.refinement.run import refine
 from uqharness.replay import counter
 from uqharness.report import write_report
-from uqharness.report.write import write_results
+from uqharness.report.refinement import write_results
 
 _EXAMPLE = """
   uqharness refine espaaro --train flight1.parquet --test flight2.parquet --out refined

@@ -7,7 +7,7 @@ import pytest
 
 from sysid.aerodynamics.rigid_body import NX, Steps
 from sysid.estimation.kalman import gains, whiten_innovations
-from sysid.estimation.kalman_loops import MeasuredSystem
+from sysid.estimation.kalman_arrays import MeasuredSystem
 from tests.helpers.linear_systems import system
 
 ROWS = (0, 1, 2, 5, 6, 7, 8)
