@@ -25,6 +25,6 @@ def test_a_compiled_loop_is_the_loop(monkeypatch: pytest.MonkeyPatch, writable: 
             raise RuntimeError("cannot cache function: no locator available")
         return plain(nogil=nogil, error_model=error_model)
 
-    monkeypatch.setattr("sysid.linalg.njit", njit)
+    monkeypatch.setattr(numba, "njit", njit)
     values = np.linspace(0.0, 1.0, 50)
     assert compiled(total)(values) == total(values)
