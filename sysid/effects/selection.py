@@ -15,7 +15,7 @@ import numpy as np
 from scipy import optimize, special
 
 from sysid.distributions import normal_quantile
-from sysid.effects.catalogue import COMPARABLE, DIFFERENT, FAMILY, INSEPARABLE_SHARE, TWINS, UNLIKE
+from sysid.effects.catalogue import TWINS
 from sysid.effects.score import (
     DEPENDENT,
     Evidence,
@@ -26,6 +26,7 @@ from sysid.effects.score import (
     projected,
     scores,
 )
+from sysid.effects.tuned import COMPARABLE, DIFFERENT, FAMILY, INSEPARABLE_SHARE, UNLIKE
 
 DRAWS, DRAWN_IN = 40_000, 8
 LOOKED_AT = 12

@@ -27,8 +27,9 @@ from scipy import special
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from sysid.effects.catalogue import FAMILY, VARIABLES, coefficient_effect, words
+from sysid.effects.catalogue import VARIABLES, coefficient_effect, words
 from sysid.effects.score import DEPENDENT, Evidence, projected, solve
+from sysid.effects.tuned import FAMILY
 from sysid.estimation import coloured_information
 
 SPANS = 10

@@ -25,8 +25,8 @@ from scipy.optimize import Bounds, minimize
 
 from sysid.aerodynamics import NX, GustStates, Steps
 from sysid.arrays import FloatArray
-from sysid.effects.catalogue import CERTAIN_T, DIFFERENT
 from sysid.effects.prediction import start_fitted
+from sysid.effects.tuned import CERTAIN_T, DIFFERENT
 from sysid.estimation import MeasuredSystem, Process, gains, variance_gradient, whiten_innovations
 from sysid.parallel import SERIAL, Processes, Shared
 
@@ -228,6 +228,17 @@ class Gusts:
         passing = ", and pass at one speed in each flight" if at_one_speed else ""
         rotate, turn = ("" if so else "do not " for so in (rotating, turning_with))
         return f"gusts that {rotate}rotate the air and {turn}turn with the aircraft{passing}"
+
+
+def gust_strength_mps2(values: FloatArray) -> float:
+    """Return the strength sigma^2 / L of gusts [m/s2], the larger of those along and across the path.
+
+    values: (7,) estimates of the air of a flight, as `Gusts.own` has them. The spectral density of
+    u' is 2 sigma^2 V / L, that of alpha' and beta' 3 sigma^2 / (L V) (`process_of`).
+    """
+    along = values[0] / (2.0 * V_REFERENCE)
+    across = np.max(values[1:3]) * V_REFERENCE / 3.0
+    return float(max(along, across))
 
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:

@@ -141,9 +141,9 @@ def withdraw_invalid(result: Identification) -> Identification:
 
 def _invalid_reason(result: Identification) -> str:
     """Return why no parameter is identified; empty where the estimates are valid."""
-    unexplained_channels = unexplained(
-        result.residual, result.measured, result.outputs, result.noise
-    )
+    # Innovations in turbulence are as large as the filter predicts, not as small as the noise.
+    scale = {c: max(n, result.innovation_std.get(c, 0.0)) for c, n in result.noise.items()}
+    unexplained_channels = unexplained(result.residual, result.measured, result.outputs, scale)
     if unexplained_channels:
         # Name the channel that is explained worst.
         channel = max(unexplained_channels, key=lambda c: unexplained_channels[c][1])

@@ -607,6 +607,10 @@ class Identification(TabularResult):
         Sentences for the user.
     simulations, seconds, speed
         Replays of all segments, wall time [s], and speed of the replays.
+    innovation_std : Mapping
+        Of filter error, standard deviation that the filter predicts for the innovations by channel,
+        in its unit: sensor noise and what gusts do within one sample. Empty for output error, and
+        where the estimated gusts are stronger than turbulence can be.
     """
 
     aircraft: str
@@ -633,6 +637,7 @@ class Identification(TabularResult):
     simulations: int
     seconds: float
     speed: Speed | None = None
+    innovation_std: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return (

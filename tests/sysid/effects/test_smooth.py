@@ -11,7 +11,6 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 from sysid.effects import White, gather
-from sysid.effects.catalogue import FAMILY
 from sysid.effects.smooth import (
     colour_dispersion,
     fit_smooth,
@@ -19,6 +18,7 @@ from sysid.effects.smooth import (
     held_out_gain,
     smooth_term,
 )
+from sysid.effects.tuned import FAMILY
 
 N = 600
 PARAMETERS = ("aero/Cm_0", "aero/Cm_alpha")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-TABLE = ROOT / "sysid/effects/catalogue.py"
+TABLE = ROOT / "sysid/effects/tuned.py"
 MOST = 25
 
 

@@ -11,7 +11,7 @@ import pytest
 from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.rigid_body import NX, Reference, Steps, linearise
 from sysid.effects import turbulence
-from sysid.effects.catalogue import CERTAIN_T
+from sysid.effects.tuned import CERTAIN_T
 from sysid.effects.turbulence import Gusts, Score, gust_intensity, process_of
 from sysid.parallel import SERIAL
 from tests.helpers.open_equations import OpenEquations
