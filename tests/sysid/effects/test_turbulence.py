@@ -12,7 +12,14 @@ from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.rigid_body import NX, Reference, Steps, linearise
 from sysid.effects import turbulence
 from sysid.effects.tuned import CERTAIN_T
-from sysid.effects.turbulence import Gusts, Score, gust_intensity, process_of
+from sysid.effects.turbulence import (
+    V_REFERENCE,
+    Gusts,
+    Score,
+    gust_intensity,
+    gust_strength_mps2,
+    process_of,
+)
 from sysid.parallel import SERIAL
 from tests.helpers.open_equations import OpenEquations
 from tests.sysid.aerodynamics.test_rigid_body import DT, MASS, TERMS, flight, reference
@@ -329,3 +336,13 @@ def test_where_no_filter_follows_gusts_pass_at_the_mean_airspeed(monkeypatch):
     )  # type: ignore
     here = turbulence._Point((GustStates(3.0),) * 2, np.ones(7), np.ones(1))
     assert [s.passing_mps for s in search.passing({"a": [0, 1]}, here).states] == [22.0, 22.0]
+
+
+def test_the_strength_of_gusts_is_sigma_squared_over_their_length():
+    sigma, length = 1.54, 150.0
+    values = np.zeros(7)
+    values[0] = 2.0 * sigma**2 * V_REFERENCE / length
+    values[1:3] = 3.0 * sigma**2 / (length * V_REFERENCE)
+    assert gust_strength_mps2(values) == pytest.approx(sigma**2 / length)
+    values[2] *= 100.0
+    assert gust_strength_mps2(values) == pytest.approx(100.0 * sigma**2 / length)

@@ -67,6 +67,7 @@ def found(residual):
         outputs=("q_radps",),
         noise={"q_radps": 0.003},
         warnings=("another",),
+        innovation_std={},
         converged=True,
     )
     return Identification(**(values | vars(given)))
@@ -85,6 +86,15 @@ def test_what_was_fitted_to_it_is_withdrawn_with_the_reason():
     assert kept.warnings[1:] == ("another",)
     good = found(0.003 * RNG.standard_normal(401))
     assert withdraw_invalid(good) is good
+
+
+def test_innovations_in_turbulence_are_judged_by_what_gusts_predict():
+    innovations = found(0.5 * Q)
+    predicted = float(np.sqrt(np.mean((0.5 * Q) ** 2)))
+    gusty = dataclasses.replace(innovations, innovation_std={"q_radps": predicted})
+    assert withdraw_invalid(gusty) is gusty
+    weak = dataclasses.replace(innovations, innovation_std={"q_radps": 0.05 * predicted})
+    assert withdraw_invalid(weak).identified == ()
 
 
 def test_a_fit_that_did_not_converge_has_no_estimates_and_no_standard_errors():
